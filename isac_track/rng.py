@@ -1,0 +1,39 @@
+"""Random streams keyed by name: no draw depends on order, workers or what else runs."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+
+def stream(seed: int, *names: str | int) -> np.random.Generator:
+    """Return the generator of the stream called `names` under the base seed.
+
+    The names are hashed (SHA-256, with type and length, so that ``("ab", "c")`` and
+    ``("a", "bc")``, or ``1`` and ``"1"``, differ) into the spawn key of a `SeedSequence`.
+
+    Parameters
+    ----------
+    seed : int
+        Base seed of the run, not negative.
+    *names : str or int
+        Stage, then what the draw belongs to: ``stream(0, "sensing", "scene", 17)``.
+
+    Raises
+    ------
+    ValueError
+        If the seed is negative or no name is given.
+    """
+    if seed < 0:
+        raise ValueError(f"the seed must not be negative, got {seed}")
+    if not names:
+        raise ValueError("a stream needs a name: stream(seed, stage, ...)")
+    digest = hashlib.sha256()
+    for name in names:
+        # int() folds numpy integers; a bool would silently be 0 or 1 and is not a name.
+        text = f"s{name}" if isinstance(name, str) else f"i{int(name)}"
+        encoded = text.encode()
+        digest.update(len(encoded).to_bytes(8, "little") + encoded)
+    key = tuple(int(word) for word in np.frombuffer(digest.digest()[:16], dtype="<u4"))
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))

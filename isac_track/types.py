@@ -1,0 +1,304 @@
+"""Frozen containers: flat arrays and offsets, checked once at the door.
+
+A ragged batch of N tracks with M samples in all is flat arrays of length M and `offsets`
+of length N + 1, as in Arrow: track i owns the samples ``offsets[i]:offsets[i + 1]``. Tracks
+differ in length by 20x, so nothing is padded. Arrays are read-only; ``len``, iteration and
+indexing give zero-copy views of one track, so that a plug-in can be a plain loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
+Bools: TypeAlias = NDArray[np.bool_]
+ErrorLaw: TypeAlias = Literal["radial", "isotropic"]
+Adding: TypeAlias = Literal["linear", "independent"]
+
+
+class Knowledge(Enum):
+    """What a receiver of a release may be granted beyond times, positions and pseudonyms."""
+
+    MECHANISM = "mechanism"
+    """The frozen mechanism object with its parameters (Kerckhoffs)."""
+    SIGMA = "sigma"
+    """The standard deviation declared with each sample."""
+    TRAIN = "train"
+    """Releases of other people, with their truth, perturbed by the same mechanism."""
+    SCENE = "scene"
+    """The true frame and clock; without it both are random per release."""
+    REPEATS = "repeats"
+    """Further releases of the same walks."""
+
+
+_SAMPLE: Mapping[str, str] = {"per": "sample"}
+_TRACK: Mapping[str, str] = {"per": "track"}
+_Batch = TypeVar("_Batch", "Tracks", "Sensed", "Release")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Tracks:
+    """The truth: N recorded or interpolated walks, M samples in all.
+
+    `source` and `group` never reach a predictor or an attack.
+    """
+
+    t: Floats = field(metadata=_SAMPLE)
+    """(M,) s, strictly increasing within a track."""
+    xy: Floats = field(metadata=_SAMPLE)
+    """(M, 2) m, true position."""
+    offsets: Ints
+    """(N + 1,) first sample of each track, then M."""
+    source: tuple[str, ...] = field(metadata=_TRACK)
+    """(N,) id of the recorded track, unique."""
+    group: tuple[str, ...] = field(metadata=_TRACK)
+    """(N,) the cluster of every interval: people who walk together share one."""
+
+    def __post_init__(self) -> None:
+        _check_batch(self)
+        if len(set(self.source)) != len(self.source):
+            raise ValueError("source ids must be unique")
+
+    def __len__(self) -> int:
+        return self.offsets.size - 1
+
+    def __getitem__(self, index: int) -> Tracks:
+        return _one_track(self, index)
+
+    def __iter__(self) -> Iterator[Tracks]:
+        return (_one_track(self, index) for index in range(len(self)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scenes:
+    """S scenes of one robot and A agents; agent a of scene s is track ``s * A + a``.
+
+    Times are those of each agent's own recording; step h of the prediction grid is
+    ``t_future[:, h]``, with h = 0 at the last history sample (eq. future_time_grid).
+    """
+
+    t: Floats
+    """(M,) s, history times of the S * A agents."""
+    xy: Floats
+    """(M, 2) m, true history after the shift into the scene."""
+    offsets: Ints
+    """(S * A + 1,)"""
+    track: Ints
+    """(S * A,) row of the source track in the `Tracks` that the scenes were made of."""
+    index: Ints
+    """(S,) number of the scene in the run: the key of its random streams."""
+    t_future: Floats
+    """(S * A, H) s, prediction grid."""
+    xy_future: Floats
+    """(S * A, H, 2) m, true positions on the grid."""
+    robot_start: Floats
+    """(S, 2) m"""
+    robot_destination: Floats
+    """(S, 2) m"""
+    separation: Floats
+    """(S,) m, true minimum separation between robot and agents over the horizon."""
+    conflict: Bools
+    """(S,) ground-truth label c (eq. conflict_rule on the true future)."""
+    exhausted: Ints
+    """(S,) agents whose placement ran out of redraws and kept the last draw."""
+
+    def __post_init__(self) -> None:
+        _freeze(self, {"t": 1, "xy": 2, "t_future": 2, "xy_future": 3, "robot_start": 2})
+        _freeze(self, {"robot_destination": 2, "separation": 1})
+        for name in ("offsets", "track", "index", "exhausted"):
+            object.__setattr__(self, name, _frozen_ints(getattr(self, name), name=name))
+        object.__setattr__(self, "conflict", _read_only(np.asarray(self.conflict, dtype=bool)))
+        _check_offsets(self.offsets, self.t.size)
+        _check_times(self.t, self.offsets)
+        n_tracks = self.offsets.size - 1
+        if self.index.size == 0 or n_tracks % self.index.size:
+            raise ValueError(f"{n_tracks} agents do not fill {self.index.size} scenes evenly")
+
+    def __len__(self) -> int:
+        return self.index.size
+
+    @property
+    def n_agents(self) -> int:
+        """Agents per scene."""
+        return (self.offsets.size - 1) // self.index.size
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sensed:
+    """What the sensing network holds about N tracks; a mechanism sees this and no ids.
+
+    The truth is ``xy - sigma_raw[:, None] * unit_error``: a mechanism is trusted.
+    """
+
+    t: Floats = field(metadata=_SAMPLE)
+    """(M,) s, strictly increasing within a track."""
+    xy: Floats = field(metadata=_SAMPLE)
+    """(M, 2) m, raw estimate."""
+    unit_error: Floats = field(metadata=_SAMPLE)
+    """(M, 2) raw error in units of `sigma_raw` (standardised)."""
+    sigma_raw: Floats = field(metadata=_SAMPLE)
+    """(M,) m, standard deviation of the raw error under `law`."""
+    information: Floats = field(metadata=_SAMPLE)
+    """(M,) 1/m^2, Fisher information (eq. swarm_fi)."""
+    fid: Floats = field(metadata=_SAMPLE)
+    """(M,) 1/(m^2 s), Fisher information density (eq. swarm_fid)."""
+    offsets: Ints
+    """(N + 1,)"""
+    law: ErrorLaw = "radial"
+    """Law of the raw error: `radial` (the norm is |N(0, sigma)|) or `isotropic` (per axis)."""
+
+    def __post_init__(self) -> None:
+        _check_batch(self)
+        if not (self.sigma_raw >= 0).all():
+            raise ValueError("sigma_raw must not be negative or NaN")
+
+    def __len__(self) -> int:
+        return self.offsets.size - 1
+
+    def __getitem__(self, index: int) -> Sensed:
+        return _one_track(self, index)
+
+    def __iter__(self) -> Iterator[Sensed]:
+        return (_one_track(self, index) for index in range(len(self)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Release:
+    """All that a robot or an adversary ever receives. N tracks, M samples in all."""
+
+    t: Floats = field(metadata=_SAMPLE)
+    """(M,) s, strictly increasing within a track."""
+    xy: Floats = field(metadata=_SAMPLE)
+    """(M, 2) m, shared position."""
+    sigma: Floats | None = field(metadata=_SAMPLE)
+    """(M,) m, std declared with each sample; None without `Knowledge.SIGMA`."""
+    offsets: Ints
+    """(N + 1,)"""
+    pseudonym: tuple[str, ...] = field(metadata=_TRACK)
+    """(N,) opaque, fresh for every release."""
+
+    def __post_init__(self) -> None:
+        _check_batch(self)
+
+    def __len__(self) -> int:
+        return self.offsets.size - 1
+
+    def __getitem__(self, index: int) -> Release:
+        return _one_track(self, index)
+
+    def __iter__(self) -> Iterator[Release]:
+        return (_one_track(self, index) for index in range(len(self)))
+
+    def without_sigma(self) -> Release:
+        """Return the same release as a receiver without `Knowledge.SIGMA` gets it."""
+        return replace(self, sigma=None)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prediction:
+    """Predicted positions of N tracks on a grid of H future times."""
+
+    mean: Floats
+    """(N, H, 2) m"""
+    cov: Floats | None = None
+    """(N, H, 2, 2) m^2, or None where the predictor has none."""
+
+    def __post_init__(self) -> None:
+        _freeze(self, {"mean": 3})
+        if self.mean.shape[2] != 2:  # noqa: PLR2004 - the plane has two axes
+            raise ValueError(f"mean must have shape (N, H, 2), got {self.mean.shape}")
+        if not np.isfinite(self.mean).all():
+            raise ValueError("a predicted position is not finite")
+        if self.cov is not None:
+            _freeze(self, {"cov": 4})
+            if self.cov.shape != (*self.mean.shape, 2):
+                raise ValueError(f"cov must have shape (N, H, 2, 2), got {self.cov.shape}")
+
+
+def _check_batch(batch: _Batch) -> None:
+    """Freeze the arrays of a ragged batch and check shapes, times and finiteness."""
+    object.__setattr__(batch, "offsets", _frozen_ints(batch.offsets, name="offsets"))
+    _freeze(batch, {"t": 1})
+    _check_offsets(batch.offsets, batch.t.size)
+    for item in fields(batch):
+        value = getattr(batch, item.name)
+        if item.metadata.get("per") == "sample" and value is not None:
+            two_columns = item.name in {"xy", "unit_error"}
+            _freeze(batch, {item.name: 2 if two_columns else 1})
+            shape = (batch.t.size, 2) if two_columns else (batch.t.size,)
+            if np.shape(value) != shape:
+                raise ValueError(f"{item.name} must have shape {shape}, got {np.shape(value)}")
+        elif item.metadata.get("per") == "track" and len(value) != batch.offsets.size - 1:
+            raise ValueError(
+                f"{item.name} must name {batch.offsets.size - 1} tracks, got {len(value)}"
+            )
+    _check_times(batch.t, batch.offsets)
+    if not np.isfinite(batch.xy).all():
+        raise ValueError("a position is not finite")
+
+
+def _one_track(batch: _Batch, index: int) -> _Batch:
+    n_tracks = batch.offsets.size - 1
+    if not -n_tracks <= index < n_tracks:
+        raise IndexError(f"track {index} of {n_tracks}")
+    row = index % n_tracks
+    lo, hi = int(batch.offsets[row]), int(batch.offsets[row + 1])
+    part: dict[str, object] = {"offsets": np.array([0, hi - lo])}
+    for item in fields(batch):
+        value = getattr(batch, item.name)
+        if item.metadata.get("per") == "sample" and value is not None:
+            part[item.name] = value[lo:hi]
+        elif item.metadata.get("per") == "track":
+            part[item.name] = (value[row],)
+    return replace(batch, **part)  # type: ignore[arg-type]  # the fields are those of the batch
+
+
+def _freeze(container: object, dimensions: Mapping[str, int]) -> None:
+    for name, ndim in dimensions.items():
+        array = np.asarray(getattr(container, name), dtype=np.float64)
+        if array.ndim != ndim:
+            raise ValueError(f"{name} must have {ndim} dimension(s), got shape {array.shape}")
+        object.__setattr__(container, name, _read_only(array))
+
+
+def _frozen_ints(value: object, *, name: str) -> Ints:
+    array = np.asarray(value)
+    if array.ndim != 1:
+        raise ValueError(f"{name} must have 1 dimension, got shape {array.shape}")
+    if array.dtype.kind not in "iu":
+        raise ValueError(f"{name} must hold integers, got {array.dtype}")
+    return _read_only(array.astype(np.int64, copy=False))
+
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
+
+def _read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    if array.flags.writeable:
+        # A view, not a copy: a copy of every release would double the memory of a block.
+        array = array.view()
+        array.flags.writeable = False
+    return array
+
+
+def _check_offsets(offsets: Ints, n_samples: int) -> None:
+    if offsets.size == 0 or offsets[0] != 0 or offsets[-1] != n_samples:
+        raise ValueError(f"offsets must run from 0 to {n_samples}")
+    if (np.diff(offsets) < 1).any():
+        raise ValueError("every track needs at least one sample: offsets must increase")
+
+
+def _check_times(t: Floats, offsets: Ints) -> None:
+    rising = np.diff(t) > 0  # False for NaN
+    rising[offsets[1:-1] - 1] = True  # from one track to the next
+    if not rising.all() or not np.isfinite(t[:1]).all():
+        raise ValueError("times must be finite and strictly increasing within a track")
