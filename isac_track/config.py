@@ -102,11 +102,11 @@ class SensingSettings:
     """paper: N(0, 2) dB per sample (reading: 2 dB is the standard deviation)"""
     resource_share: float = 1.0
     """reading: m_s of eq. swarm_fi"""
-    large_scale_db: float = 12.0
+    large_scale_db: float = 11.91
     """fitted: two-way log-normal spread, drawn once per track"""
-    processing_gain_db: float = 58.0
+    processing_gain_db: float = 64.94
     """fitted: integration gain of the sensing receiver"""
-    crb_gap_db: float = 13.8
+    crb_gap_db: float = 13.37
     """fitted: sigma_raw over sqrt(CRB), in 20 log10"""
     sigma_cap_m: float = 2.0
     """reading, fixed before the fit: sigma_raw is capped here"""

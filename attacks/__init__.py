@@ -1,0 +1,1 @@
+"""Adversaries: reconstruction and linkage."""

@@ -1,0 +1,120 @@
+"""The paper's privacy descriptors: leakage indicator, PLR, AEL and MEL.
+
+All work on flat ragged arrays (see `isac_track.types`): one value per trajectory comes back.
+They describe the samples as shared; they say nothing of what an adversary can rebuild.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from isac_track.types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Exposure:
+    """Leakage of N trajectories."""
+
+    plr: Floats
+    """(N,) share of leaked samples, 0..1 (eq. plr_definition)."""
+    ael_s: Floats
+    """(N,) s, mean duration of a trajectory's leaked segments; 0 without one."""
+    mel_s: Floats
+    """(N,) s, duration of its longest leaked segment; 0 without one."""
+    segments: Ints
+    """(N,) number of leaked segments."""
+
+
+def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -> Bools:
+    """Return which samples leak: the shared position lies closer than epsilon to the truth.
+
+    Eq. leakage_indicator. The inequality is strict.
+
+    Parameters
+    ----------
+    shared_xy, true_xy : (M, 2) m
+    epsilon_m : float
+
+    Returns
+    -------
+    (M,) bool
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or epsilon is not positive.
+    """
+    if shared_xy.shape != true_xy.shape or shared_xy.ndim != 2 or shared_xy.shape[1] != 2:  # noqa: PLR2004
+        raise ValueError(
+            f"shared_xy and true_xy must have one shape (M, 2), got {shared_xy.shape} "
+            f"and {true_xy.shape}"
+        )
+    if not epsilon_m > 0:
+        raise ValueError(f"epsilon_m must be positive, got {epsilon_m}")
+    distance: Floats = np.hypot(*(shared_xy - true_xy).T)
+    return distance < epsilon_m
+
+
+def exposure(*, leaked: Bools, t: Floats, offsets: Ints) -> Exposure:
+    """Return PLR, AEL and MEL of every trajectory.
+
+    Consecutive leaked samples form a segment. A segment of n samples lasts n mean sampling
+    intervals of its trajectory, so that one sample counts one interval. AEL is the mean over a
+    trajectory's segments, MEL its longest; both are 0 without a leaked sample. A trajectory of
+    one sample has no interval: if that sample leaks, AEL and MEL are NaN (unknown, not zero).
+
+    Parameters
+    ----------
+    leaked : (M,) bool
+        Leakage indicator z_i(k).
+    t : (M,) s
+        Sampling times, strictly increasing within a trajectory.
+    offsets : (N + 1,) int
+        Trajectory i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty.
+
+    Raises
+    ------
+    ValueError
+        If lengths disagree or a trajectory is empty.
+    """
+    if leaked.shape != t.shape or leaked.ndim != 1:
+        raise ValueError(f"leaked and t must have one shape (M,), got {leaked.shape}, {t.shape}")
+    n_samples = np.diff(offsets)
+    if offsets[0] != 0 or offsets[-1] != t.size or (n_samples < 1).any():
+        raise ValueError("offsets must run from 0 to M without an empty trajectory")
+    interval_s = mean_interval_s(t=t, offsets=offsets)
+
+    first = offsets[:-1]
+    previous = np.concatenate([[False], leaked[:-1]])
+    previous[first] = False
+    following = np.concatenate([leaked[1:], [False]])
+    following[offsets[1:] - 1] = False
+    starts = np.flatnonzero(leaked & ~previous)
+    ends = np.flatnonzero(leaked & ~following)
+    run_samples = ends - starts + 1
+    owner = np.searchsorted(offsets, starts, side="right") - 1
+
+    n_tracks = n_samples.size
+    segments = np.bincount(owner, minlength=n_tracks)
+    leaked_samples = np.bincount(owner, weights=run_samples, minlength=n_tracks)
+    longest = np.zeros(n_tracks)
+    np.maximum.at(longest, owner, run_samples)
+    exposed = segments > 0
+    ael_s = np.zeros(n_tracks)
+    mel_s = np.zeros(n_tracks)
+    ael_s[exposed] = (leaked_samples[exposed] / segments[exposed]) * interval_s[exposed]
+    mel_s[exposed] = longest[exposed] * interval_s[exposed]
+    return Exposure(plr=leaked_samples / n_samples, ael_s=ael_s, mel_s=mel_s, segments=segments)
+
+
+def mean_interval_s(*, t: Floats, offsets: Ints) -> Floats:
+    """Return the mean sampling interval of each trajectory, (N,) s; NaN for a single sample."""
+    intervals = np.diff(offsets) - 1
+    span_s = t[offsets[1:] - 1] - t[offsets[:-1]]
+    mean: Floats = np.full(span_s.shape, np.nan)
+    np.divide(span_s, intervals, out=mean, where=intervals > 0)
+    return mean

@@ -1,0 +1,294 @@
+"""Plug-ins by name: built-ins, entry points, and ``package.module:Class`` on the command line.
+
+SPEC is ``name[:VALUE][,key=value...]``. VALUE sets the first field; for a mechanism that is the
+level. ``fid:1..1000/10`` is a sweep of ten levels, spaced as the class says (``sweep``).
+Parameters that differ from their default stay in the name: ``fid:adding=independent``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import math
+import sys
+import types
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal, TypeAlias, Union, get_args, get_origin, get_type_hints
+
+from isac_track.errors import PluginError, SettingsError
+
+Kind: TypeAlias = Literal["mechanisms", "predictors"]
+
+_BUILT_IN: dict[Kind, dict[str, str]] = {
+    "mechanisms": {
+        "raw": "isac_track.sharing:Raw",
+        "fixed": "isac_track.sharing:Fixed",
+        "fid": "isac_track.sharing:Fid",
+        "clean": "isac_track.sharing:Clean",
+    },
+    "predictors": {
+        "least_squares": "predictors.least_squares:LeastSquares",
+    },
+}
+_METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict"}
+_SINGULAR: dict[Kind, str] = {"mechanisms": "mechanism", "predictors": "predictor"}
+
+
+@dataclass(frozen=True, slots=True)
+class Plugin:
+    """One configured plug-in: a mechanism at one level, or a predictor."""
+
+    name: str
+    """As in the result columns: family and non-default parameters, without the level."""
+    level: float | None
+    """Level of a mechanism; None where it has none or it is not a number."""
+    spec: str
+    """Canonical SPEC that gives this very plug-in again."""
+    origin: str
+    """``module:Class``"""
+    instance: Any
+    """The frozen object."""
+
+
+def names(kind: Kind) -> dict[str, str]:
+    """Return ``{name: "module:Class"}`` of built-ins and entry points, importing none of them."""
+    known = dict(_BUILT_IN[kind])
+    for point in _entry_points(kind):
+        known.setdefault(point.name, point.value)
+    return known
+
+
+def broken(kind: Kind) -> dict[str, str]:
+    """Import every discovered third-party plug-in and return ``{name: what is wrong}``."""
+    wrong = {}
+    for point in _entry_points(kind):
+        try:
+            _load(kind, point.name)
+        except PluginError as error:
+            wrong[point.name] = str(error)
+    return wrong
+
+
+def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
+    """Return the plug-ins that a SPEC names: one, or one per level of a sweep.
+
+    Raises
+    ------
+    SettingsError
+        For a name, parameter or value that does not exist or does not fit.
+    PluginError
+        If the plug-in cannot be imported or is not what its kind must be.
+    """
+    name, value, options = _split(spec)
+    cls, origin = _load(kind, name)
+    hints = _hints(cls, origin)
+    items = [item for item in dataclasses.fields(cls) if item.init]
+    given: dict[str, Any] = {}
+    for key, text in options.items():
+        if key not in hints or key not in {item.name for item in items}:
+            raise SettingsError(
+                f"{spec!r}: {name} has no parameter {key!r}"
+                + _nearest(key, [item.name for item in items])
+            )
+        given[key] = _read(text, hints[key], where=f"{spec!r}: {key}")
+    first = items[0].name if items else None
+    if value is None:
+        values: list[Any] = [] if first is None or first not in given else [given.pop(first)]
+    elif first is None:
+        raise SettingsError(f"{spec!r}: {name} takes no value")
+    elif first in given:
+        raise SettingsError(f"{spec!r}: {first} is given twice")
+    elif ".." in value:
+        values = _sweep(value, spec=spec, spacing=getattr(cls, "sweep", "linear"))
+        values = [
+            _read(f"{level:.12g}", hints[first], where=f"{spec!r}: {first}") for level in values
+        ]
+    else:
+        values = [_read(value, hints[first], where=f"{spec!r}: {first}")]
+    changes = [{first: one, **given} for one in values] if first and values else [given]
+    return tuple(
+        _plugin(kind, name=name, cls=cls, origin=origin, changes=change, spec=spec)
+        for change in changes
+    )
+
+
+def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
+    """Return the plug-ins of several SPECs, each once, in the order given."""
+    unique = {plugin.spec: plugin for spec in specs for plugin in parse(kind, spec)}
+    return tuple(unique.values())
+
+
+def _plugin(
+    kind: Kind, *, name: str, cls: type, origin: str, changes: dict[str, Any], spec: str
+) -> Plugin:
+    try:
+        instance = cls(**changes)
+    except TypeError:
+        needed = [
+            item.name
+            for item in dataclasses.fields(cls)
+            if item.init
+            and item.name not in changes
+            and item.default is dataclasses.MISSING
+            and item.default_factory is dataclasses.MISSING
+        ]
+        raise SettingsError(
+            f"{spec!r}: {name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
+        ) from None
+    except ValueError as error:
+        raise SettingsError(f"{spec!r}: {error}") from None
+    level: float | None = None
+    parameters: list[str] = []
+    for position, item in enumerate(item for item in dataclasses.fields(cls) if item.init):
+        value = getattr(instance, item.name)
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if position == 0 and kind == "mechanisms" and is_number:
+            level = float(value)
+        elif value != item.default:
+            parameters.append(f"{item.name}={_text(value)}")
+    column = ":".join([name, *([",".join(parameters)] if parameters else [])])
+    canonical = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
+    return Plugin(name=column, level=level, spec=canonical, origin=origin, instance=instance)
+
+
+def _split(spec: str) -> tuple[str, str | None, dict[str, str]]:
+    name, _, rest = spec.strip().partition(":")
+    if "." in name:
+        cls, _, rest = rest.partition(":")
+        name = f"{name}:{cls}"
+        if not cls.isidentifier():
+            raise SettingsError(f"{spec!r}: expected package.module:Class[:VALUE][,key=value...]")
+    if not name:
+        raise SettingsError(f"{spec!r}: a SPEC begins with a name")
+    value: str | None = None
+    options: dict[str, str] = {}
+    for position, part in enumerate(rest.split(",") if rest else []):
+        key, equals, text = part.partition("=")
+        if equals and key.strip() and text.strip():
+            if key.strip() in options:
+                raise SettingsError(f"{spec!r}: {key.strip()} is given twice")
+            options[key.strip()] = text.strip()
+        elif not equals and position == 0 and part.strip():
+            value = part.strip()
+        else:
+            raise SettingsError(f"{spec!r}: {part!r} is not key=value")
+    return name, value, options
+
+
+def _load(kind: Kind, name: str) -> tuple[type, str]:
+    known = names(kind)
+    origin = name if "." in name else known.get(name)
+    singular = _SINGULAR[kind]
+    if origin is None:
+        raise SettingsError(f"unknown {singular} {name!r}" + _nearest(name, list(known)))
+    module_name, _, attribute = origin.partition(":")
+    try:
+        cls = getattr(importlib.import_module(module_name), attribute)
+    except Exception as error:  # a plug-in's import may raise anything at all
+        raise PluginError(
+            f"{singular} {name!r} cannot be loaded from {origin}: {type(error).__name__}: {error}"
+        ) from error
+    method = _METHOD[kind]
+    if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
+        raise PluginError(f"{singular} {name!r}: {origin} must be a frozen dataclass")
+    if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]  # set by the decorator
+        raise PluginError(f"{singular} {name!r}: the dataclass {origin} must be frozen")
+    if not callable(getattr(cls, method, None)):
+        raise PluginError(f"{singular} {name!r}: {origin} has no method {method}()")
+    if kind == "predictors" and not isinstance(getattr(cls, "requires", None), frozenset):
+        raise PluginError(f"{singular} {name!r}: {origin}.requires must be a frozenset")
+    return cls, origin
+
+
+def _hints(cls: type, origin: str) -> dict[str, Any]:
+    # Only the parameters: a ClassVar may well name a type that is not there at run time.
+    parameters = {item.name: item.type for item in dataclasses.fields(cls) if item.init}
+    holder = type("Parameters", (), {"__annotations__": parameters})
+    try:
+        return get_type_hints(holder, globalns=vars(sys.modules[cls.__module__]))
+    except NameError as error:
+        raise PluginError(
+            f"{origin}: {error}; a parameter's type must be imported at run time, "
+            "not under TYPE_CHECKING"
+        ) from error
+
+
+def _read(text: str, annotation: Any, *, where: str) -> Any:  # noqa: ANN401 - as annotated
+    origin = get_origin(annotation)
+    if origin in (Union, types.UnionType):
+        return _read_union(text, get_args(annotation), where=where)
+    choices = (True, False) if annotation is bool else get_args(annotation)
+    if annotation is bool or origin is Literal:
+        for choice in choices:
+            if text.lower() == str(choice).lower():
+                return choice
+        raise SettingsError(
+            f"{where} must be one of {', '.join(map(str, choices)).lower()}, got {text!r}"
+        )
+    if annotation is str:
+        return text
+    if annotation in (int, float):
+        return _read_number(text, annotation, where=where)
+    raise PluginError(f"{where}: parameters of type {annotation} cannot be given as text")
+
+
+def _read_union(text: str, options: tuple[Any, ...], *, where: str) -> Any:  # noqa: ANN401
+    if text.lower() == "none" and type(None) in options:
+        return None
+    kinds = [option for option in options if option is not type(None)]
+    for kind in kinds[:-1]:
+        try:
+            return _read(text, kind, where=where)
+        except SettingsError:
+            continue
+    return _read(text, kinds[-1], where=where)
+
+
+def _read_number(text: str, kind: type[int | float], *, where: str) -> float:
+    try:
+        number = kind(text)
+    except ValueError:
+        noun = "a whole number" if kind is int else "a number"
+        raise SettingsError(f"{where} must be {noun}, got {text!r}") from None
+    if not math.isfinite(number):
+        raise SettingsError(f"{where} must be finite, got {text!r}")
+    # The 12 digits that names show: what two spellings share is one level, not two.
+    return number if kind is int else float(f"{number:.12g}")
+
+
+def _sweep(value: str, *, spec: str, spacing: str) -> list[float]:
+    try:
+        bounds, _, count_text = value.partition("/")
+        low, high = (float(bound) for bound in bounds.split(".."))
+        count = int(count_text)
+    except ValueError:
+        raise SettingsError(
+            f"{spec!r}: a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10, got {value!r}"
+        ) from None
+    if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004
+        raise SettingsError(f"{spec!r}: a sweep needs two finite ends that differ and COUNT >= 2")
+    share = [step / (count - 1) for step in range(count)]
+    if spacing == "log":
+        if low <= 0 or high <= 0:
+            raise SettingsError(f"{spec!r}: this sweep is logarithmic; both ends must be positive")
+        levels = [low * (high / low) ** part for part in share]
+    else:
+        levels = [low + (high - low) * part for part in share]
+    return [float(f"{level:.12g}") for level in levels]
+
+
+def _text(value: object) -> str:
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def _nearest(name: str, known: list[str]) -> str:
+    near = get_close_matches(name, known, n=1)
+    if near:
+        return f"; did you mean {near[0]!r}?"
+    return f"; known: {', '.join(sorted(known))}" if known else "; it has none"
+
+
+def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(entry_points(group=f"isac_track.{kind}"), key=lambda point: point.name))

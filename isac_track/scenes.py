@@ -1,0 +1,289 @@
+"""Monte Carlo scenes: choose tracks, split them 70/30, place robot and agents, label.
+
+Conflict and conflict-free scenes alternate (even and odd index). A track keeps its shape,
+timing and speed; it is only shifted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.conflict import is_conflict, minimum_separation, prediction_grid, robot_path
+from isac_track.errors import DataError
+from isac_track.resample import resample, walk
+from isac_track.rng import stream
+from isac_track.types import Scenes
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from isac_track.config import ConflictSettings, StageSettings
+    from isac_track.types import Floats, Ints, Tracks
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Cut:
+    """N resampled tracks, split at now: known history, and the hidden future on the grid."""
+
+    t: Floats
+    """(M,) s, history times."""
+    xy: Floats
+    """(M, 2) m, true history."""
+    offsets: Ints
+    """(N + 1,)"""
+    t_future: Floats
+    """(N, H) s, prediction grid; step 0 is the last history sample."""
+    xy_future: Floats
+    """(N, H, 2) m, true positions on the grid."""
+    source: tuple[str, ...]
+    """(N,) source track id."""
+    group: tuple[str, ...]
+    """(N,) cluster of the track."""
+    too_short: int
+    """Recorded tracks below `min_duration_s`."""
+    no_future: int
+    """Tracks that are long enough but do not cover the horizon after the split."""
+
+    def __len__(self) -> int:
+        return self.offsets.size - 1
+
+
+def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
+    """Resample the recorded tracks and split each at `history_ratio` of its samples.
+
+    The future is taken from the continuous walk at the very timestamps of the prediction
+    grid, so that the label has no interpolation of its own.
+
+    Raises
+    ------
+    DataError
+        If fewer tracks remain than a scene has agents.
+    """
+    try:
+        sampled = resample(recorded, settings=settings.resample, seed=seed)
+    except ValueError as error:
+        raise DataError(f"{error}; lower resample.min_duration_s or use longer tracks") from None
+    row_of = {source: row for row, source in enumerate(recorded.source)}
+    parts: list[tuple[Floats, Floats, Floats, Floats]] = []
+    kept: list[int] = []
+    for row, track in enumerate(sampled):
+        n_history = int(settings.scenes.history_ratio * track.t.size)
+        if n_history < 2:  # noqa: PLR2004 - the grid needs an interval
+            continue
+        t = track.t[:n_history]
+        t_future = prediction_grid(
+            t=t,
+            offsets=np.array([0, n_history]),
+            window=settings.conflict.window,
+            horizon_steps=settings.conflict.horizon_steps,
+        )[0]
+        whole = recorded[row_of[track.source[0]]]
+        if t_future[-1] > whole.t[-1]:
+            continue
+        parts.append((t, track.xy[:n_history], t_future, walk(whole)(t_future)))
+        kept.append(row)
+    if len(kept) < settings.scenes.agents:
+        raise DataError(
+            f"{len(kept)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
+            f"and cover the horizon, but a scene needs {settings.scenes.agents}; lower "
+            "resample.min_duration_s or use longer tracks"
+        )
+    return Cut(
+        t=np.concatenate([part[0] for part in parts]),
+        xy=np.concatenate([part[1] for part in parts]),
+        offsets=np.concatenate([[0], np.cumsum([part[0].size for part in parts])]),
+        t_future=np.stack([part[2] for part in parts]),
+        xy_future=np.stack([part[3] for part in parts]),
+        source=tuple(sampled.source[row] for row in kept),
+        group=tuple(sampled.group[row] for row in kept),
+        too_short=len(recorded) - len(sampled),
+        no_future=len(sampled) - len(kept),
+    )
+
+
+def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints:
+    """Return which track plays which agent, (S, A): cyclic, reshuffled at every pass.
+
+    A fixed cycle would let only every n-th track ever be the first agent. Where two passes
+    meet inside a scene no track appears twice in it (as long as there are 2 A tracks).
+
+    Raises
+    ------
+    ValueError
+        If there are fewer tracks than agents.
+    """
+    if n_tracks < agents:
+        raise ValueError(f"{n_tracks} tracks cannot fill scenes of {agents} agents")
+    needed = n_scenes * agents
+    passes: list[Ints] = []
+    for number in range(-(-needed // n_tracks)):
+        order = stream(seed, "scenes", "pass", number).permutation(n_tracks)
+        open_seats = -(number * n_tracks) % agents  # agents of the scene that the pass begins in
+        if open_seats and n_tracks >= 2 * agents:
+            seated = passes[-1][-(agents - open_seats) :]
+            clash = np.isin(order, seated)
+            # A stable move of the seated tracks to the end keeps the rest of the shuffle.
+            order = np.concatenate([order[~clash], order[clash]])
+        passes.append(order)
+    return np.concatenate(passes)[:needed].reshape(n_scenes, agents)
+
+
+def make_scenes(
+    tracks: Cut, *, order: Ints, first: int, settings: StageSettings, seed: int
+) -> Scenes:
+    """Build the scenes ``first .. first + S - 1``; every scene draws from its own stream.
+
+    Parameters
+    ----------
+    tracks : Cut
+    order : (S, A) int
+        Their rows of `track_order`.
+    first : int
+        Number of the first scene in the run.
+    settings : StageSettings
+    seed : int
+    """
+    n_scenes, n_agents = order.shape
+    conflict = settings.conflict
+    elapsed_s = (tracks.t_future - tracks.t_future[:, :1])[order]  # (S, A, H)
+    futures = tracks.xy_future[order]  # (S, A, H, 2), unshifted
+    start = np.empty((n_scenes, 2))
+    destination = np.empty((n_scenes, 2))
+    shift = np.empty((n_scenes, n_agents, 2))
+    exhausted = np.zeros(n_scenes, dtype=np.int64)
+    for scene in range(n_scenes):
+        rng = stream(seed, "scenes", "scene", first + scene)
+        start[scene], destination[scene] = _place_robot(
+            reach_m=conflict.robot_speed_mps * float(elapsed_s[scene].max()),
+            settings=settings,
+            rng=rng,
+        )
+        robot = robot_path(
+            start=start[scene : scene + 1],
+            destination=destination[scene : scene + 1],
+            speed_mps=conflict.robot_speed_mps,
+            elapsed_s=elapsed_s[scene : scene + 1],
+        )[0]
+        place_first = _onto_the_path if (first + scene) % 2 == 0 else _past_the_robot
+        shift[scene, 0] = place_first(
+            robot=robot[0], future=futures[scene, 0], settings=settings, rng=rng
+        )
+        for agent in range(1, n_agents):
+            shift[scene, agent], found = _around_the_robot(
+                robot=robot[agent], future=futures[scene, agent], settings=settings, rng=rng
+            )
+            exhausted[scene] += not found
+    futures = futures + shift[:, :, None, :]
+    separation = minimum_separation(
+        robot=robot_path(
+            start=start,
+            destination=destination,
+            speed_mps=conflict.robot_speed_mps,
+            elapsed_s=elapsed_s,
+        ),
+        agents=futures,
+    )
+    rows = order.reshape(-1)
+    sizes = np.diff(tracks.offsets)[rows]
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    samples = np.repeat(tracks.offsets[rows] - offsets[:-1], sizes) + np.arange(offsets[-1])
+    return Scenes(
+        t=tracks.t[samples],
+        xy=tracks.xy[samples] + np.repeat(shift.reshape(-1, 2), sizes, axis=0),
+        offsets=offsets,
+        track=rows,
+        index=np.arange(first, first + n_scenes),
+        t_future=tracks.t_future[rows],
+        xy_future=futures.reshape(rows.size, -1, 2),
+        robot_start=start,
+        robot_destination=destination,
+        separation=separation,
+        conflict=is_conflict(separation_m=separation, safety_radius_m=conflict.safety_radius_m),
+        exhausted=exhausted,
+    )
+
+
+def predicted_separation(scenes: Scenes, *, mean: Floats, settings: ConflictSettings) -> Floats:
+    """Return the minimum separation of each scene that a robot foresees, (S,) m.
+
+    Parameters
+    ----------
+    scenes : Scenes
+    mean : (S * A, H, 2) m
+        Predicted positions on the grid.
+    settings : ConflictSettings
+    """
+    n_scenes, n_agents = len(scenes), scenes.n_agents
+    elapsed_s = (scenes.t_future - scenes.t_future[:, :1]).reshape(n_scenes, n_agents, -1)
+    robot = robot_path(
+        start=scenes.robot_start,
+        destination=scenes.robot_destination,
+        speed_mps=settings.robot_speed_mps,
+        elapsed_s=elapsed_s,
+    )
+    return minimum_separation(robot=robot, agents=mean.reshape(robot.shape))
+
+
+def _place_robot(
+    *, reach_m: float, settings: StageSettings, rng: Generator
+) -> tuple[Floats, Floats]:
+    """Return start and destination; the destination lies beyond the horizon."""
+    place = settings.scenes
+    centre = np.array([place.robot_x_m, place.robot_y_m])
+    start = centre + rng.uniform(-place.robot_spread_m, place.robot_spread_m, 2)
+    heading = rng.uniform(0.0, 2.0 * np.pi)
+    return start, start + (2.0 * reach_m + 1.0) * np.array([np.cos(heading), np.sin(heading)])
+
+
+def _onto_the_path(
+    *, robot: Floats, future: Floats, settings: StageSettings, rng: Generator
+) -> Floats:
+    """Return the shift that puts the agent on the robot's point at a random step."""
+    step = int(rng.integers(settings.conflict.horizon_steps))
+    shift: Floats = robot[step] - future[step]
+    return shift
+
+
+def _past_the_robot(
+    *, robot: Floats, future: Floats, settings: StageSettings, rng: Generator
+) -> Floats:
+    """Return the shift of a near miss: the smallest separation is a drawn distance, exactly.
+
+    The agent is pushed along a random direction u until its relative path, as a whole, just
+    touches the circle of that distance: the largest root over all steps of
+    |q_h + s u| = d, with q the relative path.
+    """
+    distance_m = rng.uniform(settings.conflict.safety_radius_m, settings.scenes.near_miss_max_m)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    u = np.array([np.cos(angle), np.sin(angle)])
+    q = future - robot
+    q = q - q[0]  # so that step 0 always touches the line of motion
+    along = q @ u
+    discriminant = distance_m**2 - (q**2).sum(axis=1) + along**2
+    roots = np.sqrt(np.maximum(discriminant, 0.0)) - along
+    push = roots[discriminant >= 0.0].max()
+    # A hair beyond the circle: rounding must not turn the miss into a conflict.
+    shift: Floats = (robot[0] - future[0]) + (push + 1e-9) * u
+    return shift
+
+
+def _around_the_robot(
+    *, robot: Floats, future: Floats, settings: StageSettings, rng: Generator
+) -> tuple[Floats, bool]:
+    """Return the shift of a background agent, and whether a place with clearance was found."""
+    place = settings.scenes
+    draws = rng.random((place.max_redraws, 2))
+    radius_m = np.sqrt(
+        place.ring_min_m**2 + draws[:, 0] * (place.ring_max_m**2 - place.ring_min_m**2)
+    )
+    angle = 2.0 * np.pi * draws[:, 1]
+    now = robot[0] + radius_m[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    relative = (future - future[0]) - robot
+    gap = now[:, None, :] + relative
+    clear = np.hypot(gap[..., 0], gap[..., 1]).min(axis=1) >= place.clearance_m
+    found = bool(clear.any())
+    choice = int(clear.argmax()) if found else place.max_redraws - 1
+    return now[choice] - future[0], found

@@ -1,0 +1,264 @@
+"""What the base station measures: link budget, Fisher information, CRB, and the raw estimate.
+
+The chain is: link budget -> beta -> Fisher information (eq. swarm_fi) -> Cramer-Rao bound ->
+sigma_raw, and Fisher information density (eq. swarm_fid). Two-way (monostatic) radar.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.rng import stream
+from isac_track.types import Sensed
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from isac_track.config import SensingSettings
+    from isac_track.types import ErrorLaw, Floats, Ints
+
+SPEED_OF_LIGHT_MPS = 299_792_458.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Channel:
+    """Random part of the link of N tracks and M samples, without the two fitted spreads."""
+
+    large_scale: Floats
+    """(N,) standard normal; times `large_scale_db` it is the track's two-way gain in dB."""
+    path_power: Floats
+    """(N, N_p) power of each path, exponential with mean 1 (Rayleigh amplitude)."""
+    path_delay: Floats
+    """(N, N_p) excess delay as a share of `delay_spread_s`; the first path is direct, 0."""
+    beam: Floats
+    """(M,) standard normal; times `beam_fluctuation_db` it is the sample's gain in dB."""
+    unit_error: Floats
+    """(M, 2) standardised raw error."""
+
+
+def fisher_information(
+    *, beta: Floats, resource: Floats | float, steering: Floats, covariance: Floats
+) -> Floats:
+    """Return the Fisher information of a sensing update (eq. swarm_fi), 1/m^2.
+
+    ``I = beta * m_s * a^H Q a``, literally; leading axes broadcast.
+
+    Parameters
+    ----------
+    beta : (...,) 1/(m^2 W)
+        Propagation and target gain.
+    resource : (...,) or float
+        m_s, sensing resource allocation.
+    steering : (..., n) complex
+        a, steering vector of n antennas.
+    covariance : (..., n, n) complex W
+        Q, sensing transmit covariance, Hermitian and positive semidefinite.
+
+    Raises
+    ------
+    ValueError
+        If the sizes of `steering` and `covariance` disagree.
+    """
+    n_antennas = steering.shape[-1]
+    if covariance.shape[-2:] != (n_antennas, n_antennas):
+        raise ValueError(
+            f"covariance {covariance.shape} does not fit {n_antennas} antennas of the steering"
+        )
+    power_w = np.einsum("...i,...ij,...j->...", np.conj(steering), covariance, steering).real
+    information: Floats = beta * resource * power_w
+    return information
+
+
+def fisher_information_density(*, information: Floats, t: Floats, offsets: Ints) -> Floats:
+    """Return the Fisher information density J of every sample (eq. swarm_fid), 1/(m^2 s).
+
+    ``J(t) = I(k) / (t_k - t_(k-1))``. The first sample of a track has no interval before it
+    and takes the one after it; a track of a single sample has none at all, its density is
+    unbounded (inf), so that a mechanism protects it in full.
+
+    Parameters
+    ----------
+    information : (M,) 1/m^2
+    t : (M,) s
+    offsets : (N + 1,) int
+    """
+    interval_s = np.empty_like(t)
+    interval_s[1:] = np.diff(t)
+    first = offsets[:-1]
+    single = np.diff(offsets) == 1
+    interval_s[first[~single]] = interval_s[first[~single] + 1]
+    interval_s[first[single]] = 0.0
+    density: Floats = np.full_like(information, np.inf)
+    np.divide(information, interval_s, out=density, where=interval_s > 0)
+    return density
+
+
+def link_gain(
+    *, distance_m: Floats, owner: Ints, channel: Channel, settings: SensingSettings
+) -> Floats:
+    """Return the two-way power gain of every sample, (M,), as a plain ratio.
+
+    Free-space loss at 1 m each way, path loss with the table's exponent each way, one
+    log-normal large-scale gain per track, N_p Rayleigh paths whose excess delay lengthens
+    the way there and back, and the beam's fluctuation per sample.
+
+    Parameters
+    ----------
+    distance_m : (M,) m
+        From the base station to the pedestrian, positive.
+    owner : (M,) int
+        Track of each sample.
+    channel : Channel
+    settings : SensingSettings
+    """
+    wavelength_m = SPEED_OF_LIGHT_MPS / (settings.carrier_ghz * 1e9)
+    at_1m = (wavelength_m / (4.0 * np.pi)) ** 4
+    exponent = 2.0 * settings.path_loss_exponent
+    excess_m = 0.5 * SPEED_OF_LIGHT_MPS * settings.delay_spread_s * channel.path_delay
+    n_paths = channel.path_power.shape[1]
+    paths = np.zeros_like(distance_m)
+    for path in range(n_paths):  # a (M, N_p) array would be the largest of a block
+        way_m = distance_m + excess_m[owner, path]
+        paths += channel.path_power[owner, path] * way_m**-exponent
+    fluctuation_db = (
+        settings.large_scale_db * channel.large_scale[owner]
+        + settings.beam_fluctuation_db * channel.beam
+    )
+    gain: Floats = at_1m * (paths / n_paths) * 10.0 ** (fluctuation_db / 10.0)
+    return gain
+
+
+def range_information_per_snr(*, bandwidth_mhz: float) -> float:
+    """Return the Fisher information on a two-way range at SNR 1, 1/m^2.
+
+    Delay: 8 pi^2 B_rms^2 SNR with B_rms^2 = B^2 / 12 for a flat spectrum (Kay, Estimation
+    Theory, 1993, ch. 3.11); range is half the delay times the speed of light. The paper uses
+    one scalar bound for both axes, and so does this.
+    """
+    rms_bandwidth_hz2 = (bandwidth_mhz * 1e6) ** 2 / 12.0
+    return 8.0 * np.pi**2 * rms_bandwidth_hz2 * (2.0 / SPEED_OF_LIGHT_MPS) ** 2
+
+
+def information(*, gain: Floats, settings: SensingSettings) -> Floats:
+    """Return the Fisher information of every sample from its two-way gain, (M,) 1/m^2.
+
+    The beam follows the pedestrian, so that a^H Q a is the table's effective power.
+    """
+    noise_w = 10.0 ** ((settings.noise_dbm - 30.0) / 10.0)
+    power_w = 10.0 ** ((settings.power_dbm - 30.0) / 10.0)
+    processing = 10.0 ** (settings.processing_gain_db / 10.0)
+    per_snr = range_information_per_snr(bandwidth_mhz=settings.bandwidth_mhz)
+    return fisher_information(
+        beta=per_snr * processing * gain / noise_w,
+        resource=settings.resource_share,
+        steering=np.ones(1),
+        covariance=np.full((1, 1), power_w),
+    )
+
+
+def sigma_from_information(*, information: Floats, settings: SensingSettings) -> Floats:
+    """Return sigma_raw, (M,) m: sqrt(CRB), times the gap of a real estimator, capped."""
+    gap = 10.0 ** (settings.crb_gap_db / 20.0)
+    sigma: Floats = np.minimum(gap / np.sqrt(information), settings.sigma_cap_m)
+    return sigma
+
+
+def unit_errors(*, n_samples: int, law: ErrorLaw, rng: Generator) -> Floats:
+    """Draw standardised errors, (M, 2).
+
+    `radial`: the norm is |N(0, 1)| and the direction uniform (variance 1/2 per axis); the
+    reading that fits the paper's PLR. `isotropic`: N(0, 1) per axis. Both use the same draws,
+    sample by sample, so that a shorter batch is a prefix of a longer one.
+
+    Raises
+    ------
+    ValueError
+        For an unknown law.
+    """
+    draws = rng.standard_normal((n_samples, 3))
+    if law == "isotropic":
+        return draws[:, 1:]
+    if law == "radial":
+        direction: Floats = draws[:, 1:] / np.hypot(draws[:, 1], draws[:, 2])[:, None]
+        return draws[:, :1] * direction
+    raise ValueError(f"unknown error law {law!r}; known: radial, isotropic")
+
+
+def draw_channel(
+    *, n_samples: Ints, keys: list[tuple[str | int, ...]], settings: SensingSettings, seed: int
+) -> Channel:
+    """Draw the random part of the link for batches of tracks, each from a stream of its own.
+
+    Parameters
+    ----------
+    n_samples : (K, A) int
+        Samples of the A tracks of each of K batches (a scene, or one track).
+    keys : list of K names
+        Name of each batch's stream under ``("sensing",)``.
+    settings : SensingSettings
+    seed : int
+    """
+    n_tracks = int(n_samples.shape[1])
+    large_scale: list[Floats] = []
+    path_power: list[Floats] = []
+    path_delay: list[Floats] = []
+    beam: list[Floats] = []
+    unit_error: list[Floats] = []
+    for sizes, key in zip(n_samples, keys, strict=True):
+        rng = stream(seed, "sensing", *key)
+        total = int(sizes.sum())
+        large_scale.append(rng.standard_normal(n_tracks))
+        path_power.append(rng.standard_exponential((n_tracks, settings.n_paths)))
+        path_delay.append(rng.random((n_tracks, settings.n_paths)))
+        beam.append(rng.standard_normal(total))
+        unit_error.append(unit_errors(n_samples=total, law=settings.law, rng=rng))
+    delays = np.concatenate(path_delay)
+    delays[:, 0] = 0.0  # the direct path
+    return Channel(
+        large_scale=np.concatenate(large_scale),
+        path_power=np.concatenate(path_power),
+        path_delay=delays,
+        beam=np.concatenate(beam),
+        unit_error=np.concatenate(unit_error),
+    )
+
+
+def sense(
+    *, t: Floats, xy: Floats, offsets: Ints, channel: Channel, settings: SensingSettings
+) -> Sensed:
+    """Return what the network holds about N walks: raw estimates with their uncertainty.
+
+    Parameters
+    ----------
+    t : (M,) s
+    xy : (M, 2) m
+        True positions in the frame of the base station.
+    offsets : (N + 1,) int
+    channel : Channel
+    settings : SensingSettings
+
+    Raises
+    ------
+    ValueError
+        If a pedestrian stands on the base station (no distance, no path loss).
+    """
+    distance_m: Floats = np.hypot(xy[:, 0] - settings.bs_x_m, xy[:, 1] - settings.bs_y_m)
+    if not (distance_m > 0).all():
+        raise ValueError("a pedestrian stands on the base station; move sensing.bs_x_m, bs_y_m")
+    owner = np.repeat(np.arange(offsets.size - 1), np.diff(offsets))
+    gain = link_gain(distance_m=distance_m, owner=owner, channel=channel, settings=settings)
+    info = information(gain=gain, settings=settings)
+    sigma_raw = sigma_from_information(information=info, settings=settings)
+    return Sensed(
+        t=t,
+        xy=xy + sigma_raw[:, None] * channel.unit_error,
+        unit_error=channel.unit_error,
+        sigma_raw=sigma_raw,
+        information=info,
+        fid=fisher_information_density(information=info, t=t, offsets=offsets),
+        offsets=offsets,
+        law=settings.law,
+    )

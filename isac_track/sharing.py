@@ -1,0 +1,192 @@
+"""What leaves the network: raw, fixed and FID-controlled sharing, and the clean ceiling.
+
+`perturb` is the one place where the error law and the adding rule live; a mechanism only says
+how much error each sample gets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from isac_track.sensing import unit_errors
+from isac_track.types import (
+    Adding,
+    ErrorLaw,
+    Release,
+)
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from isac_track.types import Floats, Sensed
+
+
+def perturb(
+    sensed: Sensed,
+    d_sigma: Floats | float,
+    rng: Generator,
+    *,
+    adding: Adding = "linear",
+    law: ErrorLaw | None = None,
+) -> Release:
+    """Add an error of standard deviation `d_sigma` to the raw estimates.
+
+    `linear` (eq. shared_sigma): the standard deviations add, sigma_raw + d_sigma; the true
+    error is scaled, which only somebody who knows the truth can do. `independent`
+    (eq. swarm_shared): a fresh error is added and the variances add.
+
+    Parameters
+    ----------
+    sensed : Sensed
+        N tracks, M samples.
+    d_sigma : (M,) m, or one number
+    rng : Generator
+        Source of the fresh error (`independent` only) and of the pseudonyms.
+    adding : {"linear", "independent"}
+    law : {"radial", "isotropic"}, optional
+        Law of the fresh error; by default that of the raw error.
+
+    Returns
+    -------
+    Release
+        With the declared standard deviation of every sample.
+
+    Raises
+    ------
+    ValueError
+        If `d_sigma` is negative, not finite or of the wrong shape, or a rule is unknown.
+    """
+    extra: Floats = np.broadcast_to(np.asarray(d_sigma, dtype=np.float64), sensed.t.shape)
+    if not (np.isfinite(extra).all() and (extra >= 0).all()):
+        raise ValueError("d_sigma must be finite and not negative")
+    pseudonym = _pseudonyms(len(sensed), rng)
+    if adding == "linear":
+        if law not in (None, sensed.law):
+            raise ValueError("linear adding scales the raw error and so keeps its law")
+        error = sensed.unit_error * extra[:, None]
+        sigma = sensed.sigma_raw + extra
+    elif adding == "independent":
+        unit = unit_errors(n_samples=sensed.t.size, law=law or sensed.law, rng=rng)
+        error = unit * extra[:, None]
+        sigma = np.hypot(sensed.sigma_raw, extra)
+    else:
+        raise ValueError(f"unknown adding rule {adding!r}; known: linear, independent")
+    return Release(
+        t=sensed.t,
+        xy=sensed.xy + error,
+        sigma=sigma,
+        offsets=sensed.offsets,
+        pseudonym=pseudonym,
+    )
+
+
+def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floats:
+    """Return the additional standard deviation of the FID rule, (M,) m.
+
+    Eqs. fid_ratio and fid_error_control: nothing up to the threshold, then
+    alpha * (beta - exp(-(rho - 1))), from alpha * (beta - 1) just above it to alpha * beta.
+
+    Parameters
+    ----------
+    fid : (M,) 1/(m^2 s)
+    eta : float
+        Threshold, 1/(m^2 s), positive.
+    alpha_m : float
+        alpha of the paper, m.
+    beta : float
+        beta of the paper, at least 1 (less would give a negative standard deviation).
+    """
+    rho = fid / eta
+    above = rho > 1.0
+    # The exponent is clipped at 0 where the rule does not apply, lest it overflow there.
+    extra: Floats = alpha_m * (beta - np.exp(-np.maximum(rho - 1.0, 0.0)))
+    return np.where(above, extra, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """Share the raw sensing estimates."""
+
+    family: ClassVar[str] = "raw"
+
+    def share(self, sensed: Sensed, rng: Generator) -> Release:
+        """Return the raw estimates under pseudonyms."""
+        return perturb(sensed, 0.0, rng)
+
+
+@dataclass(frozen=True, slots=True)
+class Fixed:
+    """Add the same standard deviation to every sample (the paper's baseline)."""
+
+    d_sigma: float
+    """m"""
+    adding: Adding = "linear"
+    law: ErrorLaw | None = None
+    """Law of the added error; None: that of the raw error."""
+
+    family: ClassVar[str] = "fixed"
+    sweep: ClassVar[str] = "linear"
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.d_sigma) and self.d_sigma >= 0):
+            raise ValueError(f"d_sigma must be 0 m or more, got {self.d_sigma}")
+
+    def share(self, sensed: Sensed, rng: Generator) -> Release:
+        """Return the estimates with `d_sigma` more error."""
+        return perturb(sensed, self.d_sigma, rng, adding=self.adding, law=self.law)
+
+
+@dataclass(frozen=True, slots=True)
+class Fid:
+    """Add error where the Fisher information density exceeds eta (the paper's mechanism)."""
+
+    eta: float
+    """1/(m^2 s)"""
+    alpha: float = 0.5
+    """m"""
+    beta: float = 1.5
+    adding: Adding = "linear"
+    law: ErrorLaw | None = None
+    """Law of the added error; None: that of the raw error."""
+
+    family: ClassVar[str] = "fid"
+    sweep: ClassVar[str] = "log"
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.eta) and self.eta > 0):
+            raise ValueError(f"eta must be positive, got {self.eta}")
+        if not (np.isfinite(self.alpha) and self.alpha >= 0):
+            raise ValueError(f"alpha must be 0 m or more, got {self.alpha}")
+        if not (np.isfinite(self.beta) and self.beta >= 1):
+            raise ValueError(f"beta must be 1 or more, got {self.beta}")
+
+    def share(self, sensed: Sensed, rng: Generator) -> Release:
+        """Return the estimates with the rule's additional error."""
+        d_sigma = fid_d_sigma(fid=sensed.fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta)
+        return perturb(sensed, d_sigma, rng, adding=self.adding, law=self.law)
+
+
+@dataclass(frozen=True, slots=True)
+class Clean:
+    """Share the truth: no sensing error, nothing added. The ceiling of every attack."""
+
+    family: ClassVar[str] = "clean"
+
+    def share(self, sensed: Sensed, rng: Generator) -> Release:
+        """Return the true positions, declared with a standard deviation of 0 m."""
+        return Release(
+            t=sensed.t,
+            xy=sensed.xy - sensed.sigma_raw[:, None] * sensed.unit_error,
+            sigma=np.zeros_like(sensed.sigma_raw),
+            offsets=sensed.offsets,
+            pseudonym=_pseudonyms(len(sensed), rng),
+        )
+
+
+def _pseudonyms(n_tracks: int, rng: Generator) -> tuple[str, ...]:
+    # A spawned child leaves the stream of the errors untouched.
+    (child,) = rng.spawn(1)
+    return tuple(row.tobytes().hex() for row in child.integers(0, 256, (n_tracks, 8), np.uint8))

@@ -1,0 +1,1 @@
+"""The robot's forecasts of where pedestrians will be, one file each."""

@@ -1,0 +1,51 @@
+"""The paper's predictor: a straight line through the most recent shared samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from isac_track.types import Prediction
+
+if TYPE_CHECKING:
+    from isac_track.types import Floats, Knowledge, Release
+
+
+@dataclass(frozen=True, slots=True)
+class LeastSquares:
+    """First-order polynomials in x and y over the last `window` samples.
+
+    Eqs. linear_fit, velocity_estimate and agent_prediction. A track with fewer samples uses
+    all it has; one with a single sample is predicted to stand still.
+    """
+
+    window: int = 16
+    """q of the paper."""
+
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+
+    def __post_init__(self) -> None:
+        if self.window < 2:  # noqa: PLR2004 - a line needs two points
+            raise ValueError(f"window must be at least 2 samples, got {self.window}")
+
+    def predict(self, release: Release, t_future: Floats) -> Prediction:
+        """Return the extrapolated lines at `t_future`, (N, H) s; no covariance."""
+        last = release.offsets[1:, None] - 1
+        sample = last - np.arange(self.window)[::-1]  # (N, q), newest last
+        used = sample >= release.offsets[:-1, None]
+        sample = np.maximum(sample, release.offsets[:-1, None])
+        weight = used.astype(np.float64)
+        count = weight.sum(axis=1, keepdims=True)
+        t = release.t[sample]
+        xy = release.xy[sample]  # (N, q, 2)
+        t_mean = (weight * t).sum(axis=1, keepdims=True) / count
+        xy_mean = (weight[..., None] * xy).sum(axis=1, keepdims=True) / count[..., None]
+        # Centred times: absolute ones would cancel badly late in a recording.
+        centred = weight * (t - t_mean)
+        spread = (centred * (t - t_mean)).sum(axis=1)
+        moment = (centred[..., None] * (xy - xy_mean)).sum(axis=1)
+        velocity = np.zeros_like(moment)
+        np.divide(moment, spread[:, None], out=velocity, where=spread[:, None] > 0)
+        return Prediction(xy_mean + (t_future - t_mean)[..., None] * velocity[:, None, :])
