@@ -1,0 +1,199 @@
+"""The project's own pedestrian crowd: a generator, and the two sessions that are bundled.
+
+``plaza.npz`` and ``plaza_session2.npz`` are the output of ``python -m isac_track.datasets.crowd
+--out DIR``. ``docs/plaza.md`` describes the model, how it was tuned and what it must not be
+used for. Same settings, seed and session give the same millimetres. A crowd is chaotic, and
+two machines' mathematical functions may differ in the last bit; the state is therefore rounded
+to a micrometre in every step, which makes such a difference very unlikely to survive.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.datasets.crowd_model import simulate
+from isac_track.datasets.crowd_plan import CrowdSettings, draw_traits, person_id, plan_session
+from isac_track.errors import DataError
+from isac_track.types import Tracks
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+BUNDLED_SEED = 1
+SESSIONS = (1, 2)
+_FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}
+_FORMAT = 1
+_MM = np.iinfo(np.int16)
+
+
+def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
+    """Simulate one session of the crowd.
+
+    The same seed gives the same people with the same traits in every session, on new routes,
+    at other times, in other company. Traits of a person do not depend on how many others
+    there are.
+
+    Parameters
+    ----------
+    settings : CrowdSettings
+        The scenario.
+    seed : int
+        Base seed, not negative.
+    session : int
+        Number of the session, from 1.
+
+    Returns
+    -------
+    Tracks
+        One walk a person, in whole millimetres at multiples of ``settings.frame_s`` seconds.
+        `source` is the persistent id of the person (``p0001``), `group` the party that he or
+        she walks with in this session (``s1g001``).
+
+    Raises
+    ------
+    ValueError
+        If `session` is below 1 or `seed` negative.
+    """
+    if session < 1:
+        raise ValueError(f"sessions are numbered from 1, got {session}")
+    traits = draw_traits(settings, seed=seed)
+    plan = plan_session(settings, traits, seed=seed, session=session)
+    frame, person, xy = simulate(settings, traits, plan, seed=seed, session=session)
+    order = np.lexsort((frame, person))
+    rows, first = np.unique(person[order], return_index=True)
+    party = np.empty(settings.n_people, dtype=np.int64)
+    for number, members in enumerate(party.members for party in plan.parties):
+        party[members] = number
+    return Tracks(
+        t=frame[order].astype(np.float64) * settings.frame_s,
+        xy=np.rint(xy[order] * 1e3) / 1e3,
+        offsets=np.append(first, frame.size),
+        source=tuple(person_id(row) for row in rows),
+        group=tuple(f"s{session}g{party[row] + 1:03d}" for row in rows),
+    )
+
+
+def bundled(session: int) -> Tracks:
+    """Return a bundled session, 1 or 2, of the plaza."""
+    return read_npz(bundled_path(session))
+
+
+def bundled_path(session: int) -> Path:
+    """Return the file of a bundled session, 1 or 2.
+
+    Raises
+    ------
+    ValueError
+        If there is no such session.
+    """
+    if session not in _FILES:
+        raise ValueError(f"the bundled plaza has sessions 1 and 2, not {session}")
+    return Path(__file__).with_name(_FILES[session])
+
+
+def write_npz(
+    path: Path, tracks: Tracks, *, frame_s: float = 0.4, about: dict[str, object] | None = None
+) -> None:
+    """Write tracks as whole millimetres in int16, at whole multiples of `frame_s`.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    tracks : Tracks
+        Sampled at every multiple of `frame_s` from the first to the last sample of a track.
+    frame_s : float
+        Time between samples.
+    about : dict, optional
+        Where the tracks come from; kept in the file as JSON.
+
+    Raises
+    ------
+    DataError
+        If a coordinate does not fit in int16 millimetres (+-32.767 m), or a sample does not
+        lie on the clock.
+    """
+    frame = np.rint(tracks.t / frame_s).astype(np.int64)
+    within = np.ones(frame.size - 1, dtype=bool)
+    within[tracks.offsets[1:-1] - 1] = False
+    if np.abs(frame * frame_s - tracks.t).max() > 1e-6 or (np.diff(frame)[within] != 1).any():  # noqa: PLR2004
+        raise DataError(f"{path}: every track needs a sample every {frame_s:g} s, without gaps")
+    xy_mm = np.rint(tracks.xy * 1e3)
+    outside = np.flatnonzero((np.abs(xy_mm) > _MM.max).any(axis=1))
+    if outside.size:
+        x, y = tracks.xy[outside[0]]
+        raise DataError(
+            f"{path}: ({x:g}, {y:g}) m does not fit in int16 millimetres: coordinates must lie "
+            f"within +-{_MM.max / 1e3:g} m; move the origin"
+        )
+    # Steps compress better than positions. They may wrap around: so does the sum in read_npz.
+    steps = np.diff(xy_mm.astype(np.int16), axis=0, prepend=np.zeros((1, 2), dtype=np.int16))
+    np.savez_compressed(
+        path,
+        format=np.int64(_FORMAT),
+        frame_s=np.float64(frame_s),
+        first_frame=frame[tracks.offsets[:-1]].astype(np.int32),
+        samples=np.diff(tracks.offsets).astype(np.int32),
+        steps_mm=np.ascontiguousarray(steps.T),
+        source=np.array(tracks.source),
+        group=np.array(tracks.group),
+        about=np.array(json.dumps(about or {}, sort_keys=True)),
+    )
+
+
+def read_npz(path: Path) -> Tracks:
+    """Read what `write_npz` wrote.
+
+    Raises
+    ------
+    DataError
+        If the file is missing or not of this format.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if int(file["format"]) != _FORMAT:
+                raise DataError(f"{path}: format {int(file['format'])} is not known")
+            samples = file["samples"].astype(np.int64)
+            xy_mm = np.cumsum(file["steps_mm"], axis=1, dtype=np.int16).T
+            first_frame, frame_s = file["first_frame"].astype(np.int64), float(file["frame_s"])
+            source, group = file["source"].tolist(), file["group"].tolist()
+    except (OSError, KeyError, ValueError) as error:
+        raise DataError(f"{path}: not a readable crowd file ({error})") from error
+    offsets = np.concatenate([[0], np.cumsum(samples)])
+    frame = np.arange(offsets[-1]) + np.repeat(first_frame - offsets[:-1], samples)
+    return Tracks(
+        t=frame * frame_s,
+        xy=xy_mm / 1e3,
+        offsets=offsets,
+        source=tuple(source),
+        group=tuple(group),
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write both sessions of the crowd to a folder."""
+    parser = argparse.ArgumentParser(
+        prog="python -m isac_track.datasets.crowd", description=main.__doc__
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--seed", type=int, default=BUNDLED_SEED)
+    parser.add_argument("--trait-strength", type=float, default=1.0, metavar="S")
+    options = parser.parse_args(arguments)
+    settings = CrowdSettings(trait_strength=options.trait_strength)
+    options.out.mkdir(parents=True, exist_ok=True)
+    for session, name in _FILES.items():
+        tracks = generate(settings, seed=options.seed, session=session)
+        about = {"settings": asdict(settings), "seed": options.seed, "session": session}
+        write_npz(options.out / name, tracks, frame_s=settings.frame_s, about=about)
+        print(f"{options.out / name}: {len(tracks)} tracks")  # noqa: T201 - the command's output
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,333 @@
+"""How the simulated people move: anticipatory social forces and Ornstein-Uhlenbeck noise.
+
+References
+----------
+Helbing and Molnar, Phys. Rev. E 51, 4282 (1995): relaxation to a desired velocity and an
+exponential repulsion at contact. Karamouzas, Skinner and Guy, Phys. Rev. Lett. 113, 238701
+(2014): interaction energy ``k / tau^2 exp(-tau / tau_0)`` in the time to collision tau.
+Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10047 (2010): walking groups.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.datasets.crowd_plan import Party, Plan, person_id
+from isac_track.rng import stream
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from isac_track.datasets.crowd_plan import CrowdSettings, Traits
+    from isac_track.types import Bools, Floats, Ints
+
+RELAXATION_S = 0.6
+"""Time to reach the desired velocity."""
+ENERGY_M2 = 1.2
+"""k of the time-to-collision law, in m^2 (energy over mass times time squared)."""
+FORESIGHT_S = 3.0
+"""tau_0 of the same law."""
+COLLISION_M = 0.4
+"""Distance of two centres that counts as a collision."""
+AVOID_MAX_MPS2 = 2.0
+"""Cap of one neighbour's anticipatory force: the law diverges at contact."""
+CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = 2.0, 0.36, 0.1
+"""Strength, distance and range of the exponential repulsion."""
+FORMATION_PER_S2, FORMATION_MAX_MPS2 = 1.2, 1.2
+"""Spring to one's place in the group, and its cap: groups give way in a crowd."""
+PACE_MPS, PACE_S = 0.18, 1.2
+"""Ornstein-Uhlenbeck noise of the speed: standard deviation and correlation time."""
+WANDER_S = 1.8
+"""Correlation time of the heading's wandering; its size is a trait."""
+STEADY_MPS = 0.9
+"""Speed, less 0.1 m/s, at which the heading wanders by its trait; slower people hold their
+direction up to three times less well."""
+HEADING_S = 0.6
+"""Smoothing time of the body's orientation, which the sway is lateral to."""
+STANDING = 0.08
+"""Share of pace noise and sway that is left in someone who stands."""
+FULL_SWAY_MPS = 0.6
+"""Speed from which on the body sways in full."""
+TOP_SPEED_MPS = 2.0
+BACKWARD_MPS = 0.1
+"""Noise may turn a slow walk into a step back, but no further than this."""
+REACHED_M = 1.2
+"""Distance at which a waypoint counts as reached."""
+LOST_M = 3.0
+"""Who strays this far off the plaza has left it."""
+GRID_DIGITS = 6
+"""States are rounded to 1 micrometre a step: last-bit differences between the mathematical
+functions of two machines are then forgotten instead of amplified by the crowd's chaos."""
+
+
+@dataclass(eq=False, slots=True)
+class _Crowd:
+    """State of all N people; only those on the plaza are up to date."""
+
+    xy: Floats
+    """(N, 2) m, without sway"""
+    v: Floats
+    """(N, 2) m/s"""
+    heading: Floats
+    """(N, 2) unit vector"""
+    pace: Floats
+    """(N,) Ornstein-Uhlenbeck noise of unit variance, as are `wander` and both parts of `sway`"""
+    wander: Floats
+    """(N,)"""
+    sway: NDArray[np.complex128]
+    """(N,)"""
+    here: Bools
+    """(N,) on the plaza now"""
+    party: Ints
+    """(N,) number of the party"""
+    slot: Floats
+    """(N, 2) m, place in its formation: ahead, left"""
+
+
+@dataclass(eq=False, slots=True)
+class _Progress:
+    """How far each of G parties has come."""
+
+    target: Ints
+    """(G,) current waypoint"""
+    walked_m: Floats
+    """(G,) mean over those of its members who are here"""
+    next_stop: Ints
+    """(G,)"""
+    stand_until_s: Floats
+    """(G,) standing before this time"""
+
+
+def simulate(
+    settings: CrowdSettings, traits: Traits, plan: Plan, *, seed: int, session: int
+) -> tuple[Ints, Ints, Floats]:
+    """Walk everybody across the plaza.
+
+    Returns
+    -------
+    frame : (M,) ints
+        Recorded frame, in order.
+    person : (M,) ints
+        Row of the person.
+    xy : (M, 2) floats
+        Recorded position in m: the body's, with its sway.
+    """
+    n_people, n_parties = settings.n_people, len(plan.parties)
+    crowd = _Crowd(
+        xy=np.zeros((n_people, 2)),
+        v=np.zeros((n_people, 2)),
+        heading=np.zeros((n_people, 2)),
+        pace=np.zeros(n_people),
+        wander=np.zeros(n_people),
+        sway=np.zeros(n_people, dtype=np.complex128),
+        here=np.zeros(n_people, dtype=bool),
+        party=np.zeros(n_people, dtype=np.int64),
+        slot=np.zeros((n_people, 2)),
+    )
+    progress = _Progress(
+        target=np.zeros(n_parties, dtype=np.int64),
+        walked_m=np.zeros(n_parties),
+        next_stop=np.zeros(n_parties, dtype=np.int64),
+        stand_until_s=np.full(n_parties, -np.inf),
+    )
+    noise = [stream(seed, "crowd", "noise", session, person_id(row)) for row in range(n_people)]
+    for number, party in enumerate(plan.parties):
+        crowd.party[party.members] = number
+        crowd.slot[party.members] = party.slots_m
+    arrivals: dict[int, list[int]] = {}
+    for number, party in enumerate(plan.parties):
+        frame = max(0, int(np.ceil(party.arrival_s / settings.frame_s)))
+        arrivals.setdefault(frame, []).append(number)
+    frames, people, places = [], [], []
+    for frame in range(settings.n_frames):
+        for number in arrivals.get(frame, []):
+            _enter(crowd, plan, number, noise)
+        rows = np.flatnonzero(crowd.here)
+        frames.append(np.full(rows.size, frame))
+        people.append(rows)
+        places.append(_body_xy(crowd, rows, traits))
+        if rows.size:
+            _advance(settings, crowd, progress, traits, plan, rows, noise, frame)
+    return np.concatenate(frames), np.concatenate(people), np.concatenate(places)
+
+
+def _enter(crowd: _Crowd, plan: Plan, number: int, noise: list[np.random.Generator]) -> None:
+    """Put a party at the clearest of its entries, or part-way if it came before the start."""
+    party = plan.parties[number]
+    first = party.targets_m[0]
+    entries = party.entry_m
+    if party.arrival_s < 0:
+        gone = np.linspace(0.05, 0.85, len(entries))[:, None]
+        entries = entries + gone * (first - entries)
+    others = crowd.xy[crowd.here]
+    if len(others):
+        gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(axis=1)
+        entry = entries[int(np.argmax(np.minimum(gap, 2.0)))]
+    else:
+        entry = entries[0]
+    ahead = (first - entry) / np.hypot(*(first - entry))
+    for row in party.members:
+        draw = noise[row].standard_normal(4)
+        crowd.pace[row], crowd.wander[row] = draw[:2]
+        crowd.sway[row] = complex(draw[2], draw[3])
+        crowd.xy[row] = entry + _turned(party.slots_m[party.members == row][0], ahead)
+        crowd.heading[row] = ahead
+        crowd.v[row] = ahead * plan.speed_mps[row]
+        crowd.here[row] = True
+
+
+def _advance(
+    settings: CrowdSettings,
+    crowd: _Crowd,
+    progress: _Progress,
+    traits: Traits,
+    plan: Plan,
+    rows: Ints,
+    noise: list[np.random.Generator],
+    frame: int,
+) -> None:
+    """Move the people in `rows` on by one frame, and let those who have arrived leave."""
+    dt = settings.frame_s / settings.substeps
+    draws = np.stack([noise[row].standard_normal((settings.substeps, 4)) for row in rows], axis=1)
+    parties, local = np.unique(crowd.party[rows], return_inverse=True)
+    head_count = np.bincount(local)
+    slot = crowd.slot[rows]
+    slot = slot - (_sum_by(local, slot) / head_count[:, None])[local]
+    speed = plan.speed_mps[rows]
+    keep_pace, keep_wander = np.exp(-dt / PACE_S), np.exp(-dt / WANDER_S)
+    keep_sway = np.exp((-1.0 / traits.sway_s[rows] + 2j * np.pi * traits.sway_hz[rows]) * dt)
+    kick_sway = np.sqrt(1.0 - np.abs(keep_sway) ** 2)
+    for step in range(settings.substeps):
+        now_s = frame * settings.frame_s + step * dt
+        x, v, heading = crowd.xy[rows], crowd.v[rows], crowd.heading[rows]
+        centre = _sum_by(local, x) / head_count[:, None]
+        target = _steer(progress, plan, parties, centre, now_s=now_s)
+        standing = (progress.stand_until_s[parties] > now_s)[local]
+
+        xi = draws[step]
+        pace = keep_pace * crowd.pace[rows] + np.sqrt(1.0 - keep_pace**2) * xi[:, 0]
+        wander = keep_wander * crowd.wander[rows] + np.sqrt(1.0 - keep_wander**2) * xi[:, 1]
+        sway = keep_sway * crowd.sway[rows] + kick_sway * (xi[:, 2] + 1j * xi[:, 3])
+
+        to_target = target[local] - centre[local]
+        ahead = to_target / np.maximum(np.hypot(*to_target.T), 1e-9)[:, None]
+        angle = traits.turn_rad[rows] * wander * _unsteadiness(v)
+        course = _turned(np.stack([np.cos(angle), np.sin(angle)], axis=1), ahead)
+        wanted = np.where(standing, STANDING * PACE_MPS * pace, speed + PACE_MPS * pace)
+        force = (np.maximum(wanted, -BACKWARD_MPS)[:, None] * course - v) / RELAXATION_S
+        force += _avoidance(x, v, together=local[:, None] == local[None, :])
+        front = _sum_by(local, heading)
+        front = front / np.maximum(np.hypot(*front.T), 1e-9)[:, None]
+        place = FORMATION_PER_S2 * (centre[local] + _turned(slot, front[local]) - x)
+        force += _capped(place, FORMATION_MAX_MPS2)
+
+        v = _capped(v + dt * force, TOP_SPEED_MPS)
+        heading = heading + (dt / HEADING_S) * v
+        heading = heading / np.maximum(np.hypot(*heading.T), 1e-9)[:, None]
+        moved = dt * v
+        crowd.xy[rows] = np.round(x + moved, GRID_DIGITS)
+        crowd.v[rows] = np.round(v, GRID_DIGITS)
+        crowd.heading[rows] = np.round(heading, GRID_DIGITS)
+        crowd.pace[rows] = np.round(pace, GRID_DIGITS)
+        crowd.wander[rows] = np.round(wander, GRID_DIGITS)
+        crowd.sway[rows] = np.round(sway, GRID_DIGITS)
+        progress.walked_m[parties] += np.bincount(local, np.hypot(*moved.T)) / head_count
+        progress.walked_m[parties] = np.round(progress.walked_m[parties], GRID_DIGITS)
+    _leave(settings, crowd, plan, rows)
+
+
+def _steer(
+    progress: _Progress, plan: Plan, parties: Ints, centre: Floats, *, now_s: float
+) -> Floats:
+    """Return each party's current waypoint (G, 2); begin and end its stops."""
+    target = np.empty((parties.size, 2))
+    for place, number in enumerate(parties):
+        party: Party = plan.parties[number]
+        aim = party.targets_m[progress.target[number]]
+        on_the_way = progress.target[number] < len(party.targets_m) - 1
+        if on_the_way and np.hypot(*(aim - centre[place])) < REACHED_M:
+            progress.target[number] += 1
+            aim = party.targets_m[progress.target[number]]
+            progress.stand_until_s[number] = now_s + party.chat_s
+        stop = progress.next_stop[number]
+        if stop < party.stop_at_m.size and progress.walked_m[number] >= party.stop_at_m[stop]:
+            progress.next_stop[number] += 1
+            until_s = now_s + party.stop_s[stop]
+            progress.stand_until_s[number] = max(progress.stand_until_s[number], until_s)
+        target[place] = aim
+    return target
+
+
+def _avoidance(x: Floats, v: Floats, *, together: Bools) -> Floats:
+    """Return the acceleration (P, 2) away from collisions to come, and from contact.
+
+    For a pair with separation ``x``, relative velocity ``v`` and collision distance ``R``, the
+    time to collision is ``tau = (b - sqrt(d)) / a`` with ``a = v.v``, ``b = -x.v``,
+    ``c = x.x - R^2`` and ``d = b^2 - a c``, and the force is minus the gradient of
+    ``k / tau^2 exp(-tau / tau_0)``. People who walk together do not anticipate each other.
+    """
+    dx = x[:, None] - x[None]
+    dv = v[:, None] - v[None]
+    apart = (dx**2).sum(axis=2)
+    distance = np.sqrt(apart)
+    np.fill_diagonal(distance, np.inf)
+    contact = CONTACT_MPS2 * np.exp((CONTACT_M - distance) / CONTACT_RANGE_M) / distance
+    total = (np.minimum(contact, 50.0)[:, :, None] * dx).sum(axis=1)
+
+    a = (dv**2).sum(axis=2)
+    b = -(dx * dv).sum(axis=2)
+    # People closer than the collision distance still avoid coming closer.
+    radius = np.minimum(COLLISION_M, 0.95 * np.minimum(distance, 1e3))
+    d = b**2 - a * (apart - radius**2)
+    coming = (b > 0) & (d > 1e-9) & (a > 1e-6) & ~together  # noqa: PLR2004
+    i, j = np.nonzero(coming)
+    a, b, root = a[i, j], b[i, j], np.sqrt(d[i, j])
+    tau = np.maximum((b - root) / a, 0.05)
+    dx, dv = dx[i, j], dv[i, j]
+    strength = ENERGY_M2 * np.exp(-tau / FORESIGHT_S) / (a * tau**2) * (2 / tau + 1 / FORESIGHT_S)
+    sideways = (a[:, None] * dx + b[:, None] * dv) / root[:, None]
+    push = _capped(-strength[:, None] * (dv - sideways), AVOID_MAX_MPS2)
+    return np.asarray(total + _sum_by(i, push, n=len(x)))
+
+
+def _leave(settings: CrowdSettings, crowd: _Crowd, plan: Plan, rows: Ints) -> None:
+    """Let go of those who have passed their gate's side of the plaza, or got lost."""
+    x_min, y_min, x_max, y_max = settings.area_m
+    x, y = crowd.xy[rows].T
+    beyond = np.stack([x_min - x, y_min - y, x - x_max, y - y_max])
+    sides = np.array([plan.parties[number].exit_side for number in crowd.party[rows]])
+    gone = (beyond[sides, np.arange(rows.size)] > 0) | (beyond.max(axis=0) > LOST_M)
+    crowd.here[rows[gone]] = False
+
+
+def _body_xy(crowd: _Crowd, rows: Ints, traits: Traits) -> Floats:
+    """Return where people are seen (P, 2): the walk and the sway to its side."""
+    heading, v = crowd.heading[rows], crowd.v[rows]
+    side = np.stack([-heading[:, 1], heading[:, 0]], axis=1)
+    awake = STANDING + (1 - STANDING) * np.minimum(np.hypot(*v.T) / FULL_SWAY_MPS, 1.0)
+    offset = traits.sway_m[rows] * awake * crowd.sway[rows].real
+    return np.asarray(crowd.xy[rows] + offset[:, None] * side)
+
+
+def _unsteadiness(v: Floats) -> Floats:
+    """Return how much more than by the trait a heading wanders, (P,), at each speed."""
+    return np.asarray(np.minimum(STEADY_MPS / (np.hypot(*v.T) + 0.1), 3.0))
+
+
+def _turned(vector: Floats, ahead: Floats) -> Floats:
+    """Return vectors given as (ahead, left) in the plane's axes, for unit vectors `ahead`."""
+    left = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
+    return np.asarray(vector[..., :1] * ahead + vector[..., 1:] * left)
+
+
+def _capped(vector: Floats, longest: float) -> Floats:
+    length = np.hypot(*vector.T)
+    return np.asarray(vector * np.minimum(1.0, longest / np.maximum(length, 1e-12))[:, None])
+
+
+def _sum_by(label: Ints, vector: Floats, *, n: int = 0) -> Floats:
+    """Return the sums (G, 2) of the vectors that share a label."""
+    return np.stack([np.bincount(label, vector[:, k], minlength=n) for k in (0, 1)], axis=1)

@@ -1,0 +1,244 @@
+"""Who walks on the simulated plaza, and what they are up to: traits, groups, routes, stops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.errors import SettingsError
+from isac_track.rng import stream
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from isac_track.types import Floats, Ints
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdSettings:
+    """Scenario of the simulated crowd. The physics are constants of `crowd_model`."""
+
+    duration_s: float = 600.0
+    """length of the recording"""
+    n_people: int = 1100
+    """people, each with one walk in every session"""
+    trait_strength: float = 1.0
+    """scale of the between-person spread of every trait: 0 makes everybody alike"""
+    frame_s: float = 0.4
+    """time between recorded positions"""
+    substeps: int = 5
+    """simulated steps per recorded position"""
+    lead_s: float = 20.0
+    """arrivals this long before the start are already under way when it comes"""
+    tail_s: float = 4.0
+    """nobody arrives in the last seconds, so that every walk has some length"""
+    area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)
+    """plaza: x_min, y_min, x_max, y_max"""
+
+    def __post_init__(self) -> None:
+        if self.n_people < 1 or self.substeps < 1:
+            raise SettingsError("the crowd needs at least one person and one substep")
+        if not (self.frame_s > 0 and self.lead_s >= 0 and self.tail_s >= self.frame_s):
+            raise SettingsError("frame_s must be positive, lead_s >= 0 and tail_s >= frame_s")
+        if not self.duration_s > self.tail_s:
+            raise SettingsError(f"duration_s must exceed tail_s ({self.tail_s:g} s)")
+        if not self.trait_strength >= 0:
+            raise SettingsError(f"trait_strength must not be negative, got {self.trait_strength}")
+        if not (self.area_m[0] < self.area_m[2] and self.area_m[1] < self.area_m[3]):
+            raise SettingsError("area_m must be x_min, y_min, x_max, y_max")
+
+    @property
+    def n_frames(self) -> int:
+        """Recorded frames, the first at time 0."""
+        return round(self.duration_s / self.frame_s) + 1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Traits:
+    """What persists about N people. Log-normal: median * exp(strength * spread * N(0, 1))."""
+
+    speed_mps: Floats
+    """(N,) desired speed when alone"""
+    sway_m: Floats
+    """(N,) standard deviation of the lateral body sway"""
+    sway_hz: Floats
+    """(N,) its frequency"""
+    sway_s: Floats
+    """(N,) its coherence time"""
+    stops_per_m: Floats
+    """(N,) stopping habit: short stops per metre walked; scales the chance of a chat too"""
+    turn_rad: Floats
+    """(N,) turning habit: standard deviation of the heading's wandering"""
+
+
+TRAIT_MEDIAN_AND_SPREAD = {
+    "speed_mps": (1.14, 0.24),
+    "sway_m": (0.02, 0.35),
+    "sway_hz": (0.7, 0.2),
+    "sway_s": (2.0, 0.3),
+    "stops_per_m": (0.065, 0.6),
+    "turn_rad": (0.24, 0.6),
+}
+"""Median and standard deviation of the logarithm, in the order of the draws."""
+
+GROUP_SIZE_SHARES = (0.65, 0.28, 0.045, 0.025)
+"""Shares of singles, pairs, threes and fours among the parties that arrive."""
+GROUP_PACE = (1.0, 0.82, 0.76, 0.72)
+"""Speed of a party over the mean of its members: groups walk slower [Moussaid 2010]."""
+MOOD_SPREAD = 0.08
+"""Standard deviation of the logarithm of a person's speed from one session to the next."""
+SPACING_M = 0.58
+"""Shoulder to shoulder in a group that walks abreast."""
+VIA_CHANCE = 0.35
+"""Share of parties that do not walk straight through but by way of a place on the plaza."""
+CHAT_CHANCE = (0.03, 0.14, 0.19, 0.19)
+"""Chance, per party size, to stand and chat (or wait) at that place at the median habit."""
+CHAT_MEDIAN_S, CHAT_SPREAD, CHAT_MAX_S = 40.0, 0.7, 180.0
+STOP_MEAN_S, STOP_MIN_S = 0.9, 0.4
+SIDE_CENTRES = ((0, 0.65), (1, 0.25), (1, 0.75), (2, 0.45), (3, 0.3), (3, 0.72))
+"""Gates: side (0 west, 1 south, 2 east, 3 north) and centre as a share of the side."""
+GATE_WIDTH = 0.4
+"""Width of a gate as a share of the side."""
+GATE_WEIGHTS = (0.2, 0.18, 0.18, 0.12, 0.16, 0.16)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Party:
+    """People who walk together in one session, or one who walks alone."""
+
+    members: Ints
+    """(K,) row of each person"""
+    slots_m: Floats
+    """(K, 2) place in the formation: ahead of and left of its centre"""
+    arrival_s: float
+    entry_m: Floats
+    """(C, 2) candidate points of entry; the clearest one is taken on arrival"""
+    targets_m: Floats
+    """(T, 2) waypoints; the last lies beyond the gate of exit"""
+    exit_side: int
+    chat_s: float
+    """time to stand at the first waypoint if there are two; 0 passes by"""
+    stop_at_m: Floats
+    """(S,) walked distances of short stops, increasing"""
+    stop_s: Floats
+    """(S,) and how long they last"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plan:
+    """A session: who walks with whom, from where to where, and when."""
+
+    parties: tuple[Party, ...]
+    speed_mps: Floats
+    """(N,) desired speed in this session"""
+
+
+def person_id(row: int) -> str:
+    """Return the persistent id of a person: ``p0001`` is row 0."""
+    return f"p{row + 1:04d}"
+
+
+def draw_traits(settings: CrowdSettings, *, seed: int) -> Traits:
+    """Draw everybody's traits, each person from a stream of their own."""
+    columns = np.array(list(TRAIT_MEDIAN_AND_SPREAD.values()))
+    draws = np.array(
+        [
+            stream(seed, "crowd", "traits", person_id(row)).standard_normal(len(columns))
+            for row in range(settings.n_people)
+        ]
+    )
+    values = columns[:, 0] * np.exp(settings.trait_strength * columns[:, 1] * draws)
+    return Traits(**dict(zip(TRAIT_MEDIAN_AND_SPREAD, values.T, strict=True)))
+
+
+def plan_session(settings: CrowdSettings, traits: Traits, *, seed: int, session: int) -> Plan:
+    """Draw who walks together, routes, arrivals and stops of one session.
+
+    Company is drawn anew in every session: people who are recognised by the company they keep
+    would be told apart even where their traits are all alike.
+    """
+    draws = [
+        stream(seed, "crowd", "session", session, person_id(row))
+        for row in range(settings.n_people)
+    ]
+    order = np.argsort([rng.random() for rng in draws], kind="stable")
+    mood = np.array([rng.standard_normal() for rng in draws])
+    parties: list[Party] = []
+    start = 0
+    while start < settings.n_people:
+        # The first of a party in the order of the session draws for all of it.
+        rng = draws[order[start]]
+        size = 1 + int(np.searchsorted(np.cumsum(GROUP_SIZE_SHARES), rng.random()))
+        members = order[start : start + min(size, len(GROUP_SIZE_SHARES))]
+        parties.append(_party(settings, traits, members, rng))
+        start += members.size
+    speed_mps = traits.speed_mps * np.exp(MOOD_SPREAD * mood)
+    for party in parties:
+        pace = GROUP_PACE[party.members.size - 1]
+        speed_mps[party.members] = speed_mps[party.members].mean() * pace
+    return Plan(parties=tuple(parties), speed_mps=speed_mps)
+
+
+def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generator) -> Party:
+    start_s, end_s = -settings.lead_s, settings.duration_s - settings.tail_s
+    arrival_s = start_s + (end_s - start_s) * rng.random()
+    weights = np.array(GATE_WEIGHTS)
+    entry = int(rng.choice(weights.size, p=weights))
+    sides = np.array([side for side, _ in SIDE_CENTRES])
+    weights = np.where(sides == sides[entry], 0.0, weights)
+    leave = int(rng.choice(weights.size, p=weights / weights.sum()))
+    targets = [_gate_point(settings, leave, float(rng.random()), beyond_m=2.0)]
+    low, high = np.array(settings.area_m[:2]), np.array(settings.area_m[2:])
+    via = low + (high - low) * (0.2 + 0.6 * rng.random(2))
+    habit = float(traits.stops_per_m[members].mean())
+    usual = TRAIT_MEDIAN_AND_SPREAD["stops_per_m"][0]
+    chat_s = min(CHAT_MEDIAN_S * float(np.exp(CHAT_SPREAD * rng.standard_normal())), CHAT_MAX_S)
+    goes_via, chats = rng.random(2)
+    chat_chance = CHAT_CHANCE[members.size - 1] * habit / usual
+    if chats < chat_chance:
+        targets.insert(0, via)
+    elif goes_via < VIA_CHANCE:
+        targets.insert(0, via)
+        chat_s = 0.0
+    # Stops follow a Poisson process along the way, drawn well past any route's length.
+    gaps_m = rng.exponential(1.0, 40) / habit
+    stop_s = STOP_MIN_S + rng.exponential(STOP_MEAN_S, 40)
+    return Party(
+        members=members,
+        slots_m=_formation(members.size),
+        arrival_s=float(arrival_s),
+        entry_m=np.array(
+            [_gate_point(settings, entry, share, beyond_m=0.0) for share in rng.random(8)]
+        ),
+        targets_m=np.array(targets),
+        exit_side=int(sides[leave]),
+        chat_s=chat_s,
+        stop_at_m=np.cumsum(gaps_m),
+        stop_s=stop_s,
+    )
+
+
+def _gate_point(settings: CrowdSettings, gate: int, share: float, *, beyond_m: float) -> Floats:
+    """Return a point (2,) of a gate, `beyond_m` outside the plaza."""
+    x_min, y_min, x_max, y_max = settings.area_m
+    side, centre = SIDE_CENTRES[gate]
+    along = centre + GATE_WIDTH * (share - 0.5)
+    if side in {0, 2}:
+        x = x_min - beyond_m if side == 0 else x_max + beyond_m
+        return np.array([x, y_min + along * (y_max - y_min)])
+    y = y_min - beyond_m if side == 1 else y_max + beyond_m
+    return np.array([x_min + along * (x_max - x_min), y])
+
+
+def _formation(size: int) -> Floats:
+    """Return places (K, 2) ahead of and left of the centre: rows of up to three abreast."""
+    rows = [size] if size <= 3 else [size - size // 2, size // 2]  # noqa: PLR2004
+    places = [
+        (-0.9 * SPACING_M * behind, SPACING_M * (place - (width - 1) / 2))
+        for behind, width in enumerate(rows)
+        for place in range(width)
+    ]
+    slots = np.array(places, dtype=np.float64)
+    return np.asarray(slots - slots.mean(axis=0))

@@ -1,0 +1,277 @@
+"""Readers of tables with named columns: csv and parquet, with t (s), id, x, y (m), group."""
+
+from __future__ import annotations
+
+import csv
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isac_track.datasets.rows import (
+    POSITION_LIMIT_M,
+    TIME_LIMIT_S,
+    Place,
+    Repair,
+    Rows,
+    check_numbers,
+    clean_id,
+    decode,
+    fault,
+    listed,
+    sort_ids,
+)
+from isac_track.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from isac_track.types import Ints
+
+_NEEDED = ("t", "id", "x", "y")
+_USED = (*_NEEDED, "group")
+_NUMBERS = ("t", "x", "y")
+
+
+def read_csv(*, data: bytes, path: str, fps: float | None) -> Rows:
+    """Read comma-separated values with a header line.
+
+    Raises
+    ------
+    DataError
+        For anything that is not this format, naming file and line, or if `fps` is given.
+    """
+    _refuse_fps(fps=fps, path=path, format_name="csv")
+    text = decode(data=data, path=path)
+    header, _, body = text.partition("\n")
+    names = _csv_header(header=header, path=path)
+    place = Place(path=path, lines=lambda: _csv_line_numbers(body))
+    return _rows(columns=_csv_columns(body=body, names=names, path=path), names=names, place=place)
+
+
+def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
+    """Read a parquet file.
+
+    Raises
+    ------
+    DataError
+        For anything that is not this format, naming file and row, or if `fps` is given.
+    """
+    import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
+    from pyarrow import parquet  # noqa: PLC0415
+
+    _refuse_fps(fps=fps, path=path, format_name="parquet")
+    if not data:
+        raise DataError(f"{path}: the file is empty")
+    try:
+        file = parquet.ParquetFile(pa.BufferReader(data))
+        names = tuple(file.schema_arrow.names)
+    except Exception as error:  # noqa: BLE001 - a damaged file makes pyarrow raise nearly anything
+        raise DataError(f"{path}: not a parquet file ({_brief(error)})") from None
+    _check_header(names=names, where=path)
+    try:
+        table = file.read(columns=[name for name in names if name in _USED], use_threads=False)
+        columns = {name: table[name].combine_chunks() for name in table.column_names}
+    except Exception as error:  # noqa: BLE001 - as above
+        raise DataError(f"{path}: the parquet file is damaged ({_brief(error)})") from None
+    n_rows = table.num_rows
+    place = Place(path=path, lines=lambda: np.arange(1, n_rows + 1), unit="row")
+    return _rows(columns=columns, names=names, place=place)
+
+
+def _brief(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:160]
+
+
+def _refuse_fps(*, fps: float | None, path: str, format_name: str) -> None:
+    if fps is not None:
+        raise DataError(
+            f"{path}: format {format_name} has times in seconds (column t); leave --fps out"
+        )
+
+
+def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
+    try:
+        names = tuple(name.strip() for name in next(csv.reader([header]), []))
+    except csv.Error as error:
+        raise fault(path=path, line=1, message=f"the header cannot be read: {error}") from None
+    if len(names) == 1:
+        for separator, name in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
+            if separator in header.strip():
+                message = f"{name} between the columns; csv has commas (and decimal points)"
+                raise fault(path=path, line=1, message=message)
+    _check_header(names=names, where=f"{path}, line 1")
+    return names
+
+
+def _check_header(*, names: Sequence[str], where: str) -> None:
+    missing = [name for name in _NEEDED if name not in names]
+    if missing:
+        near = get_close_matches(missing[0], [name.lower() for name in names], n=1, cutoff=0.3)
+        original = next((name for name in names if near and name.lower() == near[0]), None)
+        hint = f"; did you mean {original[:40]!r}? Rename it" if original else ""
+        raise DataError(
+            f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in m){hint}"
+        )
+    for name in _USED:
+        if list(names).count(name) > 1:
+            raise DataError(f"{where}: two columns are called {name}")
+
+
+def _csv_columns(*, body: str, names: tuple[str, ...], path: str) -> dict[str, Any]:
+    """Return the arrow columns in use: in one go if all is well, else with the first bad line."""
+    import pyarrow as pa  # noqa: PLC0415
+    from pyarrow import csv as arrow_csv  # noqa: PLC0415
+
+    if not body.strip():
+        raise DataError(f"{path}: the file holds no rows")
+    used = {name: f"c{names.index(name)}" for name in _USED if name in names}
+    types = {
+        column: pa.float64() if name in _NUMBERS else pa.string() for name, column in used.items()
+    }
+    try:
+        table = arrow_csv.read_csv(
+            pa.py_buffer(body.encode()),
+            read_options=arrow_csv.ReadOptions(
+                use_threads=False, column_names=[f"c{index}" for index in range(len(names))]
+            ),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types, include_columns=list(used.values())
+            ),
+        )
+        return {name: table[column].combine_chunks() for name, column in used.items()}
+    except (pa.ArrowException, MemoryError, UnicodeError) as error:
+        _raise_first_csv_fault(body=body, names=names, path=path)
+        raise DataError(f"{path}: cannot be read as csv ({_brief(error)})") from None
+
+
+def _csv_line_numbers(body: str) -> Ints:
+    """Return the line number of every row; pyarrow leaves out empty lines alone."""
+    return np.array([n for n, line in enumerate(body.split("\n"), start=2) if line])
+
+
+def _raise_first_csv_fault(*, body: str, names: tuple[str, ...], path: str) -> None:
+    for number, line in enumerate(body.split("\n"), start=2):
+        if not line:
+            continue
+        try:
+            fields = next(csv.reader([line], strict=True))
+        except csv.Error as error:
+            raise fault(path=path, line=number, message=str(error)) from None
+        if len(fields) != len(names):
+            hint = "; semicolons do not separate columns" if ";" in line else ""
+            message = (
+                f"{len(fields)} column(s) where the header has {len(names)}; "
+                f"a decimal comma would split a number{hint}"
+            )
+            raise fault(path=path, line=number, message=message)
+        for name in _NUMBERS:
+            field = fields[names.index(name)]
+            try:
+                float(field or "nan")
+            except ValueError:
+                hint = " (a decimal comma?)" if "," in field else ""
+                unit = "seconds" if name == "t" else "metres"
+                message = f"{name} {field[:40]!r} is not a number of {unit}{hint}"
+                raise fault(path=path, line=number, message=message) from None
+
+
+def _rows(*, columns: dict[str, Any], names: Sequence[str], place: Place) -> Rows:
+    import pyarrow as pa  # noqa: PLC0415
+
+    numbers = {}
+    for name in _NUMBERS:
+        column = columns[name]
+        kind = column.type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+            unit = "seconds" if name == "t" else "metres"
+            raise DataError(f"{place.path}: column {name} holds {kind}, not numbers of {unit}")
+        # A null becomes NaN, which the check below names.
+        numbers[name] = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    if not numbers["t"].size:
+        raise DataError(f"{place.path}: the file holds no rows")
+    check_numbers(
+        [numbers[name] for name in _NUMBERS],
+        names=_NUMBERS,
+        limits=[TIME_LIMIT_S, POSITION_LIMIT_M, POSITION_LIMIT_M],
+        place=place,
+    )
+    person, ids = _index(columns["id"], clean=clean_id, place=place)
+    t = numbers["t"]
+    return Rows(
+        person=person,
+        ids=ids,
+        t=t - t.min(),
+        xy=np.column_stack([numbers["x"], numbers["y"]]),
+        place=place,
+        groups=_groups(columns.get("group"), person=person, ids=ids, place=place),
+        notes=_ignored(names=names, path=place.path, n_rows=t.size),
+    )
+
+
+def _ignored(*, names: Sequence[str], path: str, n_rows: int) -> tuple[Repair, ...]:
+    others = [name[:40] for name in names if name not in _USED]
+    if not others:
+        return ()
+    detail = f"{path}: column(s) {listed(others)}: not used, {n_rows} rows each"
+    return (Repair("ignored-column", len(others), detail),)
+
+
+def _index(
+    column: Any,  # noqa: ANN401 - pyarrow has no types
+    *,
+    clean: Callable[[str], str],
+    place: Place,
+) -> tuple[Ints, tuple[str, ...]]:
+    """Return (M,) index into the cleaned values, and these in order."""
+    codes, values = _encode(column, place=place)
+    cleaned = []
+    for code, value in enumerate(values):
+        try:
+            cleaned.append(clean("" if value is None else str(value)))
+        except ValueError as error:
+            row = int(np.flatnonzero(codes == code)[0])
+            raise DataError(f"{place.at(row)}: {error}") from None
+    names = sort_ids(set(cleaned))
+    position = {name: index for index, name in enumerate(names)}
+    return np.array([position[name] for name in cleaned], dtype=np.int64)[codes], names
+
+
+def _groups(
+    column: Any,  # noqa: ANN401 - pyarrow has no types
+    *,
+    person: Ints,
+    ids: tuple[str, ...],
+    place: Place,
+) -> tuple[tuple[str, str], ...]:
+    """Return the (id, label) pairs of a group column; an empty cell is no group."""
+    if column is None:
+        return ()
+    codes, labels = _index(column, clean=_clean_label, place=place)
+    pairs = np.unique(np.column_stack([person, codes]), axis=0)
+    return tuple((ids[who], labels[label]) for who, label in pairs if labels[label])
+
+
+def _clean_label(text: str) -> str:
+    try:
+        return clean_id(text)  # 3.0 is group 3, as a column with empty cells writes it
+    except ValueError:
+        label = text.strip()
+        return "" if label.lower() in {"nan", "none", "null"} else label
+
+
+def _encode(column: Any, *, place: Place) -> tuple[Ints, list[Any]]:  # noqa: ANN401
+    """Return (M,) codes and the value of each code, None for null."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    try:
+        if pa.types.is_dictionary(column.type):
+            column = column.dictionary_decode()
+        kind = column.type
+        known = (pa.types.is_integer, pa.types.is_floating, pa.types.is_string)
+        if not any(check(kind) for check in (*known, pa.types.is_large_string)):
+            raise DataError(f"{place.path}: ids and groups must be numbers or text, not {kind}")
+        encoded = column.dictionary_encode(null_encoding="encode")
+        return encoded.indices.to_numpy().astype(np.int64), encoded.dictionary.to_pylist()
+    except (pa.ArrowException, UnicodeError) as error:
+        raise DataError(f"{place.path}: ids cannot be read ({_brief(error)})") from None

@@ -1,0 +1,209 @@
+"""The data sets known by name, and where on this machine their files are."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from isac_track.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+DATA_VARIABLE = "ISAC_TRACK_DATA"
+"""Folder of data sets that the user keeps: ``NAME/obsmat.txt``. Only read."""
+CACHE_VARIABLE = "ISAC_TRACK_CACHE"
+"""Folder for downloads, instead of the user's cache."""
+DEFAULT = "students03"
+FALLBACK = "plaza"
+MAIN_FILE = "obsmat.txt"
+GROUPS_FILE = "groups.txt"
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A data set that is known by name."""
+
+    name: str
+    about: str
+    citation: str
+    licence: str
+    session: int | None = None
+    """Number of the bundled session, if this is the bundled crowd."""
+    format: str = "npz"
+    fps: float | None = None
+    sha256: Mapping[str, str] = field(default_factory=dict)
+    """Hash of every file, by file name; empty if bundled."""
+
+    @property
+    def simulated(self) -> bool:
+        """True if nobody walked there."""
+        return self.session is not None
+
+
+_UCY = (
+    "A. Lerner, Y. Chrysanthou, D. Lischinski: Crowds by Example. "
+    "Computer Graphics Forum 26(3), 655-664, 2007"
+)
+_UCY_LICENCE = "free to use with credit to the authors; in metres by OpenTraj"
+_OWN = "isac-track: the simulated crowd plaza, made by isac_track.datasets.crowd"
+KNOWN: Mapping[str, Known] = {
+    known.name: known
+    for known in (
+        Known(
+            name="students03",
+            about="UCY students 3, Tel Aviv campus",
+            citation=_UCY,
+            licence=_UCY_LICENCE,
+            format="obsmat",
+            fps=25.0,
+            sha256={
+                MAIN_FILE: "d9fd7048eab7d3d9550d7ac4f59b19d97a87612310e8c8e48cf3aaf59764ff80",
+                GROUPS_FILE: "93f1c1d59e089de38ca9d3a81d1592f8add87fac92130abdedcc3a8267177e02",
+            },
+        ),
+        Known(
+            name="zara01",
+            about="UCY zara 1, shopping street",
+            citation=_UCY,
+            licence=_UCY_LICENCE,
+            format="obsmat",
+            fps=25.0,
+            sha256={MAIN_FILE: "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa"},
+        ),
+        Known(
+            name="plaza",
+            about="simulated crowd, bundled",
+            citation=_OWN,
+            licence="MIT, as isac-track",
+            session=1,
+        ),
+        Known(
+            name="plaza-session2",
+            about="the same simulated people another time, bundled",
+            citation=_OWN,
+            licence="MIT, as isac-track",
+            session=2,
+        ),
+    )
+}
+
+
+def known(name: str) -> Known:
+    """Return the data set called `name`.
+
+    Raises
+    ------
+    DataError
+        If there is none, with the nearest name and the list.
+    """
+    if name in KNOWN:
+        return KNOWN[name]
+    near = get_close_matches(name.lower(), KNOWN, n=1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    raise DataError(
+        f"{name!r} is neither a known data set nor a file{hint} (known: {', '.join(KNOWN)})"
+    )
+
+
+def names() -> dict[str, str]:
+    """Return what each known data set is, by name."""
+    return {name: data_set.about for name, data_set in KNOWN.items()}
+
+
+def data_folder() -> Path | None:
+    """Return the folder that ``ISAC_TRACK_DATA`` names, if it is set."""
+    value = os.environ.get(DATA_VARIABLE, "").strip()
+    return Path(os.path.expanduser(value)) if value else None  # noqa: PTH111 - never raises
+
+
+def cache_folder() -> Path:
+    """Return the folder of downloads: ``ISAC_TRACK_CACHE`` or the user's cache."""
+    value = os.environ.get(CACHE_VARIABLE, "").strip()
+    if value:
+        return Path(os.path.expanduser(value))  # noqa: PTH111 - never raises
+    import pooch  # noqa: PLC0415 - a plain import stays quick
+
+    return Path(pooch.os_cache("isac-track"))
+
+
+def locate(data_set: Known) -> dict[str, Path]:
+    """Return the path of each file of `data_set` that is here, by file name.
+
+    The data folder comes before the cache. Hashes are checked when the files are read.
+    """
+    folders = [folder for folder in (data_folder(), cache_folder()) if folder is not None]
+    found = {}
+    for file_name in data_set.sha256:
+        for folder in folders:
+            path = folder / data_set.name / file_name
+            if os.path.isfile(path):  # noqa: PTH113 - never raises
+                found[file_name] = path
+                break
+    return found
+
+
+def complete(data_set: Known, files: Mapping[str, Path]) -> bool:
+    """Tell whether `files` are all that `data_set` consists of."""
+    return data_set.sha256.keys() <= files.keys()
+
+
+def searched() -> str:
+    """Return in words where a data set was looked for."""
+    folder = data_folder()
+    if folder is None:
+        first = f"{DATA_VARIABLE} is not set"
+    elif os.path.isdir(folder):  # noqa: PTH112 - never raises
+        first = f"{DATA_VARIABLE} is {shown(folder)}"
+    else:
+        first = f"{DATA_VARIABLE} is {shown(folder)}, which is no folder"
+    return f"{first}; cache is {shown(cache_folder())}"
+
+
+def shown(path: Path) -> str:
+    """Return a path as text that can be printed whatever bytes its name has."""
+    return str(path).encode("utf-8", "replace").decode()
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return what a file holds.
+
+    Raises
+    ------
+    DataError
+        If it cannot be had.
+    """
+    try:
+        if not path.is_file():
+            reason = "this is a folder, not a file" if path.is_dir() else "no such file"
+            raise DataError(f"{shown(path)}: {reason}")
+        return path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{shown(path)}: cannot be read ({error.strerror})") from None
+    except MemoryError:
+        raise DataError(f"{shown(path)}: the file is too large for the memory") from None
+
+
+def checked_bytes(path: Path, *, data_set: Known) -> bytes:
+    """Return what a file of a known data set holds.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or is not the file that the registry means.
+    """
+    data = read_bytes(path)
+    expected = data_set.sha256[path.name]
+    actual = hashlib.sha256(data).hexdigest()
+    if actual != expected:
+        raise DataError(
+            f"{shown(path)} is not the {path.name} of {data_set.name}: sha256 is {actual}, "
+            f"expected {expected}. Remove it and run `python -m isac_track.datasets fetch "
+            f"{data_set.name}`, or use it as a recording of your own: give its path, --format "
+            f"{data_set.format} and --fps"
+        )
+    return data

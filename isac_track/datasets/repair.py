@@ -1,0 +1,217 @@
+"""From rows to tracks: sort, mend, split, and count everything that was not taken as it stood."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.datasets.rows import Place, Repair, Rows, listed
+from isac_track.errors import DataError
+from isac_track.types import Tracks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from isac_track.types import Bools, Floats, Ints
+
+GAP_STEPS = 1.75
+"""A step longer than this many median steps of the file is a gap (a lost frame makes 2)."""
+SPLIT_S = 2.0
+"""A gap longer than this, and than `SPLIT_STEPS`, ends the track: to bridge it invents a walk."""
+SPLIT_STEPS = 3.0
+"""Slow recordings may have longer gaps: this many median steps."""
+SPEED_LIMITS_MPS = (0.01, 5.0)
+"""Bounds on the median speed of all steps that move: beyond them the units are wrong."""
+FAST_STEP_MPS = 12.0
+"""Faster than a sprinter: a jump of the tracker, counted and kept."""
+
+
+def to_tracks(
+    rows: Rows, *, groups: Iterable[tuple[str, str]] = ()
+) -> tuple[Tracks, tuple[Repair, ...]]:
+    """Return the tracks of a recording and all that was mended or let pass on the way.
+
+    The tracks do not depend on the order of the rows. `groups` are (id, label) pairs beside
+    those of the file itself.
+
+    Raises
+    ------
+    DataError
+        If one person is at two places at one time, if no track has two samples, or if the
+        speeds show that units, frame rate or columns are wrong.
+    """
+    place = rows.place
+    notes = list(rows.notes)
+    order, note = _sorted(rows)
+    notes += note
+    order, note = _without_copies(rows, order=order)
+    notes += note
+    person, t, xy = rows.person[order], rows.t[order], rows.xy[order]
+
+    cut, note = _cuts(person=person, t=t, order=order, place=place)
+    notes += note
+    offsets = np.concatenate([[0], np.flatnonzero(cut) + 1, [t.size]])
+    lengths = np.diff(offsets)
+    owner = person[offsets[:-1]]
+    single = lengths == 1
+    if single.any():
+        lost = order[offsets[:-1][single]]
+        who = listed([rows.ids[index] for index in owner[single]])
+        detail = f"{place.first(lost)}: a single sample (id {who}); dropped"
+        notes.append(Repair("one-point", int(single.sum()), detail))
+        keep = np.repeat(~single, lengths)
+        person, t, xy, order = person[keep], t[keep], xy[keep], order[keep]
+        owner, lengths = owner[~single], lengths[~single]
+        offsets = np.concatenate([[0], np.cumsum(lengths)])
+    if not t.size:
+        raise DataError(f"{place.path}: no track has two samples")
+    notes += _check_speeds(t=t, xy=xy, offsets=offsets, order=order, place=place)
+
+    cluster = walking_groups(ids=rows.ids, members=(*rows.groups, *groups))
+    tracks = Tracks(
+        t=t,
+        xy=xy,
+        offsets=offsets,
+        source=_names(owner=owner, ids=rows.ids),
+        group=tuple(cluster[index] for index in owner),
+    )
+    return tracks, tuple(notes)
+
+
+def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """Return the cluster of every id: those who share a label, directly or over others.
+
+    An id without a label is a cluster of its own, called like the id. A labelled cluster is
+    ``group:LABEL``, and never called like another id.
+
+    Parameters
+    ----------
+    ids : tuple of str
+        Distinct ids.
+    members : iterable of (id, label)
+        Who belongs to which group; an id may belong to several, which then are one.
+    """
+    labels_of: dict[str, list[str]] = {}
+    parent: dict[str, str] = {}
+
+    def root(label: str) -> str:
+        while parent[label] != label:
+            parent[label] = parent[parent[label]]
+            label = parent[label]
+        return label
+
+    for name, label in members:
+        parent.setdefault(label, label)
+        own = labels_of.setdefault(name, [])
+        own.append(label)
+        # The lesser label names the cluster, whatever the order of the members.
+        first, second = sorted((root(own[0]), root(label)))
+        parent[second] = first
+
+    prefix = "group:"
+    while any(name.startswith(prefix) for name in ids):
+        prefix = f"group{prefix}"
+    return tuple(prefix + root(labels_of[name][0]) if name in labels_of else name for name in ids)
+
+
+def _sorted(rows: Rows) -> tuple[Ints, list[Repair]]:
+    """Return the order by person, time and row, and how many rows went back in time."""
+    by_person = np.argsort(rows.person, kind="stable")
+    steps = np.diff(rows.t[by_person])
+    back = (steps < 0) & (np.diff(rows.person[by_person]) == 0)
+    order = np.lexsort((rows.t, rows.person))  # stable
+    if not back.any():
+        return order, []
+    late = by_person[1:][back]
+    detail = f"{rows.place.first(late)}: earlier than the row before of the same id; sorted"
+    return order, [Repair("unsorted", late.size, detail)]
+
+
+def _without_copies(rows: Rows, *, order: Ints) -> tuple[Ints, list[Repair]]:
+    t, xy, person = rows.t[order], rows.xy[order], rows.person[order]
+    again = (np.diff(t) == 0) & (np.diff(person) == 0)
+    if not again.any():
+        return order, []
+    other = again & (np.diff(xy, axis=0) != 0).any(axis=1)
+    if other.any():
+        at = int(np.flatnonzero(other)[0])
+        first, second = sorted((int(order[at]), int(order[at + 1])))
+        line = int(rows.place.lines()[first])
+        raise DataError(
+            f"{rows.place.at(second)}: id {rows.ids[person[at]]} is somewhere else at the same "
+            f"time in {rows.place.unit} {line}"
+        )
+    copies = order[1:][again]
+    detail = f"{rows.place.first(copies)}: the same id, time and position again; dropped"
+    return order[np.concatenate([[True], ~again])], [Repair("duplicate", copies.size, detail)]
+
+
+def _cuts(*, person: Ints, t: Floats, order: Ints, place: Place) -> tuple[Bools, list[Repair]]:
+    """Return (M - 1,) where a new track begins: at a new person, or behind a long gap."""
+    steps = np.diff(t)
+    new = np.diff(person) != 0
+    if new.all():
+        return new, []
+    nominal = float(np.median(steps[~new]))
+    gap = ~new & (steps > GAP_STEPS * nominal)
+    long = gap & (steps > max(SPLIT_S, SPLIT_STEPS * nominal))
+    notes = []
+    for where, kind, done in (
+        (gap & ~long, "gap", "kept, to be interpolated"),
+        (long, "split", "too long to interpolate; two tracks of one group"),
+    ):
+        if where.any():
+            longest = float(steps[where].max())
+            detail = (
+                f"{place.first(order[1:][where])}: behind a gap (longest {longest:.3g} s, "
+                f"usual step {nominal:.3g} s); {done}"
+            )
+            notes.append(Repair(kind, int(where.sum()), detail))
+    return new | long, notes
+
+
+def _names(*, owner: Ints, ids: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the source id of every track: the person's, numbered where a track was split."""
+    mark = "#"
+    while any(mark in name for name in ids):
+        mark += "#"
+    pieces = np.bincount(owner, minlength=len(ids))
+    seen = dict.fromkeys(range(len(ids)), 0)
+    names = []
+    for index in owner.tolist():
+        seen[index] += 1
+        names.append(f"{ids[index]}{mark}{seen[index]}" if pieces[index] > 1 else ids[index])
+    return tuple(names)
+
+
+def _check_speeds(
+    *, t: Floats, xy: Floats, offsets: Ints, order: Ints, place: Place
+) -> list[Repair]:
+    inside = np.ones(t.size - 1, dtype=bool)
+    inside[offsets[1:-1] - 1] = False
+    distance = np.linalg.norm(np.diff(xy, axis=0), axis=1)[inside]
+    # Multiplied out: a step of a denormal time would overflow the quotient.
+    duration = np.diff(t)[inside]
+    moving = distance > 0
+    if not moving.any():
+        return []
+    low, high = SPEED_LIMITS_MPS
+    with np.errstate(over="ignore"):
+        speed = float(np.median(distance[moving] / duration[moving]))
+    if not low <= speed <= high:
+        guess = (
+            "pixels or centimetres for metres, a wrong --fps, or frame and id swapped"
+            if speed > high
+            else "milliseconds for seconds, kilometres for metres, or a wrong --fps"
+        )
+        raise DataError(
+            f"{place.path}: the median speed of moving people is {speed:.3g} m/s, not within "
+            f"{low:g} to {high:g}: {guess}?"
+        )
+    fast = distance > FAST_STEP_MPS * duration
+    if not fast.any():
+        return []
+    at = order[1:][inside][fast]
+    detail = f"{place.first(at)}: over {FAST_STEP_MPS:g} m/s from the sample before; kept"
+    return [Repair("fast-step", at.size, detail)]

@@ -1,0 +1,202 @@
+"""Rows of a recording as a reader found them, and the means to say where a row stands."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from isac_track.types import Floats, Ints
+
+POSITION_LIMIT_M = 1e9
+"""No coordinate on Earth is larger; beyond it differences would overflow or lose the metre."""
+TIME_LIMIT_S = 1e12
+"""About 30,000 years: a larger clock is not in seconds."""
+WHOLE_LIMIT = 2.0**53
+"""Frames and ids are read as float64, which holds every whole number below this."""
+FPS_LIMITS = (1e-3, 1e6)
+"""Frames per second outside are a mistake, and would overflow the clock."""
+_SHOWN = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """Something that was mended, left out or let pass on reading, and how often."""
+
+    kind: str
+    """One of the kinds of ``docs/data.md``, such as `duplicate` or `gap`."""
+    count: int
+    """Rows, steps or tracks, as `detail` says."""
+    detail: str
+    """File, first line numbers, and what was done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the rows of one file stand in it."""
+
+    path: str
+    lines: Callable[[], Ints]
+    """Gives (M,) the line number of every row, from 1; called only if a row must be named."""
+    unit: str = "line"
+
+    def at(self, row: int) -> str:
+        """Return ``FILE, line N`` of one row."""
+        return f"{self.path}, {self.unit} {int(self.lines()[row])}"
+
+    def first(self, rows: Ints) -> str:
+        """Return ``FILE: lines N, N, ...`` of the first of `rows`, in the order of the file."""
+        numbers = np.sort(self.lines()[rows])
+        plural = "s" if numbers.size > 1 else ""
+        shown = listed([str(number) for number in numbers])
+        return f"{self.path}: {self.unit}{plural} {shown}"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Rows:
+    """M rows of a recording: numbers checked, nothing sorted or mended yet."""
+
+    person: Ints
+    """(M,) index into `ids`"""
+    ids: tuple[str, ...]
+    """Who was recorded, each id once, in the order of the tracks to be."""
+    t: Floats
+    """(M,) s, on the file's own clock"""
+    xy: Floats
+    """(M, 2) m"""
+    place: Place
+    groups: tuple[tuple[str, str], ...] = ()
+    """(id, label of a walking group) pairs."""
+    notes: tuple[Repair, ...] = ()
+    """What the reader itself mended or left out."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Join the first few of `names` and count the others."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
+
+
+def fault(*, path: str, line: int, message: str) -> DataError:
+    """Return the error of one line."""
+    return DataError(f"{path}, line {line}: {message}")
+
+
+def decode(*, data: bytes, path: str) -> str:
+    r"""Return the text of a file, without byte-order mark and with ``\n`` line ends.
+
+    Raises
+    ------
+    DataError
+        If the file is empty, compressed, binary, or not UTF-8.
+    """
+    if not data:
+        raise DataError(f"{path}: the file is empty")
+    if data.startswith(b"\x1f\x8b"):
+        raise DataError(f"{path}: the file is compressed (gzip); unpack it first")
+    if data.startswith(b"PAR1"):
+        raise DataError(f"{path}: this is a parquet file; read it with --format parquet")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise DataError(f"{path}: the file is UTF-16 text; save it as UTF-8")
+    if b"\0" in data:
+        raise DataError(f"{path}: the file is binary, not text (zero byte at {data.index(0)})")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        # With a mark, `error.start` counts from behind it; the line number is the same.
+        line = error.object[: error.start].count(b"\n") + 1
+        byte = error.object[error.start]
+        message = f"byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8"
+        raise fault(path=path, line=line, message=message) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def checked_fps(fps: float, *, where: str) -> float:
+    """Return `fps` if it is a frame rate.
+
+    Raises
+    ------
+    DataError
+        If it is not a finite number within `FPS_LIMITS`; `where` opens the message.
+    """
+    low, high = FPS_LIMITS
+    if not low <= fps <= high:  # NaN fails both
+        raise DataError(f"{where}: {fps:g} frames per second is not a frame rate above 0")
+    return fps
+
+
+def check_numbers(
+    columns: Sequence[Floats],
+    *,
+    names: Sequence[str],
+    limits: Sequence[float],
+    whole: frozenset[str] = frozenset(),
+    place: Place,
+) -> None:
+    """Check that all numbers are finite, below their limit and, if in `whole`, whole.
+
+    Raises
+    ------
+    DataError
+        For the first offending row, with its line.
+    """
+    bad = np.zeros((columns[0].size, len(columns)), dtype=bool)
+    for index, (column, name, limit) in enumerate(zip(columns, names, limits, strict=True)):
+        bad[:, index] = ~(np.abs(column) < limit)  # True for NaN
+        if name in whole:
+            bad[:, index] |= column != np.floor(column)
+    rows = np.flatnonzero(bad.any(axis=1))
+    if not rows.size:
+        return
+    row = int(rows[0])
+    index = int(np.flatnonzero(bad[row])[0])
+    value, name, limit = float(columns[index][row]), names[index], limits[index]
+    if not np.isfinite(value):
+        reason = f"{name} is {value:g}; leave such rows out (a gap is allowed)"
+    elif abs(value) >= limit:
+        reason = f"{name} is {value:g}: out of range (below {limit:g} is expected)"
+    else:
+        reason = f"{name} {value:g} is not a whole number"
+    raise DataError(f"{place.at(row)}: {reason}")
+
+
+_DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
+
+
+def clean_id(text: str) -> str:
+    """Return the id that `text` stands for: ``1.0`` is ``1``, names stay as they are.
+
+    Raises
+    ------
+    ValueError
+        If it is empty, or a number that is not whole; the message says so.
+    """
+    name = text.strip()
+    if name.lower() in {"", "nan", "none", "null"}:
+        raise ValueError("the id is missing")
+    if _DECIMAL.fullmatch(name):
+        number = float(name)
+        if not abs(number) < WHOLE_LIMIT or number != int(number):
+            raise ValueError(f"id {name} is not a whole number")
+        return str(int(number))
+    return name
+
+
+def number_ids(numbers: Floats) -> tuple[Ints, tuple[str, ...]]:
+    """Return (M,) index and the ids in ascending order of checked whole numbers (M,)."""
+    unique, inverse = np.unique(numbers.astype(np.int64), return_inverse=True)
+    return inverse.astype(np.int64), tuple(str(value) for value in unique)
+
+
+def sort_ids(names: set[str]) -> tuple[str, ...]:
+    """Return ids in ascending order: as numbers if all of them are, else as text."""
+    if all(re.fullmatch(r"-?[0-9]{1,18}", name) for name in names):
+        return tuple(sorted(names, key=lambda name: (int(name), name)))
+    return tuple(sorted(names))

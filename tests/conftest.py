@@ -1,0 +1,55 @@
+"""Tracks to test on: small made-up ones everywhere, the real recording where it is at hand."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isac_track import datasets
+from isac_track.rng import stream
+from isac_track.types import Tracks
+
+
+def made_up_tracks(*, n_tracks=12, duration_s=30.0, seed=0):
+    """Smooth random walks at 0.4 s steps, around (0, 0), each a group of its own."""
+    t = np.arange(0.0, duration_s + 1e-9, 0.4)
+    parts = []
+    for row in range(n_tracks):
+        rng = stream(seed, "test", "track", row)
+        velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal((t.size, 2)).cumsum(axis=0)
+        parts.append(rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0))
+    names = tuple(f"w{row}" for row in range(n_tracks))
+    return Tracks(
+        t=np.tile(t, n_tracks),
+        xy=np.concatenate(parts),
+        offsets=np.arange(n_tracks + 1) * t.size,
+        source=names,
+        group=names,
+    )
+
+
+@pytest.fixture(scope="session")
+def tracks():
+    return made_up_tracks()
+
+
+@pytest.fixture(scope="session")
+def students03():
+    root = os.environ.get("ISAC_TRACK_DATA")
+    if root is None or not (Path(root) / "students03" / "obsmat.txt").is_file():
+        pytest.skip("needs students03 in the folder that ISAC_TRACK_DATA names")
+    return datasets.load("students03")
+
+
+@pytest.fixture
+def csv_recording(tmp_path, tracks):
+    """The made-up tracks as a file of one's own."""
+    rows = [
+        f"{t:.2f},{source},{x:.4f},{y:.4f}"
+        for source, track in zip(tracks.source, tracks, strict=True)
+        for t, (x, y) in zip(track.t, track.xy, strict=True)
+    ]
+    path = tmp_path / "walks.csv"
+    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return path

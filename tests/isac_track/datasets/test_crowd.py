@@ -1,0 +1,359 @@
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isac_track.datasets import crowd, crowd_model, crowd_plan, crowd_stats
+from isac_track.datasets.crowd import CrowdSettings
+from isac_track.errors import DataError, SettingsError
+from isac_track.types import Tracks
+
+SHORT = CrowdSettings(duration_s=40.0, n_people=70)
+CONSTANT_DENSITY = CrowdSettings(duration_s=150.0, n_people=280)
+
+# Measured on Students03 by crowd_stats.statistics (see docs/plaza.md).
+STUDENTS03 = {
+    "step speed, mean [m/s]": 0.610,
+    "step speed, sd [m/s]": 0.464,
+    "steps below 0.2 m/s [share]": 0.255,
+    "moving speed between tracks, mean [m/s]": 0.854,
+    "moving speed between tracks, sd [m/s]": 0.247,
+    "turn rate, median [deg/s]": 9.55,
+    "turn rate, 95 % [deg/s]": 54.8,
+    "nearest neighbour, 5 % [m]": 0.444,
+    "nearest neighbour, median [m]": 0.690,
+    "people present, mean": 40.5,
+    "duration, median [s]": 14.8,
+    "duration, mean [s]": 20.0,
+    "tracks of at least 21.6 s [share]": 0.248,
+    "line prediction error, mean [m]": 0.204,
+    "line prediction error, everywhere, mean [m]": 0.180,
+    "line prediction error, median [m]": 0.163,
+    "tracks in walking groups [share]": 0.547,
+}
+
+
+@pytest.fixture(scope="module")
+def plaza():
+    return crowd.bundled(1)
+
+
+@pytest.fixture(scope="module")
+def plaza_statistics(plaza):
+    return crowd_stats.statistics(plaza)
+
+
+def make_tracks(*walks, frame_s=0.4):
+    """Tracks of the given positions, sampled every `frame_s`."""
+    return Tracks(
+        t=np.concatenate([frame_s * np.arange(len(walk)) for walk in walks]),
+        xy=np.concatenate([np.asarray(walk, dtype=float) for walk in walks]),
+        offsets=np.cumsum([0, *(len(walk) for walk in walks)]),
+        source=tuple(f"w{row}" for row in range(len(walks))),
+        group=tuple(f"w{row}" for row in range(len(walks))),
+    )
+
+
+def same(one, other):
+    return (
+        np.array_equal(one.xy, other.xy)
+        and np.array_equal(one.t, other.t)
+        and (one.source, one.group) == (other.source, other.group)
+    )
+
+
+# the generator
+
+
+def test_same_seed_same_millimetres():
+    assert same(crowd.generate(SHORT, seed=5), crowd.generate(SHORT, seed=5))
+
+
+@pytest.mark.parametrize("change", [{"seed": 6}, {"session": 2}])
+def test_another_seed_or_session_is_another_recording(change):
+    usual = {"seed": 5, "session": 1}
+    one, other = crowd.generate(SHORT, **usual), crowd.generate(SHORT, **usual | change)
+    assert not np.array_equal(one.t, other.t)
+
+
+def test_last_bits_of_the_machine_do_not_reach_the_tracks(monkeypatch):
+    exact = crowd.generate(SHORT, seed=5)
+    noise, avoidance = np.random.default_rng(0), crowd_model._avoidance
+
+    def with_other_last_bits(*args, **kwargs):
+        force = avoidance(*args, **kwargs)
+        return force * (1 + 4e-16 * noise.standard_normal(force.shape))
+
+    monkeypatch.setattr(crowd_model, "_avoidance", with_other_last_bits)
+    assert same(exact, crowd.generate(SHORT, seed=5))
+
+
+def test_traits_do_not_depend_on_how_many_others_there_are():
+    few = crowd_plan.draw_traits(replace(SHORT, n_people=10), seed=5)
+    many = crowd_plan.draw_traits(replace(SHORT, n_people=30), seed=5)
+    for name in crowd_plan.TRAIT_MEDIAN_AND_SPREAD:
+        assert np.array_equal(getattr(few, name), getattr(many, name)[:10])
+
+
+def test_trait_strength_scales_the_spread_about_the_same_median():
+    usual = crowd_plan.draw_traits(CrowdSettings(), seed=5)
+    alike = crowd_plan.draw_traits(CrowdSettings(trait_strength=0.0), seed=5)
+    double = crowd_plan.draw_traits(CrowdSettings(trait_strength=2.0), seed=5)
+    for name, (median, spread) in crowd_plan.TRAIT_MEDIAN_AND_SPREAD.items():
+        logs = np.log(getattr(usual, name) / median)
+        assert logs.std() == pytest.approx(spread, rel=0.1)
+        assert np.allclose(np.log(getattr(double, name) / median), 2 * logs)
+        assert np.allclose(getattr(alike, name), median)
+
+
+def test_everybody_walks_once_in_every_session():
+    for session in (1, 2):
+        tracks = crowd.generate(SHORT, seed=5, session=session)
+        assert tracks.source == tuple(crowd_plan.person_id(row) for row in range(SHORT.n_people))
+
+
+def test_without_traits_nobody_is_recognised_by_speed():
+    settings = replace(CONSTANT_DENSITY, trait_strength=0.0)
+    one, two = (
+        crowd_stats.moving_speeds_mps(crowd.generate(settings, seed=5, session=session))
+        for session in (1, 2)
+    )
+    walked = np.isfinite(one) & np.isfinite(two)
+    assert abs(np.corrcoef(one[walked], two[walked])[0, 1]) < 0.17  # 3 standard errors are 0.18
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"n_people": 0},
+        {"trait_strength": -1.0},
+        {"trait_strength": float("nan")},
+        {"duration_s": 4.0},
+        {"frame_s": 0.0},
+        {"area_m": (1.0, 0.0, 0.0, 1.0)},
+    ],
+)
+def test_settings_that_make_no_crowd_are_refused(wrong):
+    with pytest.raises(SettingsError):
+        CrowdSettings(**wrong)
+
+
+def test_sessions_are_numbered_from_one():
+    with pytest.raises(ValueError, match="numbered from 1"):
+        crowd.generate(SHORT, seed=5, session=0)
+
+
+# the forces
+
+
+def test_walkers_on_a_collision_course_are_pushed_apart_and_slowed():
+    x = np.array([[0.0, 0.0], [3.0, 0.1]])
+    v = np.array([[1.0, 0.0], [-1.0, 0.0]])
+    force = crowd_model._avoidance(x, v, together=np.eye(2, dtype=bool))
+    assert np.allclose(force[0], -force[1])
+    assert force[0, 0] < 0
+    assert force[0, 1] < 0 < force[1, 1]
+
+
+def test_anticipation_is_the_gradient_of_the_time_to_collision_energy():
+    v = np.array([[1.0, 0.1], [-0.4, 0.0]])
+
+    def energy(x):
+        dx, dv = x[0] - x[1], v[0] - v[1]
+        a, b = dv @ dv, -dx @ dv
+        tau = (b - np.sqrt(b**2 - a * (dx @ dx - crowd_model.COLLISION_M**2))) / a
+        return crowd_model.ENERGY_M2 / tau**2 * np.exp(-tau / crowd_model.FORESIGHT_S)
+
+    x = np.array([[0.0, 0.0], [4.0, 0.3]])
+    step = 1e-6 * np.eye(2)
+    first = np.array([[1.0], [0.0]])
+    slope = [(energy(x + first * shift) - energy(x - first * shift)) / 2e-6 for shift in step]
+    force = crowd_model._avoidance(x, v, together=np.eye(2, dtype=bool))[0]
+    assert np.allclose(force, -np.array(slope), rtol=1e-5)
+
+
+def test_people_who_walk_together_or_apart_do_not_anticipate():
+    x = np.array([[0.0, 0.0], [3.0, 0.1]])
+    apart = np.array([[-1.0, 0.0], [1.0, 0.0]])
+    assert np.allclose(
+        crowd_model._avoidance(x, apart, together=np.eye(2, dtype=bool)), 0, atol=1e-6
+    )
+    assert np.allclose(
+        crowd_model._avoidance(x, -apart, together=np.ones((2, 2), dtype=bool)), 0, atol=1e-6
+    )
+
+
+# the bundled sessions
+
+
+@pytest.mark.parametrize("session", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_the_bundled_sessions_are_the_generators_output(session):
+    made = crowd.generate(CrowdSettings(), seed=crowd.BUNDLED_SEED, session=session)
+    assert same(crowd.bundled(session), made)
+
+
+@pytest.mark.parametrize("session", crowd.SESSIONS)
+def test_the_bundled_files_are_small_and_load_without_pickle(session):
+    path = crowd.bundled_path(session)
+    assert path.stat().st_size < 400_000
+    with np.load(path, allow_pickle=False) as file:
+        assert all(file[name].dtype.kind in "ifU" for name in file.files)
+
+
+def test_plaza_is_in_metres_near_the_place_of_the_real_crowd(plaza):
+    assert 1000 <= len(plaza) <= 1200
+    assert (plaza.t.min(), plaza.t.max()) == (0.0, pytest.approx(600.0))
+    assert np.allclose(np.diff(plaza[0].t), 0.4)
+    low, high = np.quantile(plaza.xy, [0.01, 0.99], axis=0)
+    assert (low > [-7.5, -7.5]).all()
+    assert (high < [9.0, 9.0]).all()
+    assert (high - low > 11).all()
+
+
+@pytest.mark.parametrize("name", STUDENTS03)
+def test_plaza_resembles_students03(plaza_statistics, name):
+    assert plaza_statistics[name] == pytest.approx(STUDENTS03[name], rel=0.2)
+
+
+def test_plaza_offers_a_few_hundred_long_tracks(plaza):
+    assert 200 < crowd_stats.line_errors_m(plaza).size < 400
+
+
+def test_people_keep_their_speed_between_the_bundled_sessions(plaza):
+    second = crowd.bundled(2)
+    assert second.source == plaza.source
+    one, two = crowd_stats.moving_speeds_mps(plaza), crowd_stats.moving_speeds_mps(second)
+    sizes = [Counter(tracks.group) for tracks in (plaza, second)]
+    walked = np.isfinite(one) & np.isfinite(two)
+    alone = np.array(
+        [
+            sizes[0][first] == 1 and sizes[1][then] == 1
+            for first, then in zip(plaza.group, second.group, strict=True)
+        ]
+    )
+    assert np.corrcoef(one[walked], two[walked])[0, 1] > 0.2
+    assert np.corrcoef(one[walked & alone], two[walked & alone])[0, 1] > 0.5
+
+
+def test_groups_walk_together(plaza):
+    pairs = [name for name, size in Counter(plaza.group).items() if size == 2]
+    rows = {name: [] for name in pairs}
+    for row, name in enumerate(plaza.group):
+        if name in rows:
+            rows[name].append(row)
+    gaps, together = [], []
+    for first, other in rows.values():
+        one, two = plaza[first], plaza[other]
+        _, i, j = np.intersect1d(np.rint(one.t / 0.4), np.rint(two.t / 0.4), return_indices=True)
+        together.append(i.size / max(one.t.size, two.t.size))
+        gaps.append(np.median(np.hypot(*(one.xy[i] - two.xy[j]).T)))
+    assert np.quantile(together, 0.05) > 0.7
+    assert 0.4 < np.median(gaps) < 1.0
+    assert np.quantile(gaps, 0.95) < 1.5
+
+
+def test_company_is_new_in_the_second_session(plaza):
+    def companions(tracks):
+        parties = {}
+        for person, party in zip(tracks.source, tracks.group, strict=True):
+            parties.setdefault(party, []).append(person)
+        return {tuple(members) for members in parties.values() if len(members) > 1}
+
+    assert len(companions(plaza) & companions(crowd.bundled(2))) <= 2
+
+
+def test_the_table_in_the_document_is_that_of_the_bundled_files(plaza_statistics):
+    text = Path(__file__).parents[3].joinpath("docs", "plaza.md").read_text()
+    rows = [line.split("|")[1:3] for line in text.splitlines() if line.startswith("| ")]
+    table = {name.strip(): value for name, value in rows}
+    for name, value in plaza_statistics.items():
+        assert float(table[name]) == pytest.approx(value, rel=1e-3)
+
+
+def test_there_is_no_third_bundled_session():
+    with pytest.raises(ValueError, match="sessions 1 and 2"):
+        crowd.bundled_path(3)
+
+
+# the file
+
+
+def test_a_file_gives_back_the_millimetres(tmp_path):
+    tracks = make_tracks([(32.767, -32.767), (0.0, 1.0)], [(-32.767, 32.767)] * 3)
+    crowd.write_npz(tmp_path / "a.npz", tracks)
+    assert same(crowd.read_npz(tmp_path / "a.npz"), tracks)
+
+
+@pytest.mark.parametrize("x", [32.768, -32.768, 100.0])
+def test_a_coordinate_that_does_not_fit_is_refused(tmp_path, x):
+    with pytest.raises(DataError, match="does not fit in int16"):
+        crowd.write_npz(tmp_path / "a.npz", make_tracks([(0.0, 0.0), (x, 0.0)]))
+    assert not (tmp_path / "a.npz").exists()
+
+
+@pytest.mark.parametrize("frame_s", [0.3, 0.8])
+def test_a_track_with_gaps_or_off_the_clock_is_refused(tmp_path, frame_s):
+    tracks = make_tracks([(0.0, 0.0), (1.0, 0.0)], frame_s=frame_s)
+    with pytest.raises(DataError, match="without gaps"):
+        crowd.write_npz(tmp_path / "a.npz", tracks, frame_s=0.4)
+
+
+def test_a_file_of_another_kind_is_an_error_that_names_it(tmp_path):
+    (tmp_path / "text.npz").write_text("no")
+    np.savez(tmp_path / "other.npz", x=np.zeros(2))
+    for name in ("text.npz", "other.npz", "missing.npz"):
+        with pytest.raises(DataError, match=name):
+            crowd.read_npz(tmp_path / name)
+
+
+def test_the_command_writes_both_sessions(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(crowd, "CrowdSettings", lambda **changes: replace(SHORT, **changes))
+    assert crowd.main(["--out", str(tmp_path / "new"), "--seed", "5"]) == 0
+    made = crowd.read_npz(tmp_path / "new" / "plaza_session2.npz")
+    assert same(made, crowd.generate(SHORT, seed=5, session=2))
+    assert capsys.readouterr().out.count("70 tracks") == 2
+
+
+# the statistics, by hand
+
+
+def test_speeds_and_turns_of_a_square_corner():
+    # 1 m/s east for 1.6 s, then north: one turn of 90 degrees, sampled across the corner.
+    tracks = make_tracks([(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)])
+    assert np.allclose(crowd_stats.step_speeds_mps(tracks), 1.0)
+    assert np.allclose(crowd_stats.turn_rates_dps(tracks), 90 / 0.8)
+    assert np.allclose(crowd_stats.moving_speeds_mps(tracks), 1.0)
+
+
+def test_nobody_turns_who_stands_and_steps_never_cross_tracks():
+    tracks = make_tracks([(0, 0)] * 6, [(5, 5)] * 6)
+    assert crowd_stats.turn_rates_dps(tracks).size == 0
+    assert crowd_stats.step_speeds_mps(tracks).size == 10
+    assert np.isnan(crowd_stats.moving_speeds_mps(tracks)).all()
+
+
+def test_neighbours_are_counted_per_frame():
+    nearest, present = crowd_stats.neighbour_distances_m(
+        make_tracks([(0, 0), (0, 0)], [(3, 4), (0, 1)], [(9, 9)])
+    )
+    assert present.tolist() == [3, 2]
+    assert np.allclose(sorted(nearest), [1, 1, 5, 5, np.hypot(6, 5)])
+
+
+def test_a_straight_walk_is_predicted_by_a_line_and_a_bent_one_is_not():
+    t = 0.4 * np.arange(80)
+    straight = make_tracks(np.stack([t, -0.5 * t], axis=1))
+    assert crowd_stats.line_errors_m(straight) == pytest.approx([0.0], abs=1e-9)
+    assert crowd_stats.line_errors_m(straight, everywhere=True).size > 10
+    # x = a t^2 / 2: the line through a window of length w, at h past its end, errs by
+    # a / 2 * (h^2 + h w + w^2 / 6) in the limit of many samples.
+    bent = make_tracks(np.stack([0.05 * t**2, 0 * t], axis=1))
+    assert crowd_stats.line_errors_m(bent)[0] == pytest.approx(
+        0.05 * (0.917**2 + 0.917 * 1.25 + 1.25**2 / 6), rel=0.25
+    )
+
+
+def test_short_tracks_have_no_line_error():
+    assert crowd_stats.line_errors_m(make_tracks([(0, 0)] * 54)).size == 0

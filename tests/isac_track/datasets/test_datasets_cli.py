@@ -1,0 +1,175 @@
+# ruff: noqa: ARG001 - a fixture works by being asked for
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from isac_track.datasets.__main__ import main
+
+
+def start(*arguments, **options):
+    command = [sys.executable, "-m", "isac_track.datasets", *arguments]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, **(pipes | options))
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_table_lines_up(width, empty_machine, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert main([]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    table = lines[: lines.index("")]
+    assert {len(line) for line in table} == {len(table[0])}
+    assert len(table[0]) <= width
+    assert " ".join(table[0].split()) == "data set tracks >=12 s >=21.6 s median s m/s zero frozen"
+    assert "…" not in "".join(table)
+    names = [line.split()[0] for line in table[2:]]
+    assert names == ["students03", "zara01", "plaza", "plaza-session2"]
+    assert table[2].split()[1:] == ["-"] * 7
+    # Columns end where their headers end.
+    assert table[4].rindex("0", 0, table[0].index("frozen") + 6) == table[0].index("frozen") + 5
+    assert "not here; `python -m isac_track.datasets fetch zara01`" in "\n".join(lines)
+
+
+def test_the_list_of_what_is_here(ucy, capsys):
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    row = next(line for line in out.splitlines() if line.startswith("students03 "))
+    assert row.split() == ["students03", "428", "276", "106", "14.8", "0.80", "18.7%", "5"]
+    assert str(ucy / "students03" / "obsmat.txt") in out
+
+
+def test_the_list_goes_on_behind_a_damaged_file(empty_machine, capsys):
+    (empty_machine / "zara01").mkdir(parents=True)
+    (empty_machine / "zara01" / "obsmat.txt").write_text("other")
+    assert main([]) == 2
+    out = capsys.readouterr().out
+    assert "error: " in out
+    assert "is not the obsmat.txt of zara01" in out
+    assert "plaza.npz" in out
+
+
+def test_show_with_repairs(tmp_path, capsys):
+    path = tmp_path / "[red]walk.csv"
+    path.write_text("t,id,x,y\n0.4,1,0.4,0\n0,1,0,0\n0,1,0,0\n0.8,1,0.4,0\n0,2,0,0\n")
+    assert main(["show", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f"path         {path}" in out  # not taken for markup
+    assert "1 in 1 groups, 3 samples" in out
+    assert "50.0% of all steps have exactly no length" in out
+    assert f"1 unsorted       {path}: line 3: earlier" in out
+    assert f"1 duplicate      {path}: line 4: the same id" in out
+    assert f"1 one-point      {path}: line 6: a single sample" in out
+    steps = next(line for line in out.splitlines() if line.startswith("steps of no length"))
+    assert steps.split()[-5:] == [c for c in steps.split() if c not in "steps of no length │"]
+
+
+def test_show_takes_format_and_fps(tmp_path, capsys):
+    path = tmp_path / "walk.txt"
+    path.write_text("0 1 0 0\n10 1 0.4 0\n")
+    assert main(["show", str(path), "--format", "social-gan", "--fps", "25"]) == 0
+    assert "format       social-gan" in capsys.readouterr().out
+    assert main(["show", str(path), "--format", "social-gan"]) == 2
+    assert "--fps" in capsys.readouterr().err
+
+
+def test_show_names_the_frozen(ucy, capsys):
+    assert main(["show", "students03"]) == 0
+    out = capsys.readouterr().out
+    assert "5 tracks with at least 90% steps of no length: 289, 453, 454, 468, 473" in out
+    assert "Lerner" in out
+
+
+@pytest.mark.parametrize("command", ["show", "fetch"])
+def test_a_mistake_is_one_line_and_2(command, empty_machine, capsys):
+    assert main([command, "student03"]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.startswith(
+        "error: 'student03' is neither a known data set nor a file; did you"
+    )
+    assert shown.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["nonsense"], ["show"], ["show", "a", "--fps", "fast"]])
+def test_wrong_usage_is_2(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert "usage:" in capsys.readouterr().err
+
+
+def test_fetch(ucy, mirror, empty_machine, capsys):
+    for name in ("obsmat.txt", "groups.txt"):
+        mirror.files[f"/base/students03/{name}"] = (ucy / "students03" / name).read_bytes()
+    target = empty_machine / "students03" / "obsmat.txt"
+    assert main(["fetch", "students03", "plaza"]) == 0
+    out = capsys.readouterr().out
+    assert f"students03: fetched: {target}" in out
+    assert "plaza is bundled: nothing to fetch" in out
+    assert main(["fetch", "students03"]) == 0
+    assert f"students03: already here: {target}" in capsys.readouterr().out
+    assert len(mirror.asked) == 2
+    target.write_bytes(b"damaged")  # in our own cache: replaced
+    assert main(["fetch", "students03"]) == 0
+    assert len(mirror.asked) == 3
+    assert target.read_bytes() == mirror.files["/base/students03/obsmat.txt"]
+
+
+def test_fetch_leaves_a_wrong_file_of_the_users_alone(mirror, monkeypatch, tmp_path, capsys):
+    mine = tmp_path / "data" / "zara01" / "obsmat.txt"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
+    assert main(["fetch", "zara01"]) == 2
+    assert "is not the obsmat.txt of zara01" in capsys.readouterr().err
+    assert mine.read_text() == "mine"
+    assert mirror.asked == []
+
+
+def test_fetch_offline(empty_machine, capsys):
+    assert main(["fetch", "zara01"]) == 2
+    err = capsys.readouterr().err
+    assert "no connection" in err
+    assert "Way out" in err
+    assert "Traceback" not in err
+
+
+def test_an_interrupt_ends_with_130_and_leaves_nothing(mirror, empty_machine):
+    asked, over = threading.Event(), threading.Event()
+
+    def stall(handler):
+        handler.send_response(200)
+        handler.send_header("Content-Length", "100000")
+        handler.end_headers()
+        handler.wfile.write(b"1 " * 20_000)
+        asked.set()
+        over.wait(10)
+
+    mirror.files["/base/zara01/obsmat.txt"] = stall
+    process = start("fetch", "zara01")
+    try:
+        assert asked.wait(10)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=10)
+    finally:
+        over.set()
+        process.kill()
+        process.wait()
+    assert process.returncode == 130
+    assert err.endswith("interrupted\n")
+    assert "Traceback" not in out + err
+    assert [path for path in empty_machine.rglob("*") if path.is_file()] == []
+
+
+def test_a_reader_that_has_seen_enough(empty_machine):
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    process = start(stdout=write_end)
+    os.close(write_end)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 1  # so rich has it
+    assert err == ""

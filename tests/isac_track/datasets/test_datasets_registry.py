@@ -1,0 +1,250 @@
+# ruff: noqa: ARG001 - a fixture works by being asked for
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from isac_track.datasets import load
+from isac_track.datasets.download import fetch, url_of
+from isac_track.datasets.registry import KNOWN, Known, locate
+from isac_track.errors import DataError
+
+WALK = b"1 1 0 0 0 0 0 0\n11 1 0.4 0 0 0 0 0\n"
+OTHER = WALK + b"\n"
+SMALL = Known(
+    name="small",
+    about="",
+    citation="",
+    licence="",
+    format="obsmat",
+    fps=25.0,
+    sha256={"obsmat.txt": hashlib.sha256(WALK).hexdigest()},
+)
+
+
+def files_in(folder):
+    return [path for path in folder.rglob("*") if path.is_file()]
+
+
+def put(folder, name, *sources, **contents):
+    (folder / name).mkdir(parents=True)
+    for source in sources:
+        shutil.copyfile(source, folder / name / source.name)
+    for file_name, data in contents.items():
+        (folder / name / f"{file_name}.txt").write_bytes(data)
+
+
+def test_a_plain_import_and_the_help_stay_light():
+    code = (
+        "import sys; from isac_track.datasets.__main__ import _parser; _parser().format_help();"
+        "print(*{'pandas', 'pooch', 'rich', 'pyarrow', 'scipy', 'requests', 'matplotlib'}"
+        " & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
+def test_the_default_is_the_bundled_crowd_with_a_notice(empty_machine):
+    loaded = load()
+    assert (loaded.name, loaded.simulated, loaded.repairs) == ("plaza", True, ())
+    assert loaded.path == "isac_track/datasets/plaza.npz"
+    assert "students03 is not here (ISAC_TRACK_DATA is not set; cache is" in loaded.notice
+    assert "python -m isac_track.datasets fetch students03" in loaded.notice
+
+
+def test_the_default_says_so_if_the_data_folder_is_none(empty_machine, monkeypatch, tmp_path):
+    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "typo"))
+    assert "typo, which is no folder" in load().notice
+
+
+def test_the_default_never_asks_a_network(mirror):
+    load()
+    assert mirror.asked == []
+
+
+def test_the_bundled_sessions_by_name(empty_machine):
+    first, second = load("plaza"), load("plaza-session2")
+    assert first.notice is None
+    assert first.sha256 != second.sha256
+    assert first.citation
+    assert first.licence
+    assert set(first.tracks.source) & set(second.tracks.source)  # the same people
+
+
+def test_the_default_takes_the_real_recording_if_it_is_here(ucy):
+    loaded = load()
+    assert (loaded.name, loaded.simulated, loaded.notice) == ("students03", False, None)
+    assert loaded.path == str(ucy / "students03" / "obsmat.txt")
+    assert loaded.sha256 == KNOWN["students03"].sha256["obsmat.txt"]
+    assert "Lerner" in loaded.citation
+
+
+def test_data_folder_before_cache(empty_machine, monkeypatch, tmp_path):
+    put(empty_machine, "small", obsmat=WALK)
+    assert locate(SMALL) == {"obsmat.txt": empty_machine / "small" / "obsmat.txt"}
+    put(tmp_path / "data", "small", obsmat=WALK)
+    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
+    assert locate(SMALL) == {"obsmat.txt": tmp_path / "data" / "small" / "obsmat.txt"}
+
+
+@pytest.mark.parametrize("name", [None, "students03"])
+def test_a_wrong_file_is_an_error_with_both_hashes(name, ucy, empty_machine, monkeypatch, tmp_path):
+    data = tmp_path / "data"
+    put(data, "students03", ucy / "students03" / "groups.txt", obsmat=WALK)
+    monkeypatch.setenv("ISAC_TRACK_DATA", str(data))
+    with pytest.raises(DataError) as caught:
+        load(name)
+    message = str(caught.value)
+    assert message.startswith(f"{data}/students03/obsmat.txt is not the obsmat.txt of students03")
+    assert hashlib.sha256(WALK).hexdigest() in message
+    assert KNOWN["students03"].sha256["obsmat.txt"] in message
+    assert "give its path, --format obsmat and --fps" in message
+    # The way out that it names.
+    assert load(data / "students03" / "obsmat.txt", format="obsmat", fps=25).tracks.t.size == 2
+
+
+def test_students03_without_its_groups_is_an_error_not_other_intervals(
+    ucy, empty_machine, monkeypatch, tmp_path
+):
+    put(tmp_path / "data", "students03", ucy / "students03" / "obsmat.txt")
+    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
+    for name in (None, "students03"):
+        with pytest.raises(DataError, match=r"students03: groups.txt not found; .*obsmat.txt is "):
+            load(name, download=False)
+
+
+def test_a_mistyped_name(empty_machine):
+    with pytest.raises(
+        DataError, match=r"'student03' is neither .* did you mean students03\? .*zara01"
+    ):
+        load("student03")
+    with pytest.raises(DataError, match=r"'xyz' is neither a known data set nor a file \(known: "):
+        load("xyz")
+
+
+def test_paths_that_are_no_files(empty_machine, tmp_path):
+    with pytest.raises(DataError, match=r"walk.csv: no such file"):
+        load("walk.csv")
+    with pytest.raises(DataError, match=r"this is a folder"):
+        load(tmp_path)
+    with pytest.raises(DataError, match=r"no such file"):
+        load("walk\0.csv")
+    with pytest.raises(DataError, match=r"cannot be read .File name too long"):
+        load("x" * 5000 + ".csv")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_does_not_hang(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(DataError, match=r"no such file"):
+        load(tmp_path / "pipe.csv")
+
+
+@pytest.mark.parametrize("name", [None, "plaza", "students03"])
+def test_a_known_data_set_takes_no_format(name, empty_machine):
+    with pytest.raises(DataError, match=r"leave --format and --fps out"):
+        load(name, fps=25)
+
+
+def test_named_but_not_here_and_not_to_be_downloaded(mirror):
+    with pytest.raises(DataError, match=r"zara01: obsmat.txt not found .*fetch zara01"):
+        load("zara01", download=False)
+    assert mirror.asked == []
+
+
+def test_a_named_data_set_is_downloaded_once(ucy, mirror):
+    for name in ("obsmat.txt", "groups.txt"):
+        mirror.files[f"/base/students03/{name}"] = (ucy / "students03" / name).read_bytes()
+    first = load("students03")
+    assert (len(first.tracks), first.notice) == (428, None)
+    again = load("students03")
+    assert again.path == first.path
+    assert load().name == "students03"  # and is the default from now on
+    assert mirror.asked == ["/base/students03/obsmat.txt", "/base/students03/groups.txt"]
+
+
+def test_a_download_shows_its_progress_on_stderr(mirror, empty_machine, capsys):
+    mirror.files["/base/small/obsmat.txt"] = WALK
+    files = fetch(SMALL, found={})
+    assert files == {"obsmat.txt": empty_machine / "small" / "obsmat.txt"}
+    assert files["obsmat.txt"].read_bytes() == WALK
+    shown = capsys.readouterr()
+    assert "small/obsmat.txt" in shown.err
+    assert f"{len(WALK)}/{len(WALK)} bytes" in shown.err
+    assert shown.out == ""
+
+
+def truncated(handler):
+    handler.send_response(200)
+    handler.send_header("Content-Length", str(len(WALK)))
+    handler.end_headers()
+    handler.wfile.write(WALK[:10])
+
+
+def closed(handler):
+    handler.connection.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (404, "the server answered 404"),
+        (503, "the server answered 503"),
+        (
+            OTHER,
+            f"not the expected file: sha256 is {hashlib.sha256(OTHER).hexdigest()}",
+        ),
+        (b"", "not the expected file: sha256 is e3b0c442"),
+        (truncated, "the connection broke off"),
+        (closed, "no connection, or it broke off"),
+    ],
+    ids=["not there", "down", "other file", "nothing", "truncated", "closed"],
+)
+def test_a_failed_download_is_one_line_and_leaves_nothing(mirror, empty_machine, answer, message):
+    mirror.files["/base/small/obsmat.txt"] = answer
+    with pytest.raises(DataError) as caught:
+        fetch(SMALL, found={})
+    assert str(caught.value).startswith(f"{url_of(SMALL, 'obsmat.txt')}: {message}")
+    assert "Way out: get obsmat.txt of that folder" in str(caught.value)
+    assert "save in DIR/small and set ISAC_TRACK_DATA=DIR" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert files_in(empty_machine) == []
+
+
+def test_nobody_listens(empty_machine):
+    with pytest.raises(DataError, match=r"127.0.0.1:1/zara01/obsmat.txt: no connection"):
+        load("zara01")
+    assert files_in(empty_machine) == []
+
+
+@pytest.mark.parametrize("base", ["ftp://127.0.0.1", "nonsense", "http://"])
+def test_a_mirror_that_is_no_address(base, empty_machine, monkeypatch):
+    monkeypatch.setenv("ISAC_TRACK_MIRROR", base)
+    with pytest.raises(DataError, match=r"cannot be downloaded"):
+        fetch(SMALL, found={})
+
+
+def test_a_proxy_that_refuses(mirror, empty_machine, monkeypatch):
+    monkeypatch.delenv("NO_PROXY")
+    monkeypatch.delenv("no_proxy", raising=False)
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")
+    with pytest.raises(DataError, match=r"the proxy refuses the connection. Way out"):
+        fetch(SMALL, found={})
+
+
+def test_a_cache_that_cannot_be_written(mirror, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("ISAC_TRACK_CACHE", str(tmp_path / "file"))
+    with pytest.raises(DataError, match=r"small/obsmat.txt: cannot be written \(Not a directory\)"):
+        fetch(SMALL, found={})
+
+
+def test_the_real_address_is_a_pinned_commit(monkeypatch):
+    monkeypatch.delenv("ISAC_TRACK_MIRROR", raising=False)
+    assert url_of(KNOWN["students03"], "groups.txt") == (
+        "https://raw.githubusercontent.com/crowdbotp/OpenTraj/"
+        "97ec1d5e1b579f26febeaa9083705952deac338a/datasets/UCY/students03/groups.txt"
+    )
