@@ -15,6 +15,7 @@ import types
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from typing import Any, Literal, TypeAlias, Union, get_args, get_origin, get_type_hints
 
 from isac_track.errors import PluginError, SettingsError
@@ -81,7 +82,7 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     PluginError
         If the plug-in cannot be imported or is not what its kind must be.
     """
-    name, value, options = _split(spec)
+    name, value, options = _split(kind, spec)
     cls, origin = _load(kind, name)
     hints = _hints(cls, origin)
     items = [item for item in dataclasses.fields(cls) if item.init]
@@ -153,9 +154,9 @@ def _plugin(
     return Plugin(name=column, level=level, spec=canonical, origin=origin, instance=instance)
 
 
-def _split(spec: str) -> tuple[str, str | None, dict[str, str]]:
+def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
     name, _, rest = spec.strip().partition(":")
-    if "." in name:
+    if "." in name or _is_own_module(kind, name, rest):
         cls, _, rest = rest.partition(":")
         name = f"{name}:{cls}"
         if not cls.isidentifier():
@@ -177,9 +178,17 @@ def _split(spec: str) -> tuple[str, str | None, dict[str, str]]:
     return name, value, options
 
 
+def _is_own_module(kind: Kind, name: str, rest: str) -> bool:
+    """Whether ``name:Class`` means a module without a package, such as a file of one's own."""
+    attribute = rest.partition(":")[0]
+    if name in names(kind) or not (name.isidentifier() and attribute.isidentifier()):
+        return False
+    return find_spec(name) is not None
+
+
 def _load(kind: Kind, name: str) -> tuple[type, str]:
     known = names(kind)
-    origin = name if "." in name else known.get(name)
+    origin = name if ":" in name else known.get(name)
     singular = _SINGULAR[kind]
     if origin is None:
         raise SettingsError(f"unknown {singular} {name!r}" + _nearest(name, list(known)))

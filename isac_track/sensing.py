@@ -145,25 +145,33 @@ def range_information_per_snr(*, bandwidth_mhz: float) -> float:
 def information(*, gain: Floats, settings: SensingSettings) -> Floats:
     """Return the Fisher information of every sample from its two-way gain, (M,) 1/m^2.
 
-    The beam follows the pedestrian, so that a^H Q a is the table's effective power.
+    The beam follows the pedestrian, so that a^H Q a is the table's effective power. Below the
+    SNR at which sigma_raw would exceed its cap a target is not detected at all: the
+    information has a floor there, and information and sigma_raw stay tied to each other.
     """
     noise_w = 10.0 ** ((settings.noise_dbm - 30.0) / 10.0)
     power_w = 10.0 ** ((settings.power_dbm - 30.0) / 10.0)
     processing = 10.0 ** (settings.processing_gain_db / 10.0)
     per_snr = range_information_per_snr(bandwidth_mhz=settings.bandwidth_mhz)
-    return fisher_information(
+    received = fisher_information(
         beta=per_snr * processing * gain / noise_w,
         resource=settings.resource_share,
         steering=np.ones(1),
         covariance=np.full((1, 1), power_w),
     )
+    floor = (_gap(settings) / settings.sigma_cap_m) ** 2
+    detected: Floats = np.maximum(received, floor)
+    return detected
 
 
 def sigma_from_information(*, information: Floats, settings: SensingSettings) -> Floats:
-    """Return sigma_raw, (M,) m: sqrt(CRB), times the gap of a real estimator, capped."""
-    gap = 10.0 ** (settings.crb_gap_db / 20.0)
-    sigma: Floats = np.minimum(gap / np.sqrt(information), settings.sigma_cap_m)
+    """Return sigma_raw, (M,) m: sqrt(CRB) = 1 / sqrt(I), times the gap of a real estimator."""
+    sigma: Floats = _gap(settings) / np.sqrt(information)
     return sigma
+
+
+def _gap(settings: SensingSettings) -> float:
+    return float(10.0 ** (settings.crb_gap_db / 20.0))
 
 
 def unit_errors(*, n_samples: int, law: ErrorLaw, rng: Generator) -> Floats:

@@ -300,5 +300,5 @@ def _check_offsets(offsets: Ints, n_samples: int) -> None:
 def _check_times(t: Floats, offsets: Ints) -> None:
     rising = np.diff(t) > 0  # False for NaN
     rising[offsets[1:-1] - 1] = True  # from one track to the next
-    if not rising.all() or not np.isfinite(t[:1]).all():
+    if not rising.all() or not np.isfinite(t).all():
         raise ValueError("times must be finite and strictly increasing within a track")

@@ -1,0 +1,81 @@
+"""``python -m isac_track.testing package.module:OBJECT``: one line per check.
+
+Exit code 0: all passed; 1: a check failed; 2: wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+
+from isac_track.errors import IsacTrackError, PluginError, SettingsError
+from isac_track.testing import CHECKS, Metrics, run_checks, select_checks
+
+USAGE_ERROR = 2
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m isac_track.testing",
+        description="Check an implementation of PLR, AEL, MEL and the conflict metrics.",
+        epilog="This project's own functions: isac_track.testing:OWN",
+    )
+    parser.add_argument(
+        "target", nargs="?", metavar="package.module:OBJECT", help="an isac_track.testing.Metrics"
+    )
+    parser.add_argument(
+        "--check", action="append", metavar="NAME", help="run only this check (repeatable)"
+    )
+    parser.add_argument("--list", action="store_true", help="name all checks and exit")
+    options = parser.parse_args(arguments)
+    if options.list:
+        for one in CHECKS:
+            print(f"{one.name:38} {one.statement}")  # noqa: T201 - a command's output
+        return 0
+    if options.target is None:
+        parser.error("name the functions to check: package.module:OBJECT")
+    try:
+        metrics = _load(options.target)
+        select_checks(options.check)
+        if all(one.missing(metrics) for one in select_checks(options.check)):
+            raise SettingsError(f"{options.target} offers no function for the checks chosen")
+    except IsacTrackError as error:
+        print(f"error: {error}", file=sys.stderr)  # noqa: T201
+        return USAGE_ERROR
+    return _report(metrics, options.check)
+
+
+def _report(metrics: Metrics, names: list[str] | None) -> int:
+    counts = {"passed": 0, "failed": 0, "skipped": 0}
+    for outcome in run_checks(metrics, names=names):
+        counts[outcome.status] += 1
+        line = f"{outcome.status:8}{outcome.check}"
+        print(f"{line}: {outcome.detail}" if outcome.detail else line, flush=True)  # noqa: T201
+    print(", ".join(f"{count} {status}" for status, count in counts.items()))  # noqa: T201
+    return 1 if counts["failed"] else 0
+
+
+def _load(target: str) -> Metrics:
+    module_name, _, attribute = target.partition(":")
+    if not module_name or not attribute.isidentifier():
+        raise SettingsError(f"{target!r}: expected package.module:OBJECT")
+    try:
+        module = importlib.import_module(module_name)
+    except (Exception, SystemExit) as error:  # a stranger's import may raise anything at all
+        raise PluginError(
+            f"cannot import {module_name!r}: {type(error).__name__}: {error}"
+        ) from error
+    if not hasattr(module, attribute):
+        raise PluginError(f"{module_name!r} has no {attribute!r}")
+    metrics = getattr(module, attribute)
+    if not isinstance(metrics, Metrics):
+        raise PluginError(
+            f"{target} must be an isac_track.testing.Metrics, got {type(metrics).__name__}"
+        )
+    return metrics
+
+
+if __name__ == "__main__":
+    sys.exit(main())

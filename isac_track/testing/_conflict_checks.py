@@ -1,0 +1,273 @@
+"""Checks of the robot's task (eqs. future_time_grid to conflict_rule) and of the FID rule."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import dist, exp, inf, nan
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.rng import stream
+from isac_track.testing._kit import check, expect, expect_that, show
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from isac_track.testing._kit import (
+        Decision,
+        DistanceError,
+        ErrorControl,
+        Grid,
+        Path,
+        Rate,
+        Separation,
+    )
+    from isac_track.types import Bools, Floats
+
+
+@check
+def grid_starts_now(prediction_grid: Grid) -> None:
+    """Step 0 is the last sample, step h lies h mean intervals of the window later."""
+    t = np.array([0.0, 7.0, 8.0, 10.0])
+    for window, grid in ((2, [10, 12, 14]), (3, [10, 11.5, 13]), (4, [10, 40 / 3, 50 / 3])):
+        case = f"t = {t.tolist()} s, window {window}, 3 steps"
+        expect(prediction_grid(t, window, 3), grid, what="the grid", case=case)
+
+
+@check
+def grid_of_a_short_track(prediction_grid: Grid) -> None:
+    """A track shorter than the window uses all of its samples."""
+    t = np.array([1.0, 2.0, 4.0])
+    case = f"t = {t.tolist()} s, window 16, 4 steps"
+    expect(prediction_grid(t, 16, 4), [4.0, 5.5, 7.0, 8.5], what="the grid", case=case)
+
+
+@check
+def grid_matches_brute_force(prediction_grid: Grid) -> None:
+    """The grid equals its equation on random, irregular times."""
+    for rng in _generators("grid_matches_brute_force"):
+        t = rng.uniform(-9, 9) + np.cumsum(rng.uniform(0.02, 0.5, int(rng.integers(2, 30))))
+        window, steps = int(rng.integers(2, 20)), int(rng.integers(1, 13))
+        recent = t[-window:]
+        gaps = [later - earlier for earlier, later in pairwise(recent)]
+        grid = [t[-1] + h * sum(gaps) / len(gaps) for h in range(steps)]
+        case = f"t = {show(t)} s, window {window}, {steps} steps"
+        expect(prediction_grid(t, window, steps), grid, what="the grid", case=case)
+
+
+@check
+def path_walks_then_waits(robot_path: Path) -> None:
+    """The robot walks straight at its speed, and waits at its destination."""
+    start, destination = np.array([1.0, 1.0]), np.array([4.0, 5.0])  # 5 m apart
+    elapsed_s = np.array([0.0, 1.0, 2.5, 4.0, 100.0])
+    path = [[1, 1], [2.2, 2.6], [4, 5], [4, 5], [4, 5]]
+    case = f"from (1, 1) to (4, 5) m at 2 m/s after {elapsed_s.tolist()} s"
+    expect(robot_path(start, destination, 2.0, elapsed_s), path, what="the path", case=case)
+
+
+@check
+def path_matches_brute_force(robot_path: Path) -> None:
+    """The path equals its equation for random starts, destinations and clocks."""
+    for rng in _generators("path_matches_brute_force"):
+        start, destination = rng.uniform(-5, 5, 2), rng.uniform(-5, 5, 2)
+        speed_mps, step_s = float(rng.uniform(0.2, 3)), float(rng.uniform(0.05, 1))
+        way_m = dist(start, destination)
+        path = []
+        for h in range(12):
+            share = min(speed_mps * h * step_s, way_m) / way_m
+            path.append([a + share * (b - a) for a, b in zip(start, destination, strict=True)])
+        case = f"{show(start)} to {show(destination)} m, {speed_mps} m/s, steps of {step_s} s"
+        walked = robot_path(start, destination, speed_mps, step_s * np.arange(12.0))
+        expect(walked, path, what="the path", case=case)
+
+
+@check
+def separation_hand_examples(minimum_separation: Separation) -> None:
+    """The separation is the smallest distance at equal steps, not between the curves."""
+    robot = np.array([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]])
+    # Stands where the robot was one step before: on its curve, but never closer than 1 m.
+    follower = np.array([[[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]])
+    expect(minimum_separation(robot, follower), 1.0, what="the separation", case="a follower")
+    both = np.concatenate([follower, [[[9.0, 9.0], [1.3, 0.4], [9.0, 9.0]]]])
+    value = minimum_separation(np.concatenate([robot, robot]), both)
+    expect(value, 0.5, what="the separation", case="a second agent passes at 0.5 m at step 1")
+
+
+@check
+def separation_matches_brute_force(minimum_separation: Separation) -> None:
+    """The separation equals the minimum over all agents and steps."""
+    for rng in _generators("separation_matches_brute_force"):
+        robot, agents = _scene(rng)
+        pairs = zip(robot.reshape(-1, 2), agents.reshape(-1, 2), strict=True)
+        nearest = min(dist(one, other) for one, other in pairs)
+        value = minimum_separation(robot, agents)
+        expect(value, nearest, what="the separation", case=_scene_text(robot, agents))
+
+
+@check
+def separation_symmetries(minimum_separation: Separation) -> None:
+    """The separation ignores rigid motion, the order of the agents, and who is the robot."""
+    turn = np.array([[0.6, 0.8], [0.8, -0.6]])
+    for rng in _generators("separation_symmetries", count=40):
+        robot, agents = _scene(rng)
+        value, case = minimum_separation(robot, agents), _scene_text(robot, agents)
+        for change, other in (
+            ("after a rigid motion", (robot @ turn + 7.0, agents @ turn + 7.0)),
+            ("with the agents in reverse", (robot[::-1], agents[::-1])),
+            ("with the roles exchanged", (agents, robot)),
+        ):
+            expect(minimum_separation(*other), value, what=f"the separation {change}", case=case)
+
+
+@check
+def conflict_boundary_is_strict(is_conflict: Decision) -> None:
+    """At exactly the safety radius there is no conflict."""
+    radius_m = 0.9
+    for separation_m, decision in (
+        (0.0, True),
+        (0.5, True),
+        (float(np.nextafter(radius_m, 0.0)), True),
+        (radius_m, False),
+        (float(np.nextafter(radius_m, 1.0)), False),
+        (5.0, False),
+    ):
+        case = f"separation {separation_m!r} m, safety radius {radius_m} m"
+        made = is_conflict(separation_m, radius_m)
+        expect_that(made == decision, what=f"the decision is {made}", case=case)
+
+
+@check
+def missed_rate_hand_examples(missed_conflict_rate: Rate) -> None:
+    """The missed rate is the share of true conflicts that were not predicted."""
+    for conflict, predicted, rate in (
+        ("1110", "1000", 2 / 3),
+        ("1100", "1111", 0.0),
+        ("1111", "0000", 1.0),
+        ("10000000", "00000000", 1.0),
+        ("0000", "1010", nan),
+    ):
+        value = missed_conflict_rate(_flags(conflict), _flags(predicted))
+        case = f"conflict {conflict}, predicted {predicted}"
+        expect(value, rate, what="the missed rate", case=case)
+
+
+@check
+def false_alarm_rate_hand_examples(false_alarm_rate: Rate) -> None:
+    """The false-alarm rate is the share of conflict-free scenes with a predicted conflict."""
+    for conflict, predicted, rate in (
+        ("1000", "1011", 2 / 3),
+        ("1100", "1100", 0.0),
+        ("0000", "1111", 1.0),
+        ("01111111", "10000000", 1.0),
+        ("1111", "0101", nan),
+    ):
+        value = false_alarm_rate(_flags(conflict), _flags(predicted))
+        case = f"conflict {conflict}, predicted {predicted}"
+        expect(value, rate, what="the false-alarm rate", case=case)
+
+
+@check
+def missed_rate_matches_brute_force(missed_conflict_rate: Rate) -> None:
+    """The missed rate equals the count on random scenes; conflict-free scenes do not matter."""
+    for rng in _generators("missed_rate_matches_brute_force"):
+        conflict, predicted = _decisions(rng)
+        hits = [seen for true, seen in zip(conflict, predicted, strict=True) if true]
+        rate = hits.count(False) / len(hits) if hits else nan
+        value = missed_conflict_rate(conflict, predicted)
+        case = f"conflict {show(conflict)}, predicted {show(predicted)}"
+        expect(value, rate, what="the missed rate", case=case)
+
+
+@check
+def false_alarm_rate_matches_brute_force(false_alarm_rate: Rate) -> None:
+    """The false-alarm rate equals the count on random scenes; true conflicts do not matter."""
+    for rng in _generators("false_alarm_rate_matches_brute_force"):
+        conflict, predicted = _decisions(rng)
+        alarms = [seen for true, seen in zip(conflict, predicted, strict=True) if not true]
+        rate = alarms.count(True) / len(alarms) if alarms else nan
+        value = false_alarm_rate(conflict, predicted)
+        case = f"conflict {show(conflict)}, predicted {show(predicted)}"
+        expect(value, rate, what="the false-alarm rate", case=case)
+
+
+@check
+def distance_mae_hand_examples(distance_mae_m: DistanceError) -> None:
+    """The distance MAE is the mean absolute error; errors of either sign do not cancel."""
+    true_m = np.array([1.0, 2.0, 3.0, 0.0])
+    predicted_m = np.array([1.5, 1.0, 3.0, 0.5])
+    case = f"true {true_m.tolist()} m, predicted {predicted_m.tolist()} m"
+    expect(distance_mae_m(true_m, predicted_m), 0.5, what="the distance MAE", case=case)
+    none = np.array([])
+    expect(distance_mae_m(none, none), nan, what="the distance MAE", case="no scene at all")
+
+
+@check
+def distance_mae_matches_brute_force(distance_mae_m: DistanceError) -> None:
+    """The distance MAE equals the sum over scenes, and is symmetric."""
+    for rng in _generators("distance_mae_matches_brute_force"):
+        true_m, predicted_m = rng.exponential(1.0, (2, int(rng.integers(1, 12))))
+        mean = sum(abs(a - b) for a, b in zip(true_m, predicted_m, strict=True)) / len(true_m)
+        case = f"true {show(true_m)} m, predicted {show(predicted_m)} m"
+        for value in (distance_mae_m(true_m, predicted_m), distance_mae_m(predicted_m, true_m)):
+            expect(value, mean, what="the distance MAE", case=case)
+
+
+@check
+def fid_rule_hand_examples(fid_d_sigma: ErrorControl) -> None:
+    """0 up to rho = 1, alpha (beta - 1) just above, alpha (beta - 1/e) at 2, alpha beta at inf."""
+    eta, alpha_m, beta = 8.0, 0.5, 1.5
+    fid = np.array([0.0, 4.0, 8.0, float(np.nextafter(8.0, 9.0)), 16.0, 1e300, inf])
+    wanted = [0.0, 0.0, 0.0, 0.25, 0.5 * (1.5 - exp(-1.0)), 0.75, 0.75]
+    case = f"fid {fid.tolist()}, eta 8, alpha 0.5 m, beta 1.5"
+    expect(fid_d_sigma(fid, eta, alpha_m, beta), wanted, what="d_sigma", case=case)
+
+
+@check
+def fid_rule_matches_brute_force(fid_d_sigma: ErrorControl) -> None:
+    """The rule equals its equation sample by sample, whatever the parameters."""
+    for rng in _generators("fid_rule_matches_brute_force"):
+        eta = float(10.0 ** rng.uniform(-2, 6))
+        alpha_m, beta = float(rng.uniform(0, 2)), float(rng.uniform(1, 3))
+        fid = eta * 10.0 ** rng.uniform(-2, 2, int(rng.integers(1, 20)))
+        wanted = []
+        for density in fid:
+            rho = density / eta
+            wanted.append(0.0 if rho <= 1 else alpha_m * (beta - exp(-(rho - 1))))
+        case = f"fid {show(fid)}, eta {eta}, alpha {alpha_m} m, beta {beta}"
+        expect(fid_d_sigma(fid, eta, alpha_m, beta), wanted, what="d_sigma", case=case)
+
+
+@check
+def fid_rule_monotone(fid_d_sigma: ErrorControl) -> None:
+    """More information never gets less error, a higher threshold never more."""
+    fid = np.geomspace(0.1, 1e5, 200)
+    previous = np.full_like(fid, inf)
+    for eta in (0.5, 5.0, 50.0, 500.0):
+        d_sigma = fid_d_sigma(fid, eta, 0.5, 1.5)
+        case = f"fid from 0.1 to 1e5, eta {eta}, alpha 0.5 m, beta 1.5"
+        expect_that((np.diff(d_sigma) >= 0).all(), what="d_sigma falls with fid", case=case)
+        expect_that((d_sigma <= previous).all(), what="d_sigma grows with eta", case=case)
+        previous = d_sigma
+
+
+def _generators(name: str, *, count: int = 100) -> list[Generator]:
+    return [stream(0, "testing", name, index) for index in range(count)]
+
+
+def _flags(text: str) -> Bools:
+    return np.array([scene == "1" for scene in text])
+
+
+def _decisions(rng: Generator) -> tuple[Bools, Bools]:
+    size = int(rng.integers(1, 15))
+    return rng.random(size) < rng.random(), rng.random(size) < rng.random()
+
+
+def _scene(rng: Generator) -> tuple[Floats, Floats]:
+    shape = (int(rng.integers(1, 5)), int(rng.integers(1, 13)), 2)
+    return rng.uniform(-4, 4, shape), rng.uniform(-4, 4, shape)
+
+
+def _scene_text(robot: Floats, agents: Floats) -> str:
+    return f"robot {show(robot)} m, agents {show(agents)} m"

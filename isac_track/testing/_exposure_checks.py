@@ -1,0 +1,305 @@
+"""Checks of the durations AEL and MEL (the text below eq. plr_definition), and of batches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from math import nan, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.rng import stream
+from isac_track.testing._cases import (
+    BOUNDARY_M,
+    EPSILON_M,
+    EPSILONS_M,
+    ON_THE_BOUNDARY,
+    STANDARD_ERRORS,
+    Track,
+    ael_by_definition,
+    backwards,
+    longest_run_expected,
+    mean_run_expected,
+    mel_by_definition,
+    moved,
+    plain_track,
+    plr_by_definition,
+    random_tracks,
+    random_walks,
+)
+from isac_track.testing._kit import check, expect, expect_that
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from isac_track.testing._kit import Batch, Duration, PointRatio
+    from isac_track.types import Floats
+
+
+@check
+def ael_hand_examples(ael_s: Duration) -> None:
+    """AEL is the mean duration of the leaked segments; n samples last n intervals of 0.25 s."""
+    for pattern, duration_s in (("0110", 0.5), ("1011", 0.375), ("10101", 0.25), ("0001", 0.25)):
+        track = plain_track(pattern)
+        expect(ael_s(*track.timed), duration_s, what="AEL", case=track)
+
+
+@check
+def mel_hand_examples(mel_s: Duration) -> None:
+    """MEL is the duration of the longest leaked segment; n samples last n intervals of 0.25 s."""
+    for pattern, duration_s in (("0110", 0.5), ("101110", 0.75), ("10101", 0.25), ("0001", 0.25)):
+        track = plain_track(pattern)
+        expect(mel_s(*track.timed), duration_s, what="MEL", case=track)
+
+
+@check
+def ael_boundary_is_strict(ael_s: Duration) -> None:
+    """AEL is 0 when every sample lies at exactly epsilon."""
+    _boundary(ael_s, "AEL")
+
+
+@check
+def mel_boundary_is_strict(mel_s: Duration) -> None:
+    """MEL is 0 when every sample lies at exactly epsilon."""
+    _boundary(mel_s, "MEL")
+
+
+@check
+def ael_all_and_none_leaked(ael_s: Duration) -> None:
+    """AEL is n intervals when all n samples leak and 0 when none does."""
+    _all_and_none(ael_s, "AEL")
+
+
+@check
+def mel_all_and_none_leaked(mel_s: Duration) -> None:
+    """MEL is n intervals when all n samples leak and 0 when none does."""
+    _all_and_none(mel_s, "MEL")
+
+
+@check
+def ael_irregular_sampling(ael_s: Duration) -> None:
+    """AEL counts samples in mean intervals of the whole trajectory, not elapsed time."""
+    for pattern, duration_s in (("1100", 20 / 3), ("0011", 20 / 3), ("1011", 5.0)):
+        track = plain_track(pattern, t=[0.0, 1.0, 2.0, 10.0])
+        expect(ael_s(*track.timed), duration_s, what="AEL", case=track)
+
+
+@check
+def mel_irregular_sampling(mel_s: Duration) -> None:
+    """MEL counts samples in mean intervals of the whole trajectory, not elapsed time."""
+    for pattern, duration_s in (("1100", 20 / 3), ("0011", 20 / 3), ("1011", 20 / 3)):
+        track = plain_track(pattern, t=[0.0, 1.0, 2.0, 10.0])
+        expect(mel_s(*track.timed), duration_s, what="MEL", case=track)
+
+
+@check
+def ael_segment_at_either_end(ael_s: Duration) -> None:
+    """AEL counts segments that touch the first or the last sample."""
+    for pattern, duration_s in (("00111", 0.75), ("11100", 0.75), ("1000111", 0.5)):
+        track = plain_track(pattern)
+        expect(ael_s(*track.timed), duration_s, what="AEL", case=track)
+
+
+@check
+def mel_segment_at_either_end(mel_s: Duration) -> None:
+    """MEL counts segments that touch the first or the last sample."""
+    for pattern, duration_s in (("00111", 0.75), ("11100", 0.75), ("1001100111", 0.75)):
+        track = plain_track(pattern)
+        expect(mel_s(*track.timed), duration_s, what="MEL", case=track)
+
+
+@check
+def ael_single_sample(ael_s: Duration) -> None:
+    """AEL of one leaked sample is NaN: there is no interval; of one that does not leak, 0."""
+    for pattern, duration_s in (("1", nan), ("0", 0.0)):
+        track = plain_track(pattern)
+        expect(ael_s(*track.timed), duration_s, what="AEL", case=track)
+
+
+@check
+def mel_single_sample(mel_s: Duration) -> None:
+    """MEL of one leaked sample is NaN: there is no interval; of one that does not leak, 0."""
+    for pattern, duration_s in (("1", nan), ("0", 0.0)):
+        track = plain_track(pattern)
+        expect(mel_s(*track.timed), duration_s, what="MEL", case=track)
+
+
+@check
+def ael_matches_brute_force(ael_s: Duration) -> None:
+    """AEL equals the definition on random walks with a known pattern."""
+    for track in random_tracks("ael_matches_brute_force"):
+        expect(ael_s(*track.timed), ael_by_definition(track), what="AEL", case=track)
+
+
+@check
+def mel_matches_brute_force(mel_s: Duration) -> None:
+    """MEL equals the definition on random walks with a known pattern."""
+    for track in random_tracks("mel_matches_brute_force"):
+        expect(mel_s(*track.timed), mel_by_definition(track), what="MEL", case=track)
+
+
+@check
+def ael_rigid_motion_and_clock(ael_s: Duration) -> None:
+    """AEL ignores rigid motion, time reversal and a clock's offset; it scales with the clock."""
+    _invariances(ael_s, "AEL")
+
+
+@check
+def mel_rigid_motion_and_clock(mel_s: Duration) -> None:
+    """MEL ignores rigid motion, time reversal and a clock's offset; it scales with the clock."""
+    _invariances(mel_s, "MEL")
+
+
+@check
+def ael_may_fall_as_epsilon_grows(ael_s: Duration) -> None:
+    """AEL is not monotone: a wider epsilon may add a short segment and lower the mean."""
+    track = plain_track("11101")
+    error_m = np.array([0.1, 0.1, 0.1, 0.9, 0.5])
+    shared_xy = track.true_xy + np.column_stack([np.zeros(5), error_m])
+    for epsilon_m, duration_s in ((0.3, 0.75), (0.6, 0.5), (1.0, 1.25)):
+        value = ael_s(shared_xy, track.true_xy, track.t, epsilon_m)
+        case = f"errors {error_m.tolist()} m every 0.25 s, epsilon {epsilon_m} m"
+        expect(value, duration_s, what="AEL", case=case)
+
+
+@check
+def mel_monotone_in_epsilon(mel_s: Duration) -> None:
+    """MEL never falls when epsilon grows."""
+    for shared_xy, true_xy, t in random_walks("mel_monotone_in_epsilon"):
+        longest = [mel_s(shared_xy, true_xy, t, epsilon_m) for epsilon_m in EPSILONS_M]
+        expect_that(
+            all(low <= high for low, high in pairwise(longest)),
+            what=f"MEL falls: {longest}",
+            case=f"epsilon {EPSILONS_M.tolist()} m",
+        )
+
+
+@check
+def ael_of_independent_samples(ael_s: Duration) -> None:
+    """AEL of independent samples averages to the exact mean run length (run counts)."""
+    _independent(ael_s, "AEL", exact=mean_run_expected)
+
+
+@check
+def mel_of_independent_samples(mel_s: Duration) -> None:
+    """MEL of independent samples averages to the exact mean longest run (recursion)."""
+    _independent(mel_s, "MEL", exact=longest_run_expected)
+
+
+@check
+def mel_is_at_least_ael(ael_s: Duration, mel_s: Duration) -> None:
+    """The longest segment lasts at least as long as the mean one."""
+    for track in random_tracks("mel_is_at_least_ael"):
+        if len(track.pattern) > 1:
+            mean, longest = ael_s(*track.timed), mel_s(*track.timed)
+            holds = longest >= mean - 1e-9 * abs(mean)
+            expect_that(holds, what=f"MEL {longest!r} s is below AEL {mean!r} s", case=track)
+
+
+@check
+def mel_is_zero_exactly_when_plr_is(plr: PointRatio, mel_s: Duration) -> None:
+    """MEL is 0 if and only if PLR is 0 (an unknown duration, NaN, is not 0)."""
+    for track in random_tracks("mel_is_zero_exactly_when_plr_is"):
+        share, longest = plr(*track.points), mel_s(*track.timed)
+        what = f"PLR {share!r} and MEL {longest!r} s disagree on zero"
+        expect_that((share == 0.0) == (longest == 0.0), what=what, case=track)
+
+
+@check
+def exposure_stops_at_the_end_of_a_track(exposure: Batch) -> None:
+    """In a batch, no segment runs on into the next trajectory, and each has its own interval."""
+    slow = plain_track("110", t=[0.0, 2.0, 4.0])
+    tracks = [plain_track("0011"), slow, plain_track("1"), plain_track("1111")]
+    _batch(exposure, tracks)
+
+
+@check
+def exposure_matches_brute_force(exposure: Batch) -> None:
+    """In a batch, every trajectory gets what the definitions give it alone."""
+    tracks = [replace(track, epsilon_m=EPSILON_M) for track in _one_epsilon("exposure_random")]
+    for first in range(0, len(tracks), 8):
+        _batch(exposure, tracks[first : first + 8])
+
+
+@check
+def exposure_order_of_tracks(exposure: Batch) -> None:
+    """In a batch, the values follow the trajectories when these change places."""
+    tracks = list(_one_epsilon("exposure_order"))
+    order = stream(0, "testing", "exposure_order").permutation(len(tracks))
+    straight = np.stack(_run_batch(exposure, tracks))
+    mixed = np.stack(_run_batch(exposure, [tracks[place] for place in order]))
+    expect(mixed, straight[:, order], what="PLR, AEL, MEL in the new order", case="40 tracks")
+
+
+def _boundary(duration: Duration, what: str) -> None:
+    truth = np.zeros_like(ON_THE_BOUNDARY)
+    t = np.array([0.0, 1.0, 2.0])
+    case = f"errors {ON_THE_BOUNDARY.tolist()} m, all of length 1.25 m, 1 s apart"
+    for epsilon_m, duration_s in ((BOUNDARY_M, 0.0), (float(np.nextafter(BOUNDARY_M, 2.0)), 3.0)):
+        value = duration(ON_THE_BOUNDARY, truth, t, epsilon_m)
+        expect(value, duration_s, what=f"{what} at epsilon {epsilon_m!r} m", case=case)
+
+
+def _all_and_none(duration: Duration, what: str) -> None:
+    for size in (2, 5, 50):
+        leaked, safe = plain_track("1" * size), plain_track("0" * size)
+        expect(duration(*leaked.timed), 0.25 * size, what=what, case=f"{size} leaked, 0.25 s apart")
+        expect(duration(*safe.timed), 0.0, what=what, case=f"{size} not leaked, 0.25 s apart")
+
+
+def _invariances(duration: Duration, what: str) -> None:
+    for track in random_tracks(f"invariances of {what}", count=60):
+        value = duration(*track.timed)
+        for change, other, factor in (
+            ("turned, shifted and mirrored", moved(track), 1.0),
+            ("backwards", backwards(track), 1.0),
+            ("100 s later", replace(track, t=track.t + 100.0), 1.0),
+            ("at half the speed", replace(track, t=2.0 * track.t), 2.0),
+        ):
+            expect(duration(*other.timed), factor * value, what=f"{what} {change}", case=track)
+
+
+def _independent(duration: Duration, what: str, *, exact: Callable[[int, float], float]) -> None:
+    size, repeats, step_s = 30, 500, 0.5
+    for p in (0.2, 0.6):
+        leaked = stream(0, "testing", "independent", what, str(p)).random((repeats, size)) < p
+        patterns = ["".join("1" if sample else "0" for sample in row) for row in leaked]
+        t = (step_s * np.arange(size)).tolist()
+        values = [duration(*plain_track(pattern, t=t).timed) for pattern in patterns]
+        mean, error = float(np.mean(values)), float(np.std(values)) / sqrt(repeats)
+        limit = exact(size, p) * step_s
+        expect_that(
+            abs(mean - limit) <= STANDARD_ERRORS * error,
+            what=f"mean {what} is {mean:.4f} s, expected {limit:.4f} s within 5 x {error:.4f}",
+            case=f"{repeats} trajectories of {size} samples 0.5 s apart, each leaked with p = {p}",
+        )
+
+
+def _one_epsilon(name: str) -> list[Track]:
+    """Return random tracks whose errors are rescaled to one common epsilon."""
+    tracks = []
+    for track in random_tracks(name, count=40):
+        error = (track.shared_xy - track.true_xy) * (EPSILON_M / track.epsilon_m)
+        shared_xy = track.true_xy + error
+        tracks.append(replace(track, shared_xy=shared_xy, epsilon_m=EPSILON_M))
+    return tracks
+
+
+def _run_batch(exposure: Batch, tracks: list[Track]) -> tuple[Floats, Floats, Floats]:
+    sizes = [len(track.pattern) for track in tracks]
+    return exposure(
+        np.concatenate([track.shared_xy for track in tracks]),
+        np.concatenate([track.true_xy for track in tracks]),
+        np.concatenate([track.t for track in tracks]),
+        np.concatenate([[0], np.cumsum(sizes)]),
+        tracks[0].epsilon_m,
+    )
+
+
+def _batch(exposure: Batch, tracks: list[Track]) -> None:
+    shares, means, longest = _run_batch(exposure, tracks)
+    case = " | ".join(str(track) for track in tracks)
+    expect(shares, [plr_by_definition(track) for track in tracks], what="PLR", case=case)
+    expect(means, [ael_by_definition(track) for track in tracks], what="AEL", case=case)
+    expect(longest, [mel_by_definition(track) for track in tracks], what="MEL", case=case)

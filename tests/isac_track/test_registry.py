@@ -1,0 +1,204 @@
+"""SPECs: what they name, what they cost to get wrong, and plug-ins from elsewhere."""
+
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import pytest
+
+from isac_track import registry
+from isac_track.errors import PluginError, SettingsError
+from isac_track.sharing import Fid, Fixed, Raw
+
+
+@dataclass(frozen=True)
+class Odd:
+    """Parameters of every kind that a SPEC can give."""
+
+    word: str = "soft"
+    count: int = 3
+    loud: bool = False
+    limit: float | None = None
+
+    def share(self, sensed, rng): ...
+
+
+@dataclass(frozen=True)
+class Stepped:
+    step_s: float = 1.0
+    sweep = "log"
+
+    def share(self, sensed, rng): ...
+
+
+@dataclass
+class Thawed:
+    def share(self, sensed, rng): ...
+
+
+@dataclass(frozen=True)
+class Mute:
+    pass
+
+
+@dataclass(frozen=True)
+class Untold:
+    def predict(self, release, t_future): ...
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """The name under which this very module can be imported."""
+    monkeypatch.setitem(sys.modules, "my.module", sys.modules[__name__])
+    return "my.module"
+
+
+def one(kind, spec):
+    (plugin,) = registry.parse(kind, spec)
+    return plugin
+
+
+def test_a_name_alone():
+    plugin = one("mechanisms", "raw")
+    assert (plugin.name, plugin.level, plugin.spec) == ("raw", None, "raw")
+    assert plugin.instance == Raw()
+
+
+def test_a_value_is_the_level_and_leaves_the_name():
+    plugin = one("mechanisms", "fid:100,adding=independent")
+    assert plugin.name == "fid:adding=independent"
+    assert plugin.level == 100.0
+    assert plugin.spec == "fid:100,adding=independent"
+    assert plugin.instance == Fid(100.0, adding="independent")
+
+
+@pytest.mark.parametrize("spec", ["fid:100", "fid:1e2", "fid:eta=100", "fid:100.0,alpha=0.5"])
+def test_spellings_of_one_thing_are_one_thing(spec):
+    assert one("mechanisms", spec).spec == "fid:100"
+
+
+def test_levels_are_rounded_to_twelve_digits():
+    plugin = one("mechanisms", "fixed:0.30000000000000004")
+    assert plugin.level == 0.3
+    assert plugin.instance == Fixed(0.3)
+
+
+def test_a_logarithmic_and_a_linear_sweep():
+    levels = [plugin.level for plugin in registry.parse("mechanisms", "fid:1..1000/4")]
+    assert levels == [1.0, 10.0, 100.0, 1000.0]
+    levels = [plugin.level for plugin in registry.parse("mechanisms", "fixed:0.1..1/10")]
+    assert levels == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
+    down = [plugin.level for plugin in registry.parse("mechanisms", "fid:100..1/3")]
+    assert down == [100.0, 10.0, 1.0]
+
+
+def test_what_is_named_twice_is_there_once():
+    plugins = registry.parse_all("mechanisms", ("fid:1", "fid:1..100/3", "raw", "raw"))
+    assert [plugin.spec for plugin in plugins] == ["fid:1", "fid:10", "fid:100", "raw"]
+
+
+def test_a_predictor_has_no_level_and_keeps_its_value_in_the_name():
+    assert one("predictors", "least_squares").name == "least_squares"
+    plugin = one("predictors", "least_squares:8")
+    assert (plugin.name, plugin.level) == ("least_squares:window=8", None)
+
+
+def test_a_class_by_its_path(here):
+    plugin = one("mechanisms", f"{here}:Odd:hard,count=5,loud=true,limit=2.5")
+    assert plugin.instance == Odd(word="hard", count=5, loud=True, limit=2.5)
+    assert plugin.level is None
+    assert plugin.name == f"{here}:Odd:word=hard,count=5,loud=True,limit=2.5"
+    assert one("mechanisms", f"{here}:Odd:limit=none").instance == Odd()
+    assert one("mechanisms", plugin.spec).instance == plugin.instance
+    swept = registry.parse("mechanisms", f"{here}:Stepped:1..100/3")
+    assert [plugin.level for plugin in swept] == [1.0, 10.0, 100.0]
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("fdi:1", "unknown mechanism 'fdi'; did you mean 'fid'?"),
+        ("zzzzz", "unknown mechanism 'zzzzz'; known: clean, fid, fixed, raw"),
+        ("fixed", "fixed needs a value for d_sigma, as in fixed:VALUE"),
+        ("raw:3", "raw takes no value"),
+        ("raw:eta=3", "raw has no parameter 'eta'; it has none"),
+        ("fid:1,alhpa=3", "fid has no parameter 'alhpa'; did you mean 'alpha'?"),
+        ("fid:1,family=3", "fid has no parameter 'family'"),
+        ("fid:1,eta=2", "eta is given twice"),
+        ("fid:1,alpha=1,alpha=2", "alpha is given twice"),
+        ("fid:one", "eta must be a number, got 'one'"),
+        ("fid:nan", "eta must be finite"),
+        ("fid:-1", "eta must be positive, got -1.0"),
+        ("fid:1,beta=0.5", "beta must be 1 or more"),
+        ("fid:1,alpha=-1", "alpha must be 0 m or more"),
+        ("fixed:-0.1", "d_sigma must be 0 m or more"),
+        ("fid:1,adding=up", "adding must be one of linear, independent, got 'up'"),
+        ("fid:1,2", "'2' is not key=value"),
+        ("fid:1,", "'' is not key=value"),
+        ("fid:1,alpha=", "'alpha=' is not key=value"),
+        ("", "a SPEC begins with a name"),
+        ("fid:1..10", "a sweep is LOW..HIGH/COUNT"),
+        ("fid:1..10/one", "a sweep is LOW..HIGH/COUNT"),
+        ("fid:1..10/1", "COUNT >= 2"),
+        ("fid:5..5/3", "two finite ends that differ"),
+        ("fid:0..10/3", "logarithmic; both ends must be positive"),
+        ("os.path", "expected package.module:Class"),
+    ],
+)
+def test_a_wrong_spec_says_what_is_wrong(spec, message):
+    with pytest.raises(SettingsError, match=re.escape(message)):
+        registry.parse("mechanisms", spec)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "message"),
+    [
+        ("mechanisms", "no.such.module:Thing", "cannot be loaded from no.such.module:Thing"),
+        ("mechanisms", "os.path:join", "must be a frozen dataclass"),
+        ("mechanisms", "my.module:Thawed", "must be frozen"),
+        ("mechanisms", "my.module:Mute", "has no method share()"),
+        ("predictors", "my.module:Untold", "requires must be a frozenset"),
+    ],
+)
+@pytest.mark.usefixtures("here")
+def test_a_broken_plugin_is_named(kind, name, message):
+    with pytest.raises(PluginError, match=re.escape(message)):
+        registry.parse(kind, name)
+
+
+def test_an_installed_third_party_plugin_is_found_by_name(tmp_path):
+    """A real package with real entry points, one of them broken, in a folder of its own."""
+    (tmp_path / "blur.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from isac_track.sharing import perturb\n"
+        "@dataclass(frozen=True)\n"
+        "class Blur:\n"
+        "    width_m: float = 0.5\n"
+        "    def share(self, sensed, rng):\n"
+        "        return perturb(sensed, self.width_m, rng)\n",
+        encoding="utf-8",
+    )
+    info = tmp_path / "blur-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: blur\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[isac_track.mechanisms]\nblur = blur:Blur\ntorn = blur:Nothing\n"
+    )
+    script = (
+        "from isac_track import registry\n"
+        "print(registry.parse('mechanisms', 'blur:0.2')[0])\n"
+        "print(registry.broken('mechanisms'))\n"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONPATH": str(tmp_path)},
+    )
+    first, second = answer.stdout.splitlines()
+    assert "name='blur', level=0.2, spec='blur:0.2'" in first
+    assert "torn" in second
+    assert "Nothing" in second
+    assert "'blur'" not in second.replace("module 'blur'", "")

@@ -1,0 +1,102 @@
+"""Interpolation and adaptive sampling."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline, make_interp_spline
+
+from isac_track.config import ResampleSettings
+from isac_track.resample import resample, sampling_times, walk
+from isac_track.rng import stream
+from isac_track.types import Tracks
+
+
+def some_tracks(*durations_s, step_s=0.4):
+    rng = stream(0, "test", "resample")
+    t = [np.arange(0, duration + 1e-9, step_s) for duration in durations_s]
+    xy = [rng.standard_normal((part.size, 2)).cumsum(axis=0) for part in t]
+    names = tuple(f"w{row}" for row in range(len(t)))
+    return Tracks(
+        t=np.concatenate(t),
+        xy=np.concatenate(xy),
+        offsets=np.concatenate([[0], np.cumsum([part.size for part in t])]),
+        source=names,
+        group=names,
+    )
+
+
+def test_the_walk_passes_through_every_recorded_sample():
+    (track,) = some_tracks(30.0)
+    assert np.allclose(walk(track)(track.t), track.xy, atol=1e-12)
+
+
+def test_the_walk_is_the_not_a_knot_cubic_of_another_implementation():
+    (track,) = some_tracks(30.0)
+    at = np.linspace(track.t[0], track.t[-1], 501)
+    other = make_interp_spline(track.t, track.xy, k=3)  # a B-spline basis, banded solve
+    assert isinstance(other, BSpline)
+    assert np.allclose(walk(track)(at), other(at), atol=1e-9)
+
+
+def test_a_cubic_is_reproduced_exactly():
+    t = np.array([0.0, 0.4, 1.0, 1.3, 2.0, 2.4])
+    xy = np.stack([t**3 - 2 * t, 1 + t**2], axis=1)
+    track = Tracks(t=t, xy=xy, offsets=np.array([0, 6]), source=("a",), group=("a",))
+    at = np.linspace(0, 2.4, 25)
+    assert np.allclose(walk(track)(at), np.stack([at**3 - 2 * at, 1 + at**2], axis=1))
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_two_or_three_samples_are_joined_by_a_line_or_a_parabola(n):
+    t = np.arange(n) * 0.5
+    xy = np.stack([t ** (n - 1), 3 - t], axis=1)
+    track = Tracks(t=t, xy=xy, offsets=np.array([0, n]), source=("a",), group=("a",))
+    at = np.linspace(0, t[-1], 7)
+    assert np.allclose(walk(track)(at), np.stack([at ** (n - 1), 3 - at], axis=1))
+
+
+def test_one_sample_is_no_walk():
+    track = Tracks(
+        t=np.zeros(1), xy=np.zeros((1, 2)), offsets=np.array([0, 1]), source=("a",), group=("a",)
+    )
+    with pytest.raises(ValueError, match="at least two samples"):
+        walk(track)
+
+
+def test_the_rate_is_held_for_a_second_and_lies_in_its_range():
+    settings = ResampleSettings()
+    t = sampling_times(start_s=3.0, end_s=63.0, settings=settings, rng=stream(1, "test", "rate"))
+    interval = np.diff(t)
+    assert t[0] == 3.0
+    assert t[-1] <= 63.0
+    assert 63.0 - t[-1] <= 1 / settings.rate_min_hz
+    assert (interval >= 1 / 16 - 1e-9).all()
+    assert (interval <= 1 / 8 + 1e-9).all()
+    second = (t[:-1] - 3.0).astype(int)
+    spread = [np.ptp(interval[second == one]) for one in range(60)]
+    assert max(spread) < 1e-9
+    assert np.unique(interval.round(9)).size == 60
+
+
+def test_sampling_at_one_rate_is_a_grid():
+    settings = ResampleSettings(rate_min_hz=10.0, rate_max_hz=10.0)
+    t = sampling_times(start_s=0.0, end_s=5.0, settings=settings, rng=stream(1, "test"))
+    assert np.allclose(t, np.arange(t.size) / 10)
+    assert t.size in (50, 51)  # 50 additions of 0.1 s may end a hair above 5 s
+
+
+def test_only_tracks_of_the_minimum_duration_are_kept():
+    tracks = some_tracks(21.2, 21.6, 40.0)
+    kept = resample(tracks, settings=ResampleSettings(), seed=0)
+    assert kept.source == ("w1", "w2")
+    with pytest.raises(ValueError, match=r"no track lasts 21\.6 s"):
+        resample(some_tracks(5.0), settings=ResampleSettings(), seed=0)
+
+
+def test_a_track_is_sampled_alike_whoever_else_is_there():
+    tracks = some_tracks(30.0, 25.0)
+    both = resample(tracks, settings=ResampleSettings(), seed=0)
+    alone = resample(tracks[1], settings=ResampleSettings(), seed=0)
+    assert np.array_equal(both[1].t, alone.t)
+    assert np.array_equal(both[1].xy, alone.xy)
+    other_seed = resample(tracks[1], settings=ResampleSettings(), seed=1)
+    assert not np.array_equal(alone.t, other_seed.t)

@@ -1,0 +1,212 @@
+"""The link budget, the information and the raw error, against closed forms and plain loops."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isac_track.config import SensingSettings
+from isac_track.rng import stream
+from isac_track.sensing import (
+    Channel,
+    draw_channel,
+    fisher_information,
+    fisher_information_density,
+    information,
+    link_gain,
+    range_information_per_snr,
+    sense,
+    sigma_from_information,
+)
+
+
+def flat_channel(n_tracks, n_samples, *, n_paths=1):
+    """No randomness: one direct path of unit power."""
+    return Channel(
+        large_scale=np.zeros(n_tracks),
+        path_power=np.ones((n_tracks, n_paths)),
+        path_delay=np.zeros((n_tracks, n_paths)),
+        beam=np.zeros(n_samples),
+        unit_error=np.zeros((n_samples, 2)),
+    )
+
+
+def gain_db(distance_m, **changes):
+    gain = link_gain(
+        distance_m=np.array([distance_m]),
+        owner=np.array([0]),
+        channel=flat_channel(1, 1),
+        settings=replace(SensingSettings(), **changes),
+    )
+    return 10 * np.log10(gain[0])
+
+
+def test_fisher_information_is_the_written_out_sum():
+    rng = stream(0, "test", "fi")
+    n = 3
+    a = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+    root = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
+    q = root @ root.conj().T  # Hermitian, positive semidefinite
+    total = sum(a[i].conjugate() * q[i, j] * a[j] for i in range(n) for j in range(n))
+    found = fisher_information(beta=np.array(2.0), resource=0.5, steering=a, covariance=q)
+    assert found == pytest.approx(2.0 * 0.5 * total.real)
+    assert abs(total.imag) < 1e-9
+
+
+def test_a_beam_on_the_target_collects_the_whole_power():
+    n, power_w = 8, 4.0
+    steering = np.exp(1j * np.pi * np.arange(n) * np.sin(0.3)) / np.sqrt(n)
+    covariance = power_w * np.outer(steering, steering.conj())
+    on, off = (
+        fisher_information(beta=np.array(1.0), resource=1.0, steering=a, covariance=covariance)
+        for a in (steering, np.exp(1j * np.pi * np.arange(n) * np.sin(-0.8)) / np.sqrt(n))
+    )
+    assert on == pytest.approx(power_w)
+    assert off < 0.1 * power_w
+
+
+def test_fisher_information_broadcasts_over_updates():
+    found = fisher_information(
+        beta=np.array([1.0, 2.0, 3.0]),
+        resource=np.array([1.0, 1.0, 0.5]),
+        steering=np.ones(1),
+        covariance=np.full((1, 1), 10.0),
+    )
+    assert found.tolist() == [10.0, 20.0, 15.0]
+
+
+def test_antennas_must_agree():
+    with pytest.raises(ValueError, match="does not fit 2 antennas"):
+        fisher_information(
+            beta=np.array(1.0), resource=1.0, steering=np.ones(2), covariance=np.ones((3, 3))
+        )
+
+
+def test_density_by_hand():
+    density = fisher_information_density(
+        information=np.array([1.0, 2.0, 3.0, 5.0, 7.0, 8.0]),
+        t=np.array([0.0, 0.1, 0.3, 4.0, 2.0, 2.5]),
+        offsets=np.array([0, 3, 4, 6]),
+    )
+    # The first sample of a track takes the interval after it; a lone sample is unbounded.
+    assert density.tolist() == pytest.approx([10.0, 20.0, 15.0, np.inf, 14.0, 16.0])
+
+
+def test_path_loss_is_two_way_with_the_tables_exponent():
+    assert gain_db(20.0) - gain_db(40.0) == pytest.approx(2 * 27 * np.log10(2))
+    free_space_db = 20 * np.log10(4 * np.pi * 3.5e9 / 299_792_458.0)  # Friis at 1 m, one way
+    assert gain_db(1.0) == pytest.approx(-2 * free_space_db)
+    assert gain_db(20.0) - gain_db(20.0, carrier_ghz=7.0) == pytest.approx(40 * np.log10(2))
+
+
+def test_paths_are_averaged_and_a_late_one_has_a_longer_way():
+    settings = SensingSettings()
+    channel = replace(
+        flat_channel(1, 1, n_paths=2),
+        path_power=np.array([[1.0, 3.0]]),
+        path_delay=np.array([[0.0, 0.5]]),
+    )
+    found = link_gain(
+        distance_m=np.array([30.0]), owner=np.array([0]), channel=channel, settings=settings
+    )[0]
+    # Half of 2e-7 s at light speed is 29.98 m more there and back, half of it each way.
+    late_m = 30.0 + 0.5 * 0.5 * 2e-7 * 299_792_458.0
+    one = 10 ** (gain_db(1.0) / 10)
+    assert found == pytest.approx(one * 0.5 * (30.0**-5.4 + 3.0 * late_m**-5.4))
+
+
+def test_information_follows_the_budget():
+    gain = np.array([1e-15])
+
+    def info(**changes):
+        return information(gain=gain, settings=replace(SensingSettings(), **changes))[0]
+
+    assert info(power_dbm=45.0) / info() == pytest.approx(10**1.5)  # the +15 dB case
+    assert info(noise_dbm=-81.0) / info() == pytest.approx(0.1)
+    assert info(bandwidth_mhz=200.0) / info() == pytest.approx(4.0)
+    assert info(resource_share=0.25) / info() == pytest.approx(0.25)
+    assert info(processing_gain_db=SensingSettings().processing_gain_db + 3) / info() == (
+        pytest.approx(10**0.3)
+    )
+
+
+def test_information_has_a_floor_where_sigma_meets_its_cap():
+    settings = SensingSettings()
+    strong, weak = information(gain=np.array([1e-15, 1e-30]), settings=settings)
+    sigma = sigma_from_information(information=np.array([strong, weak]), settings=settings)
+    assert sigma[0] < settings.sigma_cap_m
+    assert sigma[1] == pytest.approx(settings.sigma_cap_m)
+
+
+def test_information_per_snr_is_the_curvature_of_the_likelihood():
+    """The delay bound from first principles: the energy of the signal's derivative."""
+    bandwidth_hz = 100e6
+    f = np.linspace(-bandwidth_hz / 2, bandwidth_hz / 2, 20_001)
+    mean_square_bandwidth = np.trapezoid(f**2, f) / bandwidth_hz
+    per_delay = 2 * (2 * np.pi) ** 2 * mean_square_bandwidth  # 2 E/N0 (2 pi)^2 <f^2> at SNR 1
+    per_range = per_delay * (2 / 299_792_458.0) ** 2
+    assert range_information_per_snr(bandwidth_mhz=100.0) == pytest.approx(per_range, rel=1e-6)
+
+
+def test_sigma_is_the_bound_times_the_gap():
+    settings = replace(SensingSettings(), crb_gap_db=20 * np.log10(4.9))
+    sigma = sigma_from_information(information=np.array([100.0, 24.01]), settings=settings)
+    assert sigma.tolist() == pytest.approx([0.49, 1.0])
+
+
+def test_channel_draws_have_their_laws():
+    settings = SensingSettings()
+    channel = draw_channel(
+        n_samples=np.full((400, 4), 5),
+        keys=[("scene", number) for number in range(400)],
+        settings=settings,
+        seed=0,
+    )
+    assert channel.large_scale.shape == (1600,)
+    assert channel.path_power.shape == (1600, settings.n_paths)
+    assert channel.unit_error.shape == (8000, 2)
+    # 4 standard errors of 1600, 6400 and 8000 draws.
+    assert channel.large_scale.std() == pytest.approx(1, abs=4 / np.sqrt(2 * 1600))
+    assert channel.path_power.mean() == pytest.approx(1, abs=4 / np.sqrt(6400))
+    assert channel.beam.std() == pytest.approx(1, abs=4 / np.sqrt(2 * 8000))
+    assert (channel.path_delay[:, 0] == 0).all()
+    assert ((channel.path_delay >= 0) & (channel.path_delay < 1)).all()
+
+
+def test_a_scene_senses_alike_whatever_other_scenes_there_are():
+    def draw(numbers):
+        return draw_channel(
+            n_samples=np.array([[3, 4]] * len(numbers)),
+            keys=[("scene", number) for number in numbers],
+            settings=SensingSettings(),
+            seed=5,
+        )
+
+    both, alone = draw([1, 2]), draw([2])
+    assert np.array_equal(both.large_scale[2:], alone.large_scale)
+    assert np.array_equal(both.unit_error[7:], alone.unit_error)
+    assert not np.array_equal(both.unit_error[:7], alone.unit_error)
+
+
+def test_sensing_adds_the_unit_error_scaled():
+    rng = stream(0, "test", "sense")
+    t = np.array([0.0, 0.1, 0.2, 0.0, 0.1])
+    xy = rng.standard_normal((5, 2))
+    offsets = np.array([0, 3, 5])
+    settings = SensingSettings()
+    channel = draw_channel(
+        n_samples=np.array([[3, 2]]), keys=[("scene", 0)], settings=settings, seed=0
+    )
+    sensed = sense(t=t, xy=xy, offsets=offsets, channel=channel, settings=settings)
+    assert np.allclose(sensed.xy - xy, sensed.sigma_raw[:, None] * channel.unit_error)
+    assert (sensed.sigma_raw > 0).all()
+    assert (sensed.sigma_raw <= settings.sigma_cap_m + 1e-12).all()
+    assert sensed.law == "radial"
+    with pytest.raises(ValueError, match="stands on the base station"):
+        sense(
+            t=t,
+            xy=np.full((5, 2), [settings.bs_x_m, settings.bs_y_m]),
+            offsets=offsets,
+            channel=channel,
+            settings=settings,
+        )

@@ -1,0 +1,339 @@
+from __future__ import annotations
+
+import re
+from dataclasses import FrozenInstanceError
+from math import exp, inf, sqrt
+
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+from strategies import reproducible
+
+from isac_track.protocols import Mechanism
+from isac_track.rng import stream
+from isac_track.sensing import unit_errors
+from isac_track.sharing import Clean, Fid, Fixed, Raw, fid_d_sigma, perturb
+from isac_track.types import Sensed
+
+LAWS = ["radial", "isotropic"]
+ADDING = ["linear", "independent"]
+LARGE = 40_000
+
+
+def truth(n_samples):
+    return stream(0, "test", "truth").uniform(-20.0, 20.0, (n_samples, 2))
+
+
+def sensed(*, sizes=(5, 1, 7), law="radial", fid=None, sigma_raw=None):
+    n_samples = int(np.sum(sizes))
+    rng = stream(0, "test", "sensed")
+    sigma = (
+        rng.uniform(0.05, 2.0, n_samples) if sigma_raw is None else np.full(n_samples, sigma_raw)
+    )
+    unit = unit_errors(n_samples=n_samples, law=law, rng=rng)
+    return Sensed(
+        t=np.arange(n_samples) / 12.0,
+        xy=truth(n_samples) + sigma[:, None] * unit,
+        unit_error=unit,
+        sigma_raw=sigma,
+        information=24.0 / sigma**2,
+        fid=288.0 / sigma**2 if fid is None else np.full(n_samples, fid),
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        law=law,
+    )
+
+
+def rng(*names):
+    return stream(0, "test", *(names or ("share",)))
+
+
+def norms(vectors):
+    return np.hypot(vectors[:, 0], vectors[:, 1])
+
+
+class TestErrorControl:
+    def test_by_hand(self):
+        eta = 8.0
+        fid = np.array([0.0, 4.0, 8.0, np.nextafter(8.0, 9.0), 16.0, 1e300, inf])
+        d_sigma = fid_d_sigma(fid=fid, eta=eta, alpha_m=0.5, beta=1.5)
+        by_hand = [0.0, 0.0, 0.0, 0.25, 0.5 * (1.5 - exp(-1.0)), 0.75, 0.75]
+        np.testing.assert_allclose(d_sigma, by_hand, rtol=1e-12)
+        assert (d_sigma[:3] == 0.0).all()
+
+    def test_far_below_the_threshold_nothing_overflows(self):
+        assert fid_d_sigma(fid=np.zeros(1), eta=1e-3, alpha_m=0.5, beta=1.5).tolist() == [0.0]
+        assert fid_d_sigma(fid=np.full(1, -1e9), eta=1.0, alpha_m=1, beta=2).tolist() == [0.0]
+
+
+class TestLinearAdding:
+    @pytest.mark.parametrize("law", LAWS)
+    def test_scales_the_true_error(self, law):
+        batch = sensed(law=law)
+        d_sigma = np.linspace(0.0, 1.2, 13)
+        release = perturb(batch, d_sigma, rng())
+        expected = truth(13) + (batch.sigma_raw + d_sigma)[:, None] * batch.unit_error
+        np.testing.assert_allclose(release.xy, expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(release.sigma, batch.sigma_raw + d_sigma, rtol=1e-15)
+
+    def test_is_the_default_and_draws_no_error(self):
+        batch = sensed()
+        one, other = perturb(batch, 0.4, rng("a")), perturb(batch, 0.4, rng("b"), adding="linear")
+        np.testing.assert_array_equal(one.xy, other.xy)
+
+    @pytest.mark.parametrize("law", LAWS)
+    def test_may_name_the_law_of_the_raw_error_but_no_other(self, law):
+        other = LAWS[1 - LAWS.index(law)]
+        perturb(sensed(law=law), 0.1, rng(), law=law)
+        message = "^linear adding scales the raw error and so keeps its law$"
+        with pytest.raises(ValueError, match=message):
+            perturb(sensed(law=law), 0.1, rng(), law=other)
+
+
+class TestIndependentAdding:
+    def test_declares_the_root_of_the_summed_variances(self):
+        batch = sensed(sigma_raw=0.3)
+        release = perturb(batch, 0.4, rng(), adding="independent")
+        np.testing.assert_allclose(release.sigma, 0.5, rtol=1e-15)
+
+    @pytest.mark.parametrize("law", LAWS)
+    @pytest.mark.parametrize("raw_law", LAWS)
+    def test_variances_add(self, raw_law, law):
+        batch = sensed(sizes=(LARGE,), sigma_raw=0.6, law=raw_law)
+        release = perturb(batch, 0.8, rng("variances", law), adding="independent", law=law)
+        error = release.xy - truth(LARGE)
+        # Both axes: the radial law has variance sigma^2 in all, the isotropic one on each axis.
+        axes = {"radial": 1, "isotropic": 2}
+        expected = axes[raw_law] * 0.6**2 + axes[law] * 0.8**2
+        square = (error**2).sum(axis=1)
+        assert abs(square.mean() - expected) < 5 * square.std() / sqrt(LARGE)
+        for axis in range(2):  # half of it each, and none of it in common
+            axis_square = error[:, axis] ** 2
+            assert abs(axis_square.mean() - expected / 2) < 5 * axis_square.std() / sqrt(LARGE)
+        product = error[:, 0] * error[:, 1]
+        assert abs(product.mean()) < 5 * product.std() / sqrt(LARGE)
+
+    def test_the_fresh_error_does_not_depend_on_the_raw_one(self):
+        batch = sensed(sizes=(LARGE,), sigma_raw=0.6)
+        fresh = perturb(batch, 0.8, rng(), adding="independent").xy - batch.xy
+        product = (fresh * batch.unit_error).sum(axis=1)
+        assert abs(product.mean()) < 5 * product.std() / sqrt(LARGE)
+
+    @pytest.mark.parametrize("law", LAWS)
+    def test_takes_the_law_of_the_raw_error_unless_told(self, law):
+        other = LAWS[1 - LAWS.index(law)]
+        batch = sensed(law=law)
+        default = perturb(batch, 0.8, rng(), adding="independent")
+        named = perturb(batch, 0.8, rng(), adding="independent", law=law)
+        changed = perturb(batch, 0.8, rng(), adding="independent", law=other)
+        np.testing.assert_array_equal(default.xy, named.xy)
+        assert not np.allclose(default.xy, changed.xy)
+
+    def test_levels_share_their_draws(self):
+        batch = sensed()
+        errors = [
+            perturb(batch, level, rng(), adding="independent").xy - batch.xy for level in (0.2, 1.0)
+        ]
+        np.testing.assert_allclose(5 * errors[0], errors[1], rtol=0, atol=1e-12)
+
+    def test_each_sample_gets_its_own_error(self):
+        d_sigma = np.zeros(13)
+        d_sigma[4] = 1.0
+        batch = sensed()
+        release = perturb(batch, d_sigma, rng(), adding="independent")
+        moved = norms(release.xy - batch.xy)
+        assert moved[4] > 0
+        assert (np.delete(moved, 4) == 0).all()
+
+
+class TestPerturb:
+    def test_times_and_offsets_pass_through(self):
+        batch = sensed()
+        release = perturb(batch, 0.1, rng())
+        assert np.shares_memory(release.t, batch.t)
+        assert release.offsets.tolist() == [0, 5, 6, 13]
+
+    @pytest.mark.parametrize("wrong", [-0.1, np.nan, inf, np.r_[np.zeros(12), -0.1]])
+    def test_d_sigma_is_finite_and_not_negative(self, wrong):
+        message = "^d_sigma must be finite and not negative$"
+        with pytest.raises(ValueError, match=message):
+            perturb(sensed(), wrong, rng())
+
+    def test_d_sigma_has_one_value_per_sample(self):
+        with pytest.raises(ValueError, match="broadcast"):
+            perturb(sensed(), np.zeros(12), rng())
+
+    @pytest.mark.parametrize("kind", [int, np.float32, object])
+    def test_numbers_of_any_kind_are_fine(self, kind):
+        levels = np.arange(13)
+        release = perturb(sensed(), levels.astype(kind), rng())
+        np.testing.assert_array_equal(release.xy, perturb(sensed(), levels * 1.0, rng()).xy)
+
+    def test_unknown_names(self):
+        message = "^unknown adding rule 'square'; known: linear, independent$"
+        with pytest.raises(ValueError, match=message):
+            perturb(sensed(), 0.1, rng(), adding="square")
+        with pytest.raises(ValueError, match="unknown error law 'square'"):
+            perturb(sensed(), 0.1, rng(), adding="independent", law="square")
+
+
+class TestPseudonyms:
+    def test_are_unique_opaque_and_cover_all_bytes(self):
+        names = Raw().share(sensed(sizes=(1,) * 2000), rng()).pseudonym
+        assert len(set(names)) == 2000
+        assert all(re.fullmatch("[0-9a-f]{16}", name) for name in names)
+        assert {name[k : k + 2] for name in names for k in range(0, 16, 2)} == {
+            f"{byte:02x}" for byte in range(256)
+        }
+
+    def test_differ_between_releases(self):
+        batch = sensed()
+        one, other = (Raw().share(batch, rng(name)).pseudonym for name in ("first", "second"))
+        assert not set(one) & set(other)
+
+    def test_are_the_same_for_the_same_stream(self):
+        assert Raw().share(sensed(), rng()).pseudonym == Clean().share(sensed(), rng()).pseudonym
+
+    def test_leave_the_stream_of_the_errors_alone(self):
+        batch = sensed()
+        release = perturb(batch, 1.0, rng(), adding="independent")
+        unit = unit_errors(n_samples=13, law="radial", rng=rng())
+        np.testing.assert_allclose(release.xy, batch.xy + unit, rtol=0, atol=1e-12)
+
+
+class TestMechanisms:
+    @pytest.mark.parametrize(
+        ("mechanism", "family"),
+        [(Raw(), "raw"), (Fixed(0.2), "fixed"), (Fid(10.0), "fid"), (Clean(), "clean")],
+    )
+    def test_are_frozen_plug_ins(self, mechanism, family):
+        assert isinstance(mechanism, Mechanism)
+        assert mechanism.family == family
+        assert len(mechanism.share(sensed(), rng())) == 3
+        with pytest.raises((FrozenInstanceError, TypeError)):
+            mechanism.eta = 3.0
+
+    def test_defaults_are_those_of_the_paper(self):
+        fid = Fid(1.0)
+        assert (fid.alpha, fid.beta, fid.adding, fid.law) == (0.5, 1.5, "linear", None)
+        assert (Fixed(0.1).adding, Fixed(0.1).law) == ("linear", None)
+        assert (Fixed.sweep, Fid.sweep) == ("linear", "log")
+
+    def test_raw_shares_the_estimates(self):
+        batch = sensed()
+        release = Raw().share(batch, rng())
+        np.testing.assert_array_equal(release.xy, batch.xy)
+        np.testing.assert_array_equal(release.sigma, batch.sigma_raw)
+
+    def test_clean_shares_the_truth(self):
+        batch = sensed()
+        release = Clean().share(batch, rng())
+        np.testing.assert_allclose(release.xy, truth(13), rtol=0, atol=1e-12)
+        assert release.sigma.tolist() == [0.0] * 13
+        assert np.shares_memory(release.t, batch.t)
+        assert release.offsets.tolist() == [0, 5, 6, 13]
+
+    @pytest.mark.parametrize("adding", ADDING)
+    @pytest.mark.parametrize("law", LAWS)
+    def test_fid_far_above_its_threshold_is_fixed_075(self, adding, law):
+        batch = sensed(law=law)  # fid of at least 72; exp(-71) is below the last digit of 1.5
+        fid = Fid(1.0, adding=adding).share(batch, rng())
+        fixed = Fixed(0.75, adding=adding).share(batch, rng())
+        np.testing.assert_array_equal(fid.xy, fixed.xy)
+        np.testing.assert_array_equal(fid.sigma, fixed.sigma)
+        assert fid.pseudonym == fixed.pseudonym
+
+    @pytest.mark.parametrize("adding", ADDING)
+    def test_fid_below_its_threshold_is_raw(self, adding):
+        batch = sensed()
+        release = Fid(1e9, adding=adding).share(batch, rng())
+        np.testing.assert_array_equal(release.xy, Raw().share(batch, rng()).xy)
+
+    def test_fid_uses_its_parameters_sample_by_sample(self):
+        batch = sensed()
+        mechanism = Fid(700.0, alpha=0.3, beta=2.0)
+        d_sigma = [
+            oracles.fid_d_sigma(fid=one, eta=700.0, alpha_m=0.3, beta=2.0) for one in batch.fid
+        ]
+        assert 0 < np.count_nonzero(d_sigma) < len(d_sigma)
+        release = mechanism.share(batch, rng())
+        np.testing.assert_allclose(release.sigma - batch.sigma_raw, d_sigma, atol=1e-12)
+
+    def test_fixed_passes_its_law_on(self):
+        batch = sensed(sizes=(LARGE,), sigma_raw=0.2)
+        added = Fixed(0.5, "independent", "isotropic").share(batch, rng("law")).xy - batch.xy
+        assert stats.kstest(norms(added), stats.rayleigh(scale=0.5).cdf).pvalue > 1e-3
+
+    def test_fid_passes_its_law_on(self):
+        batch = sensed(fid=1e9)
+        fid = Fid(1.0, adding="independent", law="isotropic").share(batch, rng())
+        fixed = Fixed(0.75, adding="independent", law="isotropic").share(batch, rng())
+        np.testing.assert_array_equal(fid.xy, fixed.xy)
+        assert not np.allclose(fid.xy, Fid(1.0, adding="independent").share(batch, rng()).xy)
+
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (lambda: Fixed(-0.1), "d_sigma must be 0 m or more, got -0.1"),
+            (lambda: Fixed(inf), "d_sigma must be 0 m or more, got inf"),
+            (lambda: Fixed(np.nan), "d_sigma must be 0 m or more, got nan"),
+            (lambda: Fid(0.0), "eta must be positive, got 0.0"),
+            (lambda: Fid(-1.0), "eta must be positive, got -1.0"),
+            (lambda: Fid(inf), "eta must be positive, got inf"),
+            (lambda: Fid(1.0, alpha=-0.5), "alpha must be 0 m or more, got -0.5"),
+            (lambda: Fid(1.0, alpha=inf), "alpha must be 0 m or more, got inf"),
+            (lambda: Fid(1.0, beta=0.99), "beta must be 1 or more, got 0.99"),
+            (lambda: Fid(1.0, beta=inf), "beta must be 1 or more, got inf"),
+        ],
+    )
+    def test_parameters_out_of_range(self, make, message):
+        with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+            make()
+
+    def test_parameters_at_the_edge(self):
+        assert Fixed(0.0).d_sigma == 0.0
+        assert Fid(0.5, alpha=0.0, beta=1.0).beta == 1.0
+
+
+class TestErrorLaws:
+    """Seeded draws, so a p-value above 0.001 is a fact about them and does not flicker."""
+
+    def test_norm_of_the_radial_law_is_half_normal(self):
+        unit = unit_errors(n_samples=LARGE, law="radial", rng=rng("ks"))
+        assert stats.kstest(norms(unit), stats.halfnorm.cdf).pvalue > 1e-3
+
+    def test_norm_of_the_isotropic_law_is_rayleigh(self):
+        unit = unit_errors(n_samples=LARGE, law="isotropic", rng=rng("ks"))
+        assert stats.kstest(norms(unit), stats.rayleigh.cdf).pvalue > 1e-3
+        assert stats.kstest(unit[:, 0], stats.norm.cdf).pvalue > 1e-3
+        assert stats.kstest(unit[:, 1], stats.norm.cdf).pvalue > 1e-3
+
+    @pytest.mark.parametrize("law", LAWS)
+    def test_direction_is_uniform_and_does_not_depend_on_the_norm(self, law):
+        unit = unit_errors(n_samples=LARGE, law=law, rng=rng("ks"))
+        angle = np.arctan2(unit[:, 1], unit[:, 0])
+        assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
+        long = norms(unit) > np.median(norms(unit))
+        assert stats.ks_2samp(angle[long], angle[~long]).pvalue > 1e-3
+
+    @pytest.mark.parametrize("law", LAWS)
+    def test_a_shorter_batch_is_a_prefix_of_a_longer_one(self, law):
+        long = unit_errors(n_samples=100, law=law, rng=rng("prefix"))
+        short = unit_errors(n_samples=37, law=law, rng=rng("prefix"))
+        np.testing.assert_array_equal(short, long[:37])
+
+
+@given(
+    ratio=st.lists(st.floats(0.0, 50.0), min_size=1, max_size=10),
+    eta=st.floats(1e-3, 1e6),
+    alpha_m=st.floats(0.0, 3.0),
+    beta=st.floats(1.0, 4.0),
+)
+@reproducible
+def test_error_control_equals_the_equation(ratio, eta, alpha_m, beta):
+    fid = eta * np.array(ratio)
+    d_sigma = fid_d_sigma(fid=fid, eta=eta, alpha_m=alpha_m, beta=beta)
+    looped = [oracles.fid_d_sigma(fid=one, eta=eta, alpha_m=alpha_m, beta=beta) for one in fid]
+    np.testing.assert_allclose(d_sigma, looped, rtol=1e-9, atol=1e-12)

@@ -1,0 +1,317 @@
+"""The metric suite itself: it catches what it should, and serves others as documented."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import fields, replace
+from itertools import product
+from math import nan
+from pathlib import Path
+
+import numpy as np
+import oracles
+import pytest
+from broken_metrics import BROKEN
+
+from isac_track.errors import SettingsError
+from isac_track.testing import (
+    CHECKS,
+    OWN,
+    Metrics,
+    parametrize_metric_checks,
+    run_checks,
+    select_checks,
+)
+from isac_track.testing.__main__ import main
+from isac_track.testing._cases import (
+    longest_run_expected,
+    mean_run_expected,
+    plain_track,
+    random_tracks,
+    segments,
+)
+from isac_track.testing._kit import check as register
+
+DOCS = Path(__file__).parents[2] / "docs" / "metrics.md"
+
+
+def status(metrics, name):
+    (outcome,) = run_checks(metrics, names=[name])
+    return outcome
+
+
+class TestMistakesAreCaught:
+    @pytest.mark.parametrize(
+        ("metric", "broken", "name"),
+        [pytest.param(*case, id=f"{case[1].__name__}-{case[2]}") for case in BROKEN],
+    )
+    def test_by_the_check_that_is_about_them(self, metric, broken, name):
+        outcome = status(replace(OWN, **{metric: broken}), name)
+        assert outcome.status == "failed"
+        assert outcome.detail
+
+    def test_by_each_check_at_least_once(self):
+        # Reversal cannot be broken without breaking a hand-computed example first.
+        unbroken = {one.name for one in CHECKS} - {name for _, _, name in BROKEN}
+        assert unbroken == {"plr_time_reversal", "plr_monotone_in_epsilon"}
+
+    def test_backwards_and_with_a_wider_epsilon(self):
+        def first_counts_double(shared_xy, true_xy, epsilon_m):
+            leaked = np.linalg.norm(shared_xy - true_xy, axis=1) < epsilon_m
+            return np.r_[leaked, leaked[:1]].mean()
+
+        def ring(shared_xy, true_xy, epsilon_m):
+            error = np.linalg.norm(shared_xy - true_xy, axis=1)
+            return np.mean((error < epsilon_m) & (error > epsilon_m / 2))
+
+        assert status(replace(OWN, plr=first_counts_double), "plr_time_reversal").status == "failed"
+        assert status(replace(OWN, plr=ring), "plr_monotone_in_epsilon").status == "failed"
+
+    @pytest.mark.parametrize(
+        ("broken", "detail"),
+        [
+            ("plr_raises_on_one_sample", r"plr raised IndexError: too short; called as plr\(\[\["),
+            ("mel_changes_its_input", "mel_s changed its input; called as mel_s"),
+            ("mel_returns_nothing", "mel_s returned None, which cannot be read as its result"),
+            ("mel_is_total", r"MEL is 1.0, expected 0.75; leakage pattern 101110, t = \[0, 0.25, "),
+        ],
+    )
+    def test_with_a_counterexample(self, broken, detail):
+        metric, function, name = next(case for case in BROKEN if case[1].__name__ == broken)
+        assert re.search(detail, status(replace(OWN, **{metric: function}), name).detail)
+
+
+class TestTheOracleOfTheSuite:
+    """The suite and `oracles.py` were written apart; here they meet."""
+
+    @pytest.mark.parametrize(
+        "pattern", ["".join(p) for n in range(1, 7) for p in product("01", repeat=n)]
+    )
+    def test_segments(self, pattern):
+        assert segments(pattern) == oracles.runs([sample == "1" for sample in pattern])
+
+    def test_patterns_are_what_the_coordinates_say(self):
+        for track in [plain_track("0110"), *random_tracks("test")]:
+            leaked = oracles.leaked_samples(
+                shared_xy=track.shared_xy, true_xy=track.true_xy, epsilon_m=track.epsilon_m
+            )
+            assert "".join("01"[sample] for sample in leaked) == track.pattern
+
+    def test_random_tracks_cover_what_matters(self):
+        patterns = [track.pattern for track in random_tracks("test")]
+        assert {"0", "1"} <= set(patterns)
+        assert any(max(segments(pattern), default=0) > 5 for pattern in patterns)
+        assert any(len(segments(pattern)) > 3 for pattern in patterns)
+
+    @pytest.mark.parametrize("p", [0.0, 0.1, 0.5, 0.9, 1.0])
+    @pytest.mark.parametrize("n", [1, 2, 7])
+    def test_expected_runs_equal_the_sum_over_all_patterns(self, n, p):
+        longest = oracles.expected_over_patterns(
+            lambda pattern: max(oracles.runs(pattern), default=0), n=n, p=p
+        )
+        mean = oracles.expected_over_patterns(
+            lambda pattern: np.mean(oracles.runs(pattern) or [0]), n=n, p=p
+        )
+        assert longest_run_expected(n, p) == pytest.approx(longest)
+        assert mean_run_expected(n, p) == pytest.approx(mean)
+
+    def test_expected_longest_run_of_the_paper(self):
+        # fid at eta = 1: PLR 18.4 % of 366 samples every 0.083 s, and a MEL of 0.28 s. Tracks
+        # that differ in PLR make it a little longer than one common PLR does.
+        assert longest_run_expected(366, 0.184) * 0.083 == pytest.approx(0.28, abs=0.015)
+
+
+class TestRunning:
+    def test_every_check_states_what_it_shows(self):
+        assert len({one.name for one in CHECKS}) == len(CHECKS)
+        assert all(one.statement.endswith(".") and one.needs for one in CHECKS)
+
+    def test_every_function_is_checked(self):
+        assert {need for one in CHECKS for need in one.needs} == {
+            item.name for item in fields(Metrics)
+        }
+
+    def test_what_is_not_offered_is_skipped_with_the_reason(self):
+        outcomes = {one.check: one for one in run_checks(Metrics(plr=OWN.plr))}
+        assert outcomes["plr_hand_examples"].status == "passed"
+        assert outcomes["mel_hand_examples"].status == "skipped"
+        assert outcomes["mel_is_at_least_ael"].detail == "not offered: ael_s, mel_s"
+        assert outcomes["mel_is_zero_exactly_when_plr_is"].detail == "not offered: mel_s"
+
+    def test_checks_are_selected_by_name_and_once(self):
+        names = ["mel_single_sample", "plr_single_sample", "mel_single_sample"]
+        assert [one.name for one in select_checks(names)] == names[:2]
+        assert select_checks() == CHECKS
+
+    def test_a_wrong_name_is_answered_with_the_nearest(self):
+        with pytest.raises(SettingsError, match=r"did you mean 'mel_single_sample'\?"):
+            select_checks(["mel_single_sampel"])
+        with pytest.raises(SettingsError, match="`--list` names all checks"):
+            run_checks(OWN, names=["xyzzy"])
+
+    def test_pytest_gets_one_case_per_check(self):
+        mark = parametrize_metric_checks(Metrics(plr=OWN.plr), names=["plr_single_sample"]).mark
+        assert mark.args[0] == "check"
+        (case,) = mark.args[1]
+        assert case.id == "plr_single_sample"
+        assert not case.marks
+        case.values[0]()
+
+    def test_pytest_skips_what_is_not_offered(self):
+        cases = parametrize_metric_checks(Metrics(plr=OWN.plr)).mark.args[1]
+        assert len(cases) == len(CHECKS)
+        skipped = {case.id: case.marks[0].kwargs["reason"] for case in cases if case.marks}
+        assert skipped["ael_single_sample"] == "not offered: ael_s"
+
+    def test_pytest_sees_a_failure(self):
+        cases = parametrize_metric_checks(Metrics(plr=lambda *_: nan)).mark.args[1]
+        (case,) = [case for case in cases if case.id == "plr_hand_examples"]
+        with pytest.raises(AssertionError, match=r"PLR is nan, expected 0\.25"):
+            case.values[0]()
+
+    def test_a_check_of_an_unknown_function_cannot_be_defined(self):
+        def check_of_nothing(plt):
+            """Check a typing error."""
+
+        with pytest.raises(TypeError, match=r"check_of_nothing asks for .* \['plt'\]"):
+            register(check_of_nothing)
+
+
+class TestCommand:
+    def test_own_metrics_pass(self, capsys):
+        assert main(["isac_track.testing:OWN"]) == 0
+        *lines, summary = capsys.readouterr().out.splitlines()
+        assert lines == [f"passed  {one.name}" for one in CHECKS]
+        assert summary == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
+
+    def test_failure_and_skips(self, capsys, module):
+        name = module("from isac_track.testing import Metrics\nM = Metrics(plr=lambda *_: 2.0)")
+        assert (
+            main([f"{name}:M", "--check", "plr_single_sample", "--check", "mel_single_sample"]) == 1
+        )
+        counterexample = "leakage pattern 1, t = [0] s, epsilon 0.3 m"
+        assert capsys.readouterr().out.splitlines() == [
+            f"failed  plr_single_sample: PLR is 2.0, expected 1.0; {counterexample}",
+            "skipped mel_single_sample: not offered: mel_s",
+            "0 passed, 1 failed, 1 skipped",
+        ]
+
+    def test_list(self, capsys):
+        assert main(["--list"]) == 0
+        assert len(capsys.readouterr().out.splitlines()) == len(CHECKS)
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (["isac_track.testing"], "expected package.module:OBJECT"),
+            ([":OWN"], "expected package.module:OBJECT"),
+            (["isac_track.testing:"], "expected package.module:OBJECT"),
+            (["isac_track.testing:a b"], "expected package.module:OBJECT"),
+            (["no_such_package.x:OWN"], "cannot import 'no_such_package.x': ModuleNotFoundError"),
+            ([".relative:OWN"], "cannot import '.relative'"),
+            (["isac_track.testing:OWEN"], "'isac_track.testing' has no 'OWEN'"),
+            (["isac_track.testing:CHECKS"], "must be an isac_track.testing.Metrics, got tuple"),
+            (["isac_track.testing:OWN", "--check", "plr_hand"], "did you mean 'plr_hand_examples'"),
+        ],
+    )
+    def test_wrong_usage(self, arguments, message, capsys):
+        assert main(arguments) == 2
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert captured.err.startswith("error: ")
+        assert message in captured.err
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("1 / 0", "ZeroDivisionError: division by zero"),
+            ("raise SystemExit(0)", "SystemExit: 0"),
+            ("def (", "SyntaxError"),
+            ("from isac_track.testing import Metrics\nM = Metrics()", "offers no function"),
+        ],
+    )
+    def test_a_module_that_cannot_be_used(self, text, message, capsys, module):
+        assert main([f"{module(text)}:M"]) == 2
+        assert message in capsys.readouterr().err
+
+    @pytest.mark.parametrize("arguments", [[], ["--no-such-option"]])
+    def test_without_a_target(self, arguments, capsys):
+        with pytest.raises(SystemExit) as stopped:
+            main(arguments)
+        assert stopped.value.code == 2
+        assert "usage: python -m isac_track.testing" in capsys.readouterr().err
+
+
+class TestDocumentation:
+    """docs/metrics.md, as its reader would use it: in a folder of their own."""
+
+    def test_example_runs_as_a_command(self, example):
+        done = run_python(example, "-m", "isac_track.testing", "my_metrics:METRICS")
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert done.stderr == ""
+        assert re.search(r"^\d+ passed, 0 failed, \d+ skipped$", done.stdout, re.MULTILINE)
+        assert "skipped ael_hand_examples: not offered: ael_s" in done.stdout
+
+    def test_example_runs_with_pytest(self, example):
+        done = run_python(example, "-m", "pytest", "-q", "-p", "no:cacheprovider")
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert re.search(r"^\d+ passed, \d+ skipped", done.stdout, re.MULTILINE)
+
+    def test_example_is_short(self):
+        (text, _) = python_blocks()
+        assert len([line for line in text.splitlines() if line.strip()]) <= 15
+
+    def test_every_function_is_named(self):
+        text = DOCS.read_text(encoding="utf-8")
+        assert [item.name for item in fields(Metrics) if f"`{item.name}`" not in text] == []
+
+    def test_neither_pytest_nor_hypothesis_is_needed(self, tmp_path):
+        code = (
+            "import sys, isac_track.testing.__main__\n"
+            "sys.exit(str({'pytest', 'hypothesis'} & sys.modules.keys()) if "
+            "{'pytest', 'hypothesis'} & sys.modules.keys() else 0)"
+        )
+        done = run_python(tmp_path, "-c", code)
+        assert done.returncode == 0, done.stderr
+
+
+def python_blocks():
+    return re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def run_python(folder, *arguments):
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture
+def example(tmp_path):
+    metrics, tests = python_blocks()
+    (tmp_path / "my_metrics.py").write_text(metrics, encoding="utf-8")
+    (tmp_path / "test_my_metrics.py").write_text(tests, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """Write a module of somebody else's and return its name."""
+    names = []
+
+    def write(text):
+        name = f"somebody_elses_{len(names)}_{tmp_path.name.replace('-', '_')}"
+        names.append(name)
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+        monkeypatch.syspath_prepend(tmp_path)
+        return name
+
+    yield write
+    for name in names:
+        sys.modules.pop(name, None)

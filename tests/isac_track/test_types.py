@@ -1,0 +1,273 @@
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields, replace
+
+import numpy as np
+import pytest
+
+from isac_track.types import Prediction, Release, Scenes, Sensed, Tracks
+
+T = np.array([0.0, 0.1, 0.3, 5.0, 0.0, 2.0])  # three tracks of 3, 1 and 2 samples
+XY = np.arange(12.0).reshape(6, 2)
+OFFSETS = np.array([0, 3, 4, 6])
+
+
+def tracks(**changes):
+    values = {
+        "t": T,
+        "xy": XY,
+        "offsets": OFFSETS,
+        "source": ("a", "b", "c"),
+        "group": ("g", "g", "h"),
+    }
+    return Tracks(**(values | changes))
+
+
+def sensed(**changes):
+    values = {
+        "t": T,
+        "xy": XY,
+        "unit_error": XY / 10,
+        "sigma_raw": np.full(6, 0.5),
+        "information": np.full(6, 4.0),
+        "fid": np.full(6, 40.0),
+        "offsets": OFFSETS,
+    }
+    return Sensed(**(values | changes))
+
+
+def release(**changes):
+    values = {
+        "t": T,
+        "xy": XY,
+        "sigma": np.full(6, 0.5),
+        "offsets": OFFSETS,
+        "pseudonym": ("p", "q", "r"),
+    }
+    return Release(**(values | changes))
+
+
+def scenes(**changes):
+    values = {  # three agents in one scene, two steps
+        "t": T,
+        "xy": XY,
+        "offsets": OFFSETS,
+        "track": np.arange(3),
+        "index": np.array([7]),
+        "t_future": np.zeros((3, 2)),
+        "xy_future": np.zeros((3, 2, 2)),
+        "robot_start": np.zeros((1, 2)),
+        "robot_destination": np.ones((1, 2)),
+        "separation": np.zeros(1),
+        "conflict": np.array([True]),
+        "exhausted": np.zeros(1, dtype=int),
+    }
+    return Scenes(**(values | changes))
+
+
+RAGGED = pytest.mark.parametrize("make", [tracks, sensed, release])
+MADE = pytest.mark.parametrize("make", [tracks, sensed, release, scenes])
+
+
+@RAGGED
+def test_length_indexing_and_iteration_agree(make):
+    batch = make()
+    assert len(batch) == 3
+    assert [len(one) for one in batch] == [1, 1, 1]
+    assert [one.t.tolist() for one in batch] == [[0.0, 0.1, 0.3], [5.0], [0.0, 2.0]]
+    assert [one.offsets.tolist() for one in batch] == [[0, 3], [0, 1], [0, 2]]
+    np.testing.assert_array_equal(batch[1].xy, XY[3:4])
+    np.testing.assert_array_equal(batch[-1].xy, batch[2].xy)
+    np.testing.assert_array_equal(batch[-3].xy, batch[0].xy)
+
+
+@RAGGED
+def test_one_track_is_a_view_of_the_batch(make):
+    batch = make()
+    for one in batch:
+        for item in fields(batch):
+            value = getattr(batch, item.name)
+            if item.metadata.get("per") == "sample":
+                assert np.shares_memory(getattr(one, item.name), value), item.name
+                assert not getattr(one, item.name).flags.writeable
+
+
+def test_one_track_keeps_its_names():
+    assert tracks()[1].source == ("b",)
+    assert [one.group for one in tracks()] == [("g",), ("g",), ("h",)]
+    assert release()[-1].pseudonym == ("r",)
+
+
+def test_one_sensed_track_keeps_its_law():
+    assert sensed(law="isotropic")[0].law == "isotropic"
+
+
+@RAGGED
+@pytest.mark.parametrize("index", [3, -4])
+def test_an_index_beyond_the_last_track_is_an_error(make, index):
+    with pytest.raises(IndexError, match=f"track {index} of 3"):
+        make()[index]
+
+
+@MADE
+def test_no_copy_is_made_and_the_callers_array_stays_writeable(make):
+    mine = T.copy()
+    batch = make(t=mine)
+    assert np.shares_memory(batch.t, mine)
+    assert mine.flags.writeable
+
+
+@MADE
+def test_arrays_are_read_only_and_fields_frozen(make):
+    batch = make()
+    for item in fields(batch):
+        value = getattr(batch, item.name)
+        if isinstance(value, np.ndarray):
+            with pytest.raises(ValueError, match="read-only"):
+                value[0] = value[0]
+    with pytest.raises(FrozenInstanceError):
+        batch.t = T
+
+
+@RAGGED
+def test_lists_and_integers_become_float_arrays(make):
+    batch = make(xy=[[1, 2]] * 6)
+    assert batch.xy.dtype == np.float64
+    assert batch.offsets.dtype == np.int64
+
+
+@MADE
+@pytest.mark.parametrize(
+    ("offsets", "message"),
+    [
+        ([0, 3, 4], "offsets must run from 0 to 6"),
+        ([1, 3, 6], "offsets must run from 0 to 6"),
+        ([], "offsets must hold integers"),
+        (np.array([], dtype=int), "offsets must run from 0 to 6"),
+        ([0, 3, 3, 6], "at least one sample"),
+        ([0, 4, 3, 6], "at least one sample"),
+        ([0.0, 3.0, 4.0, 6.0], "offsets must hold integers"),
+        ([[0, 3, 4, 6]], "offsets must have 1 dimension"),
+    ],
+)
+def test_wrong_offsets_are_rejected(make, offsets, message):
+    with pytest.raises(ValueError, match=message):
+        make(offsets=np.asarray(offsets))
+
+
+@MADE
+@pytest.mark.parametrize(
+    "times",
+    [
+        [0.0, 0.1, 0.1, 5.0, 0.0, 2.0],  # repeated
+        [0.0, 0.1, 0.05, 5.0, 0.0, 2.0],  # backwards
+        [0.0, np.nan, 0.3, 5.0, 0.0, 2.0],
+        [np.nan, 0.1, 0.3, 5.0, 0.0, 2.0],
+        [-np.inf, 0.1, 0.3, 5.0, 0.0, 2.0],
+        [0.0, 0.1, np.inf, 5.0, 0.0, 2.0],
+        [0.0, 0.1, 0.3, np.nan, 0.0, 2.0],  # the only sample of its track
+        [0.0, 0.1, 0.3, 5.0, -np.inf, 2.0],
+        [0.0, 0.1, 0.3, 5.0, 0.0, np.inf],
+    ],
+)
+def test_times_must_be_finite_and_rise_within_a_track(make, times):
+    with pytest.raises(ValueError, match="strictly increasing within a track"):
+        make(t=np.array(times))
+
+
+@RAGGED
+@pytest.mark.parametrize(
+    ("xy", "message"),
+    [
+        (XY[:5], r"xy must have shape \(6, 2\)"),
+        (np.zeros((6, 3)), r"xy must have shape \(6, 2\)"),
+        (np.zeros(6), "xy must have 2 dimension"),
+        (np.where(XY == 4, np.nan, XY), "a position is not finite"),
+        (np.where(XY == 4, np.inf, XY), "a position is not finite"),
+    ],
+)
+def test_wrong_positions_are_rejected(make, xy, message):
+    with pytest.raises(ValueError, match=message):
+        make(xy=xy)
+
+
+def test_wrong_times_shape_is_rejected():
+    with pytest.raises(ValueError, match="t must have 1 dimension"):
+        tracks(t=T[:, None])
+
+
+def test_each_track_needs_a_name():
+    with pytest.raises(ValueError, match="source must name 3 tracks, got 2"):
+        tracks(source=("a", "b"))
+    with pytest.raises(ValueError, match="group must name 3 tracks, got 4"):
+        tracks(group=("a", "b", "c", "d"))
+    with pytest.raises(ValueError, match="pseudonym must name 3 tracks, got 1"):
+        release(pseudonym=("a",))
+
+
+def test_source_ids_are_unique_but_groups_are_shared():
+    with pytest.raises(ValueError, match="source ids must be unique"):
+        tracks(source=("a", "b", "a"))
+    assert tracks(group=("g", "g", "g")).group == ("g", "g", "g")
+
+
+@pytest.mark.parametrize("name", ["unit_error", "sigma_raw", "information", "fid"])
+def test_sensed_checks_every_shape(name):
+    with pytest.raises(ValueError, match=f"{name} must have"):
+        sensed(**{name: np.ones(4)})
+
+
+@pytest.mark.parametrize("wrong", [-1e-9, np.nan])
+def test_sigma_raw_is_not_negative(wrong):
+    with pytest.raises(ValueError, match="sigma_raw must not be negative or NaN"):
+        sensed(sigma_raw=np.array([0.1, 0.1, wrong, 0.1, 0.1, 0.1]))
+
+
+def test_a_single_sample_may_have_an_unbounded_density():
+    assert np.isinf(sensed(fid=np.full(6, np.inf)).fid).all()
+
+
+def test_release_without_sigma():
+    full = release()
+    bare = full.without_sigma()
+    assert bare.sigma is None
+    assert bare[1].sigma is None
+    assert np.shares_memory(bare.xy, full.xy)
+    assert full.sigma is not None
+    assert bare.pseudonym == full.pseudonym
+
+
+def test_release_checks_the_shape_of_sigma():
+    with pytest.raises(ValueError, match=r"sigma must have shape \(6,\)"):
+        release(sigma=np.ones(5))
+
+
+def test_replace_checks_again():
+    with pytest.raises(ValueError, match="strictly increasing"):
+        replace(release(), t=T[::-1])
+
+
+def test_scenes_count_their_agents():
+    assert (len(scenes()), scenes().n_agents) == (1, 3)
+
+
+@pytest.mark.parametrize("index", [np.arange(2), np.array([], dtype=int)])
+def test_agents_fill_scenes_evenly(index):
+    with pytest.raises(ValueError, match="do not fill"):
+        scenes(index=index)
+
+
+def test_predictions_are_checked():
+    mean = np.zeros((2, 3, 2))
+    assert Prediction(mean=mean).cov is None
+    assert Prediction(mean=mean, cov=np.zeros((2, 3, 2, 2))).cov.shape == (2, 3, 2, 2)
+    with pytest.raises(ValueError, match=r"\(N, H, 2\)"):
+        Prediction(mean=np.zeros((2, 3, 3)))
+    with pytest.raises(ValueError, match="3 dimension"):
+        Prediction(mean=np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="not finite"):
+        Prediction(mean=np.full((2, 3, 2), np.nan))
+    with pytest.raises(ValueError, match=r"\(N, H, 2, 2\)"):
+        Prediction(mean=mean, cov=np.zeros((2, 4, 2, 2)))
+    with pytest.raises(ValueError, match="4 dimension"):
+        Prediction(mean=mean, cov=np.zeros((2, 3, 2)))

@@ -1,0 +1,110 @@
+"""Slow and obviously correct: the metrics as plain loops over plain numbers.
+
+Nothing here is shared with the package: no numpy broadcasting, no flat arrays, no run-length
+tricks. To be read by eye.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise, product
+from math import dist, exp, nan
+
+
+def leaked_samples(*, shared_xy, true_xy, epsilon_m):
+    """z(k): closer than epsilon."""
+    return [dist(s, m) < epsilon_m for s, m in zip(shared_xy, true_xy, strict=True)]
+
+
+def runs(leaked):
+    """Length of every unbroken run of leaked samples."""
+    found = []
+    length = 0
+    for sample in leaked:
+        if sample:
+            length += 1
+        elif length > 0:
+            found.append(length)
+            length = 0
+    if length > 0:
+        found.append(length)
+    return found
+
+
+def mean_interval_s(t):
+    """Mean of the differences; a single sample has none."""
+    gaps = [t[k] - t[k - 1] for k in range(1, len(t))]
+    return sum(gaps) / len(gaps) if gaps else nan
+
+
+def exposure(*, leaked, t):
+    """PLR, AEL and MEL of one trajectory, and the number of its segments."""
+    found = runs(leaked)
+    count = 0
+    for sample in leaked:
+        if sample:
+            count += 1
+    if not found:
+        return 0.0, 0.0, 0.0, 0
+    interval_s = mean_interval_s(t)
+    ael_s = sum(length * interval_s for length in found) / len(found)
+    return count / len(leaked), ael_s, max(found) * interval_s, len(found)
+
+
+def exposure_of_all(*, leaked, t, offsets):
+    """Each trajectory cut out and treated alone; four lists."""
+    rows = [exposure(leaked=list(leaked[lo:hi]), t=list(t[lo:hi])) for lo, hi in pairwise(offsets)]
+    return tuple(map(list, zip(*rows, strict=True)))
+
+
+def expected_over_patterns(statistic, *, n, p):
+    """Mean of a statistic of n independent samples, over all 2^n leakage patterns."""
+    total = 0.0
+    for pattern in product([False, True], repeat=n):
+        ones = sum(pattern)
+        total += p**ones * (1 - p) ** (n - ones) * statistic(pattern)
+    return total
+
+
+def prediction_grid(*, t, window, horizon_steps):
+    """Eq. future_time_grid for one track."""
+    recent = list(t)[-window:]
+    interval_s = mean_interval_s(recent)
+    return [t[-1] + h * interval_s for h in range(horizon_steps)]
+
+
+def robot_point(*, start, destination, speed_mps, elapsed_s):
+    """Eq. robot_nominal_path at one moment."""
+    way_m = dist(start, destination)
+    walked_m = min(speed_mps * elapsed_s, way_m)
+    return [a + walked_m * (b - a) / way_m for a, b in zip(start, destination, strict=True)]
+
+
+def minimum_separation(*, robot, agents):
+    """Smallest distance of one scene: every agent, every step."""
+    smallest = float("inf")
+    for robot_path, agent_path in zip(robot, agents, strict=True):
+        for here, there in zip(robot_path, agent_path, strict=True):
+            smallest = min(smallest, dist(here, there))
+    return smallest
+
+
+def missed_conflict_rate(*, conflict, predicted):
+    """Count c = 1 and c-hat = 0 among c = 1."""
+    missed = sum(1 for c, p in zip(conflict, predicted, strict=True) if c and not p)
+    total = sum(1 for c in conflict if c)
+    return missed / total if total else nan
+
+
+def false_alarm_rate(*, conflict, predicted):
+    """Count c = 0 and c-hat = 1 among c = 0."""
+    false = sum(1 for c, p in zip(conflict, predicted, strict=True) if p and not c)
+    total = sum(1 for c in conflict if not c)
+    return false / total if total else nan
+
+
+def fid_d_sigma(*, fid, eta, alpha_m, beta):
+    """Eqs. fid_ratio and fid_error_control for one sample."""
+    rho = fid / eta
+    if rho <= 1:
+        return 0.0
+    return alpha_m * (beta - exp(-(rho - 1)))
