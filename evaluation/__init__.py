@@ -1,0 +1,36 @@
+"""The evaluation matrix: mechanisms x consumers, with intervals.
+
+``evaluation.run(settings)`` gives the same results as ``python -m evaluation.matrix``, as data
+frames::
+
+    import evaluation
+
+    results = evaluation.run(evaluation.Settings(preset="smoke"))
+    results.summary
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from evaluation.grid import Settings
+    from evaluation.report import Results
+    from evaluation.runner import run
+
+__all__ = ["Results", "Settings", "run"]
+
+_HOME = {"Results": "evaluation.report", "Settings": "evaluation.grid", "run": "evaluation.runner"}
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for
+    # Lazy: `python -m evaluation.matrix --help` must not wait for pandas.
+    if name not in _HOME:
+        raise AttributeError(f"module 'evaluation' has no attribute {name!r}")
+    from importlib import import_module  # noqa: PLC0415
+
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,49 @@
+"""`isac-track COMMAND ...`, the same as ``python -m`` of the module behind each command.
+
+A user's own folder called ``evaluation`` would shadow ``python -m evaluation.matrix``.
+"""
+
+from __future__ import annotations
+
+import sys
+from difflib import get_close_matches
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from isac_track import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+COMMANDS = {
+    "matrix": ("evaluation.matrix", "run the evaluation matrix"),
+    "report": ("evaluation.report", "redraw tables and figures of a run"),
+    "calibrate": ("evaluation.calibrate", "refit the constants of the sensing model"),
+    "datasets": ("isac_track.datasets.__main__", "list and fetch data sets"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; return its exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print("usage: isac-track COMMAND [OPTIONS]\n")
+        for name, (_, about) in COMMANDS.items():
+            print(f"  {name:<10} {about}")
+        print("\nisac-track COMMAND --help describes one; isac-track --version")
+        return 0 if words else 2
+    if words[0] == "--version":
+        print(f"isac-track {__version__}")
+        return 0
+    if words[0] not in COMMANDS:
+        near = get_close_matches(words[0], COMMANDS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(COMMANDS)}"
+        print(f"error: unknown command {words[0]!r}; {hint}", file=sys.stderr)
+        return 2
+    module = import_module(COMMANDS[words[0]][0])
+    code: int = module.main(words[1:])
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""The axes of a run: presets, settings, and the levels and consumers that they expand to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+from isac_track import registry
+from isac_track.config import StageSettings
+from isac_track.errors import SettingsError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from isac_track.registry import Plugin
+
+BLOCK_SCENES = 250
+"""Scenes of a cell. Part of the keys of the sharing streams: a change changes the draws."""
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """Axes that a name stands for."""
+
+    scenes: int
+    mechanisms: tuple[str, ...]
+    predictors: tuple[str, ...]
+    summary: str
+
+
+_SWEEP = (
+    "raw",
+    *(
+        f"{axis}{rule}"
+        for rule in ("", ",adding=independent")
+        for axis in ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
+    ),
+)
+_PREDICTORS = ("least_squares",)
+PRESETS = {
+    "smoke": Preset(
+        scenes=40,
+        mechanisms=("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1"),
+        predictors=_PREDICTORS,
+        summary="40 scenes, the 5 levels that the paper gives numbers for",
+    ),
+    "paper": Preset(
+        scenes=500,
+        mechanisms=_SWEEP,
+        predictors=_PREDICTORS,
+        summary="500 scenes, raw, 13 eta, 10 fixed errors, both adding rules",
+    ),
+    "full": Preset(
+        scenes=5000,
+        mechanisms=_SWEEP,
+        predictors=_PREDICTORS,
+        summary="the axes of paper on 5,000 scenes",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """A whole run. None means: as the preset, the lookup or the default folder says."""
+
+    preset: str = "paper"
+    dataset: str | None = None
+    """Name of a known data set, or a path."""
+    format: str | None = None
+    fps: float | None = None
+    scenes: int | None = None
+    seed: int = 0
+    mechanisms: tuple[str, ...] | None = None
+    """SPECs; they replace the preset's."""
+    predictors: tuple[str, ...] | None = None
+    """SPECs; they replace the preset's. Empty: descriptors only."""
+    stages: StageSettings = field(default_factory=StageSettings)
+    jobs: int = 1
+    out: Path | None = None
+    fresh: bool = False
+
+    def __post_init__(self) -> None:
+        if self.preset not in PRESETS:
+            near = get_close_matches(self.preset, PRESETS, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(PRESETS)}"
+            raise SettingsError(f"unknown preset {self.preset!r}; {hint}")
+        if self.scenes is not None and self.scenes < 2:  # noqa: PLR2004 - one of each label
+            raise SettingsError(f"a run needs at least 2 scenes, got {self.scenes}")
+        if self.seed < 0:
+            raise SettingsError(f"the seed must not be negative, got {self.seed}")
+        if self.jobs < 1:
+            raise SettingsError(f"jobs must be at least 1, got {self.jobs}")
+        if self.fps is not None and not self.fps > 0:
+            raise SettingsError(f"fps must be positive, got {self.fps:g}")
+
+    @property
+    def n_scenes(self) -> int:
+        """Scenes of the run."""
+        return PRESETS[self.preset].scenes if self.scenes is None else self.scenes
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """What the run crosses: every mechanism level with every consumer."""
+
+    mechanisms: tuple[Plugin, ...]
+    predictors: tuple[Plugin, ...]
+
+
+def axes(settings: Settings) -> Axes:
+    """Return the plug-ins of a run, each once.
+
+    Raises
+    ------
+    SettingsError
+        If a SPEC is wrong or no mechanism is left.
+    PluginError
+        If a named plug-in cannot be loaded.
+    """
+    preset = PRESETS[settings.preset]
+    mechanisms = preset.mechanisms if settings.mechanisms is None else settings.mechanisms
+    predictors = preset.predictors if settings.predictors is None else settings.predictors
+    expanded = Axes(
+        mechanisms=registry.parse_all("mechanisms", mechanisms),
+        predictors=registry.parse_all("predictors", predictors),
+    )
+    if not expanded.mechanisms:
+        raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
+    return expanded
+
+
+def n_blocks(n_scenes: int) -> int:
+    """Return how many blocks of scenes a run has."""
+    return -(-n_scenes // BLOCK_SCENES)

@@ -1,0 +1,303 @@
+"""`python -m evaluation.matrix`: a thin shell over `evaluation.run`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, Self
+
+from evaluation.grid import PRESETS, Settings
+from isac_track.config import StageSettings, setting_types
+from isac_track.errors import IsacTrackError, SettingsError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from evaluation.runner import Plan
+
+_EXIT = """\
+exit codes: 0 done, 2 wrong usage or data, 130 interrupted (finished cells are kept)
+
+examples:
+  python -m evaluation.matrix
+  python -m evaluation.matrix --preset smoke
+  python -m evaluation.matrix --dataset walks.csv --mechanism fid:1..1000/10 --mechanism raw
+  python -m evaluation.matrix --set privacy.epsilon_m=0.5 --out runs/wide
+"""
+_CONFIG_KEYS = {
+    "preset": str,
+    "dataset": str,
+    "format": str,
+    "fps": float,
+    "scenes": int,
+    "seed": int,
+    "mechanism": list,
+    "predictor": list,
+    "jobs": int,
+    "out": str,
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        # One line, not the whole usage: the way out is what counts.
+        raise SettingsError(f"{message} (see --help)")
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line of the matrix."""
+    presets = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
+    command = _Parser(
+        prog="python -m evaluation.matrix",
+        description="Evaluate sharing mechanisms: what a robot can still foresee, what leaks.",
+        epilog=_EXIT,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = command.add_argument
+    add("--preset", metavar="NAME", help=f"{presets} (default: paper)")
+    add(
+        "--dataset",
+        metavar="NAME|PATH",
+        help="a known data set (downloaded if need be) or your own file "
+        "(default: students03 if it is here, else the simulated plaza)",
+    )
+    add("--format", metavar="NAME", help="format of your own file; see docs/data.md")
+    add("--fps", type=float, metavar="N", help="frames per second of your own file")
+    add("--scenes", type=int, metavar="N", help="Monte Carlo scenes (default: the preset's)")
+    add("--seed", type=int, metavar="N", help="base seed of every random stream (default: 0)")
+    add(
+        "--mechanism",
+        action="append",
+        metavar="SPEC",
+        help="sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT; "
+        "repeatable; replaces the preset's",
+    )
+    add(
+        "--predictor",
+        action="append",
+        metavar="SPEC",
+        help="the robot's predictor; repeatable; `none` for descriptors only",
+    )
+    add(
+        "--set",
+        action="append",
+        metavar="STAGE.KEY=VALUE",
+        default=[],
+        help="change a stage setting, such as privacy.epsilon_m=0.5; --list names all",
+    )
+    add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
+    add("--jobs", type=int, metavar="N", help="worker processes (default: 1)")
+    add("--out", type=Path, metavar="DIR", help="run folder (default: runs/DATASET-PRESET-SEED)")
+    add("--fresh", action="store_true", help="replace the run in the folder, do not continue it")
+    add("--list", action="store_true", help="list what can be named, and stop")
+    add("--dry-run", action="store_true", help="say what would be computed, and stop")
+    return command
+
+
+def settings_from(options: argparse.Namespace) -> Settings:
+    """Return the settings of a command line, over those of its --config file.
+
+    Raises
+    ------
+    SettingsError
+        For anything unknown, malformed or contradictory.
+    """
+    values, stage_values = _read_config(options.config) if options.config else ({}, {})
+    for key in _CONFIG_KEYS:
+        given = getattr(options, key)
+        if given is not None:
+            values[key] = given
+    for text in options.set:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
+        stage_values[name.strip()] = value.strip()
+    if values.get("fps") is not None and values.get("dataset") is None:
+        raise SettingsError("--fps describes your own file: name it with --dataset PATH")
+    if values.get("format") is not None and values.get("dataset") is None:
+        raise SettingsError("--format describes your own file: name it with --dataset PATH")
+    return Settings(
+        preset=values.get("preset", "paper"),
+        dataset=values.get("dataset"),
+        format=values.get("format"),
+        fps=values.get("fps"),
+        scenes=values.get("scenes"),
+        seed=values.get("seed", 0),
+        mechanisms=_axis(values.get("mechanism"), option="--mechanism"),
+        predictors=_axis(values.get("predictor"), option="--predictor"),
+        stages=StageSettings().changed(stage_values),
+        jobs=values.get("jobs", 1),
+        out=Path(values["out"]) if "out" in values else None,
+        fresh=options.fresh,
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    try:
+        options = parser().parse_args(arguments)
+        if options.list:
+            _list()
+            return 0
+        return _run(settings_from(options), dry_run=options.dry_run)
+    except IsacTrackError as error:
+        _say(f"error: {error}", stream=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        _say(
+            "interrupted; finished cells are kept, the same command continues (without --fresh)",
+            stream=sys.stderr,
+        )
+        return 130
+
+
+def _run(settings: Settings, *, dry_run: bool) -> int:
+    # Heavy imports only now: --help, --list and a typing error answer at once.
+    from evaluation import tables  # noqa: PLC0415
+    from evaluation.runner import plan, run  # noqa: PLC0415
+
+    ready = plan(settings)
+    _announce(ready)
+    if dry_run:
+        return 0
+    with _Bar() as bar:
+        results = run(ready=ready, progress=bar.update)
+    tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
+    _say(f"\nresults in {results.out}: summary.csv, paper_table.csv, figures/, tables/")
+    return 0
+
+
+def _announce(ready: Plan) -> None:
+    cells = sum(len(files) for _, _, files in ready.cells)
+    folder = ready.out / "cells"
+    present = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    finished = sum(name in present for _, _, files in ready.cells for name in files)
+    if ready.dataset.notice:
+        _say(f"notice: {ready.dataset.notice}", stream=sys.stderr)
+    _say(
+        f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
+        f"{ready.settings.n_scenes} scenes; {cells} cells"
+        + (f", {finished} of them finished" if finished and not ready.settings.fresh else "")
+        + f", in {ready.out}",
+        stream=sys.stderr,
+    )
+
+
+class _Bar:
+    """A live progress bar on a terminal; silent where nobody watches."""
+
+    def __init__(self) -> None:
+        from rich.console import Console  # noqa: PLC0415
+        from rich.progress import (  # noqa: PLC0415
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        console = Console(stderr=True)
+        self._progress = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("cells"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+            transient=True,
+        )
+        self._task = self._progress.add_task("starting", total=None)
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def update(self, done: int, total: int, what: str) -> None:
+        self._progress.update(self._task, completed=done, total=total, description=f"{what:<40.40}")
+
+
+def _list() -> None:
+    from isac_track import registry  # noqa: PLC0415
+    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
+
+    defaults = StageSettings().flat()
+    sections: dict[str, dict[str, str]] = {
+        "presets": {name: preset.summary for name, preset in PRESETS.items()},
+        "data sets": {name: known.about for name, known in KNOWN.items()},
+        "mechanisms": registry.names("mechanisms"),
+        "predictors": registry.names("predictors"),
+        "settings (--set)": {name: f"{defaults[name]}" for name in setting_types()},
+    }
+    width = max(len(name) for entries in sections.values() for name in entries)
+    for title, entries in sections.items():
+        _say(f"{title}:")
+        for name, text in entries.items():
+            _say(f"  {name:<{width}}  {text}")
+        _say("")
+    for kind in ("mechanisms", "predictors"):
+        for name, wrong in registry.broken(kind).items():
+            _say(f"skipped {name}: {wrong}", stream=sys.stderr)
+
+
+def _read_config(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"--config {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"--config {path}: {error}") from None
+    values: dict[str, Any] = {}
+    stage_values: dict[str, Any] = {}
+    for key, value in content.items():
+        if isinstance(value, dict):
+            stage_values |= {f"{key}.{name}": inner for name, inner in value.items()}
+        elif key not in _CONFIG_KEYS:
+            raise SettingsError(
+                f"--config {path}: unknown key {key!r}; known: {', '.join(_CONFIG_KEYS)} "
+                "and tables of stage settings"
+            )
+        else:
+            values[key] = _typed(value, key=key, path=path)
+    return values, stage_values
+
+
+def _typed(value: Any, *, key: str, path: Path) -> Any:  # noqa: ANN401 - as TOML has it
+    kind = _CONFIG_KEYS[key]
+    if kind is list and isinstance(value, str):
+        return [value]
+    if kind is list and isinstance(value, list) and all(isinstance(one, str) for one in value):
+        return value
+    if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if kind in (int, str) and type(value) is kind:
+        return value
+    noun = {list: "a list of SPECs", float: "a number", int: "a whole number", str: "text"}[kind]
+    raise SettingsError(f"--config {path}: {key} must be {noun}, got {value!r}")
+
+
+def _axis(specs: list[str] | None, *, option: str) -> tuple[str, ...] | None:
+    if specs is None:
+        return None
+    if "none" in specs:
+        if len(specs) > 1:
+            raise SettingsError(f"{option} none empties the axis and cannot be mixed with others")
+        return ()
+    return tuple(specs)
+
+
+def _say(text: str, *, stream: Any = None) -> None:  # noqa: ANN401 - a text stream
+    print(text, file=stream or sys.stdout)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""Redraw everything from a run folder: `python -m evaluation.report OUT`.
+
+Nothing is computed anew; summary, tables and figures follow from the finished cells.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from evaluation import figures, paper, store, summary, tables
+from evaluation.matching import matched
+from isac_track.errors import IsacTrackError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Results:
+    """A finished run as data frames; the columns are those of the files in `out`."""
+
+    out: Path
+    manifest: dict[str, Any]
+    summary: pd.DataFrame
+    paper_table: pd.DataFrame
+    claims: pd.DataFrame
+    matched: pd.DataFrame
+
+
+def build(out: Path) -> Results:
+    """Write summary, tables and figures of a run folder and return them.
+
+    Raises
+    ------
+    IsacTrackError
+        If the folder holds no run, or a cell is missing or broken.
+    """
+    manifest = store.read_manifest(out)
+    dataset = manifest["dataset"]["name"]
+    found = summary.estimates(out, manifest)
+    predictors = manifest["settings"]["predictors"]
+    at_equal_rate = matched(found, dataset=dataset, predictors=predictors)
+    results = Results(
+        out=out,
+        manifest=manifest,
+        summary=summary.to_frame(found, dataset=dataset),
+        paper_table=paper.paper_table(found, dataset=dataset),
+        claims=paper.claims(
+            found,
+            at_equal_rate,
+            history_points=manifest["history"]["points"],
+            history_interval_s=manifest["history"]["interval_s"],
+        ),
+        matched=at_equal_rate,
+    )
+    for frame, name in (
+        (results.summary, "summary.csv"),
+        (results.paper_table, "paper_table.csv"),
+        (results.claims, "paper_claims.csv"),
+        (results.matched, "matched.csv"),
+    ):
+        store.write_whole(out / name, frame.to_csv(index=False).encode())
+    tables.write_tex(results.summary, results.paper_table, folder=out / "tables")
+    figures.draw_all(results.summary, results.matched, folder=out / "figures", dataset=dataset)
+    return results
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m evaluation.report",
+        description="Redraw summary, tables and figures of a run folder from its finished cells.",
+    )
+    parser.add_argument("out", type=Path, help="folder of a run, as given to the matrix by --out")
+    options = parser.parse_args(arguments)
+    try:
+        results = build(options.out)
+    except IsacTrackError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

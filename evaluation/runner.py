@@ -1,0 +1,280 @@
+"""One run from settings to data frames: what `evaluation.run` does and the command shows."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evaluation import store
+from evaluation.cell import SHARED, Block, compute_block
+from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
+from evaluation.report import Results, build
+from isac_track import datasets
+from isac_track.privacy import mean_interval_s
+from isac_track.scenes import cut, track_order
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from evaluation.cell import Rows
+    from isac_track.datasets import Dataset
+    from isac_track.registry import Plugin
+    from isac_track.scenes import Cut
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plan:
+    """A run that is ready to start: everything is checked, nothing is written."""
+
+    settings: Settings
+    dataset: Dataset
+    tracks: Cut
+    axes: Axes
+    identity: dict[str, Any]
+    code: str
+    """Version of the code that computes the cells."""
+    out: Path
+    cells: tuple[tuple[Plugin, Plugin | None, tuple[str, ...]], ...]
+    """Mechanism, consumer (None: the descriptors as shared) and its files, one a block."""
+
+    @property
+    def n_cells(self) -> int:
+        """Cells of the run, finished or not."""
+        return len(self.cells) * n_blocks(self.settings.n_scenes)
+
+
+def plan(settings: Settings) -> Plan:
+    """Check the settings, find the data set and lay out the cells.
+
+    Raises
+    ------
+    IsacTrackError
+        For anything that a user can mend.
+    """
+    crossed = axes(settings)
+    source: str | Path | None = settings.dataset
+    dataset = datasets.load(source, format=settings.format, fps=settings.fps)
+    tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
+    identity = {
+        "dataset": dataset.name,
+        "sha256": dataset.sha256,
+        "format": dataset.format,
+        "fps": settings.fps,
+        "seed": settings.seed,
+        "scenes": settings.n_scenes,
+        **settings.stages.flat(),
+    }
+    code = store.code_hash()
+    cells = tuple(
+        (
+            mechanism,
+            consumer,
+            tuple(
+                store.cell_name(
+                    identity=identity,
+                    code=code,
+                    block=block,
+                    mechanism=mechanism,
+                    consumer=consumer,
+                )
+                for block in range(n_blocks(settings.n_scenes))
+            ),
+        )
+        for mechanism in crossed.mechanisms
+        for consumer in (None, *crossed.predictors)
+    )
+    name = f"{dataset.name}-{settings.preset}-{settings.seed}"
+    return Plan(
+        settings=settings,
+        dataset=dataset,
+        tracks=tracks,
+        axes=crossed,
+        identity=identity,
+        code=code,
+        out=Path("runs") / name if settings.out is None else settings.out,
+        cells=cells,
+    )
+
+
+def run(
+    settings: Settings | None = None,
+    *,
+    progress: Callable[[int, int, str], None] | None = None,
+    ready: Plan | None = None,
+) -> Results:
+    """Run the matrix and return its results as data frames.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        By default preset `paper`.
+    progress : callable, optional
+        Called with cells finished, cells to do, and what is under way.
+    ready : Plan, optional
+        A plan of `plan`, instead of settings.
+
+    Raises
+    ------
+    IsacTrackError
+        For anything that a user can mend; finished cells are kept.
+    """
+    if ready is None:
+        ready = plan(settings or Settings())
+    tell = progress or (lambda _done, _total, _what: None)
+    started = time.monotonic()
+    manifest = store.open_run(
+        ready.out, identity=ready.identity, code=ready.code, fresh=ready.settings.fresh
+    )
+    earlier_s = float(manifest.get("wall_time_s", 0.0))
+    manifest |= _describe(ready)
+    manifest["cells"] = _merged(manifest["cells"], ready)
+    store.write_manifest(ready.out, manifest | {"state": "running"})
+    _compute_missing(ready, tell)
+    tell(ready.n_cells, ready.n_cells, "intervals, tables and figures")
+    manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
+    store.write_manifest(ready.out, manifest | {"state": "finished"})
+    return build(ready.out)
+
+
+def _compute_missing(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
+    folder = ready.out / "cells"
+    present = {path.name for path in folder.iterdir()}
+    blocks = tuple(_missing_blocks(ready, present))
+    total = sum(len(consumers) for block in blocks for _, consumers in block.levels)
+    files = {
+        (mechanism.spec, None if consumer is None else consumer.spec): names
+        for mechanism, consumer, names in ready.cells
+    }
+    done = 0
+    tell(done, total, "starting")
+    for block, mechanism, consumer, rows in _computed(blocks, ready):
+        name = files[mechanism.spec, None if consumer is None else consumer.spec][block]
+        store.write_cell(folder / name, rows, tracks=ready.tracks)
+        done += 1
+        tell(done, total, f"{mechanism.spec} > {SHARED if consumer is None else consumer.spec}")
+
+
+def _missing_blocks(ready: Plan, present: set[str]) -> Iterator[Block]:
+    settings = ready.settings
+    order = track_order(
+        n_tracks=len(ready.tracks),
+        n_scenes=settings.n_scenes,
+        agents=settings.stages.scenes.agents,
+        seed=settings.seed,
+    )
+    for number in range(n_blocks(settings.n_scenes)):
+        missing: dict[str, tuple[Plugin, list[Plugin | None]]] = {}
+        for mechanism, consumer, names in ready.cells:
+            if names[number] not in present:
+                missing.setdefault(mechanism.spec, (mechanism, []))[1].append(consumer)
+        levels = tuple((mechanism, tuple(consumers)) for mechanism, consumers in missing.values())
+        first = number * BLOCK_SCENES
+        for part in _parts(levels, settings=settings):
+            yield Block(
+                number=number,
+                first_scene=first,
+                order=order[first : first + BLOCK_SCENES],
+                levels=part,
+            )
+
+
+def _parts(
+    levels: tuple[tuple[Plugin, tuple[Plugin | None, ...]], ...], *, settings: Settings
+) -> list[tuple[tuple[Plugin, tuple[Plugin | None, ...]], ...]]:
+    """Split the levels of a block where there are fewer blocks than workers.
+
+    Each part senses the block again, so that there are no more parts than that takes.
+    """
+    if not levels:
+        return []
+    n_parts = min(len(levels), -(-settings.jobs // n_blocks(settings.n_scenes)))
+    bounds = np.linspace(0, len(levels), n_parts + 1).astype(int)
+    return [levels[lo:hi] for lo, hi in pairwise(bounds)]
+
+
+def _computed(
+    blocks: tuple[Block, ...], ready: Plan
+) -> Iterator[tuple[int, Plugin, Plugin | None, Rows]]:
+    """Yield the rows of every cell as it is finished, in this process or from workers."""
+    stages, seed = ready.settings.stages, ready.settings.seed
+    if ready.settings.jobs == 1 or len(blocks) < 2:  # noqa: PLR2004 - nothing to share out
+        for block in blocks:
+            for mechanism, consumer, rows in compute_block(
+                block, tracks=ready.tracks, stages=stages, seed=seed
+            ):
+                yield block.number, mechanism, consumer, rows
+        return
+    from joblib import Parallel, delayed  # noqa: PLC0415 - only where there are workers
+
+    workers = Parallel(n_jobs=ready.settings.jobs, return_as="generator_unordered")
+    for number, cells in workers(
+        delayed(_whole_block)(block, tracks=ready.tracks, stages=stages, seed=seed)
+        for block in blocks
+    ):
+        for mechanism, consumer, rows in cells:
+            yield number, mechanism, consumer, rows
+
+
+def _whole_block(
+    block: Block,
+    **context: Any,  # noqa: ANN401 - handed on to compute_block
+) -> tuple[int, list[tuple[Plugin, Plugin | None, Rows]]]:
+    return block.number, list(compute_block(block, **context))
+
+
+def _describe(ready: Plan) -> dict[str, Any]:
+    tracks, dataset, settings = ready.tracks, ready.dataset, ready.settings
+    return {
+        "environment": store.environment(),
+        "code": ready.code,
+        "settings": {
+            "preset": settings.preset,
+            "scenes": settings.n_scenes,
+            "seed": settings.seed,
+            "mechanisms": [plugin.spec for plugin in ready.axes.mechanisms],
+            "predictors": [plugin.spec for plugin in ready.axes.predictors],
+            "stages": settings.stages.flat(),
+        },
+        "dataset": {
+            "name": dataset.name,
+            "path": str(dataset.path),
+            "sha256": dataset.sha256,
+            "format": dataset.format,
+            "simulated": dataset.simulated,
+            "notice": dataset.notice,
+            "tracks": len(dataset.tracks),
+            "tracks_used": len(tracks),
+            "too_short": tracks.too_short,
+            "no_future": tracks.no_future,
+            "repairs": [
+                {"kind": repair.kind, "count": repair.count, "detail": repair.detail}
+                for repair in dataset.repairs
+            ],
+        },
+        "history": {
+            "points": float(np.diff(tracks.offsets).mean()),
+            "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),
+        },
+        "groups": sorted(set(tracks.group)),
+    }
+
+
+def _merged(earlier: list[dict[str, Any]], ready: Plan) -> list[dict[str, Any]]:
+    """Return the index of cells: those of this run, and finished ones of earlier axes."""
+    ours = [
+        {
+            "mechanism": mechanism.name,
+            "level": mechanism.level,
+            "spec": mechanism.spec,
+            "consumer": SHARED if consumer is None else consumer.spec,
+            "files": list(names),
+        }
+        for mechanism, consumer, names in ready.cells
+    ]
+    known = {(entry["spec"], entry["consumer"]) for entry in ours}
+    return ours + [entry for entry in earlier if (entry["spec"], entry["consumer"]) not in known]

@@ -1,0 +1,274 @@
+"""The run folder: a manifest that can start the run again, and one parquet file per cell.
+
+The parent alone writes; a file is there whole or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import isac_track
+from evaluation.cell import SHARED
+from isac_track.errors import DataError, SettingsError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from evaluation.cell import Rows
+    from isac_track.registry import Plugin
+    from isac_track.scenes import Cut
+
+MANIFEST = "manifest.json"
+_OURS = (
+    MANIFEST,
+    "cells",
+    "figures",
+    "tables",
+    "summary.csv",
+    "paper_table.csv",
+    "paper_claims.csv",
+    "matched.csv",
+)
+_SHOWN_DIFFERENCES = 3
+_PACKAGES = ("isac_track", "predictors", "attacks", "evaluation")
+_LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
+
+
+def code_hash() -> str:
+    """Return a digest of the installed source of the suite: the code version of a cell.
+
+    The presentation of finished cells (figures, tables, report) is left out.
+    """
+    digest = hashlib.sha256()
+    shown_only = {"figures.py", "tables.py", "report.py", "matrix.py", "__main__.py"}
+    root = Path(isac_track.__file__).parent.parent
+    for package in _PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            if path.name not in shown_only:
+                digest.update(path.relative_to(root).as_posix().encode() + b"\0")
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cell_name(
+    *,
+    identity: Mapping[str, Any],
+    code: str,
+    block: int,
+    mechanism: Plugin,
+    consumer: Plugin | None,
+) -> str:
+    """Return the file name of a cell: readable, and keyed by all that its rows depend on."""
+    key = {
+        "identity": dict(identity),
+        "code": code,
+        "block": block,
+        "mechanism": _plugin_key(mechanism),
+        "consumer": SHARED if consumer is None else _plugin_key(consumer),
+    }
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:16]
+    label = SHARED if consumer is None else consumer.spec
+    slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{mechanism.spec}_{label}")[:80]
+    return f"{slug}_{block:05d}_{digest}.parquet"
+
+
+def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> dict[str, Any]:
+    """Return the manifest of a run folder, new or continued.
+
+    Cells that another version of the code computed are dropped from it and counted.
+
+    Raises
+    ------
+    SettingsError
+        If the folder holds another run (what differs is named) or something else.
+    """
+    path = out / MANIFEST
+    if out.exists() and not out.is_dir():
+        raise SettingsError(f"{out} is a file; choose another --out")
+    if fresh and path.exists():
+        _remove_run(out)
+    elif path.exists():
+        manifest = read_manifest(out)
+        _refuse_another(out, manifest["identity"], identity)
+        return manifest if manifest.get("code") == code else _without_cells(out, manifest)
+    elif out.exists() and any(out.iterdir()):
+        raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
+    try:
+        (out / "cells").mkdir(parents=True)
+    except OSError as error:
+        raise SettingsError(f"cannot write to {out}: {error.strerror}; choose --out") from None
+    return {"identity": identity, "cells": [], "dropped_cells": 0}
+
+
+def _refuse_another(out: Path, earlier: dict[str, Any], identity: dict[str, Any]) -> None:
+    different = [
+        f"{key} {earlier.get(key)!r} -> {value!r}"
+        for key, value in identity.items()
+        if earlier.get(key) != value
+    ]
+    if different:
+        more = "; ..." if len(different) > _SHOWN_DIFFERENCES else ""
+        raise SettingsError(
+            f"{out} holds another run ({'; '.join(different[:_SHOWN_DIFFERENCES])}{more}); "
+            "use --fresh to replace it or another --out"
+        )
+
+
+def _without_cells(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
+    stale = [name for entry in manifest["cells"] for name in entry["files"]]
+    for name in stale:
+        (out / "cells" / Path(name).name).unlink(missing_ok=True)
+    return manifest | {"cells": [], "dropped_cells": len(stale)}
+
+
+def read_manifest(out: Path) -> dict[str, Any]:
+    """Return the manifest of a run folder.
+
+    Raises
+    ------
+    DataError
+        If there is none or it cannot be read.
+    """
+    path = out / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DataError(
+            f"{out} holds no run ({MANIFEST} is missing); make one with "
+            "python -m evaluation.matrix --out DIR"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path} cannot be read: {error}; use --fresh or another --out") from None
+    if not isinstance(manifest, dict) or not {"identity", "cells"} <= manifest.keys():
+        raise DataError(f"{path} is not the manifest of a run; use --fresh or another --out")
+    return manifest
+
+
+def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
+    """Write the manifest, whole or not at all."""
+    text = json.dumps(manifest, indent=1, ensure_ascii=False) + "\n"
+    write_whole(out / MANIFEST, text.encode())
+
+
+def write_cell(path: Path, rows: Rows, *, tracks: Cut) -> None:
+    """Write the rows of a cell, with the source and group of each row's track."""
+    columns: dict[str, Any] = {}
+    for name, values in rows.items():
+        if name == "track":
+            columns["source"] = _names(values, tracks.source)
+            columns["group"] = _names(values, tracks.group)
+        else:
+            columns[name] = values
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns), sink)
+    write_whole(path, sink.getvalue().to_pybytes())
+
+
+def read_cells(paths: Iterable[Path], *, columns: list[str]) -> pa.Table:
+    """Return the rows of several cells, in the order of the paths.
+
+    Raises
+    ------
+    DataError
+        If a cell is missing or broken; the message names it.
+    """
+    tables = []
+    for path in paths:
+        try:
+            tables.append(pq.read_table(path, columns=columns, use_threads=False))
+        except (OSError, pa.ArrowException) as error:
+            raise DataError(
+                f"{path} cannot be read ({error}); delete it and run the matrix again"
+            ) from None
+    return pa.concat_tables(tables).unify_dictionaries()
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file to a temporary name beside it and rename it.
+
+    Raises
+    ------
+    DataError
+        If the disk is full or the folder cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        temporary.write_bytes(content)
+        os.replace(temporary, path)  # noqa: PTH105 - atomic on one file system
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
+
+
+def environment() -> dict[str, Any]:
+    """Return what else a run depends on: versions, machine type and commit."""
+    libraries = {}
+    for name in _LIBRARIES:
+        try:
+            libraries[name] = version(name)
+        except PackageNotFoundError:  # pragma: no cover - all are dependencies
+            libraries[name] = "?"
+    return {
+        "isac_track": isac_track.__version__,
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "libraries": libraries,
+        "git_commit": _git_commit(),
+        "command": sys.argv,
+    }
+
+
+def _plugin_key(plugin: Plugin) -> dict[str, str]:
+    module = plugin.origin.partition(":")[0]
+    if module.partition(".")[0] in _PACKAGES:  # the code hash covers them
+        return {"spec": plugin.spec, "origin": plugin.origin}
+    found = find_spec(module)
+    source = Path(found.origin).read_bytes() if found and found.origin else b""
+    return {
+        "spec": plugin.spec,
+        "origin": plugin.origin,
+        "source": hashlib.sha256(source).hexdigest(),
+    }
+
+
+def _names(rows: Any, names: tuple[str, ...]) -> pa.DictionaryArray:  # noqa: ANN401
+    return pa.DictionaryArray.from_arrays(pa.array(rows, type=pa.int32()), pa.array(names))
+
+
+def _remove_run(out: Path) -> None:
+    for name in _OURS:  # only what a run wrote: the folder may hold a user's notes
+        path = out / name
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _git_commit() -> str | None:
+    root = Path(isac_track.__file__).parent.parent
+    if not (root / ".git").exists():
+        return None
+    git = shutil.which("git")
+    if git is None:
+        return None
+    answer = subprocess.run(  # noqa: S603 - a fixed command
+        [git, "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return answer.stdout.strip() or None

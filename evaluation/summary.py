@@ -1,0 +1,166 @@
+"""From finished cells to numbers with intervals: `summary.csv`.
+
+The unit is the source track, or the group that walks together: every interval draws whole
+clusters, the same ones for every mechanism, so that differences are paired.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from evaluation.cell import SHARED
+from evaluation.store import read_cells
+from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    import pyarrow as pa
+
+    from isac_track.intervals import Estimate
+    from isac_track.types import Floats, Ints
+
+N_REPLICATES = 1000
+
+COLUMNS = [
+    "dataset",
+    "mechanism",
+    "level",
+    "consumer",
+    "knowledge",
+    "metric",
+    "value",
+    "ci_low",
+    "ci_high",
+    "n",
+    "unit",
+]
+_UNITS = {
+    "plr": "fraction",
+    "ael": "s",
+    "mel": "s",
+    "rmse": "m",
+    "missed_conflict_rate": "fraction",
+    "false_alarm_rate": "fraction",
+    "distance_mae": "m",
+}
+_SHARED_COLUMNS = ["group", "plr", "ael_s", "mel_s", "mse_m2"]
+_PREDICTOR_COLUMNS = ["group", "conflict", "predicted", "separation_m", "predicted_separation_m"]
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """What a row of the summary is about."""
+
+    mechanism: str
+    level: float | None
+    consumer: str
+    metric: str
+
+
+def estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
+    """Return every metric of a run folder with its interval and bootstrap replicates.
+
+    Raises
+    ------
+    DataError
+        If a cell cannot be read.
+    """
+    groups = manifest["groups"]
+    row_of = {group: row for row, group in enumerate(groups)}
+    weights = cluster_weights(
+        n_clusters=len(groups), n_replicates=N_REPLICATES, seed=manifest["identity"]["seed"]
+    )
+    found: dict[Key, Estimate] = {}
+    for entry in manifest["cells"]:
+        is_shared = entry["consumer"] == SHARED
+        table = read_cells(
+            (out / "cells" / name for name in entry["files"]),
+            columns=_SHARED_COLUMNS if is_shared else _PREDICTOR_COLUMNS,
+        )
+        ratios = _shared_ratios(table) if is_shared else _predictor_ratios(table)
+        cluster = _clusters(table, row_of)
+        for metric, (numerator, denominator) in ratios.items():
+            estimate = ratio_estimate(
+                numerator=cluster_sums(values=numerator, cluster=cluster, n_clusters=len(groups)),
+                denominator=cluster_sums(
+                    values=denominator, cluster=cluster, n_clusters=len(groups)
+                ),
+                weights=weights,
+                is_share=_UNITS[metric] == "fraction",
+            )
+            if metric == "rmse":
+                estimate = _root(estimate)
+            key = Key(entry["mechanism"], entry["level"], entry["consumer"], metric)
+            found[key] = estimate
+    return found
+
+
+def to_frame(found: Mapping[Key, Estimate], *, dataset: str) -> pd.DataFrame:
+    """Return the tidy summary; the first six columns are unique together."""
+    rows = [
+        {
+            "dataset": dataset,
+            "mechanism": key.mechanism,
+            "level": np.nan if key.level is None else key.level,
+            "consumer": key.consumer,
+            "knowledge": "",
+            "metric": key.metric,
+            "value": estimate.value,
+            "ci_low": estimate.ci_low,
+            "ci_high": estimate.ci_high,
+            "n": estimate.n,
+            "unit": _UNITS[key.metric],
+        }
+        for key, estimate in found.items()
+    ]
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _shared_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
+    ratios = {}
+    for metric, column in (("plr", "plr"), ("ael", "ael_s"), ("mel", "mel_s"), ("rmse", "mse_m2")):
+        values = table[column].to_numpy()
+        # A one-sample track that leaks has no exposure length (NaN): it does not count there.
+        known = ~np.isnan(values)
+        ratios[metric] = (np.where(known, values, 0.0), known.astype(np.float64))
+    return ratios
+
+
+def _predictor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
+    conflict = table["conflict"].to_numpy()
+    predicted = table["predicted"].to_numpy()
+    error_m = np.abs(table["predicted_separation_m"].to_numpy() - table["separation_m"].to_numpy())
+    return {
+        "missed_conflict_rate": (
+            (conflict & ~predicted).astype(np.float64),
+            conflict.astype(np.float64),
+        ),
+        "false_alarm_rate": (
+            (~conflict & predicted).astype(np.float64),
+            (~conflict).astype(np.float64),
+        ),
+        "distance_mae": (error_m, np.ones_like(error_m)),
+    }
+
+
+def _clusters(table: pa.Table, row_of: Mapping[str, int]) -> Ints:
+    column = table["group"].combine_chunks()
+    to_row = np.array([row_of[group] for group in column.dictionary.to_pylist()], dtype=np.int64)
+    clusters: Ints = to_row[column.indices.to_numpy()]
+    return clusters
+
+
+def _root(estimate: Estimate) -> Estimate:
+    return type(estimate)(
+        value=float(np.sqrt(estimate.value)),
+        ci_low=float(np.sqrt(estimate.ci_low)),
+        ci_high=float(np.sqrt(estimate.ci_high)),
+        n=estimate.n,
+        replicates=np.sqrt(estimate.replicates),
+    )

@@ -1,0 +1,77 @@
+"""The calibration finds constants that it was not told."""
+
+import re
+from dataclasses import asdict
+
+import pytest
+
+from evaluation import calibrate
+from evaluation.calibrate import Targets, descriptors, fit, links, predictions
+from isac_track.config import SensingSettings, StageSettings
+from isac_track.errors import DataError
+from isac_track.scenes import cut
+
+N_SCENES = 250
+
+
+@pytest.fixture(scope="module")
+def known(tracks):
+    return cut(tracks, settings=StageSettings(), seed=0)
+
+
+@pytest.fixture(scope="module")
+def blocks(known):
+    return links(known, stages=StageSettings(), n_scenes=N_SCENES, seed=0)
+
+
+def targets_of(blocks, settings):
+    raw_plr, raw_mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3)
+    fid_plr, _ = descriptors(blocks, settings=settings, epsilon_m=0.3, eta=1000.0)
+    return Targets(raw_plr=raw_plr, raw_mel_s=raw_mel_s, fid_plr=fid_plr)
+
+
+def test_planted_constants_are_found_again(blocks):
+    planted = SensingSettings(processing_gain_db=61.0, large_scale_db=9.0, crb_gap_db=11.0)
+    found = fit(blocks, stages=StageSettings(), targets=targets_of(blocks, planted))
+    # 250 scenes make the MEL a staircase of about 0.05 dB.
+    assert found.large_scale_db == pytest.approx(9.0, abs=0.1)
+    assert found.crb_gap_db == pytest.approx(11.0, abs=0.1)
+    assert found.processing_gain_db == pytest.approx(61.0, abs=0.15)
+
+
+def test_the_short_way_gives_the_numbers_of_the_pipeline(known, blocks):
+    settings = StageSettings().sensing
+    ours = predictions(known, stages=StageSettings(), n_scenes=N_SCENES, seed=0)
+    plr, mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3)
+    assert ours["raw", "plr"] == pytest.approx(plr, abs=1e-6)
+    assert ours["raw", "mel"] == pytest.approx(mel_s, abs=1e-4)
+    plr, mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3, eta=1000.0)
+    assert ours["fid:1000", "plr"] == pytest.approx(plr, abs=1e-6)
+    assert ours["fid:1000", "mel"] == pytest.approx(mel_s, abs=1e-4)
+
+
+def test_a_number_out_of_reach_is_an_error(blocks):
+    with pytest.raises(DataError, match="gives the paper's raw PLR"):
+        fit(blocks, stages=StageSettings(), targets=Targets(1.5, 5.0, 0.2))
+
+
+def test_the_command_shows_the_fit_and_the_predictions(csv_recording, capsys):
+    # Made-up walks do not reach the paper's raw MEL; the command says so and stops.
+    code = calibrate.main(["--dataset", str(csv_recording), "--scenes", "40"])
+    shown = capsys.readouterr()
+    assert (code == 2 and "the calibration is made for students03" in shown.err) or (
+        code == 0 and "as" in shown.out
+    )
+    assert calibrate.main(["--dataset", "nowhere.csv"]) == 2
+    assert "no such file" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_committed_constants_are_its_output(students03, capsys):
+    assert students03.name == "students03"
+    assert calibrate.main([]) == 0
+    shown = capsys.readouterr().out
+    defaults = asdict(SensingSettings())
+    for name in ("processing_gain_db", "large_scale_db", "crb_gap_db"):
+        found = re.search(rf"{name}\W+([0-9.]+)", shown)
+        assert float(found[1]) == pytest.approx(defaults[name], abs=0.011)

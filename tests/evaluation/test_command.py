@@ -1,0 +1,47 @@
+"""The console script hands every command to its module."""
+
+import pytest
+
+from evaluation import __main__ as command
+from isac_track import __version__
+
+
+def test_help_names_every_command(capsys):
+    assert command.main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in command.COMMANDS)
+
+
+def test_no_command_is_wrong_usage(capsys):
+    assert command.main([]) == 2
+    assert "usage: isac-track" in capsys.readouterr().out
+
+
+def test_version(capsys):
+    assert command.main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == f"isac-track {__version__}"
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"), [("matirx", "did you mean 'matrix'?"), ("zzz", "known: matrix")]
+)
+def test_an_unknown_command_has_a_hint(word, hint, capsys):
+    assert command.main([word]) == 2
+    assert hint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [(["matrix", "--list"], 0), (["matrix", "--seed", "-1"], 2), (["report", "/nowhere"], 2)],
+)
+def test_a_command_gives_its_modules_exit_code(words, code, capsys):
+    assert command.main(words) == code
+    assert capsys.readouterr()
+
+
+@pytest.mark.parametrize("name", ["matrix", "report", "calibrate", "datasets"])
+def test_every_command_has_help(name, capsys):
+    with pytest.raises(SystemExit) as stop:
+        command.main([name, "--help"])
+    assert stop.value.code == 0
+    assert "usage:" in capsys.readouterr().out

@@ -1,0 +1,280 @@
+"""The command: its words, its exit codes, its files."""
+
+import re
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+
+from evaluation import matrix, report
+from evaluation.grid import PRESETS, Settings, axes
+from isac_track import registry
+
+
+def run(*arguments):
+    return matrix.main([str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def small(csv_recording, tmp_path):
+    return [
+        "--dataset",
+        csv_recording,
+        "--scenes",
+        "8",
+        "--mechanism",
+        "raw",
+        "--predictor",
+        "none",
+        "--out",
+        tmp_path / "run",
+    ]
+
+
+def test_a_run_ends_in_a_table_and_exit_code_0(small, tmp_path, capsys):
+    assert run(*small) == 0
+    shown = capsys.readouterr()
+    assert "PLR" in shown.out
+    assert f"results in {tmp_path / 'run'}" in shown.out
+    assert "12 of 12 tracks used, 8 scenes; 1 cells" in shown.err
+    value = pd.read_csv(tmp_path / "run" / "summary.csv").set_index("metric")["value"]["plr"]
+    assert f"{100 * value:.1f}" in shown.out
+
+
+def test_a_second_run_continues(small, capsys):
+    run(*small)
+    capsys.readouterr()
+    assert run(*small) == 0
+    assert "1 cells, 1 of them finished" in capsys.readouterr().err
+
+
+def test_a_dry_run_writes_nothing(small, tmp_path, capsys):
+    assert run(*small, "--dry-run") == 0
+    assert "1 cells" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_report_command_redraws(small, tmp_path, capsys):
+    run(*small)
+    (tmp_path / "run" / "summary.csv").unlink()
+    capsys.readouterr()
+    assert report.main([str(tmp_path / "run")]) == 0
+    assert (tmp_path / "run" / "summary.csv").is_file()
+    assert "PLR" in capsys.readouterr().out
+    assert report.main([str(tmp_path / "nowhere")]) == 2
+    assert "error:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--preset", "smok"], "unknown preset 'smok'; did you mean 'smoke'?"),
+        (["--scenes", "many"], "argument --scenes: invalid int value: 'many'"),
+        (["--scenes", "1"], "at least 2 scenes, got 1"),
+        (["--seed", "-1"], "the seed must not be negative"),
+        (["--jobs", "0"], "jobs must be at least 1"),
+        (["--fps", "25"], "--fps describes your own file: name it with --dataset PATH"),
+        (["--format", "csv"], "--format describes your own file: name it with --dataset PATH"),
+        (["--dataset", "students03", "--fps", "25"], "leave --format and --fps out"),
+        (["--dataset", "stuednts03"], "did you mean students03?"),
+        (["--dataset", "no.csv"], "no.csv: no such file"),
+        (["--mechanism", "fdi:1"], "did you mean 'fid'?"),
+        (["--mechanism", "none"], "the mechanism axis is empty; name one"),
+        (["--mechanism", "none", "--mechanism", "raw"], "none empties the axis"),
+        (["--predictor", "kalman"], "unknown predictor 'kalman'"),
+        (["--predictor", "no.module:X"], "cannot be loaded from no.module:X"),
+        (["--set", "privacy.epsilon_m"], "--set takes STAGE.KEY=VALUE"),
+        (["--set", "privacy.epsilon=1"], "did you mean privacy.epsilon_m?"),
+        (["--config", "nowhere.toml"], "--config nowhere.toml: No such file"),
+        (["--verbose"], "unrecognized arguments: --verbose"),
+        (["--pre", "smoke"], "unrecognized arguments: --pre smoke"),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, message, capsys, monkeypatch):
+    monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
+    assert run("--dry-run", *arguments) == 2
+    shown = capsys.readouterr()
+    last = shown.err.strip().splitlines()[-1]
+    assert last.startswith("error: ")
+    assert message in last
+    assert "Traceback" not in shown.err
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(small, capsys):
+    small[-1] = "/proc/isac-track"
+    assert run(*small) == 2
+    assert re.search(r"error: cannot write to /proc/isac-track: .*--out", capsys.readouterr().err)
+
+
+def test_an_interruption_is_exit_code_130_and_says_how_to_continue(small, capsys, monkeypatch):
+    def interrupt(_settings):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(matrix, "settings_from", interrupt)
+    assert run(*small) == 130
+    assert "the same command continues" in capsys.readouterr().err
+
+
+def settings_of(*arguments):
+    return matrix.settings_from(matrix.parser().parse_args([str(one) for one in arguments]))
+
+
+def test_options_become_settings():
+    settings = settings_of(
+        "--preset=full",
+        "--seed=3",
+        "--jobs=2",
+        "--mechanism=raw",
+        "--mechanism=fid:1",
+        "--set=privacy.epsilon_m=0.5",
+        "--predictor=none",
+        "--fresh",
+    )
+    assert settings.mechanisms == ("raw", "fid:1")
+    assert settings.predictors == ()
+    assert settings.n_scenes == 5000
+    assert settings.stages.privacy.epsilon_m == 0.5
+    assert (settings.seed, settings.jobs, settings.fresh) == (3, 2, True)
+    assert settings_of() == Settings()
+
+
+def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(
+        'preset = "smoke"\nseed = 5\nscenes = 30\nmechanism = ["raw", "fid:1"]\n'
+        'predictor = "least_squares"\n[privacy]\nepsilon_m = 0.4\n[sensing]\nlaw = "isotropic"\n',
+        encoding="utf-8",
+    )
+    settings = settings_of("--config", path, "--seed", "7", "--set", "privacy.epsilon_m=0.2")
+    assert settings.preset == "smoke"
+    assert settings.seed == 7
+    assert settings.n_scenes == 30
+    assert settings.mechanisms == ("raw", "fid:1")
+    assert settings.predictors == ("least_squares",)
+    assert settings.stages.privacy.epsilon_m == 0.2
+    assert settings.stages.sensing.law == "isotropic"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("presett = 'smoke'", "unknown key 'presett'"),
+        ("seed = 'one'", "seed must be a whole number, got 'one'"),
+        ("seed = true", "seed must be a whole number, got True"),
+        ("mechanism = 3", "mechanism must be a list of SPECs, got 3"),
+        ("preset = 3", "preset must be text, got 3"),
+        ("dataset = 'x.csv'\nfps = 'fast'", "fps must be a number, got 'fast'"),
+        ("[privacy]\nepsilon = 1", "unknown setting 'privacy.epsilon'"),
+        ("seed = = 1", "Invalid value"),
+    ],
+)
+def test_a_wrong_file_names_itself_and_the_key(tmp_path, capsys, text, message):
+    path = tmp_path / "run.toml"
+    path.write_text(text, encoding="utf-8")
+    assert run("--config", path, "--dry-run") == 2
+    shown = capsys.readouterr().err
+    assert message in shown
+    assert len(shown.strip().splitlines()) == 1
+
+
+def test_the_presets_are_those_of_the_design():
+    assert PRESETS["smoke"].scenes == 40
+    assert len(axes(Settings(preset="smoke")).mechanisms) == 5
+    assert PRESETS["paper"].scenes == 500
+    paper = axes(Settings()).mechanisms
+    assert len(paper) == 1 + 2 * (13 + 10)
+    etas = [plugin.level for plugin in paper if plugin.name == "fid"]
+    assert etas[0] == 1.0
+    assert etas[9:] == [1e3, 1e4, 1e5, 1e6]
+    errors = [plugin.level for plugin in paper if plugin.name == "fixed:adding=independent"]
+    assert errors == pytest.approx([step / 10 for step in range(1, 11)], abs=1e-12)
+    assert PRESETS["full"].scenes == 5000
+
+
+def test_list_names_everything_that_can_be_named(capsys):
+    assert run("--list") == 0
+    shown = capsys.readouterr().out
+    for kind in ("mechanisms", "predictors"):
+        assert all(name in shown for name in registry.names(kind))
+    assert all(name in shown for name in PRESETS)
+    assert "students03" in shown
+    assert "privacy.epsilon_m" in shown
+
+
+@pytest.mark.parametrize("option", ["--help", "--list"])
+def test_help_and_list_import_nothing_heavy(option):
+    script = (
+        "import sys\n"
+        "from evaluation import matrix\n"
+        "try:\n"
+        f"    matrix.main([{option!r}])\n"
+        "except SystemExit:\n"
+        "    pass\n"
+        "heavy = {'pandas', 'scipy', 'matplotlib', 'pyarrow', 'sklearn', 'numba'}\n"
+        "sys.exit(str(heavy & sys.modules.keys()) if heavy & sys.modules.keys() else 0)\n"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
+    monkeypatch.setenv("ISAC_TRACK_CACHE", str(tmp_path / "empty"))
+    out = tmp_path / "run"
+    code = run("--preset", "smoke", "--scenes", "8", "--mechanism", "raw", "--out", out)
+    shown = capsys.readouterr()
+    assert code == 0
+    assert "notice: students03 is not here" in shown.err
+    assert "plaza" in shown.out
+    assert "plaza" in (out / "manifest.json").read_text(encoding="utf-8")
+    assert set(pd.read_csv(out / "summary.csv")["dataset"]) == {"plaza"}
+
+
+def obsmat(track_rows):
+    return "".join(f"{f} {i} {x} 0 {y} 0 0 0\n" for f, i, x, y in track_rows)
+
+
+FORMATS = {
+    "obsmat": ("txt", obsmat),
+    "social-gan": ("txt", lambda rows: "".join(f"{f}\t{i}\t{x}\t{y}\n" for f, i, x, y in rows)),
+    "pedpy": ("txt", lambda rows: "".join(f"{i} {f} {x} {y}\n" for f, i, x, y in rows)),
+    "trajnet": (
+        "ndjson",
+        lambda rows: "".join(
+            f'{{"track": {{"f": {f}, "p": {i}, "x": {x}, "y": {y}}}}}\n' for f, i, x, y in rows
+        ),
+    ),
+    "csv": (
+        "csv",
+        lambda rows: "t,id,x,y\n" + "".join(f"{f / 25},{i},{x},{y}\n" for f, i, x, y in rows),
+    ),
+}
+
+
+def test_one_recording_gives_one_result_in_every_format(tracks, tmp_path):
+    rows = [
+        (round(t * 25), name, round(x, 4), round(y, 4))
+        for name, track in enumerate(tracks)
+        for t, (x, y) in zip(track.t, track.xy, strict=True)
+    ]
+    frame = pd.DataFrame(rows, columns=["t", "id", "x", "y"]).assign(t=lambda f: f["t"] / 25)
+    files = {}
+    for name, (ending, write) in FORMATS.items():
+        files[name] = tmp_path / f"{name}.{ending}"
+        files[name].write_text(write(rows), encoding="utf-8")
+    files["parquet"] = tmp_path / "parquet.parquet"
+    frame.to_parquet(files["parquet"])
+    values = {}
+    for name, path in files.items():
+        frames = [] if name in ("csv", "parquet") else ["--fps", 25]
+        out = tmp_path / f"run-{name}"
+        code = run(
+            "--dataset", path, "--format", name, *frames, "--scenes", 8,
+            "--mechanism", "fixed:0.5", "--out", out,
+        )  # fmt: skip
+        assert code == 0
+        values[name] = pd.read_csv(out / "summary.csv")["value"].tolist()
+    assert all(found == values["csv"] for found in values.values())
