@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from difflib import get_close_matches
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from isac_track import __version__
@@ -40,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(COMMANDS)}"
         print(f"error: unknown command {words[0]!r}; {hint}", file=sys.stderr)
         return 2
+    # As with `python -m`, a plug-in may lie in the working folder; last, to shadow nothing.
+    sys.path.append(str(Path.cwd()))
     module = import_module(COMMANDS[words[0]][0])
     code: int = module.main(words[1:])
     return code

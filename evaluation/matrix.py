@@ -165,6 +165,9 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
         return 0
     with _Bar() as bar:
         results = run(ready=ready, progress=bar.update)
+    dropped = results.manifest["dropped_cells"]
+    if dropped:
+        _say(f"notice: {dropped} cells of another code version were dropped", stream=sys.stderr)
     tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
     _say(f"\nresults in {results.out}: summary.csv, paper_table.csv, figures/, tables/")
     return 0

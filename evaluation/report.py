@@ -54,6 +54,7 @@ def build(out: Path) -> Results:
         claims=paper.claims(
             found,
             at_equal_rate,
+            dataset=dataset,
             history_points=manifest["history"]["points"],
             history_interval_s=manifest["history"]["interval_s"],
         ),

@@ -44,23 +44,22 @@ _OURS = (
     "matched.csv",
 )
 _SHOWN_DIFFERENCES = 3
-_PACKAGES = ("isac_track", "predictors", "attacks", "evaluation")
+_COMPUTING = ("isac_track", "predictors", "attacks")
 _LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
 
 
 def code_hash() -> str:
-    """Return a digest of the installed source of the suite: the code version of a cell.
+    """Return a digest of the installed source that cells come from: their code version.
 
-    The presentation of finished cells (figures, tables, report) is left out.
+    What only gathers and shows finished cells is left out.
     """
     digest = hashlib.sha256()
-    shown_only = {"figures.py", "tables.py", "report.py", "matrix.py", "__main__.py"}
     root = Path(isac_track.__file__).parent.parent
-    for package in _PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
-            if path.name not in shown_only:
-                digest.update(path.relative_to(root).as_posix().encode() + b"\0")
-                digest.update(path.read_bytes())
+    sources = [path for package in _COMPUTING for path in (root / package).rglob("*.py")]
+    sources += [root / "evaluation" / name for name in ("cell.py", "grid.py")]
+    for path in sorted(sources):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0")
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -234,7 +233,7 @@ def environment() -> dict[str, Any]:
 
 def _plugin_key(plugin: Plugin) -> dict[str, str]:
     module = plugin.origin.partition(":")[0]
-    if module.partition(".")[0] in _PACKAGES:  # the code hash covers them
+    if module.partition(".")[0] in _COMPUTING:  # the code hash covers them
         return {"spec": plugin.spec, "origin": plugin.origin}
     found = find_spec(module)
     source = Path(found.origin).read_bytes() if found and found.origin else b""

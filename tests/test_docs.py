@@ -1,0 +1,36 @@
+"""What the documents show must run."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from evaluation import matrix
+
+ROOT = Path(__file__).parent.parent
+DOCS = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md", ROOT / "CHANGELOG.md"])
+
+
+@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.name)
+def test_links_lead_somewhere(path):
+    targets = re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text(encoding="utf-8"))
+    targets += re.findall(r'src="(?!https?:)([^"]+)"', path.read_text(encoding="utf-8"))
+    missing = [target for target in targets if not (path.parent / target).exists()]
+    assert missing == []
+
+
+def test_the_plugin_guide_runs_as_it_stands(tmp_path, monkeypatch, csv_recording, capsys):
+    guide = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
+    for name, code in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", guide, flags=re.DOTALL):
+        (tmp_path / name).write_text(code, encoding="utf-8")
+    commands = re.findall(r"python -m evaluation\.matrix (.+)", guide)
+    assert len(commands) == 2
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for number, command in enumerate(commands):
+        words = [*command.split(), "--dataset", str(csv_recording), "--scenes", "8"]
+        assert matrix.main([*words, "--out", f"run{number}"]) == 0
+        assert (tmp_path / f"run{number}" / "summary.csv").is_file()
+    shown = capsys.readouterr().out
+    assert "coarse:Coarse" in shown
+    assert "stand:Stand" in shown
