@@ -12,9 +12,10 @@ import numpy as np
 
 from isac_track import privacy
 from isac_track.conflict import is_conflict
-from isac_track.errors import PluginError
+from isac_track.encounter import conflict_probability
+from isac_track.errors import PluginError, SettingsError
 from isac_track.rng import stream
-from isac_track.scenes import make_scenes, predicted_separation
+from isac_track.scenes import make_scenes, predicted_separation, robot_positions
 from isac_track.sensing import draw_channel, sense
 from isac_track.types import Knowledge, Prediction, Release
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from isac_track.config import StageSettings
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
-    from isac_track.types import Ints, Scenes, Sensed
+    from isac_track.types import Floats, Ints, Scenes, Sensed
 
 SHARED = "shared"
 """Consumer of the descriptors as shared."""
@@ -146,14 +147,38 @@ def _forecast(
             f"predictor {predictor.spec!r} must return a Prediction with mean {expected}"
         )
     separation_m = predicted_separation(scenes, mean=prediction.mean, settings=stages.conflict)
+    probability = _probability(prediction, scenes, stages=stages)
+    if stages.conflict.decision == "mean":
+        predicted = is_conflict(
+            separation_m=separation_m, safety_radius_m=stages.conflict.safety_radius_m
+        )
+    elif prediction.cov is not None:
+        predicted = probability >= stages.conflict.probability_threshold
+    else:
+        raise SettingsError(
+            f"predictor {predictor.spec!r} has no covariance, which "
+            "conflict.decision=probability needs; leave it out or decide by the mean"
+        )
     return {
         "scene": scenes.index,
         "track": scenes.track[:: scenes.n_agents],
         "exhausted": scenes.exhausted,
         "conflict": scenes.conflict,
-        "predicted": is_conflict(
-            separation_m=separation_m, safety_radius_m=stages.conflict.safety_radius_m
-        ),
+        "predicted": predicted,
         "separation_m": scenes.separation,
         "predicted_separation_m": separation_m,
+        "probability": probability,
     }
+
+
+def _probability(prediction: Prediction, scenes: Scenes, *, stages: StageSettings) -> Floats:
+    """Return the probability of a conflict in each scene; NaN without a covariance."""
+    if prediction.cov is None:
+        return np.full(len(scenes), np.nan)
+    robot = robot_positions(scenes, settings=stages.conflict)
+    return conflict_probability(
+        robot=robot,
+        mean=prediction.mean.reshape(robot.shape),
+        cov=prediction.cov.reshape(*robot.shape, 2),
+        radius_m=stages.conflict.safety_radius_m,
+    )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluation import figures, paper, store, summary, tables
+from evaluation.decisions import decisions
 from evaluation.matching import matched
 from isac_track.errors import IsacTrackError
 
@@ -31,6 +32,8 @@ class Results:
     paper_table: pd.DataFrame
     claims: pd.DataFrame
     matched: pd.DataFrame
+    decisions: pd.DataFrame
+    curves: pd.DataFrame
 
 
 def build(out: Path) -> Results:
@@ -46,6 +49,7 @@ def build(out: Path) -> Results:
     found = summary.estimates(out, manifest)
     predictors = manifest["settings"]["predictors"]
     at_equal_rate = matched(found, dataset=dataset, predictors=predictors)
+    curves, decided = decisions(out, manifest, found)
     results = Results(
         out=out,
         manifest=manifest,
@@ -59,12 +63,16 @@ def build(out: Path) -> Results:
             history_interval_s=manifest["history"]["interval_s"],
         ),
         matched=at_equal_rate,
+        decisions=decided,
+        curves=curves,
     )
     for frame, name in (
         (results.summary, "summary.csv"),
         (results.paper_table, "paper_table.csv"),
         (results.claims, "paper_claims.csv"),
         (results.matched, "matched.csv"),
+        (results.decisions, "decisions.csv"),
+        (results.curves, "curves.csv"),
     ):
         store.write_whole(out / name, frame.to_csv(index=False).encode())
     tables.write_tex(results.summary, results.paper_table, folder=out / "tables")

@@ -42,6 +42,8 @@ _OURS = (
     "paper_table.csv",
     "paper_claims.csv",
     "matched.csv",
+    "decisions.csv",
+    "curves.csv",
 )
 _SHOWN_DIFFERENCES = 3
 _COMPUTING = ("isac_track", "predictors", "attacks")

@@ -71,11 +71,8 @@ def estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
     DataError
         If a cell cannot be read.
     """
-    groups = manifest["groups"]
-    row_of = {group: row for row, group in enumerate(groups)}
-    weights = cluster_weights(
-        n_clusters=len(groups), n_replicates=N_REPLICATES, seed=manifest["identity"]["seed"]
-    )
+    weights = weights_of(manifest)
+    n_clusters = weights.shape[1]
     found: dict[Key, Estimate] = {}
     for entry in manifest["cells"]:
         is_shared = entry["consumer"] == SHARED
@@ -84,12 +81,12 @@ def estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
             columns=_SHARED_COLUMNS if is_shared else _PREDICTOR_COLUMNS,
         )
         ratios = _shared_ratios(table) if is_shared else _predictor_ratios(table)
-        cluster = _clusters(table, row_of)
+        cluster = clusters(table, manifest)
         for metric, (numerator, denominator) in ratios.items():
             estimate = ratio_estimate(
-                numerator=cluster_sums(values=numerator, cluster=cluster, n_clusters=len(groups)),
+                numerator=cluster_sums(values=numerator, cluster=cluster, n_clusters=n_clusters),
                 denominator=cluster_sums(
-                    values=denominator, cluster=cluster, n_clusters=len(groups)
+                    values=denominator, cluster=cluster, n_clusters=n_clusters
                 ),
                 weights=weights,
                 is_share=_UNITS[metric] == "fraction",
@@ -98,6 +95,24 @@ def estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
                 estimate = _root(estimate)
             key = Key(entry["mechanism"], entry["level"], entry["consumer"], metric)
             found[key] = estimate
+    return found
+
+
+def weights_of(manifest: Mapping[str, Any]) -> Floats:
+    """Return the bootstrap weights of a run, (B, C): the same for everything in it."""
+    return cluster_weights(
+        n_clusters=len(manifest["groups"]),
+        n_replicates=N_REPLICATES,
+        seed=manifest["identity"]["seed"],
+    )
+
+
+def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
+    """Return the cluster of each row, (R,): its row in the run's list of groups."""
+    row_of = {group: row for row, group in enumerate(manifest["groups"])}
+    column = table["group"].combine_chunks()
+    to_row = np.array([row_of[group] for group in column.dictionary.to_pylist()], dtype=np.int64)
+    found: Ints = to_row[column.indices.to_numpy()]
     return found
 
 
@@ -147,13 +162,6 @@ def _predictor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
         ),
         "distance_mae": (error_m, np.ones_like(error_m)),
     }
-
-
-def _clusters(table: pa.Table, row_of: Mapping[str, int]) -> Ints:
-    column = table["group"].combine_chunks()
-    to_row = np.array([row_of[group] for group in column.dictionary.to_pylist()], dtype=np.int64)
-    clusters: Ints = to_row[column.indices.to_numpy()]
-    return clusters
 
 
 def _root(estimate: Estimate) -> Estimate:

@@ -91,8 +91,14 @@ CHANGES = {
 
 
 def test_every_setting_is_in_the_list_below():
-    # min_duration_s chooses tracks and has a test of its own.
-    assert CHANGES.keys() == setting_types().keys() - {"resample.min_duration_s"}
+    # min_duration_s chooses tracks, and a decision by probability needs a covariance: both
+    # have tests of their own.
+    others = {
+        "resample.min_duration_s",
+        "conflict.decision",
+        "conflict.probability_threshold",
+    }
+    assert CHANGES.keys() == setting_types().keys() - others
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -444,6 +450,12 @@ def test_a_plugin_that_breaks_its_contract_is_named(
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(PluginError, match=message):
         evaluation.run(replace(settings, **{axis: (f"bad_plugins:{name}",)}))
+
+
+def test_a_decision_by_probability_needs_a_covariance(settings):
+    by_probability = StageSettings().changed({"conflict.decision": "probability"})
+    with pytest.raises(SettingsError, match="'least_squares' has no covariance"):
+        evaluation.run(replace(settings, stages=by_probability))
 
 
 def test_the_independent_rule_has_rows_of_its_own(settings):

@@ -1,0 +1,149 @@
+"""What each predictor lets a robot decide: curves, their areas, and misses at equal alarms."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from evaluation.cell import SHARED
+from evaluation.curves import Curve, curve
+from evaluation.store import read_cells
+from evaluation.summary import Key, clusters, weights_of
+from isac_track.intervals import percentile_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from isac_track.intervals import Estimate
+    from isac_track.types import Floats
+
+N_POINTS = 51
+CURVE_COLUMNS = [
+    "dataset",
+    "mechanism",
+    "level",
+    "consumer",
+    "score",
+    "false_alarm_rate",
+    "missed_conflict_rate",
+]
+DECISION_COLUMNS = [
+    "dataset",
+    "mechanism",
+    "level",
+    "consumer",
+    "score",
+    "area",
+    "area_low",
+    "area_high",
+    "reference",
+    "false_alarm_rate",
+    "missed_conflict_rate",
+    "missed_low",
+    "missed_high",
+    "difference",
+    "ci_low",
+    "ci_high",
+]
+_SEPARATION = "separation"
+_READ = ["group", "conflict", "predicted_separation_m", "probability"]
+
+
+def decisions(
+    out: Path, manifest: Mapping[str, Any], found: Mapping[Key, Estimate]
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the curves of every predictor, and a row on each of them.
+
+    A robot may act on the predicted separation or, where there is a covariance, on the
+    probability of a conflict: two scores, two curves. The row gives the area under the curve
+    and the missed-conflict rate at the false-alarm rate that the reference, the first predictor
+    of the run, has at its operating point under the same mechanism, with the paired difference
+    from what the reference's own curve by separation reaches there.
+
+    Raises
+    ------
+    DataError
+        If a cell cannot be read.
+    """
+    dataset = manifest["dataset"]["name"]
+    predictors = [entry for entry in manifest["cells"] if entry["consumer"] != SHARED]
+    reference = next(iter(manifest["settings"]["predictors"]), None)
+    weights = weights_of(manifest)
+    at_reference: dict[tuple[str, float | None], tuple[Floats, Floats]] = {}
+    curve_rows: list[pd.DataFrame] = []
+    rows: dict[int, list[dict[str, object]]] = {}
+    # The reference first: the others are compared with its curve.
+    for place in sorted(
+        range(len(predictors)), key=lambda place: predictors[place]["consumer"] != reference
+    ):
+        entry = predictors[place]
+        where = (entry["mechanism"], entry["level"])
+        names = {
+            "dataset": dataset,
+            "mechanism": entry["mechanism"],
+            "level": np.nan if entry["level"] is None else entry["level"],
+            "consumer": entry["consumer"],
+        }
+        for name, drawn in _curves(out, entry, manifest, weights=weights).items():
+            if entry["consumer"] == reference and name == _SEPARATION:
+                alarm = found[Key(*where, entry["consumer"], "false_alarm_rate")]
+                at = np.concatenate([[alarm.value], alarm.replicates])
+                at_reference[where] = at, drawn.missed_at(at)
+            curve_rows.append(pd.DataFrame({**names, "score": name, **_points(drawn)}))
+            rows.setdefault(place, []).append(
+                {**names, "score": name, **_row(drawn, at_reference.get(where), reference)}
+            )
+    curves = pd.concat(curve_rows) if curve_rows else pd.DataFrame(columns=CURVE_COLUMNS)
+    in_order = [row for place in sorted(rows) for row in rows[place]]
+    return curves[CURVE_COLUMNS], pd.DataFrame(in_order, columns=DECISION_COLUMNS)
+
+
+def _curves(
+    out: Path, entry: Mapping[str, Any], manifest: Mapping[str, Any], *, weights: Floats
+) -> dict[str, Curve]:
+    table = read_cells((out / "cells" / name for name in entry["files"]), columns=_READ)
+    scores = {_SEPARATION: -table["predicted_separation_m"].to_numpy()}
+    probability = table["probability"].to_numpy()
+    if not np.isnan(probability).any():
+        scores["probability"] = probability
+    drawn = {
+        name: curve(
+            score=score,
+            conflict=table["conflict"].to_numpy(),
+            cluster=clusters(table, manifest),
+            weights=weights,
+        )
+        for name, score in scores.items()
+    }
+    return {name: one for name, one in drawn.items() if one is not None}
+
+
+def _points(drawn: Curve) -> dict[str, Floats]:
+    at = np.linspace(0.0, 1.0, N_POINTS)
+    one = Curve(missed=drawn.missed[:1], false_alarm=drawn.false_alarm[:1])
+    missed = [float(one.missed_at(np.array([value]))[0]) for value in at]
+    return {"false_alarm_rate": at, "missed_conflict_rate": np.array(missed)}
+
+
+def _row(
+    drawn: Curve, at_reference: tuple[Floats, Floats] | None, reference: str | None
+) -> dict[str, object]:
+    areas = drawn.areas()
+    row: dict[str, object] = {"area": areas[0]}
+    row["area_low"], row["area_high"] = percentile_interval(areas[1:])
+    if at_reference is None:
+        return row
+    false_alarm, reference_missed = at_reference
+    missed = drawn.missed_at(false_alarm)
+    row |= {
+        "reference": reference,
+        "false_alarm_rate": false_alarm[0],
+        "missed_conflict_rate": missed[0],
+        "difference": missed[0] - reference_missed[0],
+    }
+    row["missed_low"], row["missed_high"] = percentile_interval(missed[1:])
+    row["ci_low"], row["ci_high"] = percentile_interval((missed - reference_missed)[1:])
+    return row

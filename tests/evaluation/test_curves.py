@@ -1,0 +1,104 @@
+"""Miss against false-alarm curves, against scikit-learn and by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.metrics import roc_auc_score, roc_curve
+
+import evaluation
+from evaluation.curves import N_BINS, curve
+from evaluation.grid import Settings
+from isac_track.intervals import cluster_weights
+from isac_track.rng import stream
+
+
+def cases(n_scenes, *, decimals=2):
+    rng = stream(0, "test", "curve", n_scenes)
+    conflict = rng.random(n_scenes) < 0.5
+    score = np.round(rng.normal(conflict * 1.0), decimals)
+    return score, conflict, rng.integers(0, 20, n_scenes)
+
+
+WEIGHTS = cluster_weights(n_clusters=20, n_replicates=30, seed=0)
+
+
+def test_few_scores_are_sklearns_curve_and_area():
+    score, conflict, cluster = cases(150)
+    found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
+    alarm, hit, _ = roc_curve(conflict, score, drop_intermediate=False)
+    assert np.allclose(found.false_alarm[0], alarm)
+    assert np.allclose(found.missed[0], 1 - hit)
+    assert found.areas()[0] == pytest.approx(1 - roc_auc_score(conflict, score))
+
+
+def test_a_replicate_is_the_weighted_curve():
+    score, conflict, cluster = cases(150)
+    areas = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS).areas()
+    for row in range(5):
+        weight = WEIGHTS[row][cluster]
+        expected = 1 - roc_auc_score(conflict, score, sample_weight=weight)
+        assert areas[1 + row] == pytest.approx(expected)
+
+
+def test_many_scores_are_binned_without_moving_the_area():
+    score, conflict, cluster = cases(6000, decimals=9)
+    found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
+    assert found.missed.shape[1] <= N_BINS + 1
+    assert found.areas()[0] == pytest.approx(1 - roc_auc_score(conflict, score), abs=1e-4)
+
+
+def test_the_ends_are_never_and_always():
+    score, conflict, cluster = cases(60)
+    found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
+    assert (found.missed[:, 0] == 1).all()
+    assert (found.false_alarm[:, 0] == 0).all()
+    assert np.allclose(found.missed[:, -1], 0)
+    assert np.allclose(found.false_alarm[:, -1], 1)
+    assert (np.diff(found.missed, axis=1) <= 1e-12).all()
+
+
+def test_missed_at_by_hand():
+    # Scores 4 3 2 1 with labels conflict, none, conflict, none.
+    found = curve(
+        score=np.array([4.0, 3.0, 2.0, 1.0]),
+        conflict=np.array([True, False, True, False]),
+        cluster=np.zeros(4, dtype=int),
+        weights=np.ones((1, 1)),
+    )
+    assert found.false_alarm[0].tolist() == [0, 0, 0.5, 0.5, 1]
+    assert found.missed[0].tolist() == [1, 0.5, 0.5, 0, 0]
+    for at, expected in ((0.0, 0.5), (0.25, 0.5), (0.5, 0.0), (0.75, 0.0), (1.0, 0.0)):
+        assert found.missed_at(np.full(2, at)).tolist() == [expected, expected]
+
+
+def test_one_label_alone_has_no_curve_and_nan_is_refused():
+    score, conflict, cluster = cases(10)
+    same = {"score": score, "cluster": cluster, "weights": WEIGHTS}
+    assert curve(conflict=np.ones(10, dtype=bool), **same) is None
+    with pytest.raises(ValueError, match="NaN"):
+        curve(**(same | {"score": np.full(10, np.nan)}), conflict=conflict)
+
+
+def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording, tmp_path):
+    settings = Settings(
+        preset="smoke",
+        dataset=str(csv_recording),
+        scenes=40,
+        mechanisms=("raw", "fixed:0.7"),
+        predictors=("least_squares", "least_squares:4"),
+        out=tmp_path / "run",
+    )
+    results = evaluation.run(settings)
+    rows = results.decisions.set_index(["mechanism", "consumer"])
+    assert set(results.decisions["reference"]) == {"least_squares"}
+    assert (rows.xs("least_squares", level="consumer")["difference"] == 0).all()
+    short = rows.loc["fixed", "least_squares:window=4"]
+    assert short["area"] > rows.loc["fixed", "least_squares"]["area"]  # less data, worse
+    assert 0 <= short["area_low"] <= short["area"] <= short["area_high"] <= 1
+    assert short["false_alarm_rate"] == rows.loc["fixed", "least_squares"]["false_alarm_rate"]
+    assert len(results.curves) == 4 * 51
+    assert (tmp_path / "run" / "decisions.csv").is_file()
+    assert (tmp_path / "run" / "curves.csv").is_file()
+    alone = replace(settings, predictors=(), out=tmp_path / "alone")
+    assert evaluation.run(alone).decisions.empty
