@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints
 
-_GAIN_RANGE_DB = (20.0, 90.0)
+_GAIN_RANGE_DB = (-20.0, 60.0)
 """Net gain: processing gain less the CRB gap."""
 _SPREAD_RANGE_DB = (2.0, 30.0)
 _GAP_RANGE_DB = (0.0, 40.0)

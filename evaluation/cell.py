@@ -5,7 +5,7 @@ A level is shared once; every consumer of the block reads the same release.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -106,7 +106,10 @@ def _share(mechanism: Plugin, sensed: Sensed, *, block: int, seed: int) -> Relea
         np.array_equal(release.offsets, sensed.offsets) and np.array_equal(release.t, sensed.t)
     ):
         raise PluginError(f"mechanism {mechanism.spec!r} changed the tracks or their times")
-    return release
+    # Fresh for every release: the common stream gives every mechanism the same ones.
+    names = stream(seed, "pseudonyms", mechanism.spec, "block", block).bytes(8 * len(release))
+    fresh = tuple(names[8 * row : 8 * row + 8].hex() for row in range(len(release)))
+    return replace(release, pseudonym=fresh)
 
 
 def _descriptors(release: Release, scenes: Scenes, *, stages: StageSettings) -> Rows:

@@ -37,7 +37,7 @@ _SWEEP = (
         for axis in ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
     ),
 )
-_PREDICTORS = ("least_squares",)
+_PREDICTORS = ("least_squares", "kalman_cv", "kalman_ca", "kalman_imm")
 PRESETS = {
     "smoke": Preset(
         scenes=40,

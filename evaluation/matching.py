@@ -1,4 +1,4 @@
-"""FID against fixed noise at equal missed-conflict rate, by monotone interpolation."""
+"""FID against fixed noise at an equal rise of the missed-conflict rate over raw."""
 
 from __future__ import annotations
 
@@ -21,11 +21,16 @@ if TYPE_CHECKING:
 ADDING_SUFFIX = {"linear": "", "independent": ":adding=independent"}
 DESCRIPTORS = ("plr", "ael", "mel")
 N_POINTS = 20
+MIN_DEFINED = 0.975
+"""Share of replicates that must reach a rise for it to have an interval."""
+_SMALLEST = 1e-12
+_ROUNDING = 1e-9
 COLUMNS = [
     "dataset",
     "adding",
     "predictor",
     "metric",
+    "rise",
     "missed_conflict_rate",
     "fid",
     "fid_low",
@@ -46,10 +51,14 @@ def matched(
     """Return descriptors of FID and fixed noise at equal missed-conflict rates.
 
     Both curves run from their noisiest level to raw, which is the end of either. Rate and
-    descriptor are made monotone over the levels (isotonic regression) and interpolated
-    linearly, never beyond the rates that both reach. Each bootstrap replicate repeats all of
-    it on the same drawn people, so that the difference (FID minus fixed) is paired; `defined`
-    is the share of replicates that reach the rate.
+    descriptor are made monotone over the levels (isotonic regression) and interpolated, the
+    descriptor on a logarithmic scale, never beyond the rates that both reach. Matched is the
+    rise over the raw rate, so that each bootstrap replicate, which repeats all of it on its own
+    drawn people, is read at its own raw rate plus that rise: the comparison is paired in the
+    rate and in the descriptor. `missed_conflict_rate` is raw's estimate plus the rise.
+
+    `defined` is the share of replicates that reach the rise; where it is below `MIN_DEFINED`
+    there is no interval (NaN), since the replicates that are left would all lie on one side.
     """
     rows: list[dict[str, object]] = []
     for predictor in predictors:
@@ -97,40 +106,48 @@ def _curve(
 
 def _compare(fid: dict[str, Floats], fixed: dict[str, Floats]) -> list[dict[str, object]]:
     rate = "missed_conflict_rate"
-    fid_rate = _monotone(fid[rate], increasing=False)
-    fixed_rate = _monotone(fixed[rate], increasing=False)
-    low = max(fid_rate[0].min(), fixed_rate[0].min())
-    high = min(fid_rate[0].max(), fixed_rate[0].max())
-    if not low < high:
+    fid_rise = _rise(fid[rate])
+    fixed_rise = _rise(fixed[rate])
+    raw_rate = float(fid[rate][0, -1])
+    reach = min(fid_rise[0].max(), fixed_rise[0].max())
+    if not reach > 0:
         return []
-    # The lowest rate is raw itself, the end of both curves: nothing is compared there.
-    at = np.linspace(low, high, N_POINTS + 1)[1:]
+    # No rise is raw itself, the end of both curves: nothing is compared there.
+    at = np.linspace(0.0, reach, N_POINTS + 1)[1:]
     rows: list[dict[str, object]] = []
     for metric in DESCRIPTORS:
-        a = _interpolate(at, fid_rate, _monotone(fid[metric], increasing=True))
-        b = _interpolate(at, fixed_rate, _monotone(fixed[metric], increasing=True))
-        for point, value in enumerate(at):
-            both = a[1:, point] - b[1:, point]
-            fid_low, fid_high = percentile_interval(a[1:, point])
-            fixed_low, fixed_high = percentile_interval(b[1:, point])
-            ci_low, ci_high = percentile_interval(both)
-            rows.append(
-                {
-                    "metric": metric,
-                    rate: value,
-                    "fid": a[0, point],
-                    "fid_low": fid_low,
-                    "fid_high": fid_high,
-                    "fixed": b[0, point],
-                    "fixed_low": fixed_low,
-                    "fixed_high": fixed_high,
-                    "difference": a[0, point] - b[0, point],
-                    "ci_low": ci_low,
-                    "ci_high": ci_high,
-                    "defined": float(np.isfinite(both).mean()),
-                }
-            )
+        a = _interpolate(at, fid_rise, _monotone(fid[metric], increasing=True))
+        b = _interpolate(at, fixed_rise, _monotone(fixed[metric], increasing=True))
+        difference = a - b
+        defined = np.isfinite(difference[1:]).mean(axis=0)
+        for point, rise in enumerate(at):
+            row: dict[str, object] = {
+                "metric": metric,
+                "rise": rise,
+                rate: raw_rate + rise,
+                "fid": a[0, point],
+                "fixed": b[0, point],
+                "difference": difference[0, point],
+                "defined": defined[point],
+            }
+            for low, high, values in (
+                ("fid_low", "fid_high", a),
+                ("fixed_low", "fixed_high", b),
+                ("ci_low", "ci_high", difference),
+            ):
+                row[low], row[high] = (
+                    percentile_interval(values[1:, point])
+                    if defined[point] >= MIN_DEFINED
+                    else (np.nan, np.nan)
+                )
+            rows.append(row)
     return rows
+
+
+def _rise(rate: Floats) -> Floats:
+    """Return each row's monotone rate less its value at raw, the last level."""
+    monotone = _monotone(rate, increasing=False)
+    return monotone - monotone[:, -1:]
 
 
 def _monotone(values: Floats, *, increasing: bool) -> Floats:
@@ -140,12 +157,22 @@ def _monotone(values: Floats, *, increasing: bool) -> Floats:
     )
 
 
-def _interpolate(at: Floats, rate: Floats, descriptor: Floats) -> Floats:
-    """Return each row's descriptor at the rates `at`; NaN beyond its own range."""
-    # The rate falls from left to right; np.interp wants it rising.
-    return np.stack(
-        [
-            np.interp(at, x[::-1], y[::-1], left=np.nan, right=np.nan)
-            for x, y in zip(rate, descriptor, strict=True)
-        ]
+def _interpolate(at: Floats, rise: Floats, descriptor: Floats) -> Floats:
+    """Return each row's descriptor at the rises `at`; NaN beyond its own range.
+
+    A descriptor falls about exponentially with the rate; on its logarithm a chord over a
+    wide step of the levels lies close to the curve.
+    """
+    logarithm = np.log(np.maximum(descriptor, _SMALLEST))
+    # The rise falls from left to right; np.interp wants it rising. Rounding must not put the
+    # end of a curve out of its own reach.
+    at = at - _ROUNDING
+    values: Floats = np.exp(
+        np.stack(
+            [
+                np.interp(at, x[::-1], y[::-1], right=np.nan)
+                for x, y in zip(rise, logarithm, strict=True)
+            ]
+        )
     )
+    return values

@@ -165,12 +165,26 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
         return 0
     with _Bar() as bar:
         results = run(ready=ready, progress=bar.update)
-    dropped = results.manifest["dropped_cells"]
-    if dropped:
-        _say(f"notice: {dropped} cells of another code version were dropped", stream=sys.stderr)
+    for notice in _notices(results.manifest):
+        _say(f"notice: {notice}", stream=sys.stderr)
     tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
     _say(f"\nresults in {results.out}: summary.csv, paper_table.csv, figures/, tables/")
     return 0
+
+
+def _notices(manifest: dict[str, Any]) -> list[str]:
+    notices = [
+        f"{spec} asked for {' and '.join(asked)}, which a robot does not have by default"
+        for spec, asked in manifest["granted"].items()
+    ]
+    if manifest["dropped_cells"]:
+        notices.append(f"{manifest['dropped_cells']} cells of another code version were dropped")
+    if manifest["exhausted_redraws"]:
+        notices.append(
+            f"{manifest['exhausted_redraws']} background agents found no place with "
+            "scenes.clearance_m and kept their last draw"
+        )
+    return notices
 
 
 def _announce(ready: Plan) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.cell import SHARED
-from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS
+from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS, MIN_DEFINED
 from evaluation.summary import Key
 from isac_track.intervals import percentile_interval
 
@@ -54,6 +54,8 @@ CLAIM_COLUMNS = ["adding", "claim", "answer", "effect", "ci_low", "ci_high", "un
 
 _NOUN = {"missed_conflict_rate": "missed-conflict rate", "plr": "PLR", "ael": "AEL", "mel": "MEL"}
 
+MIN_CLUSTERS = 20
+"""With fewer people a bootstrap decides nothing."""
 CLOSE_TO_RAW = 0.04
 """Margin of 'close to raw': the tolerance on a missed-conflict rate, set beforehand."""
 
@@ -118,11 +120,15 @@ def claims(
     - *monotone in eta*, 1 to 1000: holds if the ends differ in the claimed direction and no
       step between neighbouring levels goes the other way beyond its interval; does not hold
       if one does, or if the ends differ the other way.
-    - *FID is better at every matched rate*: FID minus fixed at equal missed-conflict rate;
-      holds if every point's interval lies below zero, does not hold if one lies above.
+    - *FID is better at every matched rate*: FID minus fixed at an equal rise of the
+      missed-conflict rate over raw, at the rises that 97.5 % of the replicates reach; holds if
+      every interval lies below zero, does not hold if one lies above. Pointwise intervals.
+
+    With fewer than 20 clusters nothing is decided.
     - *history*: 366 points within 4, at 0.083 to 0.084 s; of the paper's recording only.
     """
     rows: list[dict[str, object]] = []
+    n_clusters = min((estimate.n for estimate in found.values()), default=0)
     for adding, suffix in ADDING_SUFFIX.items():
         rows += _close_to_raw(found, adding=adding, mechanism=f"fixed{suffix}")
         for metric, sign in (("missed_conflict_rate", -1.0), ("plr", 1.0), ("mel", 1.0)):
@@ -130,7 +136,7 @@ def claims(
                 found, adding=adding, mechanism=f"fid{suffix}", metric=metric, sign=sign
             )
         for metric in DESCRIPTORS:
-            rows += _better_at_every_rate(matched, adding=adding, metric=metric)
+            rows += _better_at_every_rate(matched, adding=adding, metric=metric, n=n_clusters)
     if dataset == DATASET:
         rows.append(_history(points=history_points, interval_s=history_interval_s))
     return pd.DataFrame(rows, columns=CLAIM_COLUMNS)
@@ -162,7 +168,7 @@ def _close_to_raw(
         if raw is None or ours is None:
             continue
         low, high = percentile_interval(ours.replicates - raw.replicates)
-        answer = _answer(holds=high < CLOSE_TO_RAW, fails=low > CLOSE_TO_RAW)
+        answer = _answer(holds=high < CLOSE_TO_RAW, fails=low > CLOSE_TO_RAW, n=ours.n)
         rows.append(
             {
                 "adding": adding,
@@ -206,7 +212,11 @@ def _monotone_in_eta(
         {
             "adding": adding,
             "claim": f"eta 1 to 1000: {_NOUN[metric]} {verb} monotonically",
-            "answer": _answer(holds=low > 0 and wrong == 0, fails=high < 0 or wrong > 0),
+            "answer": _answer(
+                holds=low > 0 and wrong == 0,
+                fails=high < 0 or wrong > 0,
+                n=min(point.n for point in points),
+            ),
             "effect": points[-1].value - points[0].value,
             "ci_low": ends[0],
             "ci_high": ends[1],
@@ -218,37 +228,56 @@ def _monotone_in_eta(
 
 
 def _better_at_every_rate(
-    matched: pd.DataFrame, *, adding: str, metric: str
+    matched: pd.DataFrame, *, adding: str, metric: str, n: int
 ) -> list[dict[str, object]]:
-    part = matched[
+    every = matched[
         (matched["adding"] == adding)
         & (matched["metric"] == metric)
         & (matched["predictor"] == PREDICTOR)
     ]
-    if part.empty:
+    if every.empty:
         return []
+    part = every[every["defined"] >= MIN_DEFINED]
+    left_out = len(every) - len(part)
+    row: dict[str, object] = {
+        "adding": adding,
+        "claim": f"at every matched missed-conflict rate: FID has lower {_NOUN[metric]}",
+        "unit": "fraction" if metric == "plr" else "s",
+    }
+    if part.empty:
+        return [
+            row
+            | {
+                "answer": "undecided",
+                "effect": np.nan,
+                "ci_low": np.nan,
+                "ci_high": np.nan,
+                "evidence": f"none of {left_out} rates is reached by enough replicates",
+            }
+        ]
     better = int((part["ci_high"] < 0).sum())
     worse = int((part["ci_low"] > 0).sum())
     # The rate shown is the one that speaks most against the claim.
     against = part["ci_low" if worse else "ci_high"].to_numpy()
     worst = part.iloc[int(against.argmax())]
     return [
-        {
-            "adding": adding,
-            "claim": f"at every matched missed-conflict rate: FID has lower {_NOUN[metric]}",
-            "answer": _answer(holds=better == len(part), fails=worse > 0),
+        row
+        | {
+            "answer": _answer(holds=better == len(part), fails=worse > 0, n=n),
             "effect": float(worst["difference"]),
             "ci_low": float(worst["ci_low"]),
             "ci_high": float(worst["ci_high"]),
-            "unit": "fraction" if metric == "plr" else "s",
             "evidence": "FID minus fixed where it speaks most against, at a rate of "
             f"{worst['missed_conflict_rate']:.3f}; of {len(part)} rates {better} better, "
-            f"{worse} worse beyond the interval",
+            f"{worse} worse beyond the interval; {left_out} more are not reached by enough "
+            "replicates",
         }
     ]
 
 
-def _answer(*, holds: bool, fails: bool) -> str:
+def _answer(*, holds: bool, fails: bool, n: int) -> str:
+    if n < MIN_CLUSTERS:
+        return "undecided"
     if fails:
         return "does not hold"
     return "holds" if holds else "undecided"

@@ -136,6 +136,7 @@ def run(
     store.write_manifest(ready.out, manifest | {"state": "running"})
     _compute_missing(ready, tell)
     tell(ready.n_cells, ready.n_cells, "intervals, tables and figures")
+    manifest["exhausted_redraws"] = _exhausted_redraws(ready)
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     store.write_manifest(ready.out, manifest | {"state": "finished"})
     return build(ready.out)
@@ -157,6 +158,16 @@ def _compute_missing(ready: Plan, tell: Callable[[int, int, str], None]) -> None
         store.write_cell(folder / name, rows, tracks=ready.tracks)
         done += 1
         tell(done, total, f"{mechanism.spec} > {SHARED if consumer is None else consumer.spec}")
+
+
+def _exhausted_redraws(ready: Plan) -> int | None:
+    """Return how many agents kept a place without clearance; None if no cell tells."""
+    for _, consumer, names in ready.cells:
+        if consumer is not None:
+            paths = [ready.out / "cells" / name for name in names]
+            table = store.read_cells(paths, columns=["exhausted"])
+            return int(table["exhausted"].to_numpy().sum())
+    return None
 
 
 def _missing_blocks(ready: Plan, present: set[str]) -> Iterator[Block]:
@@ -239,6 +250,11 @@ def _describe(ready: Plan) -> dict[str, Any]:
             "mechanisms": [plugin.spec for plugin in ready.axes.mechanisms],
             "predictors": [plugin.spec for plugin in ready.axes.predictors],
             "stages": settings.stages.flat(),
+        },
+        "granted": {
+            plugin.spec: sorted(one.name for one in plugin.instance.requires)
+            for plugin in ready.axes.predictors
+            if plugin.instance.requires
         },
         "dataset": {
             "name": dataset.name,

@@ -100,13 +100,15 @@ class SensingSettings:
     """paper; each way (reading: monostatic, two-way)"""
     beam_fluctuation_db: float = 2.0
     """paper: N(0, 2) dB per sample (reading: 2 dB is the standard deviation)"""
+    rcs_m2: float = 1.0
+    """reading: radar cross-section of a pedestrian"""
     resource_share: float = 1.0
     """reading: m_s of eq. swarm_fi"""
-    large_scale_db: float = 11.91
+    large_scale_db: float = 11.79
     """fitted: two-way log-normal spread, drawn once per track"""
-    processing_gain_db: float = 64.94
+    processing_gain_db: float = 32.43
     """fitted: integration gain of the sensing receiver"""
-    crb_gap_db: float = 13.37
+    crb_gap_db: float = 13.27
     """fitted: sigma_raw over sqrt(CRB), in 20 log10"""
     sigma_cap_m: float = 2.0
     """reading, fixed before the fit: sigma_raw is capped here"""
@@ -121,6 +123,7 @@ class SensingSettings:
             "bandwidth_mhz",
             "n_paths",
             "path_loss_exponent",
+            "rcs_m2",
             "resource_share",
             "sigma_cap_m",
         )
@@ -136,11 +139,18 @@ class ConflictSettings:
     horizon_steps: int = 12
     """paper: H"""
     window: int = 16
-    """paper: q, samples whose mean interval is the step of the prediction grid"""
+    """paper: q, samples whose mean interval is the step of the prediction grid; how many samples
+    a predictor uses is its own parameter, `least_squares:16`"""
     safety_radius_m: float = 0.9
     """paper: d_safe"""
+    decision: Literal["mean", "probability"] = "mean"
+    """paper: `mean`, the predicted positions alone; `probability` needs a covariance"""
+    probability_threshold: float = 0.5
+    """with `probability`: a conflict is declared at or above it"""
 
     def __post_init__(self) -> None:
+        if not 0 < self.probability_threshold < 1:
+            raise SettingsError("conflict.probability_threshold must lie between 0 and 1")
         _positive(self, "conflict", "robot_speed_mps", "horizon_steps", "safety_radius_m")
         if self.window < 2:  # noqa: PLR2004 - an interval needs two samples
             raise SettingsError("conflict.window must be at least 2")

@@ -31,6 +31,9 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
     },
     "predictors": {
         "least_squares": "predictors.least_squares:LeastSquares",
+        "kalman_cv": "predictors.kalman:KalmanCV",
+        "kalman_ca": "predictors.kalman:KalmanCA",
+        "kalman_imm": "predictors.kalman:KalmanIMM",
     },
 }
 _METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict"}
@@ -140,6 +143,8 @@ def _plugin(
         ) from None
     except ValueError as error:
         raise SettingsError(f"{spec!r}: {error}") from None
+    if kind == "predictors" and not isinstance(getattr(instance, "requires", None), frozenset):
+        raise PluginError(f"predictor {name!r}: {origin}.requires must be a frozenset")
     level: float | None = None
     parameters: list[str] = []
     for position, item in enumerate(item for item in dataclasses.fields(cls) if item.init):
@@ -206,8 +211,6 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
         raise PluginError(f"{singular} {name!r}: the dataclass {origin} must be frozen")
     if not callable(getattr(cls, method, None)):
         raise PluginError(f"{singular} {name!r}: {origin} has no method {method}()")
-    if kind == "predictors" and not isinstance(getattr(cls, "requires", None), frozenset):
-        raise PluginError(f"{singular} {name!r}: {origin}.requires must be a frozenset")
     return cls, origin
 
 

@@ -70,7 +70,7 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     parts: list[tuple[Floats, Floats, Floats, Floats]] = []
     kept: list[int] = []
     for row, track in enumerate(sampled):
-        n_history = int(settings.scenes.history_ratio * track.t.size)
+        n_history = history_samples(n_samples=track.t.size, ratio=settings.scenes.history_ratio)
         if n_history < 2:  # noqa: PLR2004 - the grid needs an interval
             continue
         t = track.t[:n_history]
@@ -102,6 +102,14 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         too_short=len(recorded) - len(sampled),
         no_future=len(sampled) - len(kept),
     )
+
+
+def history_samples(*, n_samples: int, ratio: float) -> int:
+    """Return how many of a track's samples are history: the whole part of the share.
+
+    0.7 of 330 is 231, although 0.7 * 330 is a hair less in floating point.
+    """
+    return int(ratio * n_samples + 1e-9)
 
 
 def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints:
@@ -173,7 +181,11 @@ def make_scenes(
         )
         for agent in range(1, n_agents):
             shift[scene, agent], found = _around_the_robot(
-                robot=robot[agent], future=futures[scene, agent], settings=settings, rng=rng
+                robot=robot[agent],
+                future=futures[scene, agent],
+                settings=settings,
+                # A stream of its own: how often one is redrawn must not move the next one.
+                rng=stream(seed, "scenes", "scene", first + scene, "agent", agent),
             )
             exhausted[scene] += not found
     futures = futures + shift[:, :, None, :]
@@ -216,15 +228,20 @@ def predicted_separation(scenes: Scenes, *, mean: Floats, settings: ConflictSett
         Predicted positions on the grid.
     settings : ConflictSettings
     """
+    robot = robot_positions(scenes, settings=settings)
+    return minimum_separation(robot=robot, agents=mean.reshape(robot.shape))
+
+
+def robot_positions(scenes: Scenes, *, settings: ConflictSettings) -> Floats:
+    """Return the robot's nominal positions on each agent's grid, (S, A, H, 2) m."""
     n_scenes, n_agents = len(scenes), scenes.n_agents
     elapsed_s = (scenes.t_future - scenes.t_future[:, :1]).reshape(n_scenes, n_agents, -1)
-    robot = robot_path(
+    return robot_path(
         start=scenes.robot_start,
         destination=scenes.robot_destination,
         speed_mps=settings.robot_speed_mps,
         elapsed_s=elapsed_s,
     )
-    return minimum_separation(robot=robot, agents=mean.reshape(robot.shape))
 
 
 def _place_robot(

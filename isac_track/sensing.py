@@ -101,9 +101,9 @@ def link_gain(
 ) -> Floats:
     """Return the two-way power gain of every sample, (M,), as a plain ratio.
 
-    Free-space loss at 1 m each way, path loss with the table's exponent each way, one
-    log-normal large-scale gain per track, N_p Rayleigh paths whose excess delay lengthens
-    the way there and back, and the beam's fluctuation per sample.
+    The radar equation at 1 m, lambda^2 rcs / (4 pi)^3, path loss with the table's exponent
+    each way, one log-normal large-scale gain per track, N_p Rayleigh paths whose excess delay
+    lengthens the way there and back, and the beam's fluctuation per sample.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def link_gain(
     settings : SensingSettings
     """
     wavelength_m = SPEED_OF_LIGHT_MPS / (settings.carrier_ghz * 1e9)
-    at_1m = (wavelength_m / (4.0 * np.pi)) ** 4
+    at_1m = wavelength_m**2 * settings.rcs_m2 / (4.0 * np.pi) ** 3
     exponent = 2.0 * settings.path_loss_exponent
     excess_m = 0.5 * SPEED_OF_LIGHT_MPS * settings.delay_spread_s * channel.path_delay
     n_paths = channel.path_power.shape[1]
@@ -198,7 +198,10 @@ def unit_errors(*, n_samples: int, law: ErrorLaw, rng: Generator) -> Floats:
 def draw_channel(
     *, n_samples: Ints, keys: list[tuple[str | int, ...]], settings: SensingSettings, seed: int
 ) -> Channel:
-    """Draw the random part of the link for batches of tracks, each from a stream of its own.
+    """Draw the random part of the link for batches of tracks.
+
+    Every batch and quantity draws from a stream of its own, so that another number of paths, say,
+    leaves all other draws as they are.
 
     Parameters
     ----------
@@ -216,12 +219,13 @@ def draw_channel(
     beam: list[Floats] = []
     unit_error: list[Floats] = []
     for sizes, key in zip(n_samples, keys, strict=True):
-        rng = stream(seed, "sensing", *key)
         total = int(sizes.sum())
-        large_scale.append(rng.standard_normal(n_tracks))
-        path_power.append(rng.standard_exponential((n_tracks, settings.n_paths)))
-        path_delay.append(rng.random((n_tracks, settings.n_paths)))
-        beam.append(rng.standard_normal(total))
+        large_scale.append(stream(seed, "sensing", "large scale", *key).standard_normal(n_tracks))
+        paths = stream(seed, "sensing", "paths", *key)
+        path_power.append(paths.standard_exponential((n_tracks, settings.n_paths)))
+        path_delay.append(paths.random((n_tracks, settings.n_paths)))
+        beam.append(stream(seed, "sensing", "beam", *key).standard_normal(total))
+        rng = stream(seed, "sensing", "error", *key)
         unit_error.append(unit_errors(n_samples=total, law=settings.law, rng=rng))
     delays = np.concatenate(path_delay)
     delays[:, 0] = 0.0  # the direct path

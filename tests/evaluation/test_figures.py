@@ -46,7 +46,7 @@ def make_summary(*, dataset="students03", suffixes=SUFFIXES, predictors=("least_
 def make_matched(*, dataset="students03", predictors=("least_squares",)):
     curves = [0.2, 0.1, 0.3, 0.4, 0.3, 0.5, -0.2, -0.3, -0.1, 1.0]
     rows = [
-        [dataset, adding, predictor, metric, rate, *curves]
+        [dataset, adding, predictor, metric, rate - 0.1, rate, *curves]
         for predictor in predictors
         for adding in ("linear", "independent")
         for metric in ("plr", "ael", "mel")

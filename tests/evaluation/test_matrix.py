@@ -278,3 +278,16 @@ def test_one_recording_gives_one_result_in_every_format(tracks, tmp_path):
         assert code == 0
         values[name] = pd.read_csv(out / "summary.csv")["value"].tolist()
     assert all(found == values["csv"] for found in values.values())
+
+
+def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, capsys):
+    out = tmp_path / "run"
+    code = run(
+        "--dataset", csv_recording, "--scenes", 8, "--mechanism", "raw", "--out", out,
+        "--predictor", "kalman_cv:noise=declared",
+        "--set", "scenes.clearance_m=6.5", "--set", "scenes.max_redraws=2",
+    )  # fmt: skip
+    assert code == 0
+    shown = capsys.readouterr().err
+    assert "kalman_cv:noise=declared asked for SIGMA, which a robot does not have" in shown
+    assert re.search(r"\d+ background agents found no place", shown)

@@ -23,13 +23,13 @@ def estimate(value, spread=0.0, n=50):
 
 
 def results(*, advantage=0.0, spread=0.001, suffix="", rate_of_error=None):
-    """FID and fixed noise on one straight trade-off; FID's descriptors lie `advantage` lower."""
+    """FID and fixed noise on one exponential trade-off; FID's lies `advantage` (log) lower."""
     found = {}
 
     def add(mechanism, level, rate, lower):
         found[Key(mechanism, level, PREDICTOR, "missed_conflict_rate")] = estimate(rate, spread)
         for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 3.0)):
-            value = scale * (0.6 - rate) - lower
+            value = scale * np.exp(-4.0 * rate - lower)
             found[Key(mechanism, level, SHARED, metric)] = estimate(value, spread)
 
     add("raw", None, 0.10, 0.0)
@@ -62,11 +62,51 @@ def test_equal_curves_differ_by_nothing_and_a_lower_one_by_its_advantage():
     assert np.allclose(equal["difference"], 0.0, atol=1e-9)
     lower = matched(results(advantage=0.05), dataset="d", predictors=[PREDICTOR])
     inside = lower[lower["missed_conflict_rate"] > 0.15]  # beyond eta = 1000 it bends to raw
-    assert np.allclose(inside["difference"], -0.05, atol=1e-9)
-    assert np.allclose(
-        inside[inside["metric"] == "plr"]["fixed"],
-        0.6 - inside[inside["metric"] == "plr"]["missed_conflict_rate"],
-    )
+    assert np.allclose(inside["fid"] / inside["fixed"], np.exp(-0.05))
+    plr = inside[inside["metric"] == "plr"]
+    assert np.allclose(plr["fixed"], np.exp(-4.0 * plr["missed_conflict_rate"]))
+    assert np.allclose(plr["rise"], plr["missed_conflict_rate"] - 0.10)
+
+
+def test_each_replicate_is_read_at_its_own_raw_rate():
+    """Rates that move together from replicate to replicate leave the difference as it is."""
+    found = results(advantage=0.05, spread=0.0)
+    shift = np.linspace(-0.03, 0.03, N)
+    moved = {
+        key: Estimate(one.value, one.ci_low, one.ci_high, one.n, one.replicates + shift)
+        if key.metric == "missed_conflict_rate"
+        else one
+        for key, one in found.items()
+    }
+    still = matched(found, dataset="d", predictors=[PREDICTOR])
+    table = matched(moved, dataset="d", predictors=[PREDICTOR])
+    assert np.allclose(table["difference"], still["difference"])
+    assert np.allclose(table["ci_low"], table["difference"], atol=1e-9)
+    assert np.allclose(table["ci_high"], table["difference"], atol=1e-9)
+
+
+def test_a_rate_that_many_replicates_do_not_reach_has_no_interval():
+    found = results(advantage=0.05, spread=0.0)
+    key = Key("fid", 1.0, PREDICTOR, "missed_conflict_rate")
+    short = np.where(np.arange(N) % 2 == 0, 0.34, 0.31)  # half of them end early
+    found[key] = Estimate(0.34, 0.31, 0.34, 50, short)
+    table = matched(found, dataset="d", predictors=[PREDICTOR])
+    out_of_reach = table["missed_conflict_rate"] > 0.311
+    assert out_of_reach.any()
+    assert (table["defined"] < 0.975).tolist() == out_of_reach.tolist()
+    assert table.loc[out_of_reach, ["ci_low", "ci_high", "fid_low"]].isna().all(axis=None)
+    assert table.loc[~out_of_reach, ["ci_low", "ci_high"]].notna().all(axis=None)
+
+
+def test_with_few_people_nothing_is_decided():
+    few = {
+        key: Estimate(one.value, one.ci_low, one.ci_high, 8, one.replicates)
+        for key, one in results(advantage=0.05).items()
+    }
+    at = matched(few, dataset="plaza", predictors=[PREDICTOR])
+    table = paper.claims(few, at, dataset="plaza", history_points=366.0, history_interval_s=0.083)
+    assert len(table) > 5
+    assert set(table["answer"]) == {"undecided"}
 
 
 def test_without_two_levels_or_raw_nothing_is_matched():
@@ -103,7 +143,7 @@ def test_monotone_holds_fails_and_stays_undecided():
     assert claim(found, "rate falls")["answer"] == "holds"
     assert claim(found, "MEL rises")["answer"] == "holds"
     bump = dict(found)
-    bump[Key("fid", 100.0, SHARED, "plr")] = estimate(0.2, 0.001)  # below its neighbours
+    bump[Key("fid", 100.0, SHARED, "plr")] = estimate(0.1, 0.001)  # below its neighbours
     row = claim(bump, "PLR rises")
     assert row["answer"] == "does not hold"
     assert "1 beyond their interval" in row["evidence"]

@@ -29,6 +29,7 @@ def settings(csv_recording, tmp_path):
         dataset=str(csv_recording),
         scenes=12,
         mechanisms=("raw", "fid:1000", "fixed:0.7"),
+        predictors=("least_squares",),
         out=tmp_path / "run",
     )
 
@@ -65,7 +66,7 @@ CHANGES = {
     "scenes.ring_min_m": 3.0,
     "scenes.ring_max_m": 5.0,
     "scenes.clearance_m": 2.5,
-    "scenes.max_redraws": 50,
+    "scenes.max_redraws": 1,
     "sensing.bs_x_m": 20.0,
     "sensing.bs_y_m": 60.0,
     "sensing.carrier_ghz": 28.0,
@@ -77,8 +78,9 @@ CHANGES = {
     "sensing.path_loss_exponent": 3.0,
     "sensing.beam_fluctuation_db": 4.0,
     "sensing.resource_share": 0.5,
+    "sensing.rcs_m2": 0.5,
     "sensing.large_scale_db": 6.0,
-    "sensing.processing_gain_db": 60.0,
+    "sensing.processing_gain_db": 30.0,
     "sensing.crb_gap_db": 5.0,
     "sensing.sigma_cap_m": 0.5,
     "sensing.law": "isotropic",
@@ -99,6 +101,12 @@ def test_every_setting_is_in_the_list_below():
         "conflict.probability_threshold",
     }
     assert CHANGES.keys() == setting_types().keys() - others
+
+
+def test_a_setting_that_cannot_matter_changes_nothing(tracks):
+    # Nobody needs a hundred redraws: one more of them must not move any other draw.
+    more = StageSettings().changed({"scenes.max_redraws": 101})
+    assert same(computed(tracks), computed(tracks, stages=more))
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -456,6 +464,35 @@ def test_a_decision_by_probability_needs_a_covariance(settings):
     by_probability = StageSettings().changed({"conflict.decision": "probability"})
     with pytest.raises(SettingsError, match="'least_squares' has no covariance"):
         evaluation.run(replace(settings, stages=by_probability))
+
+
+def test_a_decision_by_probability_trades_misses_against_alarms(tracks):
+    def rates(**changes):
+        stages = StageSettings().changed(
+            {f"conflict.{name}": value for name, value in changes.items()}
+        )
+        _, rows = computed(tracks, spec="fixed:0.7", stages=stages, predictor="kalman_cv")
+        return rows["predicted"].sum(), rows["probability"]
+
+    alarms, probability = rates(decision="probability", probability_threshold=0.5)
+    assert alarms == (probability >= 0.5).sum()
+    bold, _ = rates(decision="probability", probability_threshold=0.9)
+    wary, _ = rates(decision="probability", probability_threshold=0.05)
+    assert bold < alarms < wary
+    by_mean, same = rates()
+    assert np.array_equal(same, probability)  # the decision changes, not what it is made of
+    assert by_mean > 0
+
+
+def test_the_trackers_run_by_name_and_filterpy_agrees(settings):
+    names = ("kalman_cv", "kalman_cv:engine=filterpy", "kalman_imm", "kalman_imm:engine=filterpy")
+    chosen = replace(settings, scenes=4, mechanisms=("fixed:0.7",), predictors=names)
+    results = evaluation.run(chosen)
+    table = results.summary.set_index(["consumer", "metric"])["value"]
+    for name in ("kalman_cv", "kalman_imm"):
+        theirs = table[f"{name}:engine=filterpy"]
+        assert table[name].to_numpy() == pytest.approx(theirs.to_numpy(), abs=1e-9)
+    assert set(results.decisions["score"]) == {"separation", "probability"}
 
 
 def test_the_independent_rule_has_rows_of_its_own(settings):

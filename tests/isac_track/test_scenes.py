@@ -6,7 +6,13 @@ import pytest
 from isac_track.config import ResampleSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
-from isac_track.scenes import cut, make_scenes, predicted_separation, track_order
+from isac_track.scenes import (
+    cut,
+    history_samples,
+    make_scenes,
+    predicted_separation,
+    track_order,
+)
 from isac_track.types import Release
 from predictors.least_squares import LeastSquares
 
@@ -44,7 +50,12 @@ def separations(scenes, scene, agent):
 
 def test_the_split_is_at_70_percent_of_the_samples(tracks, known):
     whole = [np.diff(track.offsets)[0] for track in _resampled(tracks)]
-    assert np.diff(known.offsets).tolist() == [int(0.7 * n) for n in whole]
+    assert np.diff(known.offsets).tolist() == [7 * n // 10 for n in whole]
+
+
+def test_the_split_does_not_lose_a_sample_to_rounding():
+    for n_samples, expected in ((330, 231), (170, 119), (331, 231), (10, 7), (9, 6)):
+        assert history_samples(n_samples=n_samples, ratio=0.7) == expected
 
 
 def _resampled(tracks):

@@ -94,9 +94,11 @@ def test_density_by_hand():
 
 def test_path_loss_is_two_way_with_the_tables_exponent():
     assert gain_db(20.0) - gain_db(40.0) == pytest.approx(2 * 27 * np.log10(2))
-    free_space_db = 20 * np.log10(4 * np.pi * 3.5e9 / 299_792_458.0)  # Friis at 1 m, one way
-    assert gain_db(1.0) == pytest.approx(-2 * free_space_db)
-    assert gain_db(20.0) - gain_db(20.0, carrier_ghz=7.0) == pytest.approx(40 * np.log10(2))
+    # Radar equation in decibels at 1 m: 20 log wavelength - 30 log 4 pi.
+    wavelength_m = 0.299792458 / 3.5
+    assert gain_db(1.0) == pytest.approx(20 * np.log10(wavelength_m) - 30 * np.log10(4 * np.pi))
+    assert gain_db(20.0) - gain_db(20.0, carrier_ghz=7.0) == pytest.approx(20 * np.log10(2))
+    assert gain_db(20.0, rcs_m2=0.1) == pytest.approx(gain_db(20.0) - 10)
 
 
 def test_paths_are_averaged_and_a_late_one_has_a_longer_way():
@@ -116,7 +118,7 @@ def test_paths_are_averaged_and_a_late_one_has_a_longer_way():
 
 
 def test_information_follows_the_budget():
-    gain = np.array([1e-15])
+    gain = np.array([1e-11])
 
     def info(**changes):
         return information(gain=gain, settings=replace(SensingSettings(), **changes))[0]
@@ -132,7 +134,7 @@ def test_information_follows_the_budget():
 
 def test_information_has_a_floor_where_sigma_meets_its_cap():
     settings = SensingSettings()
-    strong, weak = information(gain=np.array([1e-15, 1e-30]), settings=settings)
+    strong, weak = information(gain=np.array([1e-11, 1e-30]), settings=settings)
     sigma = sigma_from_information(information=np.array([strong, weak]), settings=settings)
     assert sigma[0] < settings.sigma_cap_m
     assert sigma[1] == pytest.approx(settings.sigma_cap_m)
@@ -186,6 +188,22 @@ def test_a_scene_senses_alike_whatever_other_scenes_there_are():
     assert np.array_equal(both.large_scale[2:], alone.large_scale)
     assert np.array_equal(both.unit_error[7:], alone.unit_error)
     assert not np.array_equal(both.unit_error[:7], alone.unit_error)
+
+
+def test_another_number_of_paths_leaves_the_other_draws_alone():
+    def draw(n_paths):
+        return draw_channel(
+            n_samples=np.array([[3, 4]]),
+            keys=[("scene", 1)],
+            settings=SensingSettings(n_paths=n_paths),
+            seed=5,
+        )
+
+    four, two = draw(4), draw(2)
+    assert np.array_equal(four.large_scale, two.large_scale)
+    assert np.array_equal(four.beam, two.beam)
+    assert np.array_equal(four.unit_error, two.unit_error)
+    assert four.path_power.shape != two.path_power.shape
 
 
 def test_sensing_adds_the_unit_error_scaled():

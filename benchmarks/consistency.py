@@ -1,0 +1,67 @@
+"""Are the trackers' covariances honest? NIS and NEES on data: `python -m benchmarks.consistency`.
+
+Both have two degrees of freedom: their mean is 2 where model and noise are right, more where the
+tracker is too sure of itself. NIS is that of the filter's one-step predictions, NEES that of the
+forecast at the end of the horizon against the true future, which no tuning has seen.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from evaluation.cell import sense_scenes
+from isac_track import datasets, registry
+from isac_track.config import StageSettings
+from isac_track.errors import DataError
+from isac_track.kernels import kalman_filter
+from isac_track.rng import stream
+from isac_track.scenes import cut, make_scenes, track_order
+from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM, filter_arguments
+from predictors.recent import recent
+
+LEVELS = ("raw", "fixed:0.7,adding=independent", "fid:1,adding=independent")
+N_SCENES = 100
+
+
+def main() -> int:
+    """Print the table; return 0."""
+    print(f"{'data':<11}{'sharing':<30}{'tracker':<12}{'NIS':>6}{'NEES now':>10}{'at 0.92 s':>11}")
+    stages = StageSettings()
+    for name in ("plaza", "students03", "zara01"):
+        try:
+            recorded = datasets.load(name, download=False).tracks
+        except DataError as error:
+            print(f"{name} is left out: {error}", file=sys.stderr)
+            continue
+        tracks = cut(recorded, settings=stages, seed=0)
+        order = track_order(n_tracks=len(tracks), n_scenes=N_SCENES, agents=4, seed=0)
+        scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=0)
+        sensed = sense_scenes(scenes, stages=stages, seed=0)
+        for level in registry.parse_all("mechanisms", LEVELS):
+            shared = level.instance.share(sensed, stream(0, "consistency")).without_sigma()
+            for tracker in (KalmanCV(), KalmanCA(), KalmanIMM()):
+                forecast = tracker.predict(shared, scenes.t_future)
+                gap = forecast.mean - scenes.xy_future
+                nees = np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(forecast.cov), gap)
+                nis = "" if isinstance(tracker, KalmanIMM) else f"{_nis(tracker, shared):.2f}"
+                print(
+                    f"{name:<11}{level.spec:<30}{type(tracker).__name__:<12}{nis:>6}"
+                    f"{nees[:, 0].mean():>10.2f}{nees[:, -1].mean():>11.2f}"
+                )
+    return 0
+
+
+def _nis(tracker: KalmanCV | KalmanCA, shared: object) -> float:
+    """Return the mean NIS behind the start-up of 32 samples."""
+    d = 2 if isinstance(tracker, KalmanCV) else 3
+    seen = recent(shared, window=tracker.window)  # type: ignore[arg-type]
+    arguments = filter_arguments(seen, tracker, d=d) | {"gate": np.inf}
+    found = kalman_filter(model="cv" if d == 2 else "ca", **arguments)
+    age = np.arange(seen.t.size) - np.repeat(seen.offsets[:-1], np.diff(seen.offsets))
+    return float(found.nis[age >= 32].mean())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,94 @@
+"""Compile a loop with numba at first use, say so in one line, and cache it where possible.
+
+Only the private modules of compiled loops import this one, and they are imported at first use:
+importing numba takes longer than a command may take to print its help.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import numba
+from numba.core import event
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_Loop = TypeVar("_Loop", bound="Callable[..., object]")
+
+# Declared read-only, an argument may be writable too, and numba compiles once for both.
+FLOATS1 = numba.types.Array(numba.float64, 1, "C", readonly=True)
+FLOATS2 = numba.types.Array(numba.float64, 2, "C", readonly=True)
+FLOATS3 = numba.types.Array(numba.float64, 3, "C", readonly=True)
+FLOATS4 = numba.types.Array(numba.float64, 4, "C", readonly=True)
+INTS1 = numba.types.Array(numba.int64, 1, "C", readonly=True)
+BOOLS1 = numba.types.Array(numba.boolean, 1, "C", readonly=True)
+OUT_FLOATS1 = numba.float64[::1]
+OUT_FLOATS2 = numba.float64[:, ::1]
+OUT_FLOATS3 = numba.float64[:, :, ::1]
+OUT_FLOATS4 = numba.float64[:, :, :, ::1]
+OUT_BOOLS1 = numba.boolean[::1]
+FLOAT = numba.float64
+INT = numba.int64
+BOOL = numba.boolean
+
+# FMA only: "contract" leaves NaN, infinity and the order of operations as IEEE 754 has them.
+# The numpy error model drops a test for zero before every division.
+_OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+
+
+class _Notice(event.Listener):
+    """Speak up once, when numba is about to compile: a load from the cache is silent."""
+
+    def __init__(self) -> None:
+        self.said = False
+        self.cached = True
+
+    def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
+        if self.said:
+            return
+        self.said = True
+        text = "compiling filters, once, a few seconds"
+        if not self.cached:
+            text = (
+                "compiling filters, a few seconds, on every start: no cache can be written "
+                "(NUMBA_CACHE_DIR may name a folder for it)"
+            )
+        # A line, not a warning: users who turn warnings into errors must not lose their run.
+        sys.stderr.write(f"isac-track: {text}\n")
+        sys.stderr.flush()
+
+    def on_end(self, event: object) -> None:
+        pass
+
+
+_notice = _Notice()
+
+
+def compiled(*arguments: object) -> Callable[[_Loop], _Loop]:
+    """Return a decorator that compiles a loop without a result for these argument types, now.
+
+    The machine code comes from numba's cache where there is one. Where none can be written, or
+    it cannot take the code (a full disk), the loop is compiled for this process alone.
+    """
+
+    def decorate(loop: _Loop) -> _Loop:
+        signature = numba.void(*arguments)
+        with event.install_listener("numba:compile", _notice):
+            if _notice.cached:
+                try:
+                    return cast("_Loop", numba.njit(signature, cache=True, **_OPTIONS)(loop))
+                except (RuntimeError, OSError):  # numba: "no locator available"
+                    _notice.cached = False
+            return cast("_Loop", numba.njit(signature, **_OPTIONS)(loop))
+
+    return decorate
+
+
+def part_of_loop(function: _Loop) -> _Loop:
+    """Compile a helper into the loops that call it; it must lie in their file.
+
+    The cache notices a change of a loop's own file, not of another.
+    """
+    return cast("_Loop", numba.njit(**_OPTIONS)(function))

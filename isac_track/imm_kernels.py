@@ -1,0 +1,312 @@
+"""Interacting multiple models (IMM) over many tracks at once: the front of the compiled loops.
+
+Every mode is a constant-velocity model with a spectral density of its own; the modes are a
+Markov chain in continuous time. One cycle is Blom and Bar-Shalom's: mix, predict, update, weigh.
+It equals filterpy's `IMMEstimator` except where that departs from the textbook:
+
+- filterpy works out the mixing weights at the end of ``update``, from the M of that moment: with
+  irregular steps M lags one step behind, unless the caller sets M and calls
+  ``_compute_mixing_probabilities`` before ``predict``. Here M belongs to the step it is used in.
+- Before its first measurement filterpy has already moved the mode probabilities by one M.
+- ``x_prior`` and ``P_prior`` are mixed by the probabilities before the step, not by those
+  predicted to its end.
+- Likelihoods below 1e-308 are raised to it, so that far outliers count the same under every mode;
+  here they are compared as logarithms.
+- ``update(None)`` still weighs the modes, by the likelihood of an innovation of zero. A sample that
+  the gate rejects here leaves the predicted probabilities alone.
+
+References
+----------
+Blom, Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+coefficients", IEEE Trans. Automatic Control 33(8), 1988, 780-783. Bar-Shalom, Li, Kirubarajan,
+*Estimation with Applications to Tracking and Navigation*, 2001, section 11.6.6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isac_track import kernels
+
+if TYPE_CHECKING:
+    from isac_track.types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ImmFiltered:
+    """States of N tracks after each of M samples, under each of J modes."""
+
+    mean: Floats
+    """(M, J, 2, 2) m, m/s: per mode and axis position and velocity."""
+    cov: Floats
+    """(M, J, 4, 4) of (x, vx, y, vy) under each mode."""
+    probability: Floats
+    """(M, J) of the modes."""
+    mixed_mean: Floats
+    """(M, 2, 2) m, m/s: over the modes."""
+    mixed_cov: Floats
+    """(M, 4, 4) over the modes, with the spread between them."""
+    nis: Floats
+    """(M,) normalised innovation squared of the mode that it is smallest for: what the gate
+    looks at, and not chi-square."""
+    accepted: Bools
+    """(M,) False where the gate kept a sample out of the update."""
+    log_likelihood: Floats
+    """(N,) log density of a track's accepted samples, 1/m^2 each."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ImmLastState:
+    """States of N tracks after their last sample, under each of J modes.
+
+    To forecast, predict each mode with its own q and mix by `probability`.
+    """
+
+    mean: Floats
+    """(N, J, 2, 2) m, m/s"""
+    cov: Floats
+    """(N, J, 4, 4) of (x, vx, y, vy)"""
+    probability: Floats
+    """(N, J)"""
+    mixed_mean: Floats
+    """(N, 2, 2) m, m/s"""
+    mixed_cov: Floats
+    """(N, 4, 4)"""
+    log_likelihood: Floats
+    """(N,)"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ImmSmoothed:
+    """States of N tracks at each of M samples, given all samples, under each of J modes."""
+
+    mean: Floats
+    """(M, J, 2, 2) m, m/s"""
+    cov: Floats
+    """(M, J, 4, 4) of (x, vx, y, vy)"""
+    probability: Floats
+    """(M, J)"""
+    mixed_mean: Floats
+    """(M, 2, 2) m, m/s"""
+    mixed_cov: Floats
+    """(M, 4, 4)"""
+
+
+def imm_filter(
+    *,
+    t: Floats,
+    xy: Floats,
+    variance: Floats,
+    offsets: Ints,
+    q: Floats,
+    rates: Floats,
+    initial_mean: Floats,
+    initial_cov: Floats,
+    initial_probability: Floats,
+    gate: float = np.inf,
+) -> ImmFiltered:
+    """Return the states of every track after each of its samples, under each mode.
+
+    Parameters
+    ----------
+    t : (M,) s
+        Strictly increasing within a track.
+    xy : (M, 2) m
+    variance : (M,) m^2
+        Measurement variance per axis, positive.
+    offsets : (N + 1,) int
+        Track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty.
+    q : (J,) m^2/s^3
+        Spectral density of the acceleration in each of J >= 2 constant-velocity modes.
+    rates : (J, J) 1/s
+        ``rates[i, j]``, i != j, of leaving mode i for mode j; not negative. The diagonal is not
+        read: it is minus the sum of its row. The modes are a Markov chain in continuous time,
+        so that its transitions compose over irregular steps.
+    initial_mean : (N, 2, 2)
+    initial_cov : (N, 2, 2)
+        Prior state per axis at the time of a track's first sample, under every mode.
+    initial_probability : (J,)
+        Of the modes before the first sample; adds up to 1.
+    gate : float, optional
+        A sample is not used if its normalised innovation squared exceeds this under every mode,
+        unless `kernels.MAX_REJECTIONS` samples before it were not. Default: all are used.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a number is not finite, a track is empty, times do not increase, a
+        variance is not positive, a rate is negative or probabilities do not add up to 1.
+    """
+    arrays = _arguments(
+        *(t, xy, variance, offsets, q, rates),
+        *(initial_mean, initial_cov, initial_probability, gate),
+    )
+    return ImmFiltered(*_filter(arrays, every=True))
+
+
+def imm_last(
+    *,
+    t: Floats,
+    xy: Floats,
+    variance: Floats,
+    offsets: Ints,
+    q: Floats,
+    rates: Floats,
+    initial_mean: Floats,
+    initial_cov: Floats,
+    initial_probability: Floats,
+    gate: float = np.inf,
+) -> ImmLastState:
+    """Return the states of every track after its last sample, equal to those of `imm_filter`.
+
+    Nothing of length M is made. Parameters and errors are those of `imm_filter`.
+    """
+    arrays = _arguments(
+        *(t, xy, variance, offsets, q, rates),
+        *(initial_mean, initial_cov, initial_probability, gate),
+    )
+    mean, cov, probability, mixed_mean, mixed_cov, _, _, log_likelihood = _filter(
+        arrays, every=False
+    )
+    return ImmLastState(mean, cov, probability, mixed_mean, mixed_cov, log_likelihood)
+
+
+def imm_smoother(
+    *, t: Floats, offsets: Ints, q: Floats, rates: Floats, filtered: ImmFiltered
+) -> ImmSmoothed:
+    """Return the states of every track at each sample, given all samples, under each mode.
+
+    Expectation correction (Barber 2006) with one Gaussian per mode: backwards in time, every
+    mode now is smoothed from every mode next by Rauch-Tung-Striebel; the pair's weight is that of
+    the filter times the density of the next smoothed mean under the pair's prediction; the
+    pairs of each mode are then collapsed into one Gaussian. Like the filter it is an
+    approximation: exact with one mode, or with modes of equal q.
+
+    Parameters
+    ----------
+    t, offsets, q, rates
+        What `imm_filter` was called with.
+    filtered : ImmFiltered
+        What it returned.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree.
+
+    References
+    ----------
+    Barber, "Expectation correction for smoothed inference in switching linear dynamical
+    systems", J. Machine Learning Research 7, 2006, 2515-2540.
+    """
+    t, offsets = kernels.ragged_times(t, offsets)
+    density, generator = _modes(q, rates)
+    n_samples, modes = t.size, density.size
+    mean, mixed_mean = np.empty((n_samples, modes, 4)), np.empty((n_samples, 4))
+    cov, mixed_cov = np.empty((n_samples, modes, 4, 4)), np.empty((n_samples, 4, 4))
+    probability = np.empty((n_samples, modes))
+    _loops().imm_smoother(
+        *(t, offsets, density, generator),
+        kernels.floats("filtered.mean", filtered.mean, (n_samples, modes, 2, 2)).reshape(
+            mean.shape
+        ),
+        kernels.floats("filtered.cov", filtered.cov, cov.shape),
+        kernels.floats("filtered.probability", filtered.probability, probability.shape),
+        *(mean, cov, probability, mixed_mean, mixed_cov),
+    )
+    return ImmSmoothed(
+        mean.reshape(n_samples, modes, 2, 2),
+        cov,
+        probability,
+        mixed_mean.reshape(n_samples, 2, 2),
+        mixed_cov,
+    )
+
+
+def _loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
+    return import_module("isac_track._imm_loops")
+
+
+def _filter(arrays: tuple[Any, ...], *, every: bool) -> tuple[Any, ...]:
+    n_tracks = arrays[3].size - 1
+    rows = arrays[0].size if every else n_tracks
+    modes = arrays[4].size
+    mean = np.empty((rows, modes, 4))
+    mixed_mean = np.empty((rows, 4))
+    cov, mixed_cov = np.empty((rows, modes, 4, 4)), np.empty((rows, 4, 4))
+    probability, nis = np.empty((rows, modes)), np.empty(rows)
+    accepted = np.empty(rows, dtype=np.bool_)
+    log_likelihood = np.zeros(n_tracks)
+    _loops().imm_filter(
+        *arrays,
+        *(kernels.MAX_REJECTIONS, every, mean, cov, probability, mixed_mean, mixed_cov),
+        *(nis, accepted, log_likelihood),
+    )
+    return (
+        mean.reshape(rows, modes, 2, 2),
+        cov,
+        probability,
+        mixed_mean.reshape(rows, 2, 2),
+        mixed_cov,
+        nis,
+        accepted,
+        log_likelihood,
+    )
+
+
+def _arguments(
+    t: Floats,
+    xy: Floats,
+    variance: Floats,
+    offsets: Ints,
+    q: Floats,
+    rates: Floats,
+    initial_mean: Floats,
+    initial_cov: Floats,
+    initial_probability: Floats,
+    gate: float,
+) -> tuple[Any, ...]:
+    t, offsets = kernels.ragged_times(t, offsets)
+    n_tracks = offsets.size - 1
+    density, generator = _modes(q, rates)
+    per_axis = kernels.covariances("initial_cov", initial_cov, (n_tracks, 2, 2))
+    cov = np.zeros((n_tracks, 4, 4))
+    cov[:, :2, :2] = cov[:, 2:, 2:] = per_axis
+    mean = kernels.floats("initial_mean", initial_mean, (n_tracks, 2, 2)).reshape(-1, 4)
+    prior = kernels.floats("initial_probability", initial_probability, density.shape)
+    if not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, rtol=0, atol=1e-9):
+        raise ValueError("initial_probability must not be negative and must add up to 1")
+    return (
+        t,
+        kernels.floats("xy", xy, (t.size, 2)),
+        kernels.variances(variance, t.size),
+        offsets,
+        density,
+        generator,
+        mean,
+        cov,
+        prior / prior.sum(),
+        kernels.positive("gate", gate, finite=False),
+    )
+
+
+def _modes(q: Floats, rates: Floats) -> tuple[Floats, Floats]:
+    """Return spectral densities (J,) and the generator (J, J) of the chain of modes."""
+    density = np.ascontiguousarray(q, dtype=np.float64)
+    if density.ndim != 1 or density.size < 2:  # noqa: PLR2004 - one mode is a Kalman filter
+        raise ValueError(f"q must have shape (J,) with J >= 2, got {density.shape}")
+    density = kernels.floats("q", density, density.shape)
+    if not (density > 0).all():
+        raise ValueError("q must be positive")
+    generator = np.array(rates, dtype=np.float64)
+    if generator.shape != (density.size, density.size):
+        raise ValueError(f"rates must have shape {(density.size,) * 2}, got {generator.shape}")
+    np.fill_diagonal(generator, 0.0)
+    if not np.isfinite(generator).all() or not (generator >= 0).all():
+        raise ValueError("rates must be finite and not negative")
+    np.fill_diagonal(generator, -generator.sum(axis=1))
+    return density, generator
