@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     from isac_track.types import Bools, Floats, Ints
 
-N_BINS = 200
+N_BINS = 100
 
 
 @dataclass(frozen=True, eq=False, slots=True)

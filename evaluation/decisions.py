@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from evaluation.cell import SHARED
 from evaluation.curves import Curve, curve
-from evaluation.store import read_cells
-from evaluation.summary import Key, clusters, weights_of
+from evaluation.summary import Key, weights_of
 from isac_track.intervals import percentile_interval
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+    from collections.abc import Mapping, Sequence
 
+    from evaluation.summary import Scored
     from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
@@ -49,11 +47,10 @@ DECISION_COLUMNS = [
     "ci_high",
 ]
 _SEPARATION = "separation"
-_READ = ["group", "conflict", "predicted_separation_m", "probability"]
 
 
 def decisions(
-    out: Path, manifest: Mapping[str, Any], found: Mapping[Key, Estimate]
+    scored: Sequence[Scored], manifest: Mapping[str, Any], found: Mapping[Key, Estimate]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the curves of every predictor, and a row on each of them.
 
@@ -62,34 +59,26 @@ def decisions(
     and the missed-conflict rate at the false-alarm rate that the reference, the first predictor
     of the run, has at its operating point under the same mechanism, with the paired difference
     from what the reference's own curve by separation reaches there.
-
-    Raises
-    ------
-    DataError
-        If a cell cannot be read.
     """
     dataset = manifest["dataset"]["name"]
-    predictors = [entry for entry in manifest["cells"] if entry["consumer"] != SHARED]
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = weights_of(manifest)
     at_reference: dict[tuple[str, float | None], tuple[Floats, Floats]] = {}
     curve_rows: list[pd.DataFrame] = []
     rows: dict[int, list[dict[str, object]]] = {}
     # The reference first: the others are compared with its curve.
-    for place in sorted(
-        range(len(predictors)), key=lambda place: predictors[place]["consumer"] != reference
-    ):
-        entry = predictors[place]
-        where = (entry["mechanism"], entry["level"])
+    for place in sorted(range(len(scored)), key=lambda place: scored[place].consumer != reference):
+        entry = scored[place]
+        where = (entry.mechanism, entry.level)
         names = {
             "dataset": dataset,
-            "mechanism": entry["mechanism"],
-            "level": np.nan if entry["level"] is None else entry["level"],
-            "consumer": entry["consumer"],
+            "mechanism": entry.mechanism,
+            "level": np.nan if entry.level is None else entry.level,
+            "consumer": entry.consumer,
         }
-        for name, drawn in _curves(out, entry, manifest, weights=weights).items():
-            if entry["consumer"] == reference and name == _SEPARATION:
-                alarm = found[Key(*where, entry["consumer"], "false_alarm_rate")]
+        for name, drawn in _curves(entry, weights=weights).items():
+            if entry.consumer == reference and name == _SEPARATION:
+                alarm = found[Key(*where, entry.consumer, "false_alarm_rate")]
                 at = np.concatenate([[alarm.value], alarm.replicates])
                 at_reference[where] = at, drawn.missed_at(at)
             curve_rows.append(pd.DataFrame({**names, "score": name, **_points(drawn)}))
@@ -101,21 +90,12 @@ def decisions(
     return curves[CURVE_COLUMNS], pd.DataFrame(in_order, columns=DECISION_COLUMNS)
 
 
-def _curves(
-    out: Path, entry: Mapping[str, Any], manifest: Mapping[str, Any], *, weights: Floats
-) -> dict[str, Curve]:
-    table = read_cells((out / "cells" / name for name in entry["files"]), columns=_READ)
-    scores = {_SEPARATION: -table["predicted_separation_m"].to_numpy()}
-    probability = table["probability"].to_numpy()
-    if not np.isnan(probability).any():
-        scores["probability"] = probability
+def _curves(entry: Scored, *, weights: Floats) -> dict[str, Curve]:
+    scores = {_SEPARATION: -entry.separation_m}
+    if not np.isnan(entry.probability).any():
+        scores["probability"] = entry.probability
     drawn = {
-        name: curve(
-            score=score,
-            conflict=table["conflict"].to_numpy(),
-            cluster=clusters(table, manifest),
-            weights=weights,
-        )
+        name: curve(score=score, conflict=entry.conflict, cluster=entry.cluster, weights=weights)
         for name, score in scores.items()
     }
     return {name: one for name, one in drawn.items() if one is not None}
@@ -123,9 +103,12 @@ def _curves(
 
 def _points(drawn: Curve) -> dict[str, Floats]:
     at = np.linspace(0.0, 1.0, N_POINTS)
-    one = Curve(missed=drawn.missed[:1], false_alarm=drawn.false_alarm[:1])
-    missed = [float(one.missed_at(np.array([value]))[0]) for value in at]
-    return {"false_alarm_rate": at, "missed_conflict_rate": np.array(missed)}
+    shape = (N_POINTS, drawn.missed.shape[1])
+    same = Curve(
+        missed=np.broadcast_to(drawn.missed[0], shape),
+        false_alarm=np.broadcast_to(drawn.false_alarm[0], shape),
+    )
+    return {"false_alarm_rate": at, "missed_conflict_rate": same.missed_at(at)}
 
 
 def _row(

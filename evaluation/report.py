@@ -46,10 +46,10 @@ def build(out: Path) -> Results:
     """
     manifest = store.read_manifest(out)
     dataset = manifest["dataset"]["name"]
-    found = summary.estimates(out, manifest)
+    found, scored = summary.estimates(out, manifest)
     predictors = manifest["settings"]["predictors"]
     at_equal_rate = matched(found, dataset=dataset, predictors=predictors)
-    curves, decided = decisions(out, manifest, found)
+    curves, decided = decisions(scored, manifest, found)
     results = Results(
         out=out,
         manifest=manifest,

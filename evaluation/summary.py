@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from isac_track.intervals import Estimate
-    from isac_track.types import Floats, Ints
+    from isac_track.types import Bools, Floats, Ints
 
 N_REPLICATES = 1000
 
@@ -50,7 +50,14 @@ _UNITS = {
     "distance_mae": "m",
 }
 _SHARED_COLUMNS = ["group", "plr", "ael_s", "mel_s", "mse_m2"]
-_PREDICTOR_COLUMNS = ["group", "conflict", "predicted", "separation_m", "predicted_separation_m"]
+_PREDICTOR_COLUMNS = [
+    "group",
+    "conflict",
+    "predicted",
+    "separation_m",
+    "predicted_separation_m",
+    "probability",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +70,27 @@ class Key:
     metric: str
 
 
-def estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
-    """Return every metric of a run folder with its interval and bootstrap replicates.
+@dataclass(frozen=True, eq=False, slots=True)
+class Scored:
+    """What a predictor said of every scene of one mechanism level: the material of its curves."""
+
+    mechanism: str
+    level: float | None
+    consumer: str
+    cluster: Ints
+    """(S,)"""
+    conflict: Bools
+    """(S,)"""
+    separation_m: Floats
+    """(S,) m, predicted"""
+    probability: Floats
+    """(S,) of a conflict; NaN without a covariance"""
+
+
+def estimates(
+    out: Path, manifest: Mapping[str, Any]
+) -> tuple[dict[Key, Estimate], tuple[Scored, ...]]:
+    """Return every metric of a run folder with its interval and replicates, and the scores.
 
     Raises
     ------
@@ -74,6 +100,7 @@ def estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
     weights = weights_of(manifest)
     n_clusters = weights.shape[1]
     found: dict[Key, Estimate] = {}
+    scored: list[Scored] = []
     for entry in manifest["cells"]:
         is_shared = entry["consumer"] == SHARED
         table = read_cells(
@@ -82,6 +109,18 @@ def estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
         )
         ratios = _shared_ratios(table) if is_shared else _predictor_ratios(table)
         cluster = clusters(table, manifest)
+        if not is_shared:
+            scored.append(
+                Scored(
+                    mechanism=entry["mechanism"],
+                    level=entry["level"],
+                    consumer=entry["consumer"],
+                    cluster=cluster,
+                    conflict=table["conflict"].to_numpy(),
+                    separation_m=table["predicted_separation_m"].to_numpy(),
+                    probability=table["probability"].to_numpy(),
+                )
+            )
         for metric, (numerator, denominator) in ratios.items():
             estimate = ratio_estimate(
                 numerator=cluster_sums(values=numerator, cluster=cluster, n_clusters=n_clusters),
@@ -95,7 +134,7 @@ def estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
                 estimate = _root(estimate)
             key = Key(entry["mechanism"], entry["level"], entry["consumer"], metric)
             found[key] = estimate
-    return found
+    return found, tuple(scored)
 
 
 def weights_of(manifest: Mapping[str, Any]) -> Floats:

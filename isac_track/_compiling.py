@@ -33,6 +33,7 @@ FLOAT = numba.float64
 INT = numba.int64
 BOOL = numba.boolean
 
+# The cache does not notice a change of these options: delete it after one (__pycache__/*.nb?).
 # FMA only: "contract" leaves NaN, infinity and the order of operations as IEEE 754 has them.
 # The numpy error model drops a test for zero before every division.
 _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}

@@ -412,7 +412,7 @@ def imm_smoother(
     mixed_mean: Floats,
     mixed_cov: Floats,
 ) -> None:
-    """Smooth by expectation correction with one Gaussian per mode, backwards from the last sample."""
+    """Smooth by expectation correction, one Gaussian per mode, from the last sample back."""
     modes = q.size
     jump, work = np.empty((modes, modes)), np.empty((3, modes, modes))
     pair_x, pair_p = np.empty((modes, modes, _STATES)), np.empty((modes, modes, _STATES, _STATES))

@@ -24,7 +24,7 @@ WEIGHTS = cluster_weights(n_clusters=20, n_replicates=30, seed=0)
 
 
 def test_few_scores_are_sklearns_curve_and_area():
-    score, conflict, cluster = cases(150)
+    score, conflict, cluster = cases(90)
     found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
     alarm, hit, _ = roc_curve(conflict, score, drop_intermediate=False)
     assert np.allclose(found.false_alarm[0], alarm)
@@ -33,7 +33,7 @@ def test_few_scores_are_sklearns_curve_and_area():
 
 
 def test_a_replicate_is_the_weighted_curve():
-    score, conflict, cluster = cases(150)
+    score, conflict, cluster = cases(90)
     areas = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS).areas()
     for row in range(5):
         weight = WEIGHTS[row][cluster]
@@ -45,7 +45,7 @@ def test_many_scores_are_binned_without_moving_the_area():
     score, conflict, cluster = cases(6000, decimals=9)
     found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
     assert found.missed.shape[1] <= N_BINS + 1
-    assert found.areas()[0] == pytest.approx(1 - roc_auc_score(conflict, score), abs=1e-4)
+    assert found.areas()[0] == pytest.approx(1 - roc_auc_score(conflict, score), abs=5e-4)
 
 
 def test_the_ends_are_never_and_always():

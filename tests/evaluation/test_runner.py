@@ -511,4 +511,4 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     path.write_text("\n".join(grouped) + "\n", encoding="utf-8")
     results = evaluation.run(replace(settings, dataset=str(path)))
     assert set(results.summary["n"]) == {2}
-    assert len(summary.estimates(settings.out, results.manifest)) == 3 * 7
+    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 7

@@ -1,0 +1,389 @@
+"""IMM filter and smoother against filterpy, an independent textbook cycle and every mode path."""
+
+from itertools import pairwise
+
+import kernel_oracles as oracle
+import numpy as np
+import pytest
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import IMMEstimator, KalmanFilter
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from strategies import reproducible
+
+from isac_track import imm_kernels, kernels
+from isac_track.rng import stream
+
+TWO = {"q": np.array([0.05, 4.0]), "rates": np.array([[0.0, 0.4], [0.8, 0.0]])}
+THREE = {
+    "q": np.array([0.02, 0.5, 6.0]),
+    "rates": np.array([[0.0, 0.3, 0.1], [0.7, 0.0, 0.01], [2.0, 9.0, 0.0]]),
+}
+
+
+def batch(*, chain=TWO, sizes=(30, 1, 6), seed=0, steps_s=(0.05, 0.9)):
+    """Tracks with irregular steps and noise, that now and then dart off."""
+    rng = stream(seed, "test", "imm")
+    total = sum(sizes)
+    root = rng.normal(0, 1, (len(sizes), 2, 2))
+    modes = len(chain["q"])
+    darts = rng.uniform(size=(total, 1)) < 0.2
+    return chain | {
+        "t": rng.uniform(*steps_s, total).cumsum(),
+        "xy": (rng.normal(0, 0.2, (total, 2)) + darts * rng.normal(0, 1.0, (total, 2))).cumsum(0),
+        "variance": rng.uniform(0.01, 0.3, total),
+        "offsets": np.concatenate([[0], np.cumsum(sizes)]),
+        "initial_mean": rng.normal(0, 1, (len(sizes), 2, 2)),
+        "initial_cov": root @ root.swapaxes(1, 2) + 0.5 * np.eye(2),
+        "initial_probability": np.arange(1, modes + 1) / np.arange(1, modes + 1).sum(),
+    }
+
+
+def one_by_one(case):
+    """Yield the samples of each track and its arguments for the oracles."""
+    for i, (lo, hi) in enumerate(pairwise(case["offsets"])):
+        yield (
+            slice(lo, hi),
+            {
+                "t": case["t"][lo:hi],
+                "xy": case["xy"][lo:hi],
+                "variance": case["variance"][lo:hi],
+                "q": case["q"],
+                "rates": case["rates"],
+                "mean": case["initial_mean"][i],
+                "cov": case["initial_cov"][i],
+                "probability": case["initial_probability"],
+            },
+        )
+
+
+def smooth(case, filtered):
+    chosen = {name: case[name] for name in ("t", "offsets", "q", "rates")}
+    return imm_kernels.imm_smoother(filtered=filtered, **chosen)
+
+
+def close(value, expected, tolerance=1e-9):
+    np.testing.assert_allclose(value, expected, rtol=0, atol=tolerance)
+
+
+def filterpy_imm(track, *, refresh=True):
+    """filterpy's IMM; `refresh` makes M belong to the step that it is used in."""
+    filters = []
+    for _ in track["q"]:
+        kf = KalmanFilter(dim_x=4, dim_z=2)
+        kf.H = oracle.POSITIONS
+        kf.x = track["mean"].ravel().copy()
+        kf.P = np.kron(np.eye(2), track["cov"])
+        filters.append(kf)
+    # The identity: filterpy moves the probabilities by M before the first measurement.
+    imm = IMMEstimator(filters, track["probability"].copy(), np.eye(len(filters)))
+    rows = []
+    for k in range(len(track["t"])):
+        if k > 0:
+            step = track["t"][k] - track["t"][k - 1]
+            imm.M = oracle.chances(step, track["rates"])
+            if refresh:
+                imm._compute_mixing_probabilities()
+            for kf, q in zip(filters, track["q"], strict=True):
+                kf.F = np.kron(np.eye(2), [[1.0, step], [0.0, 1.0]])
+                kf.Q = np.kron(np.eye(2), Q_continuous_white_noise(2, step, q))
+            imm.predict()
+        for kf in filters:
+            kf.R = np.eye(2) * track["variance"][k]
+        imm.update(track["xy"][k])
+        mode = [(kf.x.copy(), kf.P.copy()) for kf in filters]
+        rows.append((*map(np.array, zip(*mode, strict=True)), imm.mu, imm.x.copy(), imm.P.copy()))
+    names = ("mean", "cov", "probability", "mixed_mean", "mixed_cov")
+    return dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)) | {"imm": imm}
+
+
+@pytest.fixture(params=["two modes", "three modes"])
+def case(request):
+    return batch(chain=TWO if request.param == "two modes" else THREE)
+
+
+class TestAgainstFilterpy:
+    def test_equal_where_mixing_is_done_with_the_step_s_own_chances(self, case):
+        result = imm_kernels.imm_filter(**case)
+        for rows, track in one_by_one(case):
+            theirs = filterpy_imm(track)
+            close(result.mean[rows].reshape(theirs["mean"].shape), theirs["mean"])
+            close(result.mixed_mean[rows].reshape(-1, 4), theirs["mixed_mean"])
+            for name in ("cov", "probability", "mixed_cov"):
+                close(getattr(result, name)[rows], theirs[name])
+
+    def test_constant_steps_need_no_correction_after_the_first(self):
+        case = batch(sizes=(25,)) | {"t": np.arange(25) * 0.4}
+        result = imm_kernels.imm_filter(**case)
+        track = next(one_by_one(case))[1]
+        theirs = filterpy_imm(track)
+        close(result.probability, theirs["probability"])
+
+    def test_filterpy_s_chances_lag_one_step_behind(self, case):
+        result = imm_kernels.imm_filter(**case)
+        rows, track = next(one_by_one(case))
+        lagging = filterpy_imm(track, refresh=False)
+        assert np.abs(result.probability[rows] - lagging["probability"]).max() > 0.01
+
+    def test_filterpy_s_prior_is_mixed_by_the_old_probabilities(self):
+        track = next(one_by_one(batch()))[1]
+        imm = filterpy_imm(track)["imm"]
+        before = imm.mu.copy()
+        imm.M = oracle.chances(3.0, track["rates"])
+        imm._compute_mixing_probabilities()
+        imm.predict()
+        states = np.array([kf.x for kf in imm.filters])
+        covs = np.array([kf.P for kf in imm.filters])
+        close(imm.P_prior, oracle.collapse(before, states, covs)[1])
+        textbook = oracle.collapse(before @ imm.M, states, covs)[1]
+        assert np.abs(imm.P_prior - textbook).max() > 0.01
+
+    def test_a_far_outlier_still_tells_the_modes_apart(self):
+        case = batch(sizes=(12,))
+        case["xy"] = case["xy"].copy()
+        case["xy"][6] += 1e3
+        result = imm_kernels.imm_filter(**case)
+        _, track = next(one_by_one(case))
+        expected = oracle.imm_track(**track)["probability"]
+        assert expected[6, 1] > 0.999999  # only the restless mode can have done that
+        close(result.probability, expected)
+        # Both likelihoods underflow to one floor: filterpy keeps the odds as they were.
+        assert filterpy_imm(track)["probability"][6, 1] < 0.9
+
+
+class TestAgainstTheTextbook:
+    @pytest.mark.parametrize("gate", [np.inf, 8.0])
+    def test_filter(self, case, gate):
+        result = imm_kernels.imm_filter(**case, gate=gate)
+        assert result.accepted.all() == (gate == np.inf)
+        for i, (rows, track) in enumerate(one_by_one(case)):
+            slow = oracle.imm_track(**track, gate=gate)
+            close(result.mean[rows].reshape(slow["mean"].shape), slow["mean"])
+            for name in ("cov", "probability", "nis"):
+                close(getattr(result, name)[rows], slow[name])
+            np.testing.assert_array_equal(result.accepted[rows], slow["accepted"])
+            close(result.log_likelihood[i], slow["log_likelihood"])
+
+    def test_mixed_states_add_the_spread_between_modes(self, case):
+        result = imm_kernels.imm_filter(**case)
+        for k in range(len(case["t"])):
+            flat = result.mean[k].reshape(-1, 4)
+            mean, cov = oracle.collapse(result.probability[k], flat, result.cov[k])
+            close(result.mixed_mean[k].ravel(), mean, 1e-12)
+            close(result.mixed_cov[k], cov, 1e-12)
+
+    @pytest.mark.parametrize("gate", [np.inf, 8.0])
+    def test_smoother(self, case, gate):
+        filtered = imm_kernels.imm_filter(**case, gate=gate)
+        result = smooth(case, filtered)
+        for rows, track in one_by_one(case):
+            slow = oracle.imm_smooth(
+                t=track["t"],
+                q=track["q"],
+                rates=track["rates"],
+                mean=filtered.mean[rows].reshape(-1, len(track["q"]), 4),
+                cov=filtered.cov[rows],
+                probability=filtered.probability[rows],
+            )
+            close(result.mean[rows].reshape(slow["mean"].shape), slow["mean"])
+            close(result.cov[rows], slow["cov"])
+            close(result.probability[rows], slow["probability"])
+            for k, row in enumerate(range(*rows.indices(len(case["t"])))):
+                states = (slow["probability"][k], slow["mean"][k], slow["cov"][k])
+                mean, cov = oracle.collapse(*states)
+                close(result.mixed_mean[row].ravel(), mean)
+                close(result.mixed_cov[row], cov)
+
+    def test_smoother_is_near_the_sum_over_every_path_of_modes(self):
+        """The only exact answer: 2^8 Kalman smoothers. The filter is far from it."""
+        away = {"filter": [], "smoother": []}
+        odds = {"filter": [], "smoother": []}
+        for seed in range(6):
+            case = batch(sizes=(8,), seed=seed)
+            track = next(one_by_one(case))[1]
+            mean, modes = oracle.imm_exact(**track)
+            filtered = imm_kernels.imm_filter(**case)
+            results = {"filter": filtered, "smoother": smooth(case, filtered)}
+            for name, result in results.items():
+                scale = np.sqrt(np.diagonal(results["smoother"].mixed_cov, axis1=1, axis2=2))
+                error = (result.mixed_mean - mean).reshape(-1, 4)
+                away[name].append(np.abs(error) / scale)
+                odds[name].append(np.abs(result.probability - modes))
+        assert np.mean(away["smoother"]) < 0.15
+        assert np.mean(away["smoother"]) < np.mean(away["filter"]) / 4
+        assert np.mean(odds["smoother"]) < 0.06
+        assert np.mean(odds["smoother"]) < np.mean(odds["filter"]) / 2
+
+    def test_equal_modes_are_one_kalman_filter(self):
+        case = batch() | {"q": np.array([0.7, 0.7])}
+        filtered = imm_kernels.imm_filter(**case)
+        smoothed = smooth(case, filtered)
+        shared = ("t", "xy", "variance", "offsets", "initial_mean", "initial_cov")
+        plain = {name: case[name] for name in shared} | {"model": "cv", "q": 0.7}
+        kalman = kernels.kalman_filter(**plain)
+        close(filtered.mixed_mean, kalman.mean)
+        close(filtered.mixed_cov, np.kron(np.eye(2), kalman.cov))
+        close(filtered.nis, kalman.nis)
+        close(filtered.log_likelihood, kalman.log_likelihood)
+        rts = kernels.kalman_smoother(**plain)
+        close(smoothed.mixed_mean, rts.mean)
+        close(smoothed.mixed_cov, np.kron(np.eye(2), rts.cov))
+        # The samples say nothing about the mode: its chances are those of the chain.
+        chance = case["initial_probability"] @ oracle.chances(
+            case["t"][29] - case["t"][0], case["rates"]
+        )
+        close(filtered.probability[29], chance)
+
+    def test_modes_that_never_change(self):
+        """Zero rates: independent filters, weighted by their likelihood; impossible modes stay."""
+        case = batch() | {"rates": np.zeros((2, 2)), "initial_probability": np.array([1.0, 0.0])}
+        filtered = imm_kernels.imm_filter(**case)
+        smoothed = smooth(case, filtered)
+        shared = ("t", "xy", "variance", "offsets", "initial_mean", "initial_cov")
+        plain = {name: case[name] for name in shared} | {"model": "cv"}
+        for mode, q in enumerate(case["q"]):
+            close(filtered.mean[:, mode], kernels.kalman_filter(**plain, q=q).mean)
+            close(smoothed.mean[:, mode], kernels.kalman_smoother(**plain, q=q).mean)
+        for result in (filtered, smoothed):
+            close(result.probability, np.tile([1.0, 0.0], (len(case["t"]), 1)))
+
+
+class TestChances:
+    @pytest.mark.parametrize("rates", [TWO["rates"], THREE["rates"], np.zeros((3, 3))])
+    @pytest.mark.parametrize("step_s", [1e-3, 0.3, 10.0, 1e4])
+    def test_transitions_are_the_matrix_exponential(self, rates, step_s):
+        generator = rates - np.diag(rates.sum(axis=1))
+        expected = expm(generator * step_s)
+        matrix = np.empty_like(generator)
+        loops = imm_kernels._loops()
+        loops._transition(step_s, generator, np.empty((3, *generator.shape)), matrix)
+        close(matrix, expected, 1e-11)  # scipy's own error over 1e5 jumps
+        close(matrix.sum(axis=1), 1.0, 1e-15)
+        assert (matrix >= 0).all()
+
+    def test_two_modes_equal_the_general_form(self):
+        """A third mode that nobody enters changes nothing."""
+        case = batch()
+        rates = np.zeros((3, 3))
+        rates[:2, :2] = case["rates"]
+        more = case | {"q": np.array([*case["q"], 1.0]), "rates": rates}
+        more["initial_probability"] = np.array([*case["initial_probability"], 0.0])
+        two, three = imm_kernels.imm_filter(**case), imm_kernels.imm_filter(**more)
+        close(three.mixed_mean, two.mixed_mean)
+        close(three.probability[:, :2], two.probability)
+        close(smooth(more, three).mixed_mean, smooth(case, two).mixed_mean)
+
+    def test_the_diagonal_is_not_read(self):
+        case = batch()
+        other = case | {"rates": case["rates"] + np.diag([7.0, np.nan])}
+        np.testing.assert_array_equal(
+            imm_kernels.imm_filter(**other).mean, imm_kernels.imm_filter(**case).mean
+        )
+
+
+class TestBatches:
+    def test_last_is_the_last_of_the_filter(self, case):
+        filtered = imm_kernels.imm_filter(**case, gate=8.0)
+        last = imm_kernels.imm_last(**case, gate=8.0)
+        rows = case["offsets"][1:] - 1
+        for name in ("mean", "cov", "probability", "mixed_mean", "mixed_cov"):
+            np.testing.assert_array_equal(getattr(last, name), getattr(filtered, name)[rows])
+        np.testing.assert_array_equal(last.log_likelihood, filtered.log_likelihood)
+
+    def test_a_batch_is_its_tracks_one_by_one(self, case):
+        filtered = imm_kernels.imm_filter(**case)
+        smoothed = smooth(case, filtered)
+        for i, (lo, hi) in enumerate(pairwise(case["offsets"])):
+            alone = case | {"offsets": np.array([0, hi - lo])}
+            alone |= {name: case[name][lo:hi] for name in ("t", "xy", "variance")}
+            alone |= {name: case[name][i : i + 1] for name in ("initial_mean", "initial_cov")}
+            single = imm_kernels.imm_filter(**alone)
+            np.testing.assert_array_equal(single.mixed_cov, filtered.mixed_cov[lo:hi])
+            np.testing.assert_array_equal(smooth(alone, single).cov, smoothed.cov[lo:hi])
+
+    def test_inputs_stay_as_they_are_and_may_be_read_only(self, case):
+        copies = {name: value.copy() for name, value in case.items()}
+        for value in case.values():
+            value.flags.writeable = False
+        filtered = imm_kernels.imm_filter(**case)
+        smooth(case, filtered)
+        imm_kernels.imm_last(**case)
+        for name, value in copies.items():
+            np.testing.assert_array_equal(case[name], value)
+            value.flags.writeable = True
+        np.testing.assert_array_equal(imm_kernels.imm_filter(**copies).cov, filtered.cov)
+
+    def test_no_track_at_all(self, case):
+        none = {name: case[name][:0] for name in ("t", "xy", "variance")}
+        none |= {name: case[name][:0] for name in ("initial_mean", "initial_cov")}
+        empty = case | none | {"offsets": np.array([0])}
+        filtered = imm_kernels.imm_filter(**empty)
+        assert smooth(empty, filtered).mixed_mean.shape == (0, 2, 2)
+        assert imm_kernels.imm_last(**empty).mixed_mean.shape == (0, 2, 2)
+
+
+@st.composite
+def hard_tracks(draw):
+    """Two tracks over five decades of noise and four of steps, under two or three modes."""
+    sizes = draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
+    total = sum(sizes)
+    powers = st.lists(st.floats(-3, 1), min_size=total, max_size=total)
+    sigmas = st.lists(st.floats(-3, 2), min_size=total, max_size=total)
+    places = st.lists(st.floats(-50, 50), min_size=total, max_size=total)
+    chain = draw(st.sampled_from([TWO, THREE]))
+    modes = len(chain["q"])
+    return chain | {
+        "t": (10.0 ** np.array(draw(powers))).cumsum(),
+        "xy": np.stack([draw(places), draw(places)], axis=1),
+        "variance": 10.0 ** (2 * np.array(draw(sigmas))),
+        "offsets": np.array([0, sizes[0], total]),
+        "initial_mean": np.zeros((2, 2, 2)),
+        "initial_cov": np.tile(np.diag([1e4, 4.0]), (2, 1, 1)),
+        "initial_probability": np.full(modes, 1 / modes),
+    }
+
+
+@reproducible
+@given(case=hard_tracks())
+def test_sound_over_five_decades_of_noise_and_four_of_steps(case):
+    filtered = imm_kernels.imm_filter(**case)
+    assert np.isfinite(filtered.log_likelihood).all()
+    for result in (filtered, smooth(case, filtered)):
+        assert (result.probability >= 0).all()
+        close(result.probability.sum(axis=1), 1.0, 1e-12)
+        for mean, cov in ((result.mean, result.cov), (result.mixed_mean, result.mixed_cov)):
+            assert np.isfinite(mean).all()
+            np.testing.assert_array_equal(cov, cov.swapaxes(-1, -2))
+            scale = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+            assert (scale > 0).all()
+            correlation = cov / (scale[..., :, None] * scale[..., None, :])
+            assert np.linalg.eigvalsh(correlation).min() > -1e-9
+
+
+WRONG = {
+    "one mode": ({"q": np.array([1.0])}, "J >= 2"),
+    "q of zero": ({"q": np.array([1.0, 0.0])}, "q must be positive"),
+    "q not a number": ({"q": np.array([1.0, np.nan])}, "q must be finite"),
+    "rates of a wrong shape": ({"rates": np.ones((3, 3))}, "rates must have shape"),
+    "a negative rate": ({"rates": np.array([[0, -1.0], [1, 0]])}, "rates must be finite and not"),
+    "a prior that is no chance": ({"initial_probability": np.array([0.5, 0.6])}, "add up to 1"),
+    "a negative chance": ({"initial_probability": np.array([1.5, -0.5])}, "not be negative"),
+    "a prior of four states": ({"initial_cov": np.ones((3, 4, 4))}, "initial_cov must have"),
+    "a variance of zero": ({"variance": np.zeros(37)}, "variance must be positive"),
+    "a gate of zero": ({"gate": 0.0}, "gate must be positive"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+@pytest.mark.parametrize("run", ["imm_filter", "imm_last"])
+def test_wrong_arguments_are_named(run, what):
+    change, message = WRONG[what]
+    with pytest.raises(ValueError, match=message):
+        getattr(imm_kernels, run)(**batch() | change)
+
+
+def test_the_smoother_checks_that_the_filter_ran_on_these_samples():
+    filtered = imm_kernels.imm_filter(**batch())
+    with pytest.raises(ValueError, match=r"filtered\.mean must have shape"):
+        smooth(batch(sizes=(5,)), filtered)

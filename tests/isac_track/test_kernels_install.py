@@ -1,0 +1,148 @@
+"""Where the compiled loops come from: not imported early, compiled once, cached if possible."""
+
+import os
+import pwd
+import re
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+import isac_track
+
+PACKAGE = Path(isac_track.__file__).parent
+USE = """
+import numpy as np
+from isac_track import kernels
+last = kernels.kalman_last(
+    model="cv", t=np.arange(3.0), xy=np.ones((3, 2)), variance=np.ones(3),
+    offsets=np.array([0, 3]), q=1.0, initial_mean=np.zeros((1, 2, 2)),
+    initial_cov=np.eye(2)[None],
+)
+print(last.mean[0, 0, 0])
+"""
+NOTICE = "isac-track: compiling filters, once, a few seconds\n"
+
+
+def run(code, *, user=None, cwd=None, **environment):
+    """Run Python code as someone would: warnings are errors, and nothing of this process leaks."""
+    kept = {key: os.environ[key] for key in ("PATH", "LANG") if key in os.environ}
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        user=user,
+        env=kept | environment,
+        timeout=120,
+    )
+
+
+def test_numba_is_not_imported_before_it_is_needed(tmp_path):
+    code = (
+        "import sys\n"
+        "from isac_track import kernels, imm_kernels\n"
+        "print(sorted({'numba', 'filterpy', 'scipy'} & sys.modules.keys()))"
+    )
+    done = run(code, HOME=str(tmp_path))
+    assert done.stdout == "[]\n", done.stderr
+    assert done.stderr == ""
+
+
+def processor_s(code, **environment):
+    """Run it and return the outcome and its processor time: other work is not the compiler's."""
+    before = os.times()
+    done = run(code, **environment)
+    after = os.times()
+    return done, sum(after[2:4]) - sum(before[2:4])
+
+
+def test_first_use_compiles_for_seconds_and_says_so_and_later_use_is_silent(tmp_path):
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "HOME": str(tmp_path)}
+    first, spent_s = processor_s(USE, **environment)
+    assert (first.returncode, first.stderr) == (0, NOTICE)
+    assert spent_s < 10.0
+    second = run(USE, **environment)
+    assert (second.returncode, second.stderr) == (0, "")
+    assert second.stdout == first.stdout
+
+
+def test_first_use_of_interacting_models_compiles_for_seconds(tmp_path):
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "HOME": str(tmp_path)}
+    done, spent_s = processor_s("import isac_track._imm_loops", **environment)
+    assert (done.returncode, done.stderr) == (0, NOTICE)
+    assert spent_s < 10.0
+
+
+def test_prepare_brings_in_all_loops(tmp_path):
+    code = (
+        "import sys; from isac_track import kernels; kernels.prepare()\n"
+        "print({'isac_track._kalman_loops', 'isac_track._imm_loops'} <= sys.modules.keys())"
+    )
+    done = run(code, HOME=str(tmp_path))
+    assert done.stdout == "True\n", done.stderr
+
+
+@pytest.fixture
+def read_only_copy():
+    """A copy of the package that nobody may write to, outside root's private folders."""
+    folder = Path(tempfile.mkdtemp(prefix="isac-track-read-only-"))
+    copy = folder / "isac_track"
+    ignored = shutil.ignore_patterns("__pycache__", "*.npz")
+    shutil.copytree(PACKAGE, copy, ignore=ignored)
+    folder.chmod(0o755)
+    for path in copy.rglob("*"):
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    copy.chmod(0o555)
+    yield folder
+    for path in [copy, *copy.rglob("*")]:
+        path.chmod(path.stat().st_mode | stat.S_IWUSR)
+    shutil.rmtree(folder)
+
+
+def ordinary_user():
+    """Return an account without privileges, or skip: root may write to read-only folders."""
+    if os.geteuid() != 0:
+        return None
+    try:
+        user = pwd.getpwnam("nobody").pw_uid
+    except KeyError:
+        pytest.skip("runs as root, and there is no account `nobody` to become")
+    if run("import numba", user=user, cwd="/").returncode != 0:
+        pytest.skip("runs as root, and `nobody` may not read this Python installation")
+    return user
+
+
+def test_a_read_only_installation_compiles_in_every_process_and_says_so(read_only_copy, tmp_path):
+    code = f"import sys; sys.path.insert(0, {str(read_only_copy)!r})\n" + USE
+    code += "import isac_track; print(isac_track.__file__)"
+    done = run(code, user=ordinary_user(), cwd="/", HOME="/nonexistent")
+    assert done.returncode == 0, done.stderr
+    estimate, origin = done.stdout.splitlines()
+    assert estimate == run(USE, HOME=str(tmp_path)).stdout.strip()
+    assert origin.startswith(str(read_only_copy))
+    assert re.fullmatch(
+        r"isac-track: compiling filters, .* on every start: no cache can be written .*\n",
+        done.stderr,
+    )
+    assert not list(read_only_copy.rglob("*.nbi"))
+
+
+def test_a_read_only_installation_uses_the_user_s_own_cache(read_only_copy):
+    user = ordinary_user()
+    home = Path(tempfile.mkdtemp(prefix="isac-track-home-"))
+    try:
+        if user is not None:
+            os.chown(home, user, -1)
+        code = f"import sys; sys.path.insert(0, {str(read_only_copy)!r})\n" + USE
+        first = run(code, user=user, cwd="/", HOME=str(home))
+        assert (first.returncode, first.stderr) == (0, NOTICE)
+        second = run(code, user=user, cwd="/", HOME=str(home))
+        assert (second.returncode, second.stderr) == (0, "")
+    finally:
+        shutil.rmtree(home)
