@@ -94,7 +94,7 @@ def _share(mechanism: Plugin, sensed: Sensed, *, block: int, seed: int) -> Relea
     rng = stream(seed, "sharing", "block", block)
     try:
         release = mechanism.instance.share(sensed, rng)
-    except Exception as error:  # a plug-in may raise anything
+    except (Exception, SystemExit) as error:  # a plug-in may do anything
         raise PluginError(
             f"mechanism {mechanism.spec!r} failed: {type(error).__name__}: {error}"
         ) from error
@@ -106,6 +106,8 @@ def _share(mechanism: Plugin, sensed: Sensed, *, block: int, seed: int) -> Relea
         np.array_equal(release.offsets, sensed.offsets) and np.array_equal(release.t, sensed.t)
     ):
         raise PluginError(f"mechanism {mechanism.spec!r} changed the tracks or their times")
+    if release.sigma is not None and not (release.sigma >= 0).all():
+        raise PluginError(f"mechanism {mechanism.spec!r} declared a sigma below 0 or NaN")
     # Fresh for every release: the common stream gives every mechanism the same ones.
     names = stream(seed, "pseudonyms", mechanism.spec, "block", block).bytes(8 * len(release))
     fresh = tuple(names[8 * row : 8 * row + 8].hex() for row in range(len(release)))
@@ -140,7 +142,7 @@ def _forecast(
         granted = release.without_sigma()
     try:
         prediction = predictor.instance.predict(granted, scenes.t_future)
-    except Exception as error:  # a plug-in may raise anything
+    except (Exception, SystemExit) as error:  # a plug-in may do anything
         raise PluginError(
             f"predictor {predictor.spec!r} failed: {type(error).__name__}: {error}"
         ) from error

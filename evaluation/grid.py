@@ -19,6 +19,9 @@ BLOCK_SCENES = 250
 """Scenes of a cell. Part of the keys of the sharing streams: a change changes the draws."""
 
 
+MOST_SCENES = 10_000_000
+
+
 @dataclass(frozen=True, slots=True)
 class Preset:
     """Axes that a name stands for."""
@@ -77,7 +80,7 @@ class Settings:
     """SPECs; they replace the preset's. Empty: descriptors only."""
     stages: StageSettings = field(default_factory=StageSettings)
     jobs: int = 1
-    out: Path | None = None
+    out: Path | str | None = None
     fresh: bool = False
 
     def __post_init__(self) -> None:
@@ -85,8 +88,11 @@ class Settings:
             near = get_close_matches(self.preset, PRESETS, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(PRESETS)}"
             raise SettingsError(f"unknown preset {self.preset!r}; {hint}")
-        if self.scenes is not None and self.scenes < 2:  # noqa: PLR2004 - one of each label
-            raise SettingsError(f"a run needs at least 2 scenes, got {self.scenes}")
+        if self.scenes is not None and not 2 <= self.scenes <= MOST_SCENES:  # noqa: PLR2004
+            raise SettingsError(
+                f"a run needs at least 2 scenes (one of each label) and at most {MOST_SCENES:,}, "
+                f"got {self.scenes}"
+            )
         if self.seed < 0:
             raise SettingsError(f"the seed must not be negative, got {self.seed}")
         if self.jobs < 1:

@@ -93,6 +93,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except IsacTrackError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
     tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
     return 0
 

@@ -96,7 +96,7 @@ def plan(settings: Settings) -> Plan:
         axes=crossed,
         identity=identity,
         code=code,
-        out=Path("runs") / name if settings.out is None else settings.out,
+        out=Path("runs") / name if settings.out is None else Path(settings.out),
         cells=cells,
     )
 
@@ -281,7 +281,11 @@ def _describe(ready: Plan) -> dict[str, Any]:
 
 
 def _merged(earlier: list[dict[str, Any]], ready: Plan) -> list[dict[str, Any]]:
-    """Return the index of cells: those of this run, and finished ones of earlier axes."""
+    """Return the index of cells: those of this run, and finished ones of earlier axes.
+
+    An earlier level that was never finished (interrupted, or a plug-in that failed) is left out.
+    """
+    present = {path.name for path in (ready.out / "cells").iterdir()}
     ours = [
         {
             "mechanism": mechanism.name,
@@ -293,4 +297,8 @@ def _merged(earlier: list[dict[str, Any]], ready: Plan) -> list[dict[str, Any]]:
         for mechanism, consumer, names in ready.cells
     ]
     known = {(entry["spec"], entry["consumer"]) for entry in ours}
-    return ours + [entry for entry in earlier if (entry["spec"], entry["consumer"]) not in known]
+    return ours + [
+        entry
+        for entry in earlier
+        if (entry["spec"], entry["consumer"]) not in known and present.issuperset(entry["files"])
+    ]

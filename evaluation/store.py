@@ -33,11 +33,7 @@ if TYPE_CHECKING:
     from isac_track.scenes import Cut
 
 MANIFEST = "manifest.json"
-_OURS = (
-    MANIFEST,
-    "cells",
-    "figures",
-    "tables",
+_TABLES = (
     "summary.csv",
     "paper_table.csv",
     "paper_claims.csv",
@@ -45,6 +41,8 @@ _OURS = (
     "decisions.csv",
     "curves.csv",
 )
+_FIGURES = ("fid_threshold", "fixed_error", "operating_points")
+_CELL = re.compile(r"_\d{5}_[0-9a-f]{16}\.parquet$")
 _SHOWN_DIFFERENCES = 3
 _COMPUTING = ("isac_track", "predictors", "attacks")
 _LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
@@ -101,15 +99,16 @@ def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> 
     if out.exists() and not out.is_dir():
         raise SettingsError(f"{out} is a file; choose another --out")
     if fresh and path.exists():
-        _remove_run(out)
+        _remove_run(out, read_manifest(out))
     elif path.exists():
         manifest = read_manifest(out)
         _refuse_another(out, manifest["identity"], identity)
+        (out / "cells").mkdir(exist_ok=True)
         return manifest if manifest.get("code") == code else _without_cells(out, manifest)
     elif out.exists() and any(out.iterdir()):
         raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
     try:
-        (out / "cells").mkdir(parents=True)
+        (out / "cells").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SettingsError(f"cannot write to {out}: {error.strerror}; choose --out") from None
     return {"identity": identity, "cells": [], "dropped_cells": 0}
@@ -153,9 +152,12 @@ def read_manifest(out: Path) -> dict[str, Any]:
             "python -m evaluation.matrix --out DIR"
         ) from None
     except (OSError, ValueError) as error:
-        raise DataError(f"{path} cannot be read: {error}; use --fresh or another --out") from None
-    if not isinstance(manifest, dict) or not {"identity", "cells"} <= manifest.keys():
-        raise DataError(f"{path} is not the manifest of a run; use --fresh or another --out")
+        raise DataError(f"{path} cannot be read: {error}; choose another --out") from None
+    parts = {"identity": dict, "cells": list}
+    if not isinstance(manifest, dict) or not all(
+        isinstance(manifest.get(name), kind) for name, kind in parts.items()
+    ):
+        raise DataError(f"{path} is not the manifest of a run; choose another --out")
     return manifest
 
 
@@ -191,6 +193,8 @@ def read_cells(paths: Iterable[Path], *, columns: list[str]) -> pa.Table:
     for path in paths:
         try:
             tables.append(pq.read_table(path, columns=columns, use_threads=False))
+        except FileNotFoundError:
+            raise DataError(f"{path} is missing; run the matrix again to compute it") from None
         except (OSError, pa.ArrowException) as error:
             raise DataError(
                 f"{path} cannot be read ({error}); delete it and run the matrix again"
@@ -229,7 +233,7 @@ def environment() -> dict[str, Any]:
         "machine": f"{platform.system()} {platform.machine()}",
         "libraries": libraries,
         "git_commit": _git_commit(),
-        "command": sys.argv,
+        "command": [word.encode(errors="replace").decode() for word in sys.argv],
     }
 
 
@@ -250,13 +254,25 @@ def _names(rows: Any, names: tuple[str, ...]) -> pa.DictionaryArray:  # noqa: AN
     return pa.DictionaryArray.from_arrays(pa.array(rows, type=pa.int32()), pa.array(names))
 
 
-def _remove_run(out: Path) -> None:
-    for name in _OURS:  # only what a run wrote: the folder may hold a user's notes
-        path = out / name
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
+def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
+    """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
+    cells = [Path(name).name for entry in manifest["cells"] for name in entry["files"]]
+    ours = [out / "cells" / name for name in cells]
+    ours += [path for path in (out / "cells").glob("*.parquet") if _CELL.search(path.name)]
+    ours += [out / "figures" / f"{name}.{kind}" for name in _FIGURES for kind in ("svg", "pdf")]
+    ours += [out / "tables" / name for name in ("sweep.tex", "paper.tex")]
+    ours += [out / name for name in _TABLES]
+    try:
+        for path in ours:
             path.unlink(missing_ok=True)
+        for folder in ("cells", "figures", "tables"):
+            if (out / folder).is_dir() and not any((out / folder).iterdir()):
+                (out / folder).rmdir()
+        (out / MANIFEST).unlink()
+    except OSError as error:
+        raise SettingsError(
+            f"cannot replace the run in {out}: {error.strerror}; choose another --out"
+        ) from None
 
 
 def _git_commit() -> str | None:

@@ -37,6 +37,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
     },
 }
 _METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict"}
+_MOST_LEVELS = 1000
 _SINGULAR: dict[Kind, str] = {"mechanisms": "mechanism", "predictors": "predictor"}
 
 
@@ -143,8 +144,8 @@ def _plugin(
         ) from None
     except ValueError as error:
         raise SettingsError(f"{spec!r}: {error}") from None
-    if kind == "predictors" and not isinstance(getattr(instance, "requires", None), frozenset):
-        raise PluginError(f"predictor {name!r}: {origin}.requires must be a frozenset")
+    if kind == "predictors":
+        _check_requires(getattr(instance, "requires", None), name=name, origin=origin)
     level: float | None = None
     parameters: list[str] = []
     for position, item in enumerate(item for item in dataclasses.fields(cls) if item.init):
@@ -152,11 +153,37 @@ def _plugin(
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if position == 0 and kind == "mechanisms" and is_number:
             level = float(value)
-        elif value != item.default:
+            if not math.isfinite(level):
+                raise SettingsError(f"{spec!r}: the level {item.name} must be finite")
+        elif not _same(value, item):
             parameters.append(f"{item.name}={_text(value)}")
     column = ":".join([name, *([",".join(parameters)] if parameters else [])])
     canonical = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
     return Plugin(name=column, level=level, spec=canonical, origin=origin, instance=instance)
+
+
+def _same(value: object, item: dataclasses.Field[Any]) -> bool:
+    default = item.default
+    if item.default_factory is not dataclasses.MISSING:
+        default = item.default_factory()
+    try:
+        return bool(value == default)
+    except ValueError:  # arrays compare element by element
+        return value is default
+
+
+def _check_requires(requires: object, *, name: str, origin: str) -> None:
+    from isac_track.types import Knowledge  # noqa: PLC0415 - a list of names needs no numpy
+
+    if not isinstance(requires, frozenset) or not all(
+        isinstance(one, Knowledge) for one in requires
+    ):
+        raise PluginError(f"predictor {name!r}: {origin}.requires must be a frozenset of Knowledge")
+    denied = sorted(one.name for one in requires - {Knowledge.SIGMA})
+    if denied:
+        raise PluginError(
+            f"predictor {name!r} requires {', '.join(denied)}, which a robot is never granted"
+        )
 
 
 def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
@@ -200,7 +227,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
-    except Exception as error:  # a plug-in's import may raise anything at all
+    except (Exception, SystemExit) as error:  # a plug-in's import may do anything at all
         raise PluginError(
             f"{singular} {name!r} cannot be loaded from {origin}: {type(error).__name__}: {error}"
         ) from error
@@ -279,6 +306,8 @@ def _sweep(value: str, *, spec: str, spacing: str) -> list[float]:
         raise SettingsError(
             f"{spec!r}: a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10, got {value!r}"
         ) from None
+    if count > _MOST_LEVELS:
+        raise SettingsError(f"{spec!r}: a sweep has at most {_MOST_LEVELS} levels, got {count}")
     if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004
         raise SettingsError(f"{spec!r}: a sweep needs two finite ends that differ and COUNT >= 2")
     share = [step / (count - 1) for step in range(count)]

@@ -116,7 +116,7 @@ def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints
     """Return which track plays which agent, (S, A): cyclic, reshuffled at every pass.
 
     A fixed cycle would let only every n-th track ever be the first agent. Where two passes
-    meet inside a scene no track appears twice in it (as long as there are 2 A tracks).
+    meet inside a scene no track appears twice in it.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints
     for number in range(-(-needed // n_tracks)):
         order = stream(seed, "scenes", "pass", number).permutation(n_tracks)
         open_seats = -(number * n_tracks) % agents  # agents of the scene that the pass begins in
-        if open_seats and n_tracks >= 2 * agents:
+        if open_seats:
             seated = passes[-1][-(agents - open_seats) :]
             clash = np.isin(order, seated)
             # A stable move of the seated tracks to the end keeps the rest of the shuffle.

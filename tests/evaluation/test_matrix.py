@@ -71,7 +71,7 @@ def test_the_report_command_redraws(small, tmp_path, capsys):
     [
         (["--preset", "smok"], "unknown preset 'smok'; did you mean 'smoke'?"),
         (["--scenes", "many"], "argument --scenes: invalid int value: 'many'"),
-        (["--scenes", "1"], "at least 2 scenes, got 1"),
+        (["--scenes", "1"], "at least 2 scenes (one of each label) and at most 10,000,000, got 1"),
         (["--seed", "-1"], "the seed must not be negative"),
         (["--jobs", "0"], "jobs must be at least 1"),
         (["--fps", "25"], "--fps describes your own file: name it with --dataset PATH"),

@@ -299,11 +299,40 @@ def test_a_changed_recording_is_refused(settings, csv_recording):
 
 def test_fresh_removes_only_what_a_run_wrote(settings):
     evaluation.run(settings)
-    note = settings.out / "my-note.txt"
-    note.write_text("keep me", encoding="utf-8")
+    notes = [settings.out / place / "mine.txt" for place in (".", "cells", "figures", "tables")]
+    for note in notes:
+        note.write_text("keep me", encoding="utf-8")
     evaluation.run(replace(settings, mechanisms=("raw",), fresh=True))
-    assert note.read_text(encoding="utf-8") == "keep me"
-    assert len(list((settings.out / "cells").iterdir())) == 2
+    assert all(note.read_text(encoding="utf-8") == "keep me" for note in notes)
+    assert len(list((settings.out / "cells").glob("*.parquet"))) == 2
+
+
+def test_fresh_leaves_a_folder_with_somebody_elses_manifest_alone(settings):
+    (settings.out / "cells").mkdir(parents=True)
+    (settings.out / "manifest.json").write_text('{"name": "an extension"}', encoding="utf-8")
+    (settings.out / "cells" / "thesis.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(DataError, match="is not the manifest of a run"):
+        evaluation.run(replace(settings, fresh=True))
+    assert (settings.out / "cells" / "thesis.txt").is_file()
+
+
+def test_a_failed_plugin_leaves_the_folder_usable(settings, tmp_path, monkeypatch):
+    (tmp_path / "bad_plugins.py").write_text(BAD_PLUGINS, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(PluginError, match="no luck"):
+        evaluation.run(replace(settings, mechanisms=("raw", "bad_plugins:Raises")))
+    results = evaluation.run(replace(settings, mechanisms=("fixed:0.7",)))
+    assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
+
+
+def test_a_lost_cell_folder_is_made_again(settings):
+    evaluation.run(settings)
+    expected = (settings.out / "summary.csv").read_bytes()
+    for path in (settings.out / "cells").iterdir():
+        path.unlink()
+    (settings.out / "cells").rmdir()
+    evaluation.run(replace(settings, out=str(settings.out)))
+    assert (settings.out / "summary.csv").read_bytes() == expected
 
 
 def test_a_folder_of_something_else_is_left_alone(settings):
@@ -395,12 +424,28 @@ BAD_PLUGINS = """
 from dataclasses import dataclass, replace
 import numpy as np
 from isac_track.sharing import perturb
-from isac_track.types import Prediction
+from isac_track.types import Knowledge, Prediction
 
 @dataclass(frozen=True)
 class Raises:
     def share(self, sensed, rng):
         raise RuntimeError("no luck")
+
+@dataclass(frozen=True)
+class Exits:
+    def share(self, sensed, rng):
+        raise SystemExit(0)
+
+@dataclass(frozen=True)
+class Blind:
+    def share(self, sensed, rng):
+        return replace(perturb(sensed, 0.0, rng), sigma=np.full(sensed.t.size, np.nan))
+
+@dataclass(frozen=True)
+class Greedy:
+    requires = frozenset({Knowledge.TRAIN})
+    def predict(self, release, t_future):
+        return Prediction(np.zeros((*t_future.shape, 2)))
 
 @dataclass(frozen=True)
 class Nothing:
@@ -443,6 +488,9 @@ class Peeks:
     ("axis", "name", "message"),
     [
         ("mechanisms", "Raises", "mechanism 'bad_plugins:Raises' failed: RuntimeError: no luck"),
+        ("mechanisms", "Exits", "failed: SystemExit"),
+        ("mechanisms", "Blind", "declared a sigma below 0 or NaN"),
+        ("predictors", "Greedy", "requires TRAIN, which a robot is never granted"),
         ("mechanisms", "Nothing", "must return a Release, got NoneType"),
         ("mechanisms", "Mutates", "failed: ValueError: assignment destination is read-only"),
         ("mechanisms", "Retimes", "changed the tracks or their times"),

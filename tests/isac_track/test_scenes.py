@@ -149,7 +149,9 @@ def test_a_perfect_prediction_has_the_true_separation(scenes):
     assert np.allclose(found, scenes.separation)
 
 
-@pytest.mark.parametrize(("n_tracks", "agents"), [(106, 4), (13, 4), (8, 4), (9, 2)])
+@pytest.mark.parametrize(
+    ("n_tracks", "agents"), [(106, 4), (13, 4), (8, 4), (9, 2), (5, 4), (6, 4), (7, 4)]
+)
 def test_tracks_are_taken_in_turn_and_never_twice_in_a_scene(n_tracks, agents):
     order = track_order(n_tracks=n_tracks, n_scenes=200, agents=agents, seed=2)
     flat = order.reshape(-1)
