@@ -61,10 +61,20 @@ def matched(
     there is no interval (NaN), since the replicates that are left would all lie on one side.
     """
     rows: list[dict[str, object]] = []
+    # The descriptors are as shared, the same for every predictor: made monotone only once.
+    smooth: dict[tuple[str, str], Floats] = {}
     for predictor in predictors:
         for adding, suffix in ADDING_SUFFIX.items():
-            fid = _curve(found, mechanism=f"fid{suffix}", predictor=predictor, descending=False)
-            fixed = _curve(found, mechanism=f"fixed{suffix}", predictor=predictor, descending=True)
+            fid, fixed = (
+                _curve(
+                    found,
+                    mechanism=f"{family}{suffix}",
+                    predictor=predictor,
+                    descending=family == "fixed",
+                    smooth=smooth,
+                )
+                for family in ("fid", "fixed")
+            )
             if fid is None or fixed is None:
                 continue
             names = {"dataset": dataset, "adding": adding, "predictor": predictor}
@@ -73,9 +83,14 @@ def matched(
 
 
 def _curve(
-    found: Mapping[Key, Estimate], *, mechanism: str, predictor: str, descending: bool
+    found: Mapping[Key, Estimate],
+    *,
+    mechanism: str,
+    predictor: str,
+    descending: bool,
+    smooth: dict[tuple[str, str], Floats],
 ) -> dict[str, Floats] | None:
-    """Return (1 + B, L) arrays of rate and descriptors, noisiest level first, raw last.
+    """Return (1 + B, L) arrays of rate and monotone descriptors, noisiest first, raw last.
 
     Row 0 is the estimate, the others are replicates; None if there are fewer than two levels.
     """
@@ -95,12 +110,19 @@ def _curve(
         return None
     curve = {}
     for metric in ("missed_conflict_rate", *DESCRIPTORS):
-        consumer = predictor if metric == "missed_conflict_rate" else SHARED
+        is_rate = metric == "missed_conflict_rate"
+        if not is_rate and (mechanism, metric) in smooth:
+            curve[metric] = smooth[mechanism, metric]
+            continue
+        consumer = predictor if is_rate else SHARED
         points = [found[Key(mechanism, level, consumer, metric)] for level in levels]
         points.append(found[Key(raw, None, consumer, metric)])
         curve[metric] = np.stack(
             [np.concatenate([[point.value], point.replicates]) for point in points], axis=1
         )
+        if not is_rate:
+            curve[metric] = _monotone(curve[metric], increasing=True)
+            smooth[mechanism, metric] = curve[metric]
     return curve
 
 
@@ -116,8 +138,8 @@ def _compare(fid: dict[str, Floats], fixed: dict[str, Floats]) -> list[dict[str,
     at = np.linspace(0.0, reach, N_POINTS + 1)[1:]
     rows: list[dict[str, object]] = []
     for metric in DESCRIPTORS:
-        a = _interpolate(at, fid_rise, _monotone(fid[metric], increasing=True))
-        b = _interpolate(at, fixed_rise, _monotone(fixed[metric], increasing=True))
+        a = _interpolate(at, fid_rise, fid[metric])
+        b = _interpolate(at, fixed_rise, fixed[metric])
         difference = a - b
         defined = np.isfinite(difference[1:]).mean(axis=0)
         for point, rise in enumerate(at):

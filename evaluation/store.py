@@ -177,7 +177,7 @@ def write_cell(path: Path, rows: Rows, *, tracks: Cut) -> None:
         else:
             columns[name] = values
     sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(columns), sink)
+    pq.write_table(pa.table(columns), sink, write_statistics=False)
     write_whole(path, sink.getvalue().to_pybytes())
 
 
@@ -192,7 +192,9 @@ def read_cells(paths: Iterable[Path], *, columns: list[str]) -> pa.Table:
     tables = []
     for path in paths:
         try:
-            tables.append(pq.read_table(path, columns=columns, use_threads=False))
+            # Not pq.read_table: its data set machinery costs more than reading such a file.
+            with pq.ParquetFile(path) as cell:
+                tables.append(cell.read(columns=columns, use_threads=False))
         except FileNotFoundError:
             raise DataError(f"{path} is missing; run the matrix again to compute it") from None
         except (OSError, pa.ArrowException) as error:
