@@ -11,13 +11,13 @@ import sys
 
 import numpy as np
 
-from evaluation.cell import sense_scenes
 from isac_track import datasets, registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError
 from isac_track.kernels import kalman_filter
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
+from isac_track.sensing import sense_scenes
 from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM, filter_arguments
 from predictors.recent import recent
 
@@ -38,7 +38,7 @@ def main() -> int:
         tracks = cut(recorded, settings=stages, seed=0)
         order = track_order(n_tracks=len(tracks), n_scenes=N_SCENES, agents=4, seed=0)
         scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=0)
-        sensed = sense_scenes(scenes, stages=stages, seed=0)
+        sensed = sense_scenes(scenes, settings=stages.sensing, seed=0)
         for level in registry.parse_all("mechanisms", LEVELS):
             shared = level.instance.share(sensed, stream(0, "consistency")).without_sigma()
             for tracker in (KalmanCV(), KalmanCA(), KalmanIMM()):

@@ -15,3 +15,7 @@ class SettingsError(IsacTrackError):
 
 class PluginError(IsacTrackError):
     """A plug-in that cannot be loaded, or that breaks its contract."""
+
+
+class KnowledgeDenied(IsacTrackError):  # noqa: N818 - the contract's name
+    """An attack touched what its adversary was not granted, or what it did not declare."""

@@ -16,8 +16,13 @@ sections 5.2 (filter), 6.2 (models), 8.6 (smoother). Rauch, Tung, Striebel, AIAA
 
 from __future__ import annotations
 
+import contextlib
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -89,9 +94,30 @@ def prepare() -> None:
     Otherwise the first call does, for what it needs. The machine code is cached beside the
     package, or in the user's cache if that is read-only; where neither can be written it is
     compiled in every process. Worth a call before a timing or before workers start.
+
+    The interacting models take as long as all the rest: a second process compiles them meanwhile.
     """
-    _loops()
+    helper = None
+    if not _is_cached("_imm_loops"):
+        command = [sys.executable, "-c", "import isac_track._imm_loops"]
+        with contextlib.suppress(OSError):  # without a second process it merely takes longer
+            helper = subprocess.Popen(  # noqa: S603 - a fixed command
+                command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
+    try:
+        _loops()
+        import_module("isac_track._lane_loops")
+    finally:
+        if helper is not None:
+            helper.wait()
     import_module("isac_track._imm_loops")
+
+
+def _is_cached(module: str) -> bool:
+    """Whether numba's cache seems to hold a module; a wrong answer costs a second, no more."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(chosen) if chosen else Path(__file__).parent / "__pycache__"
+    return any(folder.rglob(f"{module}.*.nbi"))
 
 
 def kalman_filter(
@@ -224,6 +250,72 @@ def kalman_smoother(
     scratch = np.empty((int(np.diff(offsets).max(initial=0)), 7))
     _loops().cv_both(*arrays, MAX_REJECTIONS, scratch, out.mean, out.cov)
     return out
+
+
+def smooth_positions(
+    *,
+    t: Floats,
+    xy: Floats,
+    variance: Floats,
+    offsets: Ints,
+    q: float,
+    initial_mean: Floats,
+    initial_cov: Floats,
+    passes: int = 1,
+    anneal: float = 0.0,
+) -> tuple[Floats, Floats]:
+    """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
+
+    One pass is `kalman_smoother` of the model ``cv`` without the velocities, three times as fast.
+    Further passes are for errors of the radial law, whose length is |N(0, sigma)| in any
+    direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to a constant, is infinite at
+    zero: a sample that lies close to the walk is very likely almost exact. The posterior mode
+    solves a smoother with the weights 1 / r^2 + 1 / sigma^2 per axis, r the sample's distance from
+    the smoothed position; they are iterated as 1 / (r^2 + delta^2) + 1 / sigma^2. With
+    delta^2 = 2 P + anneal^(pass - 1) sigma^2 a residual counts as no smaller than the position
+    itself is known (P is its variance per axis), and the first passes are nearly those of Gaussian
+    errors, lest the walk be drawn to samples that only happen to lie where it starts.
+
+    Parameters
+    ----------
+    t, xy, variance, offsets, q, initial_mean, initial_cov
+        As for `kalman_filter`; sigma^2 is twice the variance per axis.
+    passes : int, optional
+        Smoothers, at least 1; the first is that of Gaussian errors.
+    anneal : float, optional
+        In [0, 1).
+
+    Raises
+    ------
+    ValueError
+        As `kalman_filter`, and for `passes` or `anneal` out of range.
+
+    References
+    ----------
+    Iterative re-weighting: Huber and Ronchetti, *Robust Statistics*, 2009, ch. 7.8; the mode of a
+    scale mixture: Dempster, Laird, Rubin, *Multivariate Analysis V*, 1980.
+    """
+    if passes < 1 or not 0 <= anneal < 1:
+        raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
+    t, xy, variance, offsets, q, initial_mean, initial_cov, _ = _arguments(
+        "cv", t, xy, variance, offsets, q, initial_mean, initial_cov, np.inf
+    )
+    position, spread = np.empty((t.size, 2)), np.empty(t.size)
+    import_module("isac_track._lane_loops").smooth_positions(
+        t,
+        xy,
+        2.0 * variance,
+        offsets,
+        np.argsort(np.diff(offsets), kind="stable"),
+        q,
+        initial_mean,
+        initial_cov,
+        passes,
+        float(anneal),
+        position,
+        spread,
+    )
+    return position, spread
 
 
 def _loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types

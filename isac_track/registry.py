@@ -16,11 +16,23 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
-from typing import Any, Literal, TypeAlias, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    TypeAlias,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from isac_track.errors import PluginError, SettingsError
 
-Kind: TypeAlias = Literal["mechanisms", "predictors"]
+if TYPE_CHECKING:
+    from isac_track.types import Knowledge
+
+Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 
 _BUILT_IN: dict[Kind, dict[str, str]] = {
     "mechanisms": {
@@ -35,15 +47,29 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "kalman_ca": "predictors.kalman:KalmanCA",
         "kalman_imm": "predictors.kalman:KalmanIMM",
     },
+    "attacks": {
+        "identity": "attacks.reconstruction.identity:Identity",
+        "moving_average": "attacks.reconstruction.moving_average:MovingAverage",
+        "savgol": "attacks.reconstruction.savgol:Savgol",
+        "kalman_rts": "attacks.reconstruction.kalman_rts:KalmanRTS",
+        "radial_rts": "attacks.reconstruction.radial_rts:RadialRTS",
+        "imm_rts": "attacks.reconstruction.imm_rts:ImmRTS",
+        "gaussian_process": "attacks.reconstruction.gaussian_process:GaussianProcess",
+        "averaging": "attacks.reconstruction.averaging:Averaging",
+    },
 }
-_METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict"}
+_METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
 _MOST_LEVELS = 1000
-_SINGULAR: dict[Kind, str] = {"mechanisms": "mechanism", "predictors": "predictor"}
+_SINGULAR: dict[Kind, str] = {
+    "mechanisms": "mechanism",
+    "predictors": "predictor",
+    "attacks": "attack",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """One configured plug-in: a mechanism at one level, or a predictor."""
+    """One configured plug-in: a mechanism at one level, a predictor or an attack."""
 
     name: str
     """As in the result columns: family and non-default parameters, without the level."""
@@ -145,7 +171,11 @@ def _plugin(
     except ValueError as error:
         raise SettingsError(f"{spec!r}: {error}") from None
     if kind == "predictors":
-        _check_requires(getattr(instance, "requires", None), name=name, origin=origin)
+        requires = _knowledge(instance, "requires", kind=kind, name=name, origin=origin)
+        _check_granted(requires, name=name)
+    elif kind == "attacks":
+        for attribute in ("requires", "uses"):
+            _knowledge(instance, attribute, kind=kind, name=name, origin=origin)
     level: float | None = None
     parameters: list[str] = []
     for position, item in enumerate(item for item in dataclasses.fields(cls) if item.init):
@@ -172,14 +202,23 @@ def _same(value: object, item: dataclasses.Field[Any]) -> bool:
         return value is default
 
 
-def _check_requires(requires: object, *, name: str, origin: str) -> None:
+def _knowledge(
+    instance: object, attribute: str, *, kind: Kind, name: str, origin: str
+) -> frozenset[Knowledge]:
     from isac_track.types import Knowledge  # noqa: PLC0415 - a list of names needs no numpy
 
-    if not isinstance(requires, frozenset) or not all(
-        isinstance(one, Knowledge) for one in requires
+    declared = getattr(instance, attribute, None)
+    if not isinstance(declared, frozenset) or not all(
+        isinstance(one, Knowledge) for one in declared
     ):
-        raise PluginError(f"predictor {name!r}: {origin}.requires must be a frozenset of Knowledge")
-    denied = sorted(one.name for one in requires - {Knowledge.SIGMA})
+        raise PluginError(
+            f"{_SINGULAR[kind]} {name!r}: {origin}.{attribute} must be a frozenset of Knowledge"
+        )
+    return declared
+
+
+def _check_granted(requires: frozenset[Knowledge], *, name: str) -> None:
+    denied = sorted(one.name for one in requires if one.name != "SIGMA")
     if denied:
         raise PluginError(
             f"predictor {name!r} requires {', '.join(denied)}, which a robot is never granted"

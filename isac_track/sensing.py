@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from isac_track.config import SensingSettings
-    from isac_track.types import ErrorLaw, Floats, Ints
+    from isac_track.types import ErrorLaw, Floats, Ints, Scenes
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 
@@ -85,15 +85,29 @@ def fisher_information_density(*, information: Floats, t: Floats, offsets: Ints)
     t : (M,) s
     offsets : (N + 1,) int
     """
+    interval_s = intervals_before(t=t, offsets=offsets)
+    density: Floats = np.full_like(information, np.inf)
+    np.divide(information, interval_s, out=density, where=interval_s > 0)
+    return density
+
+
+def intervals_before(*, t: Floats, offsets: Ints) -> Floats:
+    """Return the time since the sample before, (M,) s.
+
+    The first sample of a track takes the interval after it; a track of one sample has none: 0.
+
+    Parameters
+    ----------
+    t : (M,) s
+    offsets : (N + 1,) int
+    """
     interval_s = np.empty_like(t)
     interval_s[1:] = np.diff(t)
     first = offsets[:-1]
     single = np.diff(offsets) == 1
     interval_s[first[~single]] = interval_s[first[~single] + 1]
     interval_s[first[single]] = 0.0
-    density: Floats = np.full_like(information, np.inf)
-    np.divide(information, interval_s, out=density, where=interval_s > 0)
-    return density
+    return interval_s
 
 
 def link_gain(
@@ -273,4 +287,28 @@ def sense(
         fid=fisher_information_density(information=info, t=t, offsets=offsets),
         offsets=offsets,
         law=settings.law,
+    )
+
+
+def sense_scenes(
+    scenes: Scenes, *, settings: SensingSettings, seed: int, names: tuple[str | int, ...] = ()
+) -> Sensed:
+    """Return what the network senses of the histories; every scene draws from its own stream.
+
+    Parameters
+    ----------
+    scenes : Scenes
+    settings : SensingSettings
+    seed : int
+    names : tuple of str or int
+        Further names of the streams: other ones sense the same walks anew.
+    """
+    channel = draw_channel(
+        n_samples=np.diff(scenes.offsets).reshape(len(scenes), -1),
+        keys=[("scene", int(index), *names) for index in scenes.index],
+        settings=settings,
+        seed=seed,
+    )
+    return sense(
+        t=scenes.t, xy=scenes.xy, offsets=scenes.offsets, channel=channel, settings=settings
     )

@@ -116,7 +116,7 @@ class Scenes:
         _freeze(self, {"robot_destination": 2, "separation": 1})
         for name in ("offsets", "track", "index", "exhausted"):
             object.__setattr__(self, name, _frozen_ints(getattr(self, name), name=name))
-        object.__setattr__(self, "conflict", _read_only(np.asarray(self.conflict, dtype=bool)))
+        object.__setattr__(self, "conflict", read_only(np.asarray(self.conflict, dtype=bool)))
         _check_offsets(self.offsets, self.t.size)
         _check_times(self.t, self.offsets)
         n_tracks = self.offsets.size - 1
@@ -224,6 +224,29 @@ class Prediction:
                 raise ValueError(f"cov must have shape (N, H, 2, 2), got {self.cov.shape}")
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Reconstruction:
+    """An adversary's estimate of where the N people of a release were, sample by sample."""
+
+    xy: Floats
+    """(M, 2) m, in the frame of the release."""
+    std: Floats | None = None
+    """(M,) m, standard deviation per axis that the attack claims, or None."""
+
+    def __post_init__(self) -> None:
+        _freeze(self, {"xy": 2})
+        if self.xy.shape[1] != 2:  # noqa: PLR2004 - the plane has two axes
+            raise ValueError(f"xy must have shape (M, 2), got {self.xy.shape}")
+        if not np.isfinite(self.xy).all():
+            raise ValueError("a reconstructed position is not finite")
+        if self.std is not None:
+            _freeze(self, {"std": 1})
+            if self.std.shape != self.xy.shape[:1]:
+                raise ValueError(f"std must have shape (M,), got {self.std.shape}")
+            if not (np.isfinite(self.std).all() and (self.std >= 0).all()):
+                raise ValueError("std must be finite and not negative")
+
+
 def _check_batch(batch: _Batch) -> None:
     """Freeze the arrays of a ragged batch and check shapes, times and finiteness."""
     object.__setattr__(batch, "offsets", _frozen_ints(batch.offsets, name="offsets"))
@@ -267,7 +290,7 @@ def _freeze(container: object, dimensions: Mapping[str, int]) -> None:
         array = np.asarray(getattr(container, name), dtype=np.float64)
         if array.ndim != ndim:
             raise ValueError(f"{name} must have {ndim} dimension(s), got shape {array.shape}")
-        object.__setattr__(container, name, _read_only(array))
+        object.__setattr__(container, name, read_only(array))
 
 
 def _frozen_ints(value: object, *, name: str) -> Ints:
@@ -276,13 +299,14 @@ def _frozen_ints(value: object, *, name: str) -> Ints:
         raise ValueError(f"{name} must have 1 dimension, got shape {array.shape}")
     if array.dtype.kind not in "iu":
         raise ValueError(f"{name} must hold integers, got {array.dtype}")
-    return _read_only(array.astype(np.int64, copy=False))
+    return read_only(array.astype(np.int64, copy=False))
 
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
-def _read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
+def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """Return the array as nobody can write to it."""
     if array.flags.writeable:
         # A view, not a copy: a copy of every release would double the memory of a block.
         array = array.view()

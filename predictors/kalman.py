@@ -14,8 +14,8 @@ import numpy as np
 
 from isac_track.imm_kernels import imm_last
 from isac_track.kernels import MAX_REJECTIONS, kalman_last
+from isac_track.noise import innovation_variance_m2
 from isac_track.types import ErrorLaw, Knowledge, Prediction
-from predictors.noise import innovation_variance_m2
 from predictors.recent import Recent, recent
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from scipy.stats import chi2
 
 from evaluation.tune import TUNED, releases, tune
 from isac_track import datasets, registry
+from isac_track.noise import UNKNOWN_VARIANCE_M2, innovation_variance_m2
 from isac_track.rng import stream
 from isac_track.types import Knowledge, Release
 from predictors.kalman import GATE, KalmanCA, KalmanCV, KalmanIMM
-from predictors.noise import UNKNOWN_VARIANCE_M2, innovation_variance_m2
 from predictors.recent import recent
 
 TRACKERS = [KalmanCV(), KalmanCA(), KalmanIMM()]

@@ -1,10 +1,13 @@
-"""How noisy is a track? What a robot can tell from the shared positions alone."""
+"""How noisy is a track? What anybody can tell from the shared positions alone."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from isac_track.kernels import floats, ragged_times
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
@@ -13,6 +16,7 @@ MIN_VARIANCE_M2 = 1e-6
 """(1 mm)^2: below it a filter would trust rounding."""
 UNKNOWN_VARIANCE_M2 = 0.25
 """For a track of fewer than three samples, which says nothing of its noise."""
+_LEAST_SAMPLES = 3
 
 
 def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
@@ -31,24 +35,16 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     t : (M,) s
     xy : (M, 2) m
     offsets : (N + 1,) int
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a number is not finite or times do not increase.
     """
-    n_tracks = offsets.size - 1
-    sizes = np.diff(offsets)
-    if t.size < 3:  # noqa: PLR2004 - no innovation at all
-        return np.full(n_tracks, UNKNOWN_VARIANCE_M2)
-    step = np.diff(t)
-    inside = np.ones(t.size - 2, dtype=bool)  # innovation k spans the samples k, k + 1, k + 2
-    for lost in (offsets[1:-1] - 1, offsets[1:-1] - 2):
-        inside[lost[(lost >= 0) & (lost < inside.size)]] = False
-    ratio = np.zeros(inside.size)
-    np.divide(step[1:], step[:-1], out=ratio, where=inside)
-    innovation = xy[2:] - xy[1:-1] - ratio[:, None] * (xy[1:-1] - xy[:-2])
-    scale = 2.0 * (1.0 + (1.0 + ratio) ** 2 + ratio**2)  # two axes
-    scaled = np.where(inside, (innovation[:, 0] ** 2 + innovation[:, 1] ** 2) / scale, 0.0)
-    owner = np.repeat(np.arange(n_tracks), sizes)[:-2]
-    total = np.bincount(owner, weights=scaled, minlength=n_tracks)
-    count = np.maximum(sizes - 2, 0)
-    variance = np.full(n_tracks, UNKNOWN_VARIANCE_M2)
-    np.divide(total, count, out=variance, where=count > 0)
+    t, offsets = ragged_times(t, offsets)
+    variance = np.empty(offsets.size - 1)
+    loops = import_module("isac_track._kalman_loops")
+    loops.innovation_level(t, floats("xy", xy, (t.size, 2)), offsets, variance)
+    variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
     found: Floats = np.maximum(variance, MIN_VARIANCE_M2)
     return found

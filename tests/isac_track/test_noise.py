@@ -1,0 +1,107 @@
+"""The level of noise of a track against a plain loop over its triples of samples."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from isac_track.noise import MIN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, innovation_variance_m2
+from isac_track.rng import stream
+
+
+def ragged(*sizes, noise_m=0.4, seed=0):
+    """Straight walks on irregular clocks with errors."""
+    rng = stream(seed, "test", "noise", *sizes)
+    t, xy = [], []
+    for size in sizes:
+        clock = rng.uniform(-50, 50) + rng.uniform(0.02, 0.9, size).cumsum()
+        t.append(clock)
+        line = rng.normal(0, 5, 2) + clock[:, None] * rng.normal(0, 1, 2)
+        xy.append(line + noise_m * rng.standard_normal((size, 2)))
+    return {
+        "t": np.concatenate(t),
+        "xy": np.concatenate(xy),
+        "offsets": np.concatenate([[0], np.cumsum(sizes)]),
+    }
+
+
+def by_loop(t, xy):
+    """Mean over triples and axes of the squared error of the line's forecast, scaled."""
+    if len(t) < 3:
+        return UNKNOWN_VARIANCE_M2
+    scaled = []
+    for (t0, p0), (t1, p1), (t2, p2) in zip(
+        zip(t, xy, strict=True),
+        zip(t[1:], xy[1:], strict=True),
+        zip(t[2:], xy[2:], strict=False),
+        strict=False,
+    ):
+        forecast = p1 + (p1 - p0) / (t1 - t0) * (t2 - t1)
+        # forecast = w1 p1 + w0 p0; independent errors of variance r leave r (1 + w1^2 + w0^2).
+        w0 = -(t2 - t1) / (t1 - t0)
+        w1 = 1.0 - w0
+        scaled += [error**2 / (1.0 + w1**2 + w0**2) for error in p2 - forecast]
+    return max(float(np.mean(scaled)), MIN_VARIANCE_M2)
+
+
+def test_it_is_the_plain_loop():
+    case = ragged(40, 1, 3, 2, 150, 4, 1)
+    found = innovation_variance_m2(**case)
+    expected = [
+        by_loop(case["t"][lo:hi], case["xy"][lo:hi]) for lo, hi in pairwise(case["offsets"])
+    ]
+    assert found == pytest.approx(expected, rel=1e-10)
+    assert found[[1, 3, 6]].tolist() == [UNKNOWN_VARIANCE_M2] * 3
+
+
+def test_four_samples_by_hand():
+    # Steps 1, 2, 1. From 0, 0 on to 4: 4 m off, w = (-2, 3): 16 / 14. From 0 to 4 in 2 s, on
+    # to 7 in 1 s: 6 expected, 1 m off, w = (-1/2, 3/2): 1 / (7/2). Two axes, one of them still.
+    found = innovation_variance_m2(
+        t=np.array([0.0, 1.0, 3.0, 4.0]),
+        xy=np.array([[0.0, 0.0], [0.0, 0.0], [4.0, 0.0], [7.0, 0.0]]),
+        offsets=np.array([0, 4]),
+    )
+    assert found.tolist() == pytest.approx([(16 / 14 + 2 / 7) / 4])
+
+
+def test_irregular_steps_leave_it_unbiased():
+    # 200 tracks of 100 samples: standard error below 1 %.
+    case = ragged(*[100] * 200, noise_m=0.7)
+    assert innovation_variance_m2(**case).mean() == pytest.approx(0.49, rel=0.03)
+
+
+def test_a_straight_walk_without_error_has_the_least_level():
+    assert innovation_variance_m2(**ragged(20, noise_m=0.0)).tolist() == [MIN_VARIANCE_M2]
+
+
+def test_neighbours_frame_and_clock_change_nothing():
+    case = ragged(30, 3, 60)
+    whole = innovation_variance_m2(**case)
+    for row, (lo, hi) in enumerate(pairwise(case["offsets"])):
+        alone = innovation_variance_m2(
+            t=case["t"][lo:hi], xy=case["xy"][lo:hi], offsets=np.array([0, hi - lo])
+        )
+        assert alone.tolist() == [whole[row]]
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    moved = innovation_variance_m2(
+        t=case["t"] + 3600.0, xy=case["xy"] @ turn.T + [500.0, -9.0], offsets=case["offsets"]
+    )
+    assert moved == pytest.approx(whole, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"xy": np.zeros((6, 2))}, r"xy must have shape \(7, 2\)"),
+        ({"xy": np.full((7, 2), np.nan)}, "xy must be finite"),
+        ({"t": np.zeros(7)}, "strictly increasing"),
+        ({"t": np.r_[np.arange(6.0), np.inf]}, "must be finite"),
+        ({"offsets": np.array([0, 4, 4, 7])}, "at least one sample"),
+        ({"offsets": np.array([0, 5])}, "from 0 to 7"),
+        ({"offsets": np.array([0.0, 7.0])}, "integers"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        innovation_variance_m2(**ragged(4, 3) | change)

@@ -1,0 +1,184 @@
+"""The threat model: who is granted what, and that nothing else can be had."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from isac_track import registry
+from isac_track.errors import KnowledgeDenied
+from isac_track.protocols import (
+    ADVERSARIES,
+    AttackContext,
+    ReconstructionAttack,
+    TrainingSet,
+    grants,
+)
+from isac_track.rng import stream
+from isac_track.sharing import Fixed
+from isac_track.types import Knowledge, Release
+
+MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = (
+    Knowledge.MECHANISM,
+    Knowledge.SIGMA,
+    Knowledge.TRAIN,
+    Knowledge.SCENE,
+    Knowledge.REPEATS,
+)
+HELD = {MECHANISM: "mechanism", TRAIN: "train", REPEATS: "repeats"}
+
+
+@dataclass(frozen=True)
+class Attack:
+    requires: frozenset = frozenset()
+    uses: frozenset = frozenset()
+
+    def fit(self, context):
+        raise NotImplementedError
+
+
+def release():
+    return Release(
+        t=np.array([0.0, 1.0]),
+        xy=np.zeros((2, 2)),
+        sigma=None,
+        offsets=np.array([0, 2]),
+        pseudonym=("p",),
+    )
+
+
+OFFERED = {
+    "mechanism": Fixed(0.5),
+    "train": TrainingSet(release(), np.ones((2, 2))),
+    "repeats": (release(), release()),
+}
+
+
+def context(*granted, **changes):
+    return AttackContext(
+        rng=stream(0, "test"), epsilon_m=0.3, granted=frozenset(granted), **OFFERED | changes
+    )
+
+
+class TestContext:
+    @pytest.mark.parametrize("what", HELD)
+    def test_what_was_granted_comes_back_itself_and_the_rest_is_denied(self, what):
+        given = context(what)
+        assert given.granted == {what}
+        for kind, name in HELD.items():
+            if kind is what:
+                assert getattr(given, name) is OFFERED[name]
+            else:
+                with pytest.raises(KnowledgeDenied, match=f"{kind.name} was not granted"):
+                    getattr(given, name)
+
+    @pytest.mark.parametrize("granted", [(), (SIGMA, SCENE)])
+    def test_without_a_grant_all_is_denied(self, granted):
+        given = context(*granted)
+        for kind, name in HELD.items():
+            with pytest.raises(KnowledgeDenied, match=kind.name):
+                getattr(given, name)
+
+    @pytest.mark.parametrize("what", [None, *HELD])
+    def test_what_was_offered_but_not_granted_is_nowhere_in_it(self, what):
+        given = context(*filter(None, [what]))
+        assert not hasattr(given, "__dict__")
+        slots = [getattr(given, slot) for slot in type(given).__slots__]
+        reachable = [*slots, *(one for slot in slots if isinstance(slot, dict) for one in slot)]
+        reachable += [one for slot in slots if isinstance(slot, dict) for one in slot.values()]
+        for kind, name in HELD.items():
+            assert any(one is OFFERED[name] for one in reachable) == (kind is what)
+
+    @pytest.mark.parametrize("what", HELD)
+    def test_a_grant_of_what_is_not_there_is_an_error_of_the_caller(self, what):
+        with pytest.raises(ValueError, match=f"granted, but not given: {what.name}"):
+            context(what, **{HELD[what]: None})
+
+    def test_all_that_is_missing_is_named(self):
+        with pytest.raises(ValueError, match=r"not given: MECHANISM, TRAIN$"):
+            context(*Knowledge, mechanism=None, train=None)
+
+    def test_sigma_and_scene_need_nothing_from_the_context(self):
+        bare = AttackContext(
+            rng=stream(0, "test"), epsilon_m=0.3, granted=frozenset({SIGMA, SCENE})
+        )
+        assert bare.granted == {SIGMA, SCENE}
+
+    def test_nothing_new_can_be_hung_on_it(self):
+        with pytest.raises(AttributeError):
+            context().truth = 1
+
+    def test_denial_is_no_attribute_error(self):
+        # hasattr() and getattr(..., default) of an attack must not hide it.
+        with pytest.raises(KnowledgeDenied):
+            hasattr(context(), "train")
+
+
+class TestTrainingSet:
+    def test_truth_is_one_position_a_sample(self):
+        truth = np.arange(4.0).reshape(2, 2)
+        assert TrainingSet(release(), truth).truth.tolist() == [[0.0, 1.0], [2.0, 3.0]]
+
+    @pytest.mark.parametrize("shape", [(1, 2), (3, 2), (2, 3), (2,)])
+    def test_another_shape_is_refused(self, shape):
+        with pytest.raises(ValueError, match=r"truth must have shape \(2, 2\)"):
+            TrainingSet(release(), np.zeros(shape))
+
+
+def test_each_adversary_knows_more_than_the_weaker_one():
+    blind, informed, oracle = ADVERSARIES.values()
+    assert list(ADVERSARIES) == ["blind", "informed", "oracle"]
+    assert blind == frozenset()
+    assert informed == {MECHANISM, TRAIN}
+    assert oracle == set(Knowledge)
+
+
+@pytest.mark.parametrize(
+    ("requires", "uses", "rows"),
+    [
+        ((), (), {"blind": set()}),
+        ((), (MECHANISM,), {"blind": set(), "informed": {MECHANISM}}),
+        ((), (TRAIN,), {"blind": set(), "informed": {TRAIN}}),
+        ((), (MECHANISM, TRAIN), {"blind": set(), "informed": {MECHANISM, TRAIN}}),
+        ((), (SIGMA,), {"blind": set(), "oracle": {SIGMA}}),
+        ((), (SCENE,), {"blind": set(), "oracle": {SCENE}}),
+        (
+            (),
+            (MECHANISM, TRAIN, SIGMA),
+            {"blind": set(), "informed": {MECHANISM, TRAIN}, "oracle": {MECHANISM, TRAIN, SIGMA}},
+        ),
+        ((MECHANISM,), (), {"informed": {MECHANISM}}),
+        ((TRAIN,), (TRAIN,), {"informed": {TRAIN}}),
+        ((TRAIN,), (MECHANISM,), {"informed": {MECHANISM, TRAIN}}),
+        ((TRAIN,), (SIGMA,), {"informed": {TRAIN}, "oracle": {TRAIN, SIGMA}}),
+        ((SIGMA,), (), {"oracle": {SIGMA}}),
+        ((SIGMA,), (TRAIN,), {"oracle": {SIGMA, TRAIN}}),
+        ((REPEATS,), (), {"oracle": {REPEATS}}),
+        ((REPEATS,), (MECHANISM, SIGMA), {"oracle": {REPEATS, MECHANISM, SIGMA}}),
+        ((SCENE,), (), {"oracle": {SCENE}}),
+        (tuple(Knowledge), (), {"oracle": set(Knowledge)}),
+    ],
+)
+def test_a_row_is_named_after_the_weakest_adversary_that_gets_as_much(requires, uses, rows):
+    attack = Attack(requires=frozenset(requires), uses=frozenset(uses))
+    assert grants(attack) == rows
+    assert list(grants(attack)) == list(rows)  # weakest first
+
+
+@pytest.mark.parametrize(
+    ("name", "adversaries"),
+    [
+        ("identity", ["blind"]),
+        ("moving_average", ["blind", "informed"]),
+        ("savgol", ["blind", "informed"]),
+        ("kalman_rts", ["blind", "informed", "oracle"]),
+        ("radial_rts", ["blind", "informed", "oracle"]),
+        ("imm_rts", ["blind", "informed", "oracle"]),
+        ("gaussian_process", ["blind", "informed", "oracle"]),
+        ("averaging", ["oracle"]),
+    ],
+)
+def test_the_rows_of_the_built_in_attacks(name, adversaries):
+    (plugin,) = registry.parse("attacks", name)
+    assert list(grants(plugin.instance)) == adversaries
+    assert isinstance(plugin.instance, ReconstructionAttack)
