@@ -1,0 +1,196 @@
+"""``python -m attacks``: list the attacks, check one, or begin one of your own."""
+
+from __future__ import annotations
+
+import argparse
+import keyword
+import re
+import shlex
+import sys
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from isac_track.errors import IsacTrackError, SettingsError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+USAGE_ERROR = 2
+INTERRUPTED = 130
+TEMPLATES = {
+    "{name}.py": "attack.py.tmpl",
+    "test_{name}.py": "test_attack.py.tmpl",
+    "pyproject.toml": "pyproject.toml.tmpl",
+    "README.md": "README.md.tmpl",
+}
+_IMPORTED = {"ClassVar", "Knowledge", "Reconstruction"}
+"""Classes that the generated file imports; its own must be called otherwise."""
+_EPILOG = """\
+exit codes: 0 done, 1 a check failed, 2 wrong usage, 130 interrupted
+
+examples:
+  python -m attacks list
+  python -m attacks check kalman_rts
+  python -m attacks check my_package.my_module:MyAttack
+  python -m attacks new my_attack
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        # One line, not the whole usage: the way out is what counts.
+        raise SettingsError(f"{message} (see --help)")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    try:
+        options = parser().parse_args(arguments)
+        if options.command == "check":
+            return _check(options.spec)
+        if options.command == "new":
+            _new(options.name, into=options.into)
+        else:
+            _list()
+    except IsacTrackError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return USAGE_ERROR
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line."""
+    command = _Parser(
+        prog="python -m attacks",
+        description="List the attacks, check one against the attack kit, or begin your own.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = command.add_subparsers(dest="command", title="commands", required=True)
+    commands.add_parser("list", help="what is built in or installed, and which adversaries run it")
+    check = commands.add_parser("check", help="run the attack kit on one attack")
+    check.add_argument(
+        "spec", metavar="SPEC", help="name[:VALUE][,key=value...] or package.module:Class[:...]"
+    )
+    new = commands.add_parser("new", help="write a package with an attack that works, to edit")
+    new.add_argument("name", metavar="NAME", help="a lower-case Python identifier: my_attack")
+    new.add_argument(
+        "--into", type=Path, default=Path(), metavar="DIR", help="where (default: this folder)"
+    )
+    return command
+
+
+def _list() -> None:
+    from isac_track import registry  # noqa: PLC0415 - `--help` stays quick
+    from isac_track.protocols import grants  # noqa: PLC0415
+
+    lines = [("attack", "adversaries", "", "")]
+    skipped = {}
+    for name in registry.names("attacks"):
+        try:
+            (plugin,) = registry.parse("attacks", name)
+        except IsacTrackError as error:
+            skipped[name] = str(error)
+            continue
+        slow = "slow" if getattr(plugin.instance, "slow", False) else ""
+        lines.append((name, ", ".join(grants(plugin.instance)), slow, _summary(plugin.instance)))
+    widths = [max(len(line[column]) for line in lines) for column in range(3)]
+    for name, adversaries, slow, summary in lines:
+        columns = zip((name, adversaries, slow), widths, strict=True)
+        shown = "  ".join(f"{text:<{width}}" for text, width in columns if width)
+        print(f"{shown}  {summary}".rstrip())
+    for name, wrong in skipped.items():
+        print(f"skipped {name}: {wrong}", file=sys.stderr)
+
+
+def _summary(attack: Any) -> str:  # noqa: ANN401 - any frozen dataclass
+    text = (type(attack).__doc__ or "").strip()
+    # A dataclass without a docstring gets its signature for one.
+    written = text and not text.startswith(f"{type(attack).__name__}(")
+    return text.splitlines()[0] if written else ""
+
+
+def _check(spec: str) -> int:
+    from attacks.testing import CHECKS, run_checks  # noqa: PLC0415 - `--help` stays quick
+    from isac_track import registry  # noqa: PLC0415
+    from isac_track.protocols import grants  # noqa: PLC0415
+
+    words = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
+    width = max(map(len, CHECKS))
+    failed = False
+    for plugin in registry.parse("attacks", spec):
+        print(f"{plugin.spec} as {', '.join(grants(plugin.instance))}:")
+        counts = dict.fromkeys(words, 0)
+        for name in CHECKS:  # one by one, for those who watch
+            (result,) = run_checks(plugin.instance, names=(name,))
+            counts[result.status] += 1
+            print(f"  {words[result.status]}  {name:<{width}}  {result.message}".rstrip())
+            sys.stdout.flush()
+        print(", ".join(f"{count} {status}" for status, count in counts.items()))
+        failed = failed or counts["failed"] > 0
+    return int(failed)
+
+
+def _new(name: str, *, into: Path) -> None:
+    class_name = "".join(part.capitalize() for part in name.split("_"))
+    folder = into / name
+    _reject_taken(name, class_name=class_name, folder=folder)
+    shown = f"./{name}" if into == Path() else shlex.quote(str(folder))
+    commands = {
+        "install": f"pip install -e {shown}",
+        "pytest": f"pytest {shown.removeprefix('./')}",
+        "matrix": f"python -m evaluation.matrix --preset smoke --attack {name}",
+    }
+    sources = files("attacks") / "templates"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for target, source in TEMPLATES.items():
+            template = Template((sources / source).read_text(encoding="utf-8"))
+            text = template.substitute(commands, name=name, class_name=class_name)
+            (folder / target.format(name=name)).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
+    print(f"wrote {folder}: an attack that works; edit {folder / name}.py, then:")
+    for line in commands.values():
+        print(f"  {line}")
+
+
+def _reject_taken(name: str, *, class_name: str, folder: Path) -> None:
+    """Raise for a name that would clash with something or cannot be imported.
+
+    Raises
+    ------
+    SettingsError
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        better = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+        hint = f"; did you mean {better!r}?" if better[:1].isalpha() and better != name else ""
+        raise SettingsError(
+            f"{name!r} must be a lower-case Python identifier, as my_attack is{hint}"
+        )
+    if keyword.iskeyword(name) or keyword.iskeyword(class_name):
+        raise SettingsError(f"{name!r} is a word of Python itself; take another name")
+    if class_name in _IMPORTED:
+        raise SettingsError(
+            f"{name!r} would call its class {class_name}, which is taken; take another name"
+        )
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise SettingsError(f"{folder} is there already; take another name, or --into DIR")
+    from isac_track.registry import names  # noqa: PLC0415 - `--help` stays quick
+
+    if name in names("attacks"):
+        raise SettingsError(f"{name!r} is the name of an attack already; take another name")
+    # A folder without a module, such as an empty one of that name, is in nobody's way.
+    spec = find_spec(name)
+    if name in sys.stdlib_module_names or (spec is not None and spec.origin is not None):
+        raise SettingsError(f"{name!r} is the name of a Python module already; take another name")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,260 @@
+"""Gaussian-process regression of each axis on time, in linear time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias, get_args
+
+import numpy as np
+from scipy.special import comb
+
+from attacks.reconstruction.learning import around, choose
+from attacks.reconstruction.noise import learn_variance
+from isac_track.types import Knowledge, Reconstruction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from isac_track.protocols import AttackContext
+    from isac_track.types import Floats, Ints, Release
+
+Smoothness: TypeAlias = Literal["matern32", "matern52"]
+Engine: TypeAlias = Literal["state_space", "sklearn"]
+
+TREND_STD = (100.0, 10.0)
+"""m and m/s: of the line that the process varies about, far more than any walk needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class GaussianProcess:
+    """A Matern process about a straight line, one per axis and track; noise as estimated.
+
+    The line starts at the first shared position plus an offset, and has a slope; both have vague
+    Gaussian priors (`TREND_STD`) and are estimated along with the process, so that neither
+    place nor speed of a walk is pulled to a mean. The engine `state_space` writes line and
+    process as one linear stochastic differential equation and runs a Kalman filter and a
+    Rauch-Tung-Striebel smoother over all tracks at once; `sklearn` solves the same dense system
+    track by track, in cubic time, for comparison.
+
+    References
+    ----------
+    Hartikainen, Sarkka, "Kalman filtering and smoothing solutions to temporal Gaussian process
+    regression models", IEEE MLSP, 2010. Rasmussen, Williams, *Gaussian Processes for Machine
+    Learning*, 2006: sections 2.2, 4.2.1.
+    """
+
+    length_s: float | None = None
+    """s; None, together with `scale_m`: learnt from the training set, or `DEFAULT` without one."""
+    scale_m: float | None = None
+    """m, standard deviation of the process about the line."""
+    smoothness: Smoothness = "matern32"
+    engine: Engine = "state_space"
+
+    slow: ClassVar[bool] = True
+    seconds_per_sample: ClassVar[float] = 3.2e-6
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset(
+        {Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA}
+    )
+    DEFAULT: ClassVar[tuple[float, float]] = (12.0, 2.5)
+
+    def __post_init__(self) -> None:
+        if (self.length_s is None) != (self.scale_m is None):
+            raise ValueError("give both length_s and scale_m, or neither to have them learnt")
+        for name in ("length_s", "scale_m"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive, got {value}")
+        for name, known in (("smoothness", Smoothness), ("engine", Engine)):
+            if getattr(self, name) not in get_args(known):
+                raise ValueError(
+                    f"{name} must be one of {get_args(known)}, got {getattr(self, name)!r}"
+                )
+
+    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+        """Return the regression of releases like those in the training set."""
+        variance = learn_variance(context)
+        if self.length_s is not None and self.scale_m is not None:
+            kernel = (self.length_s, self.scale_m)
+        else:
+            kernel = choose(
+                context,
+                default=self.DEFAULT,
+                candidates=CANDIDATES,
+                # The engines agree, and the candidates are many.
+                reconstruct=lambda kernel, release: (
+                    smooth(release, variance(release), kernel=kernel, smoothness=self.smoothness).xy
+                ),
+            )
+        return partial(
+            _reconstruct,
+            variance=variance,
+            kernel=kernel,
+            smoothness=self.smoothness,
+            engine=self.engine,
+        )
+
+
+CANDIDATES = tuple(
+    (GaussianProcess.DEFAULT[0], scale_m)
+    for scale_m in around(GaussianProcess.DEFAULT[1], factor=2.0)
+)
+
+
+def _reconstruct(
+    release: Release,
+    *,
+    variance: Callable[[Release], Floats],
+    kernel: tuple[float, float],
+    smoothness: Smoothness,
+    engine: Engine,
+) -> Reconstruction:
+    solve = smooth if engine == "state_space" else solve_sklearn
+    return solve(release, variance(release), kernel=kernel, smoothness=smoothness)
+
+
+def smooth(
+    release: Release, variance: Floats, *, kernel: tuple[float, float], smoothness: Smoothness
+) -> Reconstruction:
+    """Return the posterior of every track at its samples, by filter and smoother.
+
+    Step k of all tracks that are so long is taken at once.
+
+    Parameters
+    ----------
+    release : Release
+    variance : (M,) m^2
+        Error variance per axis.
+    kernel : tuple of two floats
+        Length, s, and scale, m.
+    smoothness : {"matern32", "matern52"}
+    """
+    offsets = release.offsets
+    rows, starts = _by_step(offsets)
+    first = release.xy[offsets[:-1]]
+    xy = (release.xy - np.repeat(first, np.diff(offsets), axis=0))[rows]
+    noise = variance[rows]
+    elapsed_s = np.diff(release.t, prepend=release.t[0])
+    elapsed_s[offsets[:-1]] = 0.0  # not since the end of another track
+    step_s = elapsed_s[rows]
+    prior = _prior(kernel, smoothness)
+    size = prior.shape[0]
+    measured = np.r_[1.0, 0.0, 1.0, np.zeros(size - 3)]  # position on the line plus the process
+    mean = np.zeros((rows.size, 2, size))
+    cov = np.empty((rows.size, size, size))
+    ahead_mean, ahead_cov = np.zeros_like(mean), np.empty_like(cov)
+    ahead_cov[: starts[1]] = prior
+    move = _transitions(step_s, kernel=kernel, smoothness=smoothness)
+    process = prior.copy()
+    process[:2] = 0.0  # the line does not move
+    grown = process - move @ process @ move.swapaxes(1, 2)
+    previous = slice(0, 0)
+    for lo, hi in pairwise(starts.tolist()):
+        now = slice(lo, hi)
+        if lo > 0:
+            before = slice(previous.start, previous.start + hi - lo)
+            there = move[now].swapaxes(1, 2)
+            ahead_mean[now] = mean[before] @ there
+            ahead_cov[now] = move[now] @ cov[before] @ there + grown[now]
+        towards = ahead_cov[now] @ measured  # (n, d) covariance with what is measured
+        spread = towards @ measured + noise[now]
+        innovation = xy[now] - ahead_mean[now] @ measured
+        gain = towards / spread[:, None]
+        mean[now] = ahead_mean[now] + innovation[:, :, None] * gain[:, None, :]
+        cov[now] = ahead_cov[now] - gain[:, :, None] * towards[:, None, :]
+        previous = now
+    for lo, hi, top in zip(starts[-3::-1], starts[-2:0:-1], starts[:1:-1], strict=True):
+        later, here = slice(hi, top), slice(lo, lo + top - hi)
+        back = np.linalg.solve(ahead_cov[later], move[later] @ cov[here])  # gain, transposed
+        mean[here] += (mean[later] - ahead_mean[later]) @ back
+        cov[here] += back.swapaxes(1, 2) @ (cov[later] - ahead_cov[later]) @ back
+    place = np.empty_like(release.xy)
+    place[rows] = mean @ measured + first[_owners(offsets)[rows]]
+    std = np.empty(rows.size)
+    std[rows] = np.sqrt(np.maximum((cov @ measured) @ measured, 0.0))
+    return Reconstruction(place, std)
+
+
+def solve_sklearn(
+    release: Release, variance: Floats, *, kernel: tuple[float, float], smoothness: Smoothness
+) -> Reconstruction:
+    """Return what `smooth` does, track by track with scikit-learn's regressor."""
+    # Only where it is asked for: the import takes a second.
+    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
+    from sklearn.gaussian_process.kernels import (  # noqa: PLC0415
+        ConstantKernel,
+        DotProduct,
+        Matern,
+    )
+
+    length_s, scale_m = kernel
+    offset, slope = (ConstantKernel(std**2, "fixed") for std in TREND_STD)
+    curve = Matern(length_s, "fixed", nu=1.5 if smoothness == "matern32" else 2.5)
+    covariance = offset + slope * DotProduct(0.0, "fixed") + ConstantKernel(scale_m**2) * curve
+    place, std = np.empty_like(release.xy), np.empty(release.t.size)
+    for lo, hi in pairwise(release.offsets):
+        clock = (release.t[lo:hi] - release.t[lo])[:, None]
+        regressor = GaussianProcessRegressor(
+            kernel=covariance, alpha=variance[lo:hi], optimizer=None
+        )
+        regressor.fit(clock, release.xy[lo:hi] - release.xy[lo])
+        mean, spread = regressor.predict(clock, return_std=True)
+        place[lo:hi] = mean + release.xy[lo]
+        std[lo:hi] = spread[:, 0]
+    return Reconstruction(place, std)
+
+
+def _prior(kernel: tuple[float, float], smoothness: Smoothness) -> Floats:
+    """Return the covariance of (offset, slope, process and its derivatives), (d, d)."""
+    length_s, scale_m = kernel
+    if smoothness == "matern32":
+        rate = np.sqrt(3.0) / length_s
+        process = np.diag([1.0, rate**2])
+    else:
+        rate = np.sqrt(5.0) / length_s
+        cross = rate**2 / 3.0
+        process = np.array([[1.0, 0.0, -cross], [0.0, cross, 0.0], [-cross, 0.0, rate**4]])
+    prior = np.diag(np.r_[np.square(TREND_STD), np.zeros(len(process))])
+    prior[2:, 2:] = scale_m**2 * process
+    return prior
+
+
+def _transitions(step_s: Floats, *, kernel: tuple[float, float], smoothness: Smoothness) -> Floats:
+    """Return exp(F step), (M, d, d): of the line and of the process with its derivatives."""
+    length_s = kernel[0]
+    nilpotent = 2 if smoothness == "matern32" else 3
+    rate = np.sqrt(2.0 * nilpotent - 1.0) / length_s
+    drift = np.diag(np.ones(nilpotent - 1), k=1)
+    # Characteristic polynomial (s + rate)^n: F + rate 1 is nilpotent, its exponential finite.
+    powers = np.arange(nilpotent, 0, -1)
+    drift[-1] = -comb(nilpotent, powers) * rate**powers
+    rest = drift + rate * np.eye(nilpotent)
+    tau = step_s[:, None, None]
+    series = np.eye(nilpotent) + tau * rest + tau**2 / 2.0 * (rest @ rest)  # the rest is zero
+    move = np.zeros((step_s.size, nilpotent + 2, nilpotent + 2))
+    move[:, :2, :2] = np.eye(2)
+    move[:, 0, 1] = step_s
+    move[:, 2:, 2:] = np.exp(-rate * tau) * series
+    return move
+
+
+def _owners(offsets: Ints) -> Ints:
+    owners: Ints = np.repeat(np.arange(offsets.size - 1), np.diff(offsets))
+    return owners
+
+
+def _by_step(offsets: Ints) -> tuple[Ints, Ints]:
+    """Return samples ordered by step, (M,), and where each step begins, (K + 1,).
+
+    Within a step the longest tracks come first: those that go on are the first ones of it.
+    """
+    sizes = np.diff(offsets)
+    rank = np.empty_like(sizes)
+    rank[np.argsort(-sizes, kind="stable")] = np.arange(sizes.size)
+    owners = _owners(offsets)
+    step = np.arange(owners.size) - offsets[owners]
+    rows = np.lexsort((rank[owners], step))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(step))])
+    return rows, starts

@@ -1,0 +1,141 @@
+"""Smoothing with both moods of a walk: interacting models, then Rauch-Tung-Striebel per pair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.reconstruction.learning import around, choose
+from attacks.reconstruction.noise import learn_variance
+from isac_track.imm_kernels import imm_filter, imm_smoother
+from isac_track.types import Knowledge, Reconstruction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from isac_track.protocols import AttackContext
+    from isac_track.types import Floats, Release
+
+PRIOR_STD = (100.0, 10.0)
+"""m around the first sample and m/s around rest: far more than any walk."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImmRTS:
+    """Two constant-velocity models, walking on and stopping or turning, with a Markov chain.
+
+    The default densities reconstruct the bundled crowd best; the robot's tracker `kalman_imm`
+    foresees a second and has a calmer first mode. The smoother is Barber's expectation
+    correction; see `isac_track.imm_kernels`.
+
+    References
+    ----------
+    Blom, Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian
+    switching coefficients", IEEE Trans. Automatic Control 33(8), 1988, 780-783. Barber,
+    "Expectation correction for smoothed inference in switching linear dynamical systems",
+    J. Machine Learning Research 7, 2006, 2515-2540.
+    """
+
+    q: float | None = None
+    """m^2/s^3 while walking on; None, together with `q_turn`: learnt from the training set, or
+    `DEFAULT_Q` without one."""
+    q_turn: float | None = None
+    """m^2/s^3 while stopping or turning."""
+    walk_s: float = 4.0
+    """Mean time of walking on."""
+    turn_s: float = 1.5
+    """Mean time of stopping or turning."""
+
+    slow: ClassVar[bool] = True
+    seconds_per_sample: ClassVar[float] = 2e-6
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset(
+        {Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA}
+    )
+    DEFAULT_Q: ClassVar[tuple[float, float]] = (0.03, 0.12)
+
+    def __post_init__(self) -> None:
+        if (self.q is None) != (self.q_turn is None):
+            raise ValueError("give both q and q_turn, or neither to have them learnt")
+        for name in ("q", "q_turn", "walk_s", "turn_s"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive, got {value}")
+
+    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+        """Return the smoother of releases like those in the training set."""
+        variance = learn_variance(context)
+        stay_s = (self.walk_s, self.turn_s)
+        if self.q is not None and self.q_turn is not None:
+            density = (self.q, self.q_turn)
+        else:
+            density = choose(
+                context,
+                default=self.DEFAULT_Q,
+                candidates=CANDIDATES,
+                reconstruct=lambda density, release: (
+                    smooth(release, variance(release), density=density, stay_s=stay_s).xy
+                ),
+            )
+        return partial(_reconstruct, variance=variance, density=density, stay_s=stay_s)
+
+
+CANDIDATES = tuple(zip(*(around(density, factor=4.0) for density in ImmRTS.DEFAULT_Q), strict=True))
+
+
+def smooth(
+    release: Release,
+    variance: Floats,
+    *,
+    density: tuple[float, float],
+    stay_s: tuple[float, float],
+) -> Reconstruction:
+    """Return smoothed positions of a release.
+
+    Parameters
+    ----------
+    release : Release
+    variance : (M,) m^2
+        Error variance per axis.
+    density : tuple of two floats
+        m^2/s^3, spectral density of the acceleration while walking on and while turning.
+    stay_s : tuple of two floats
+        Mean time of walking on and of turning.
+    """
+    n_tracks = len(release)
+    mean = np.zeros((n_tracks, 2, 2))
+    mean[:, :, 0] = release.xy[release.offsets[:-1]]
+    stay = np.array(stay_s)
+    leave, come = 1.0 / stay
+    q, rates = np.array(density), np.array([[-leave, leave], [come, -come]])
+    filtered = imm_filter(
+        t=release.t,
+        xy=release.xy,
+        variance=variance,
+        offsets=release.offsets,
+        q=q,
+        rates=rates,
+        initial_mean=mean,
+        initial_cov=np.broadcast_to(np.diag(PRIOR_STD) ** 2, (n_tracks, 2, 2)),
+        initial_probability=stay / stay.sum(),  # what the chain tends to
+    )
+    smoothed = imm_smoother(
+        t=release.t, offsets=release.offsets, q=q, rates=rates, filtered=filtered
+    )
+    cov = smoothed.mixed_cov
+    # The spread between the modes couples the axes; what is claimed is their mean variance.
+    std = np.sqrt((cov[:, 0, 0] + cov[:, 2, 2]) / 2.0)
+    return Reconstruction(smoothed.mixed_mean[:, :, 0], std)
+
+
+def _reconstruct(
+    release: Release,
+    *,
+    variance: Callable[[Release], Floats],
+    density: tuple[float, float],
+    stay_s: tuple[float, float],
+) -> Reconstruction:
+    return smooth(release, variance(release), density=density, stay_s=stay_s)

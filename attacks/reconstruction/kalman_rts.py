@@ -1,0 +1,117 @@
+"""The smoother that everybody would try first: constant velocity, Rauch-Tung-Striebel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.reconstruction.learning import around, choose
+from attacks.reconstruction.noise import learn_variance
+from isac_track.kernels import smooth_positions
+from isac_track.types import Knowledge, Reconstruction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from isac_track.protocols import AttackContext
+    from isac_track.types import Floats, Release
+
+PRIOR_STD = (100.0, 10.0)
+"""m around the first sample and m/s around rest: far more than any walk."""
+
+
+@dataclass(frozen=True, slots=True)
+class KalmanRTS:
+    """Constant velocity, white-noise acceleration; exact for Gaussian errors of known variance."""
+
+    q: float | None = None
+    """m^2/s^3; None: learnt from the training set, or `DEFAULT_Q` without one."""
+
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset(
+        {Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA}
+    )
+    DEFAULT_Q: ClassVar[float] = 0.04
+
+    def __post_init__(self) -> None:
+        if self.q is not None and not (np.isfinite(self.q) and self.q > 0):
+            raise ValueError(f"q must be positive, got {self.q}")
+
+    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+        """Return the smoother of releases like those in the training set."""
+        return fitted(context, q=self.q, default=self.DEFAULT_Q, candidates=CANDIDATES)
+
+
+CANDIDATES = around(KalmanRTS.DEFAULT_Q, factor=4.0)
+
+
+def fitted(
+    context: AttackContext,
+    *,
+    q: float | None,
+    default: float,
+    candidates: Sequence[float],
+    passes: int = 1,
+    anneal: float = 0.0,
+) -> Callable[[Release], Reconstruction]:
+    """Return the smoother of releases like those in the training set.
+
+    Parameters
+    ----------
+    context : AttackContext
+    q : float or None
+        m^2/s^3; None: learnt.
+    default : float
+        Without a training set.
+    candidates : sequence of float
+        With one.
+    passes, anneal
+        Of `isac_track.kernels.smooth_positions`.
+    """
+    variance = learn_variance(context)
+    if q is None and Knowledge.TRAIN in context.granted:
+        known = variance(context.train.release)  # once for all candidates
+        q = choose(
+            context,
+            default=default,
+            candidates=candidates,
+            reconstruct=lambda q, release: (
+                smooth(release, known, q=q, passes=passes, anneal=anneal).xy
+            ),
+        )
+    density = default if q is None else q
+    return lambda release: smooth(
+        release, variance(release), q=density, passes=passes, anneal=anneal
+    )
+
+
+def smooth(
+    release: Release, variance: Floats, *, q: float, passes: int = 1, anneal: float = 0.0
+) -> Reconstruction:
+    """Return smoothed positions of a release with error variance per axis `variance`, (M,) m^2.
+
+    `passes` and `anneal` are those of `isac_track.kernels.smooth_positions`.
+    """
+    mean, cov = diffuse_prior(release)
+    position, spread = smooth_positions(
+        t=release.t,
+        xy=release.xy,
+        variance=variance,
+        offsets=release.offsets,
+        q=q,
+        initial_mean=mean,
+        initial_cov=cov,
+        passes=passes,
+        anneal=anneal,
+    )
+    return Reconstruction(position, np.sqrt(spread))
+
+
+def diffuse_prior(release: Release) -> tuple[Floats, Floats]:
+    """Return mean (N, 2, 2) and covariance (N, 2, 2): at rest at the first sample, hardly sure."""
+    mean = np.zeros((len(release), 2, 2))
+    mean[:, :, 0] = release.xy[release.offsets[:-1]]
+    cov = np.diag(PRIOR_STD) ** 2
+    return mean, np.broadcast_to(cov, (len(release), 2, 2))

@@ -1,0 +1,111 @@
+"""Local parabolas: the Savitzky-Golay filter on the mean interval of every track."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.reconstruction.learning import around, choose
+from attacks.reconstruction.windows import half_windows
+from isac_track.types import Knowledge, Reconstruction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from isac_track.protocols import AttackContext
+    from isac_track.types import Floats, Ints, Release
+
+_BIAS_ORDER = 4
+_LEAST_HALF = 2
+"""A parabola through three samples smooths nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Savgol:
+    """Least-squares parabolas over a moving window, wider where a track is noisier.
+
+    At the middle of a window of width h a parabola (and a cubic, which is the same there) is off
+    by a multiple of h^4 times the fourth derivative of the walk; errors of standard deviation s
+    leave a variance of 9 s^2 dt / (4 h). Their mean square is least at an h that grows as
+    s^(2/9). With s from the innovations of each track, its window is
+    ``width_s * (s / 0.5 m)^(2/9)``, rounded to an odd number of samples and no longer than the
+    track. A track of one or two samples is returned as it is.
+
+    A track is interpolated onto as many instants at its mean interval, and back.
+
+    References
+    ----------
+    Savitzky, Golay, "Smoothing and differentiation of data by simplified least squares
+    procedures", Analytical Chemistry 36(8), 1964, 1627-1639.
+    """
+
+    width_s: float | None = None
+    """s, at errors of 0.5 m per axis; None: learnt from the training set, or `DEFAULT_WIDTH_S`
+    without one."""
+
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    DEFAULT_WIDTH_S: ClassVar[float] = 6.5
+
+    def __post_init__(self) -> None:
+        if self.width_s is not None and not (np.isfinite(self.width_s) and self.width_s > 0):
+            raise ValueError(f"width_s must be positive, got {self.width_s}")
+
+    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+        """Return the filter of releases like those in the training set."""
+        width_s = self.width_s
+        if width_s is None:
+            width_s = choose(
+                context,
+                default=self.DEFAULT_WIDTH_S,
+                candidates=CANDIDATES,
+                reconstruct=lambda width_s, release: smooth(release, width_s=width_s).xy,
+            )
+        return partial(smooth, width_s=width_s)
+
+
+CANDIDATES = around(Savgol.DEFAULT_WIDTH_S, factor=2.0)
+
+
+def smooth(release: Release, *, width_s: float) -> Reconstruction:
+    """Return every track filtered over windows fit for its noise.
+
+    Parameters
+    ----------
+    release : Release
+    width_s : float
+        s, at errors of 0.5 m per axis.
+    """
+    half = half_windows(release, width_s=width_s, bias_order=_BIAS_ORDER)
+    half = np.minimum(np.maximum(half, _LEAST_HALF), (np.diff(release.offsets) - 1) // 2)
+    return Reconstruction(parabolas(t=release.t, xy=release.xy, offsets=release.offsets, half=half))
+
+
+def parabolas(*, t: Floats, xy: Floats, offsets: Ints, half: Ints) -> Floats:
+    """Return positions filtered with a window of ``2 half + 1`` samples for each track, (M, 2) m.
+
+    On the grid equal to ``scipy.signal.savgol_filter(..., 2 * half + 1, 2, mode="interp")``; a
+    track with `half` 0 stays as it is.
+
+    Parameters
+    ----------
+    t : (M,) s
+    xy : (M, 2) m
+    offsets : (N + 1,) int
+    half : (N,) int
+        Samples on each side of the middle; no window exceeds its track.
+    """
+    out = np.empty_like(xy)
+    loop = import_module("attacks.reconstruction._parabola_loop")
+    loop.fit_parabolas(
+        np.ascontiguousarray(t),
+        np.ascontiguousarray(xy),
+        np.ascontiguousarray(offsets),
+        np.ascontiguousarray(half),
+        out,
+    )
+    return out

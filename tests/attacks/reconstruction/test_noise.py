@@ -1,0 +1,218 @@
+"""What an adversary takes for the noise of each sample: blind, declared, and by the FID rule."""
+
+from dataclasses import dataclass
+from inspect import getclosurevars
+
+import numpy as np
+import pytest
+
+from attacks.reconstruction.noise import learn_variance
+from isac_track.noise import MIN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, innovation_variance_m2
+from isac_track.protocols import AttackContext, TrainingSet
+from isac_track.rng import stream
+from isac_track.sensing import fisher_information_density, unit_errors
+from isac_track.sharing import Clean, Fid, Fixed, Raw
+from isac_track.types import Knowledge, Sensed
+
+MECHANISM, SIGMA, TRAIN = Knowledge.MECHANISM, Knowledge.SIGMA, Knowledge.TRAIN
+SHORT_S, LONG_S = 0.08, 0.2
+GAP = 4.6
+RAW_M = 0.3
+ETA = (GAP / RAW_M) ** 2 / 0.125
+"""At RAW_M information lasts for 0.125 s: intervals of 0.08 s exceed eta, those of 0.2 s do not."""
+ADDED_M = 0.5 * (1.5 - np.exp(-(0.125 / SHORT_S - 1.0)))
+"""What the rule then adds, 0.465 m, written out."""
+VARIANCE_M2 = {  # per axis, radial: (short intervals, long ones)
+    "linear": ((RAW_M + ADDED_M) ** 2 / 2, RAW_M**2 / 2),
+    "independent": ((RAW_M**2 + ADDED_M**2) / 2, RAW_M**2 / 2),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """A release, the truth behind it, and what was sensed."""
+
+    release: object
+    truth: np.ndarray
+    sensed: Sensed
+    is_short: np.ndarray
+
+    @property
+    def training(self):
+        return TrainingSet(self.release, self.truth)
+
+
+def shared(mechanism, *, raw_m=(RAW_M,), n_samples=300, law="radial", hold=10, seed=0):
+    """Straight walks, one for each raw standard deviation; the interval changes every `hold`."""
+    rng = stream(seed, "test", "fid noise", len(raw_m))
+    n = len(raw_m)
+    spells = rng.integers(0, 2, (n, -(-n_samples // hold)))
+    is_short = np.repeat(spells, hold, axis=1)[:, :n_samples] == 1
+    second = min(1, n_samples - 1)
+    is_short[:, 0] = is_short[:, second]  # the rule takes the next interval for the first sample
+    interval_s = np.where(is_short, SHORT_S, LONG_S)
+    t = np.cumsum(interval_s, axis=1)
+    truth = (rng.normal(0, 1, (n, 1, 2)) * t[..., None] + rng.normal(0, 5, (n, 1, 2))).reshape(
+        -1, 2
+    )
+    sigma = np.repeat(raw_m, n_samples)
+    unit = unit_errors(n_samples=sigma.size, law=law, rng=rng)
+    offsets = np.arange(n + 1) * n_samples
+    information = (GAP / sigma) ** 2
+    sensed = Sensed(
+        t=t.reshape(-1),
+        xy=truth + sigma[:, None] * unit,
+        unit_error=unit,
+        sigma_raw=sigma,
+        information=information,
+        fid=fisher_information_density(information=information, t=t.reshape(-1), offsets=offsets),
+        offsets=offsets,
+        law=law,
+    )
+    return Shared(mechanism.share(sensed, rng), truth, sensed, is_short.reshape(-1))
+
+
+def context(*granted, mechanism=None, train=None):
+    return AttackContext(
+        rng=stream(0, "test"),
+        epsilon_m=0.3,
+        granted=frozenset(granted),
+        mechanism=mechanism,
+        train=train,
+    )
+
+
+def blind(release):
+    return learn_variance(context())(release)
+
+
+class TestBlind:
+    def test_each_track_has_the_level_of_its_innovations(self):
+        release = shared(Raw(), raw_m=(0.1, 0.4, 1.5)).release.without_sigma()
+        level = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
+        assert blind(release).tolist() == np.repeat(level, 300).tolist()
+        assert level == pytest.approx([0.01 / 2, 0.16 / 2, 2.25 / 2], rel=0.3)
+
+    def test_too_short_a_track_has_the_unknown_level(self):
+        release = shared(Raw(), raw_m=(0.1, 0.2), n_samples=2).release
+        assert blind(release).tolist() == [UNKNOWN_VARIANCE_M2] * 4
+
+    @pytest.mark.parametrize("granted", [(TRAIN,), (MECHANISM,)])
+    def test_half_of_what_the_rule_takes_is_no_more_than_nothing(self, granted):
+        rule = Fid(ETA)
+        victim = shared(rule, seed=1)
+        known = context(*granted, mechanism=rule, train=shared(rule).training)
+        assert learn_variance(known)(victim.release).tolist() == blind(victim.release).tolist()
+
+
+class TestDeclared:
+    def test_without_training_the_radial_law_is_supposed(self):
+        victim = shared(Raw(), raw_m=(0.3, 1.2))
+        variance = learn_variance(context(SIGMA))(victim.release)
+        assert variance.tolist() == pytest.approx(np.repeat([0.09 / 2, 1.44 / 2], 300))
+
+    @pytest.mark.parametrize(("law", "share"), [("radial", 0.5), ("isotropic", 1.0)])
+    def test_the_law_is_learnt_from_other_people(self, law, share):
+        train = shared(Fixed(0.4), raw_m=(0.2, 0.3, 0.6, 0.9), n_samples=4000, law=law).training
+        victim = shared(Fixed(0.4), raw_m=(0.1, 1.0), law="isotropic", seed=1)
+        variance = learn_variance(context(SIGMA, TRAIN, train=train))(victim.release)
+        assert variance / victim.release.sigma**2 == pytest.approx(share, rel=0.05)
+
+    def test_the_very_share_of_a_training_set_by_hand(self):
+        # Squared errors 1 + 4 over declared 4 + 1, on two axes: one half of each.
+        case = shared(Raw(), raw_m=(1.0,), n_samples=2)
+        release = type(case.release)(
+            t=np.array([0.0, 1.0]),
+            xy=np.array([[1.0, 0.0], [0.0, 2.0]]),
+            sigma=np.array([2.0, 1.0]),
+            offsets=np.array([0, 2]),
+            pseudonym=("p",),
+        )
+        train = TrainingSet(release, np.zeros((2, 2)))
+        variance = learn_variance(context(SIGMA, TRAIN, train=train))(release)
+        assert variance.tolist() == pytest.approx([2.0, 0.5])
+
+    def test_what_was_declared_exact_keeps_a_variance(self):
+        case = shared(Clean())
+        granted = context(SIGMA, TRAIN, train=case.training)
+        assert (learn_variance(granted)(case.release) == MIN_VARIANCE_M2).all()
+
+
+RULES = pytest.mark.parametrize("adding", ["linear", "independent"])
+TRAINING_M = np.geomspace(0.08, 1.2, 24)
+
+
+def informed(rule, *, seed=0):
+    train = shared(rule, raw_m=TRAINING_M, n_samples=600, seed=seed).training
+    return learn_variance(context(MECHANISM, TRAIN, mechanism=rule, train=train))
+
+
+def per_track(values, chosen):
+    """The mean over the chosen samples of each track of 300 samples, (N,)."""
+    return np.array(
+        [values[lo : lo + 300][chosen[lo : lo + 300]].mean() for lo in range(0, values.size, 300)]
+    )
+
+
+class TestByTheRule:
+    @RULES
+    def test_the_fixture_perturbs_the_short_intervals_and_no_others(self, adding):
+        case = shared(Fid(ETA, adding=adding))
+        is_perturbed = case.release.sigma > case.sensed.sigma_raw
+        assert 50 < is_perturbed.sum() < 250
+        assert is_perturbed.tolist() == case.is_short.tolist()
+        variance = np.where(case.is_short, *VARIANCE_M2[adding])
+        assert case.release.sigma**2 / 2 == pytest.approx(variance)
+
+    @RULES
+    def test_it_is_inferred_which_samples_were_perturbed_and_by_how_much(self, adding):
+        rule = Fid(ETA, adding=adding)
+        victims = shared(rule, raw_m=(RAW_M,) * 60, seed=1)
+        release = victims.release.without_sigma()
+        variance = informed(rule)(release)
+        short = per_track(variance, victims.is_short)
+        long = per_track(variance, ~victims.is_short)
+        assert (short > long).mean() > 0.75
+        assert (short > long * (1 - 1e-9)).all()  # alike where all or none were perturbed
+        true_short, true_long = VARIANCE_M2[adding]
+        assert 0.5 < np.log(np.median(short / long)) / np.log(true_short / true_long) < 1.3
+        # Blind there is one level for all of a track, and its mean is the same.
+        assert per_track(blind(release), victims.is_short) == pytest.approx(
+            per_track(blind(release), ~victims.is_short)
+        )
+        everything = np.ones(variance.size, dtype=bool)
+        assert per_track(variance, everything) == pytest.approx(
+            per_track(blind(release), everything)
+        )
+
+    @RULES
+    def test_far_from_the_threshold_all_samples_of_a_track_are_alike(self, adding):
+        rule = Fid(ETA, adding=adding)
+        for raw_m in (0.05, 2.0):  # all perturbed in full, none perturbed
+            victims = shared(rule, raw_m=(raw_m,) * 20, seed=1)
+            variance = informed(rule)(victims.release.without_sigma())
+            ratio = per_track(variance, victims.is_short) / per_track(variance, ~victims.is_short)
+            assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
+
+    @RULES
+    @pytest.mark.parametrize("seed", range(4))
+    def test_the_gap_of_the_estimator_is_learnt(self, adding, seed):
+        learnt = getclosurevars(informed(Fid(ETA, adding=adding), seed=seed)).nonlocals["gap"]
+        assert GAP / 1.3 < learnt < GAP * 1.3
+
+    @RULES
+    def test_tracks_of_one_and_two_samples_are_no_trouble(self, adding):
+        rule = Fid(ETA, adding=adding)
+        learnt = informed(rule)
+        for n_samples in (1, 2, 3):
+            victims = shared(rule, raw_m=(0.1, 0.3), n_samples=n_samples)
+            variance = learnt(victims.release)
+            assert variance.shape == (2 * n_samples,)
+            assert (variance > 0).all()
+
+    @pytest.mark.parametrize("mechanism", [Raw(), Fixed(0.5), Fixed(0.5, adding="independent")])
+    def test_other_rules_tell_nothing_more_than_the_positions(self, mechanism):
+        train = shared(mechanism, raw_m=TRAINING_M).training
+        victim = shared(mechanism, seed=1).release
+        known = context(MECHANISM, TRAIN, mechanism=mechanism, train=train)
+        assert learn_variance(known)(victim).tolist() == blind(victim).tolist()

@@ -1,0 +1,306 @@
+"""`python -m attacks`: list, check, and a package of one's own in one command."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from attacks import __main__ as command
+from attacks.__main__ import main
+from attacks.testing import CHECKS
+from isac_track import registry
+
+TESTS = Path(__file__).parents[1]
+DOCS = TESTS.parent / "docs" / "attacks.md"
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """Pretend that somebody has installed these attacks."""
+
+    def install(**points):
+        found = tuple(
+            EntryPoint(name=name, value=value, group="isac_track.attacks")
+            for name, value in points.items()
+        )
+        monkeypatch.setattr(
+            registry, "_entry_points", lambda kind: found if kind == "attacks" else ()
+        )
+
+    return install
+
+
+class TestList:
+    def test_names_rows_and_what_they_do(self, capsys, installed):
+        installed(mine="broken_attacks:OneFrameForAll")
+        assert main(["list"]) == 0
+        captured = capsys.readouterr()
+        head, *lines = captured.out.splitlines()
+        assert head.split() == ["attack", "adversaries"]
+        assert [line.split()[0] for line in lines] == list(registry.names("attacks"))
+        assert re.search(
+            r"^identity +blind +Return the shared positions", captured.out, re.MULTILINE
+        )
+        assert re.search(r"^averaging +oracle ", captured.out, re.MULTILINE)
+        assert re.search(r"^kalman_rts +blind, informed, oracle ", captured.out, re.MULTILINE)
+        assert re.search(
+            r"^gaussian_process +blind, informed, oracle +slow ", captured.out, re.MULTILINE
+        )
+        assert re.search(r"^mine +oracle +Averages repeats as if", captured.out, re.MULTILINE)
+        assert captured.err == ""
+
+    def test_a_broken_one_is_reported_and_skipped(self, capsys, installed):
+        installed(lost="no_such_module:Lost", fine="broken_attacks:OwnDice")
+        assert main(["list"]) == 0
+        captured = capsys.readouterr()
+        assert "skipped lost: attack 'lost' cannot be loaded from no_such_module" in captured.err
+        assert "lost" not in captured.out
+        assert re.search(r"^fine +blind$", captured.out, re.MULTILINE)  # and no docstring
+
+
+class TestCheck:
+    def test_an_attack_that_passes(self, capsys):
+        assert main(["check", "identity"]) == 0
+        head, *lines, summary = capsys.readouterr().out.splitlines()
+        assert head == "identity as blind:"
+        assert lines == [f"  pass  {name}" for name in CHECKS]
+        assert summary == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
+
+    def test_an_attack_that_fails(self, capsys):
+        assert main(["check", "broken_attacks:AcrossTracks"]) == 1
+        shown = capsys.readouterr().out
+        assert f"{len(CHECKS) - 1} passed, 1 failed, 0 skipped" in shown
+        columns = {
+            line.index(name) for line in shown.splitlines() for name in CHECKS if name in line
+        }
+        assert columns == {8}
+        (failed,) = re.findall(r"^  FAIL  (\w+) +(.*)$", shown, re.MULTILINE)
+        assert failed[0] == "order_of_tracks_does_not_matter"
+        assert failed[1].startswith("AcrossTracks as blind (granted nothing), 8 walks")
+
+    def test_a_check_that_does_not_apply(self, capsys):
+        assert main(["check", "averaging"]) == 0
+        shown = capsys.readouterr().out
+        assert re.search(
+            r"^  skip  frame_and_clock_do_not_matter +granted SCENE", shown, re.MULTILINE
+        )
+        assert shown.endswith(f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped\n")
+
+    def test_with_parameters(self, capsys):
+        assert main(["check", "kalman_rts:0.1"]) == 0
+        assert capsys.readouterr().out.startswith("kalman_rts:q=0.1 as blind, ")
+
+    @pytest.mark.parametrize(
+        ("spec", "message"),
+        [
+            ("kalman_rst", "unknown attack 'kalman_rst'; did you mean 'kalman_rts'?"),
+            (
+                "no_such_package.module:Attack",
+                "cannot be loaded from no_such_package.module:Attack",
+            ),
+            ("broken_attacks:Nobody", "cannot be loaded from broken_attacks:Nobody"),
+            ("broken_attacks:BROKEN", "broken_attacks:BROKEN must be a frozen dataclass"),
+            ("kalman_rts:-1", "q must be positive"),
+        ],
+    )
+    def test_wrong_usage(self, spec, message, capsys):
+        assert main(["check", spec]) == 2
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert captured.err.startswith("error: ")
+        assert message in captured.err
+
+    def test_interrupted(self, monkeypatch, capsys):
+        def interrupt(_spec):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(command, "_check", interrupt)
+        assert main(["check", "identity"]) == 130
+        assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+class TestNew:
+    def test_says_what_comes_next(self, here, capsys):
+        assert main(["new", "my_attack"]) == 0
+        assert {path.name for path in (here / "my_attack").iterdir()} == {
+            "my_attack.py",
+            "test_my_attack.py",
+            "pyproject.toml",
+            "README.md",
+        }
+        assert capsys.readouterr().out.splitlines()[-3:] == [
+            "  pip install -e ./my_attack",
+            "  pytest my_attack",
+            "  python -m evaluation.matrix --preset smoke --attack my_attack",
+        ]
+
+    def test_the_guide_says_the_same(self, here, capsys):
+        assert main(["new", "my_attack"]) == 0
+        guide = DOCS.read_text(encoding="utf-8")
+        assert "python -m attacks new my_attack\n" in guide
+        readme = (here / "my_attack" / "README.md").read_text(encoding="utf-8")
+        for line in capsys.readouterr().out.splitlines()[-3:]:
+            assert f"\n{line.strip()}\n" in guide
+            assert f"\n{line.strip()}\n" in readme
+
+    def test_somewhere_else(self, here, capsys):
+        assert main(["new", "my_2nd", "--into", str(here / "of mine" / "deep")]) == 0
+        folder = here / "of mine" / "deep" / "my_2nd"
+        assert "class My2nd:" in (folder / "my_2nd.py").read_text(encoding="utf-8")
+        assert f"  pip install -e '{folder}'\n  pytest '{folder}'\n" in capsys.readouterr().out
+
+    def test_an_empty_folder_is_taken(self, here):
+        (here / "my_attack").mkdir()
+        assert main(["new", "my_attack"]) == 0
+        assert (here / "my_attack" / "my_attack.py").is_file()
+
+    def test_nothing_is_left_to_fill_in(self, here):
+        assert main(["new", "my_attack"]) == 0
+        for path in (here / "my_attack").iterdir():
+            assert "$" not in path.read_text(encoding="utf-8")
+
+    def test_it_can_be_installed_under_its_name(self, here):
+        assert main(["new", "my_attack"]) == 0
+        text = (here / "my_attack" / "pyproject.toml").read_text(encoding="utf-8")
+        project = tomllib.loads(text)["project"]
+        assert project["name"] == "my_attack"
+        assert project["entry-points"]["isac_track.attacks"] == {"my_attack": "my_attack:MyAttack"}
+
+    def test_its_own_tests_pass_from_where_it_was_made(self, here):
+        assert main(["new", "my_attack"]) == 0
+        done = run_python(here, "-m", "pytest", "-p", "no:cacheprovider", "my_attack")
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert f"{2 * len(CHECKS)} passed" in done.stdout
+
+    def test_it_is_checked_and_listed_by_name(self, here, capsys, installed, monkeypatch):
+        assert main(["new", "my_attack"]) == 0
+        monkeypatch.syspath_prepend(here / "my_attack")
+        installed(my_attack="my_attack:MyAttack")
+        capsys.readouterr()
+        try:
+            assert main(["check", "my_attack"]) == 0
+            assert capsys.readouterr().out.startswith("my_attack as blind, informed:\n")
+            assert main(["list"]) == 0
+            assert "\nmy_attack         blind, informed" in capsys.readouterr().out
+            assert main(["check", "my_attack:0"]) == 2
+            assert "tau_s must be positive, got 0" in capsys.readouterr().err
+        finally:
+            sys.modules.pop("my_attack", None)
+
+    def test_ruff_and_its_formatter_have_nothing_to_say(self, here):
+        assert main(["new", "a"]) == 0
+        assert main(["new", "zzz_with_quite_a_long_name"]) == 0
+        for words in (["check"], ["format", "--check"]):
+            done = run_python(here, "-m", "ruff", *words, "--no-cache", ".")
+            assert done.returncode == 0, done.stdout + done.stderr
+
+    @pytest.mark.parametrize(
+        ("name", "message"),
+        [
+            ("My_Attack", "'My_Attack' must be a lower-case Python identifier, .* 'my_attack'?"),
+            ("my-attack", "did you mean 'my_attack'?"),
+            ("my attack!", "did you mean 'my_attack'?"),
+            ("../mine", "did you mean 'mine'?"),
+            ("2nd", "must be a lower-case Python identifier, as my_attack is\n"),
+            ("", "must be a lower-case Python identifier, as my_attack is\n"),
+            ("_mine", "must be a lower-case Python identifier"),
+            ("söhne", "must be a lower-case Python identifier"),
+            ("lambda", "'lambda' is a word of Python itself"),
+            ("none", "'none' is a word of Python itself"),
+            ("knowledge", "'knowledge' would call its class Knowledge, which is taken"),
+            ("kalman_rts", "'kalman_rts' is the name of an attack already"),
+            ("statistics", "'statistics' is the name of a Python module already"),
+            ("numpy", "'numpy' is the name of a Python module already"),
+            ("isac_track", "'isac_track' is the name of a Python module already"),
+        ],
+    )
+    def test_a_name_that_cannot_be(self, name, message, here, capsys):
+        assert main(["new", name]) == 2
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert captured.err.startswith("error: ")
+        assert re.search(re.escape(message).replace(r"\.\*", ".*"), captured.err)
+        assert list(here.iterdir()) == []
+
+    @pytest.mark.usefixtures("here")
+    def test_a_name_that_somebody_has_installed(self, capsys, installed):
+        installed(theirs="theirs:Theirs")
+        assert main(["new", "theirs"]) == 2
+        assert "is the name of an attack already" in capsys.readouterr().err
+
+    def test_nothing_is_overwritten(self, here, capsys):
+        assert main(["new", "my_attack"]) == 0
+        mine = here / "my_attack" / "my_attack.py"
+        mine.write_text("work of weeks", encoding="utf-8")
+        assert main(["new", "my_attack"]) == 2
+        assert "my_attack is there already; take another name" in capsys.readouterr().err
+        assert mine.read_text(encoding="utf-8") == "work of weeks"
+
+    def test_a_file_in_the_way(self, here, capsys):
+        (here / "my_attack").write_text("", encoding="utf-8")
+        assert main(["new", "my_attack"]) == 2
+        assert "my_attack is there already" in capsys.readouterr().err
+        assert main(["new", "other", "--into", "my_attack"]) == 2
+        assert "cannot write my_attack" in capsys.readouterr().err
+
+
+class TestCommandLine:
+    @pytest.mark.parametrize("words", [[], ["chekc"], ["check"], ["new"], ["list", "--all"]])
+    def test_wrong_usage_is_one_line(self, words, capsys):
+        assert main(words) == 2
+        assert re.fullmatch(r"error: .* \(see --help\)\n", capsys.readouterr().err)
+
+    @pytest.mark.parametrize("words", [["--help"], ["new", "--help"], ["check", "--help"]])
+    def test_help(self, words, capsys):
+        with pytest.raises(SystemExit) as stopped:
+            main(words)
+        assert stopped.value.code == 0
+        assert "usage: python -m attacks" in capsys.readouterr().out
+
+    def test_help_imports_nothing_heavy(self, tmp_path):
+        code = (
+            "import sys\nfrom attacks.__main__ import parser\nparser().format_help()\n"
+            "sys.exit(', '.join({'numpy', 'scipy', 'numba'} & sys.modules.keys()) or 0)"
+        )
+        assert run_python(tmp_path, "-c", code).returncode == 0
+
+    def test_as_a_module(self, tmp_path):
+        done = run_python(tmp_path, "-m", "attacks", "check", "broken_attacks:Barehanded")
+        assert done.returncode == 1
+        assert "expected a Reconstruction, got ndarray" in done.stdout
+        assert done.stderr == ""
+
+
+class TestGuide:
+    def test_runs_as_it_stands(self, tmp_path):
+        guide = DOCS.read_text(encoding="utf-8")
+        files = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", guide, re.DOTALL)
+        assert [name for name, _ in files][-2:] == ["my_attack.py", "test_my_attack.py"]
+        for name, code in files:
+            (tmp_path / name).write_text(code, encoding="utf-8")
+        done = run_python(tmp_path, "-m", "pytest", "-p", "no:cacheprovider")
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert f"{2 * len(CHECKS)} passed" in done.stdout
+
+
+def run_python(folder, *arguments):
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(TESTS)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
