@@ -21,6 +21,7 @@ COMMANDS = {
     "report": ("evaluation.report", "redraw tables and figures of a run"),
     "calibrate": ("evaluation.calibrate", "refit the constants of the sensing model"),
     "datasets": ("isac_track.datasets.__main__", "list and fetch data sets"),
+    "attacks": ("attacks.__main__", "list, check and begin attacks"),
 }
 
 

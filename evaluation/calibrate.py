@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from evaluation.cell import Block, compute_block
-from evaluation.grid import BLOCK_SCENES, n_blocks
+from evaluation.grid import BLOCK_SCENES, Consumer, n_blocks
 from evaluation.paper import PREDICTOR, PUBLISHED
 from isac_track import datasets, privacy, registry, sensing, sharing
 from isac_track.config import SensingSettings, StageSettings
@@ -207,6 +207,7 @@ def predictions(
     """Return the run's numbers for the paper's levels, ``{(spec, metric): value}``."""
     levels = registry.parse_all("mechanisms", _LEVELS)
     (predictor,) = registry.parse("predictors", PREDICTOR)
+    consumers = (Consumer("shared"), Consumer("predictor", predictor))
     parts: dict[tuple[str, str], list[Floats]] = {}
     for number, (first, order) in enumerate(
         _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
@@ -215,10 +216,10 @@ def predictions(
             number=number,
             first_scene=first,
             order=order,
-            levels=tuple((level, (None, predictor)) for level in levels),
+            levels=tuple((level, consumers) for level in levels),
         )
         for level, consumer, rows in compute_block(block, tracks=tracks, stages=stages, seed=seed):
-            if consumer is None:
+            if consumer.kind == "shared":
                 for metric, column in (("plr", "plr"), ("ael", "ael_s"), ("mel", "mel_s")):
                     parts.setdefault((level.spec, metric), []).append(rows[column])
             else:

@@ -6,31 +6,35 @@ A level is shared once; every consumer of the block reads the same release.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track import privacy
+from evaluation.reconstruction import (
+    attack_rows,
+    descriptors,
+    ground,
+    level,
+    track_columns,
+)
 from isac_track.conflict import is_conflict
 from isac_track.encounter import conflict_probability
 from isac_track.errors import PluginError, SettingsError
 from isac_track.rng import stream
 from isac_track.scenes import make_scenes, predicted_separation, robot_positions
-from isac_track.sensing import draw_channel, sense
+from isac_track.sensing import sense_scenes
 from isac_track.types import Knowledge, Prediction, Release
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from evaluation.grid import Consumer
+    from evaluation.reconstruction import Rows
     from isac_track.config import StageSettings
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Scenes, Sensed
-
-SHARED = "shared"
-"""Consumer of the descriptors as shared."""
-
-Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,17 +45,17 @@ class Block:
     first_scene: int
     order: Ints
     """(S, A) rows of the tracks."""
-    levels: tuple[tuple[Plugin, tuple[Plugin | None, ...]], ...]
-    """Mechanism and its consumers; None stands for the descriptors as shared."""
+    levels: tuple[tuple[Plugin, tuple[Consumer, ...]], ...]
+    """Mechanism and its consumers."""
 
 
 def compute_block(
     block: Block, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[tuple[Plugin, Plugin | None, Rows]]:
+) -> Iterator[tuple[Plugin, Consumer, Rows]]:
     """Yield the rows of every cell of a block.
 
-    Rows of `shared` are per track (scene, agent), those of a predictor per scene; `track` is
-    the row in `tracks` (of the first agent, for a scene).
+    Rows of `shared` and of an attack are per track (scene, agent), those of a predictor per
+    scene; `track` is the row in `tracks` (of the first agent, for a scene).
 
     Raises
     ------
@@ -61,37 +65,51 @@ def compute_block(
     scenes = make_scenes(
         tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
     )
-    sensed = sense_scenes(scenes, stages=stages, seed=seed)
+    sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
+    attacks = [one for _, consumers in block.levels for one in consumers if one.kind == "attack"]
+    attacked = None
+    if attacks:
+        attacked = ground(
+            scenes=scenes,
+            sensed=sensed,
+            tracks=tracks,
+            repeats=any(Knowledge.REPEATS in one.granted for one in attacks),
+            stages=stages,
+            seed=seed,
+        )
     for mechanism, consumers in block.levels:
-        release = _share(mechanism, sensed, block=block.number, seed=seed)
+        release = _share(mechanism, sensed, ("block", block.number), seed=seed)
+        attacked_level = None
         for consumer in consumers:
-            if consumer is None:
+            if consumer.kind == "shared":
                 rows = _descriptors(release, scenes, stages=stages)
+            elif consumer.kind == "predictor":
+                assert consumer.plugin is not None
+                rows = _forecast(consumer.plugin, release, scenes, stages=stages)
             else:
-                rows = _forecast(consumer, release, scenes, stages=stages)
+                assert attacked is not None
+                attacked_level = attacked_level or level(
+                    mechanism=mechanism,
+                    release=release,
+                    share=partial(_share, mechanism, seed=seed),
+                    ground=attacked,
+                    consumers=[one for one in consumers if one.kind == "attack"],
+                    stages=stages,
+                    seed=seed,
+                )
+                rows = attack_rows(
+                    consumer,
+                    level=attacked_level,
+                    ground=attacked,
+                    epsilon_m=stages.privacy.epsilon_m,
+                    seed=seed,
+                )
             yield mechanism, consumer, rows
 
 
-def sense_scenes(scenes: Scenes, *, stages: StageSettings, seed: int) -> Sensed:
-    """Return what the network senses of the histories; every scene draws from its own stream."""
-    channel = draw_channel(
-        n_samples=np.diff(scenes.offsets).reshape(len(scenes), -1),
-        keys=[("scene", int(index)) for index in scenes.index],
-        settings=stages.sensing,
-        seed=seed,
-    )
-    return sense(
-        t=scenes.t,
-        xy=scenes.xy,
-        offsets=scenes.offsets,
-        channel=channel,
-        settings=stages.sensing,
-    )
-
-
-def _share(mechanism: Plugin, sensed: Sensed, *, block: int, seed: int) -> Release:
+def _share(mechanism: Plugin, sensed: Sensed, key: tuple[str | int, ...], *, seed: int) -> Release:
     # Every mechanism gets the same stream: common random numbers.
-    rng = stream(seed, "sharing", "block", block)
+    rng = stream(seed, "sharing", *key)
     try:
         release = mechanism.instance.share(sensed, rng)
     except (Exception, SystemExit) as error:  # a plug-in may do anything
@@ -109,28 +127,21 @@ def _share(mechanism: Plugin, sensed: Sensed, *, block: int, seed: int) -> Relea
     if release.sigma is not None and not (release.sigma >= 0).all():
         raise PluginError(f"mechanism {mechanism.spec!r} declared a sigma below 0 or NaN")
     # Fresh for every release: the common stream gives every mechanism the same ones.
-    names = stream(seed, "pseudonyms", mechanism.spec, "block", block).bytes(8 * len(release))
+    names = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
     fresh = tuple(names[8 * row : 8 * row + 8].hex() for row in range(len(release)))
     return replace(release, pseudonym=fresh)
 
 
 def _descriptors(release: Release, scenes: Scenes, *, stages: StageSettings) -> Rows:
-    leaked = privacy.leakage_indicator(
-        shared_xy=release.xy, true_xy=scenes.xy, epsilon_m=stages.privacy.epsilon_m
-    )
-    exposure = privacy.exposure(leaked=leaked, t=scenes.t, offsets=scenes.offsets)
-    squared_m2 = ((release.xy - scenes.xy) ** 2).sum(axis=1)
-    n_samples = np.diff(scenes.offsets)
     return {
-        "scene": np.repeat(scenes.index, scenes.n_agents),
-        "agent": np.tile(np.arange(scenes.n_agents), len(scenes)),
-        "track": scenes.track,
-        "n_samples": n_samples,
-        "plr": exposure.plr,
-        "ael_s": exposure.ael_s,
-        "mel_s": exposure.mel_s,
-        "segments": exposure.segments,
-        "mse_m2": np.add.reduceat(squared_m2, scenes.offsets[:-1]) / n_samples,
+        **track_columns(scenes, np.arange(scenes.track.size)),
+        **descriptors(
+            xy=release.xy,
+            truth=scenes.xy,
+            t=scenes.t,
+            offsets=scenes.offsets,
+            epsilon_m=stages.privacy.epsilon_m,
+        ),
     }
 
 

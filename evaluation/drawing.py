@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation import figure_style
-from evaluation.cell import SHARED
 from evaluation.figure_style import LOOKS, Look, band, number
+from evaluation.grid import SHARED
 from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS
 from evaluation.paper import DATASET, PREDICTOR, PUBLISHED
+from evaluation.sweeps import is_attack
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,8 +20,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RATE = "missed_conflict_rate"
-LABELS = {RATE: "Missed conflicts (%)", "plr": "PLR (%)", "ael": "AEL (s)", "mel": "MEL (s)"}
-EXPOSURE_LABEL = "Exposure (s)"
+LABELS = {
+    RATE: "Missed conflicts (%)",
+    "plr": "PLR, shared (%)",
+    "ael": "AEL, shared (s)",
+    "mel": "MEL, shared (s)",
+}
+EXPOSURE_LABEL = "Exposure, shared (s)"
 _SCALE = {RATE: 100.0, "plr": 100.0, "ael": 1.0, "mel": 1.0}
 _MOST_BANDS = 2
 # Apart from the looks of the predictors, with which they share a legend.
@@ -62,7 +68,7 @@ def sweep_figure(summary: pd.DataFrame, *, scheme: Scheme, dataset: str) -> Figu
     One column for each adding rule, one row for each quantity. Of more than five predictors the
     first five are drawn.
     """
-    ours = _of(summary, dataset)
+    ours = _without_attacks(summary, dataset)
     predictors = _predictors(ours)[: len(LOOKS)]
     series = {
         (adding, line): found
@@ -121,7 +127,7 @@ def operating_figure(
     One row for each adding rule, one column for each descriptor. Markers are measured; the
     curves are those that `matching` compares.
     """
-    ours = _of(summary, dataset)
+    ours = _without_attacks(summary, dataset)
     predictors = _predictors(ours)[:1]
     points = {
         (adding, metric, scheme): found
@@ -191,6 +197,11 @@ def _rows(predictors: list[str]) -> dict[str, list[Line]]:
 
 def _of(frame: pd.DataFrame, dataset: str) -> pd.DataFrame:
     return frame.loc[frame["dataset"] == dataset]
+
+
+def _without_attacks(summary: pd.DataFrame, dataset: str) -> pd.DataFrame:
+    ours = _of(summary, dataset)
+    return ours.loc[~is_attack(ours)]
 
 
 def _what(text: str, predictors: list[str]) -> str:

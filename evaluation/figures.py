@@ -33,6 +33,7 @@ def draw_all(
         If the folder cannot be written.
     """
     # matplotlib is slow to import, and only needed to draw.
+    from evaluation.attack_figure import attack_figure  # noqa: PLC0415
     from evaluation.drawing import FID, FIXED, operating_figure, sweep_figure  # noqa: PLC0415
     from evaluation.figure_style import rendered, style  # noqa: PLC0415
 
@@ -44,6 +45,7 @@ def draw_all(
             ("fid_threshold", sweep_figure(summary, scheme=FID, dataset=dataset)),
             ("fixed_error", sweep_figure(summary, scheme=FIXED, dataset=dataset)),
             ("operating_points", operating_figure(summary, matched, dataset=dataset)),
+            ("after_attack", attack_figure(summary, dataset=dataset)),
         ):
             if figure is None:
                 continue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from isac_track import registry
 from isac_track.config import StageSettings
@@ -14,7 +14,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from isac_track.registry import Plugin
+    from isac_track.types import Knowledge
 
+SHARED = "shared"
+"""Consumer of the descriptors as shared."""
 BLOCK_SCENES = 250
 """Scenes of a cell. Part of the keys of the sharing streams: a change changes the draws."""
 
@@ -29,6 +32,7 @@ class Preset:
     scenes: int
     mechanisms: tuple[str, ...]
     predictors: tuple[str, ...]
+    attacks: tuple[str, ...]
     summary: str
 
 
@@ -41,23 +45,28 @@ _SWEEP = (
     ),
 )
 _PREDICTORS = ("least_squares", "kalman_cv", "kalman_ca", "kalman_imm")
+# All built-in ones but the slow: imm_rts and gaussian_process run when named.
+_ATTACKS = ("identity", "moving_average", "savgol", "kalman_rts", "radial_rts", "averaging")
 PRESETS = {
     "smoke": Preset(
         scenes=40,
         mechanisms=("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1"),
         predictors=_PREDICTORS,
+        attacks=_ATTACKS,
         summary="40 scenes, the 5 levels that the paper gives numbers for",
     ),
     "paper": Preset(
         scenes=500,
         mechanisms=_SWEEP,
         predictors=_PREDICTORS,
+        attacks=_ATTACKS,
         summary="500 scenes, raw, 13 eta, 10 fixed errors, both adding rules",
     ),
     "full": Preset(
         scenes=5000,
         mechanisms=_SWEEP,
         predictors=_PREDICTORS,
+        attacks=_ATTACKS,
         summary="the axes of paper on 5,000 scenes",
     ),
 }
@@ -77,9 +86,12 @@ class Settings:
     mechanisms: tuple[str, ...] | None = None
     """SPECs; they replace the preset's."""
     predictors: tuple[str, ...] | None = None
-    """SPECs; they replace the preset's. Empty: descriptors only."""
+    """SPECs; they replace the preset's. Empty: no predictor."""
+    attacks: tuple[str, ...] | None = None
+    """SPECs; they replace the preset's. Empty: no attack."""
     stages: StageSettings = field(default_factory=StageSettings)
-    jobs: int = 1
+    jobs: int | None = None
+    """Worker processes; None: as many as there are cores where the work is worth it."""
     out: Path | str | None = None
     fresh: bool = False
 
@@ -95,7 +107,7 @@ class Settings:
             )
         if self.seed < 0:
             raise SettingsError(f"the seed must not be negative, got {self.seed}")
-        if self.jobs < 1:
+        if self.jobs is not None and self.jobs < 1:
             raise SettingsError(f"jobs must be at least 1, got {self.jobs}")
         if self.fps is not None and not self.fps > 0:
             raise SettingsError(f"fps must be positive, got {self.fps:g}")
@@ -107,11 +119,53 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True)
+class Consumer:
+    """Who reads a release: a predictor, an adversary, or nobody (the descriptors as shared)."""
+
+    kind: Literal["shared", "predictor", "attack"]
+    plugin: Plugin | None = None
+    knowledge: str = ""
+    """Adversary that the row is named after: blind, informed or oracle."""
+    granted: frozenset[Knowledge] = frozenset()
+
+    @property
+    def spec(self) -> str:
+        """As in the column `consumer`."""
+        return SHARED if self.plugin is None else self.plugin.spec
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether it runs on the first release of each source track only."""
+        return self.plugin is not None and bool(getattr(self.plugin.instance, "slow", False))
+
+    @property
+    def label(self) -> str:
+        """For people: with the adversary."""
+        return f"{self.spec} ({self.knowledge})" if self.knowledge else self.spec
+
+
+@dataclass(frozen=True, slots=True)
 class Axes:
     """What the run crosses: every mechanism level with every consumer."""
 
     mechanisms: tuple[Plugin, ...]
     predictors: tuple[Plugin, ...]
+    attacks: tuple[Plugin, ...]
+
+    @property
+    def consumers(self) -> tuple[Consumer, ...]:
+        """All consumers of a level: the descriptors first, an attack once for each adversary."""
+        from isac_track.protocols import grants  # noqa: PLC0415 - --help needs no numpy
+
+        return (
+            Consumer("shared"),
+            *(Consumer("predictor", plugin) for plugin in self.predictors),
+            *(
+                Consumer("attack", plugin, knowledge=adversary, granted=granted)
+                for plugin in self.attacks
+                for adversary, granted in grants(plugin.instance).items()
+            ),
+        )
 
 
 def axes(settings: Settings) -> Axes:
@@ -127,9 +181,11 @@ def axes(settings: Settings) -> Axes:
     preset = PRESETS[settings.preset]
     mechanisms = preset.mechanisms if settings.mechanisms is None else settings.mechanisms
     predictors = preset.predictors if settings.predictors is None else settings.predictors
+    attacks = preset.attacks if settings.attacks is None else settings.attacks
     expanded = Axes(
         mechanisms=registry.parse_all("mechanisms", mechanisms),
         predictors=registry.parse_all("predictors", predictors),
+        attacks=registry.parse_all("attacks", attacks),
     )
     if not expanded.mechanisms:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import isotonic_regression
 
-from evaluation.cell import SHARED
+from evaluation.grid import SHARED
 from evaluation.summary import Key
 from isac_track.intervals import percentile_interval
 
@@ -29,6 +29,8 @@ COLUMNS = [
     "dataset",
     "adding",
     "predictor",
+    "consumer",
+    "knowledge",
     "metric",
     "rise",
     "missed_conflict_rate",
@@ -77,7 +79,13 @@ def matched(
             )
             if fid is None or fixed is None:
                 continue
-            names = {"dataset": dataset, "adding": adding, "predictor": predictor}
+            names = {
+                "dataset": dataset,
+                "adding": adding,
+                "predictor": predictor,
+                "consumer": SHARED,
+                "knowledge": "",
+            }
             rows.extend({**names, **row} for row in _compare(fid, fixed))
     return pd.DataFrame(rows, columns=COLUMNS)
 
@@ -100,6 +108,7 @@ def _curve(
             for key in found
             if key.mechanism == mechanism
             and key.consumer == SHARED
+            and not key.knowledge
             and key.metric == "plr"
             and key.level is not None
         ),

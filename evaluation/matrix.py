@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import math
 import sys
 import tomllib
 from pathlib import Path
@@ -36,6 +37,7 @@ _CONFIG_KEYS = {
     "seed": int,
     "mechanism": list,
     "predictor": list,
+    "attack": list,
     "jobs": int,
     "out": str,
 }
@@ -80,7 +82,13 @@ def parser() -> argparse.ArgumentParser:
         "--predictor",
         action="append",
         metavar="SPEC",
-        help="the robot's predictor; repeatable; `none` for descriptors only",
+        help="the robot's predictor; repeatable; `none` for none",
+    )
+    add(
+        "--attack",
+        action="append",
+        metavar="SPEC",
+        help="reconstruction attack; repeatable; `none` for none; replaces the preset's",
     )
     add(
         "--set",
@@ -90,7 +98,12 @@ def parser() -> argparse.ArgumentParser:
         help="change a stage setting, such as privacy.epsilon_m=0.5; --list names all",
     )
     add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
-    add("--jobs", type=int, metavar="N", help="worker processes (default: 1)")
+    add(
+        "--jobs",
+        type=int,
+        metavar="N",
+        help="worker processes (default: the cores, at most 8; 1 for little work)",
+    )
     add("--out", type=Path, metavar="DIR", help="run folder (default: runs/DATASET-PRESET-SEED)")
     add("--fresh", action="store_true", help="replace the run in the folder, do not continue it")
     add("--list", action="store_true", help="list what can be named, and stop")
@@ -129,8 +142,9 @@ def settings_from(options: argparse.Namespace) -> Settings:
         seed=values.get("seed", 0),
         mechanisms=_axis(values.get("mechanism"), option="--mechanism"),
         predictors=_axis(values.get("predictor"), option="--predictor"),
+        attacks=_axis(values.get("attack"), option="--attack"),
         stages=StageSettings().changed(stage_values),
-        jobs=values.get("jobs", 1),
+        jobs=values.get("jobs"),
         out=Path(values["out"]) if "out" in values else None,
         fresh=options.fresh,
     )
@@ -163,6 +177,7 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
     ready = plan(settings)
     _announce(ready)
+    _announce_slow(ready)
     if dry_run:
         return 0
     with _Bar() as bar:
@@ -170,6 +185,7 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
     for notice in _notices(results.manifest):
         _say(f"notice: {notice}", stream=sys.stderr)
     tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
+    tables.show_flags(results.flags)
     _say(f"\nresults in {results.out}: summary.csv, paper_table.csv, figures/, tables/")
     return 0
 
@@ -187,6 +203,26 @@ def _notices(manifest: dict[str, Any]) -> list[str]:
             "scenes.clearance_m and kept their last draw"
         )
     return notices
+
+
+def _announce_slow(ready: Plan) -> None:
+    """Say what the slow attacks cost, before they start."""
+    from evaluation.reconstruction import slow_cost_s  # noqa: PLC0415
+
+    for spec in dict.fromkeys(one.spec for one in ready.axes.consumers if one.is_slow):
+        rows = [one for one in ready.axes.consumers if one.is_slow and one.spec == spec]
+        cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=len(ready.axes.mechanisms))
+        about = "it does not say how" if math.isnan(cost_s) else f"about {_duration(cost_s)}"
+        _say(
+            f"notice: attack {spec} is slow: {about} for {len(rows)} adversaries at "
+            f"{len(ready.axes.mechanisms)} levels in one process; it runs on one release of each "
+            "source track",
+            stream=sys.stderr,
+        )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"  # noqa: PLR2004
 
 
 def _announce(ready: Plan) -> None:
@@ -255,6 +291,7 @@ def _list() -> None:
         "data sets": {name: known.about for name, known in KNOWN.items()},
         "mechanisms": registry.names("mechanisms"),
         "predictors": registry.names("predictors"),
+        "attacks": registry.names("attacks"),
         "settings (--set)": {name: f"{defaults[name]}" for name in setting_types()},
     }
     width = max(len(name) for entries in sections.values() for name in entries)
@@ -263,7 +300,7 @@ def _list() -> None:
         for name, text in entries.items():
             _say(f"  {name:<{width}}  {text}")
         _say("")
-    for kind in ("mechanisms", "predictors"):
+    for kind in ("mechanisms", "predictors", "attacks"):
         for name, wrong in registry.broken(kind).items():
             _say(f"skipped {name}: {wrong}", stream=sys.stderr)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from evaluation.cell import SHARED
+from evaluation.grid import SHARED
 from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS, MIN_DEFINED
 from evaluation.summary import Key
 from isac_track.intervals import percentile_interval
@@ -128,7 +128,8 @@ def claims(
     - *history*: 366 points within 4, at 0.083 to 0.084 s; of the paper's recording only.
     """
     rows: list[dict[str, object]] = []
-    n_clusters = min((estimate.n for estimate in found.values()), default=0)
+    # What attacks get is no part of the claims, and may be known of fewer people.
+    n_clusters = min((one.n for key, one in found.items() if not key.knowledge), default=0)
     for adding, suffix in ADDING_SUFFIX.items():
         rows += _close_to_raw(found, adding=adding, mechanism=f"fixed{suffix}")
         for metric, sign in (("missed_conflict_rate", -1.0), ("plr", 1.0), ("mel", 1.0)):
@@ -193,6 +194,7 @@ def _monotone_in_eta(
         key.level
         for key in found
         if (key.mechanism, key.consumer, key.metric) == (mechanism, consumer, metric)
+        and not key.knowledge
         and key.level is not None
         and lowest <= key.level <= highest
     )

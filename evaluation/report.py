@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation import figures, paper, store, summary, tables
+from evaluation import figures, flags, paper, store, summary, tables
 from evaluation.decisions import decisions
 from evaluation.matching import matched
 from isac_track.errors import IsacTrackError
@@ -34,6 +34,7 @@ class Results:
     matched: pd.DataFrame
     decisions: pd.DataFrame
     curves: pd.DataFrame
+    flags: pd.DataFrame
 
 
 def build(out: Path) -> Results:
@@ -50,6 +51,11 @@ def build(out: Path) -> Results:
     predictors = manifest["settings"]["predictors"]
     at_equal_rate = matched(found, dataset=dataset, predictors=predictors)
     curves, decided = decisions(scored, manifest, found)
+    flagged = flags.flags(
+        found,
+        slow=flags.slow_attacks(manifest),
+        once=flags.on_first_releases(out, manifest),
+    )
     results = Results(
         out=out,
         manifest=manifest,
@@ -65,6 +71,7 @@ def build(out: Path) -> Results:
         matched=at_equal_rate,
         decisions=decided,
         curves=curves,
+        flags=flagged.rows,
     )
     for frame, name in (
         (results.summary, "summary.csv"),
@@ -75,6 +82,7 @@ def build(out: Path) -> Results:
         (results.curves, "curves.csv"),
     ):
         store.write_whole(out / name, frame.to_csv(index=False).encode())
+    store.write_whole(out / "flags.json", flags.to_json(flagged))
     tables.write_tex(results.summary, results.paper_table, folder=out / "tables")
     figures.draw_all(results.summary, results.matched, folder=out / "figures", dataset=dataset)
     return results
@@ -97,6 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("interrupted", file=sys.stderr)
         return 130
     tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
+    tables.show_flags(results.flags)
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,20 +12,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation import store
-from evaluation.cell import SHARED, Block, compute_block
+from evaluation.cell import Block, compute_block
 from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
 from evaluation.report import Results, build
-from isac_track import datasets
+from isac_track import datasets, kernels
 from isac_track.privacy import mean_interval_s
 from isac_track.scenes import cut, track_order
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from evaluation.cell import Rows
+    from evaluation.grid import Consumer
+    from evaluation.reconstruction import Rows
     from isac_track.datasets import Dataset
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
+
+
+WORTH_WORKERS = 5000
+"""Scenes times levels: below, workers take longer to start than they save."""
+MOST_DEFAULT_JOBS = 8
+"""Unless more are asked for: each takes a few hundred MB."""
+_TASKS_PER_WORKER = 2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,9 +47,11 @@ class Plan:
     identity: dict[str, Any]
     code: str
     """Version of the code that computes the cells."""
+    jobs: int
+    """Worker processes."""
     out: Path
-    cells: tuple[tuple[Plugin, Plugin | None, tuple[str, ...]], ...]
-    """Mechanism, consumer (None: the descriptors as shared) and its files, one a block."""
+    cells: tuple[tuple[Plugin, Consumer, tuple[str, ...]], ...]
+    """Mechanism, consumer and its files, one a block."""
 
     @property
     def n_cells(self) -> int:
@@ -86,7 +97,7 @@ def plan(settings: Settings) -> Plan:
             ),
         )
         for mechanism in crossed.mechanisms
-        for consumer in (None, *crossed.predictors)
+        for consumer in crossed.consumers
     )
     name = f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(
@@ -96,9 +107,20 @@ def plan(settings: Settings) -> Plan:
         axes=crossed,
         identity=identity,
         code=code,
+        jobs=_jobs(settings, n_levels=len(crossed.mechanisms)),
         out=Path("runs") / name if settings.out is None else Path(settings.out),
         cells=cells,
     )
+
+
+def _jobs(settings: Settings, *, n_levels: int) -> int:
+    """Return how many workers to use: as asked, or what the work is worth."""
+    if settings.jobs is not None:
+        return settings.jobs
+    if settings.n_scenes * n_levels < WORTH_WORKERS:
+        return 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return min(cores or 1, MOST_DEFAULT_JOBS)
 
 
 def run(
@@ -147,23 +169,27 @@ def _compute_missing(ready: Plan, tell: Callable[[int, int, str], None]) -> None
     present = {path.name for path in folder.iterdir()}
     blocks = tuple(_missing_blocks(ready, present))
     total = sum(len(consumers) for block in blocks for _, consumers in block.levels)
-    files = {
-        (mechanism.spec, None if consumer is None else consumer.spec): names
-        for mechanism, consumer, names in ready.cells
-    }
+    files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
     done = 0
     tell(done, total, "starting")
+    if total and any(_uses_kernels(consumer) for _, consumer, _ in ready.cells):
+        kernels.prepare()  # before workers start: each would compile for itself
     for block, mechanism, consumer, rows in _computed(blocks, ready):
-        name = files[mechanism.spec, None if consumer is None else consumer.spec][block]
+        name = files[mechanism.spec, consumer.label][block]
         store.write_cell(folder / name, rows, tracks=ready.tracks)
         done += 1
-        tell(done, total, f"{mechanism.spec} > {SHARED if consumer is None else consumer.spec}")
+        tell(done, total, f"{mechanism.spec} > {consumer.label}")
+
+
+def _uses_kernels(consumer: Consumer) -> bool:
+    origin = "" if consumer.plugin is None else consumer.plugin.origin
+    return origin.startswith(("predictors.kalman", "attacks."))
 
 
 def _exhausted_redraws(ready: Plan) -> int | None:
     """Return how many agents kept a place without clearance; None if no cell tells."""
     for _, consumer, names in ready.cells:
-        if consumer is not None:
+        if consumer.kind == "predictor":
             paths = [ready.out / "cells" / name for name in names]
             table = store.read_cells(paths, columns=["exhausted"])
             return int(table["exhausted"].to_numpy().sum())
@@ -179,13 +205,13 @@ def _missing_blocks(ready: Plan, present: set[str]) -> Iterator[Block]:
         seed=settings.seed,
     )
     for number in range(n_blocks(settings.n_scenes)):
-        missing: dict[str, tuple[Plugin, list[Plugin | None]]] = {}
+        missing: dict[str, tuple[Plugin, list[Consumer]]] = {}
         for mechanism, consumer, names in ready.cells:
             if names[number] not in present:
                 missing.setdefault(mechanism.spec, (mechanism, []))[1].append(consumer)
         levels = tuple((mechanism, tuple(consumers)) for mechanism, consumers in missing.values())
         first = number * BLOCK_SCENES
-        for part in _parts(levels, settings=settings):
+        for part in _parts(levels, ready=ready):
             yield Block(
                 number=number,
                 first_scene=first,
@@ -195,25 +221,28 @@ def _missing_blocks(ready: Plan, present: set[str]) -> Iterator[Block]:
 
 
 def _parts(
-    levels: tuple[tuple[Plugin, tuple[Plugin | None, ...]], ...], *, settings: Settings
-) -> list[tuple[tuple[Plugin, tuple[Plugin | None, ...]], ...]]:
-    """Split the levels of a block where there are fewer blocks than workers.
+    levels: tuple[tuple[Plugin, tuple[Consumer, ...]], ...], *, ready: Plan
+) -> list[tuple[tuple[Plugin, tuple[Consumer, ...]], ...]]:
+    """Split the levels of a block where there are few blocks for the workers.
 
-    Each part senses the block again, so that there are no more parts than that takes.
+    Each part senses the block again, so that there are no more parts than an even load takes.
     """
     if not levels:
         return []
-    n_parts = min(len(levels), -(-settings.jobs // n_blocks(settings.n_scenes)))
+    if ready.jobs == 1:
+        return [levels]
+    n_tasks = _TASKS_PER_WORKER * ready.jobs
+    n_parts = min(len(levels), -(-n_tasks // n_blocks(ready.settings.n_scenes)))
     bounds = np.linspace(0, len(levels), n_parts + 1).astype(int)
     return [levels[lo:hi] for lo, hi in pairwise(bounds)]
 
 
 def _computed(
     blocks: tuple[Block, ...], ready: Plan
-) -> Iterator[tuple[int, Plugin, Plugin | None, Rows]]:
+) -> Iterator[tuple[int, Plugin, Consumer, Rows]]:
     """Yield the rows of every cell as it is finished, in this process or from workers."""
     stages, seed = ready.settings.stages, ready.settings.seed
-    if ready.settings.jobs == 1 or len(blocks) < 2:  # noqa: PLR2004 - nothing to share out
+    if ready.jobs == 1 or len(blocks) < 2:  # noqa: PLR2004 - nothing to share out
         for block in blocks:
             for mechanism, consumer, rows in compute_block(
                 block, tracks=ready.tracks, stages=stages, seed=seed
@@ -222,7 +251,7 @@ def _computed(
         return
     from joblib import Parallel, delayed  # noqa: PLC0415 - only where there are workers
 
-    workers = Parallel(n_jobs=ready.settings.jobs, return_as="generator_unordered")
+    workers = Parallel(n_jobs=ready.jobs, return_as="generator_unordered")
     for number, cells in workers(
         delayed(_whole_block)(block, tracks=ready.tracks, stages=stages, seed=seed)
         for block in blocks
@@ -234,7 +263,7 @@ def _computed(
 def _whole_block(
     block: Block,
     **context: Any,  # noqa: ANN401 - handed on to compute_block
-) -> tuple[int, list[tuple[Plugin, Plugin | None, Rows]]]:
+) -> tuple[int, list[tuple[Plugin, Consumer, Rows]]]:
     return block.number, list(compute_block(block, **context))
 
 
@@ -249,6 +278,7 @@ def _describe(ready: Plan) -> dict[str, Any]:
             "seed": settings.seed,
             "mechanisms": [plugin.spec for plugin in ready.axes.mechanisms],
             "predictors": [plugin.spec for plugin in ready.axes.predictors],
+            "attacks": [plugin.spec for plugin in ready.axes.attacks],
             "stages": settings.stages.flat(),
         },
         "granted": {
@@ -291,14 +321,21 @@ def _merged(earlier: list[dict[str, Any]], ready: Plan) -> list[dict[str, Any]]:
             "mechanism": mechanism.name,
             "level": mechanism.level,
             "spec": mechanism.spec,
-            "consumer": SHARED if consumer is None else consumer.spec,
+            "kind": consumer.kind,
+            "consumer": consumer.spec,
+            "knowledge": consumer.knowledge,
+            "slow": consumer.is_slow,
             "files": list(names),
         }
         for mechanism, consumer, names in ready.cells
     ]
-    known = {(entry["spec"], entry["consumer"]) for entry in ours}
+    known = {_cell_key(entry) for entry in ours}
     return ours + [
         entry
         for entry in earlier
-        if (entry["spec"], entry["consumer"]) not in known and present.issuperset(entry["files"])
+        if _cell_key(entry) not in known and present.issuperset(entry["files"])
     ]
+
+
+def _cell_key(entry: dict[str, Any]) -> tuple[str, str, str]:
+    return entry["spec"], entry["consumer"], entry["knowledge"]

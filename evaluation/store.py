@@ -22,13 +22,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import isac_track
-from evaluation.cell import SHARED
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from evaluation.cell import Rows
+    from evaluation.grid import Consumer
+    from evaluation.reconstruction import Rows
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
 
@@ -40,9 +40,11 @@ _TABLES = (
     "matched.csv",
     "decisions.csv",
     "curves.csv",
+    "flags.json",
 )
-_FIGURES = ("fid_threshold", "fixed_error", "operating_points")
+_FIGURES = ("fid_threshold", "fixed_error", "operating_points", "after_attack")
 _CELL = re.compile(r"_\d{5}_[0-9a-f]{16}\.parquet$")
+_ENTRY = {"mechanism", "level", "spec", "kind", "consumer", "knowledge", "files"}
 _SHOWN_DIFFERENCES = 3
 _COMPUTING = ("isac_track", "predictors", "attacks")
 _LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
@@ -56,7 +58,7 @@ def code_hash() -> str:
     digest = hashlib.sha256()
     root = Path(isac_track.__file__).parent.parent
     sources = [path for package in _COMPUTING for path in (root / package).rglob("*.py")]
-    sources += [root / "evaluation" / name for name in ("cell.py", "grid.py")]
+    sources += [root / "evaluation" / name for name in ("cell.py", "grid.py", "reconstruction.py")]
     for path in sorted(sources):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0")
         digest.update(path.read_bytes())
@@ -69,7 +71,7 @@ def cell_name(
     code: str,
     block: int,
     mechanism: Plugin,
-    consumer: Plugin | None,
+    consumer: Consumer,
 ) -> str:
     """Return the file name of a cell: readable, and keyed by all that its rows depend on."""
     key = {
@@ -77,11 +79,11 @@ def cell_name(
         "code": code,
         "block": block,
         "mechanism": _plugin_key(mechanism),
-        "consumer": SHARED if consumer is None else _plugin_key(consumer),
+        "consumer": consumer.spec if consumer.plugin is None else _plugin_key(consumer.plugin),
+        "knowledge": [consumer.knowledge, *sorted(one.name for one in consumer.granted)],
     }
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:16]
-    label = SHARED if consumer is None else consumer.spec
-    slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{mechanism.spec}_{label}")[:80]
+    slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{mechanism.spec}_{consumer.label}")[:80]
     return f"{slug}_{block:05d}_{digest}.parquet"
 
 
@@ -158,6 +160,8 @@ def read_manifest(out: Path) -> dict[str, Any]:
         isinstance(manifest.get(name), kind) for name, kind in parts.items()
     ):
         raise DataError(f"{path} is not the manifest of a run; choose another --out")
+    if not all(isinstance(entry, dict) and entry.keys() >= _ENTRY for entry in manifest["cells"]):
+        raise DataError(f"{path} is of another version; run again with --fresh or another --out")
     return manifest
 
 
@@ -262,7 +266,7 @@ def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
     ours = [out / "cells" / name for name in cells]
     ours += [path for path in (out / "cells").glob("*.parquet") if _CELL.search(path.name)]
     ours += [out / "figures" / f"{name}.{kind}" for name in _FIGURES for kind in ("svg", "pdf")]
-    ours += [out / "tables" / name for name in ("sweep.tex", "paper.tex")]
+    ours += [out / "tables" / name for name in ("sweep.tex", "attacks.tex", "paper.tex")]
     ours += [out / name for name in _TABLES]
     try:
         for path in ours:

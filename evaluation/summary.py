@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from evaluation.cell import SHARED
 from evaluation.store import read_cells
 from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
 
@@ -45,11 +44,14 @@ _UNITS = {
     "ael": "s",
     "mel": "s",
     "rmse": "m",
+    "rmse_over_benchmark": "ratio",
+    "plr_over_benchmark": "ratio",
     "missed_conflict_rate": "fraction",
     "false_alarm_rate": "fraction",
     "distance_mae": "m",
 }
 _SHARED_COLUMNS = ["group", "plr", "ael_s", "mel_s", "mse_m2"]
+_ATTACK_COLUMNS = [*_SHARED_COLUMNS, "benchmark_mse_m2", "benchmark_plr"]
 _PREDICTOR_COLUMNS = [
     "group",
     "conflict",
@@ -60,6 +62,14 @@ _PREDICTOR_COLUMNS = [
 ]
 
 
+_COLUMNS_OF = {
+    "shared": _SHARED_COLUMNS,
+    "attack": _ATTACK_COLUMNS,
+    "predictor": _PREDICTOR_COLUMNS,
+}
+_ROOTS = ("rmse", "rmse_over_benchmark")
+
+
 @dataclass(frozen=True, slots=True)
 class Key:
     """What a row of the summary is about."""
@@ -68,6 +78,7 @@ class Key:
     level: float | None
     consumer: str
     metric: str
+    knowledge: str = ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -102,14 +113,11 @@ def estimates(
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
     for entry in manifest["cells"]:
-        is_shared = entry["consumer"] == SHARED
         table = read_cells(
-            (out / "cells" / name for name in entry["files"]),
-            columns=_SHARED_COLUMNS if is_shared else _PREDICTOR_COLUMNS,
+            (out / "cells" / name for name in entry["files"]), columns=_COLUMNS_OF[entry["kind"]]
         )
-        ratios = _shared_ratios(table) if is_shared else _predictor_ratios(table)
         cluster = clusters(table, manifest)
-        if not is_shared:
+        if entry["kind"] == "predictor":
             scored.append(
                 Scored(
                     mechanism=entry["mechanism"],
@@ -121,6 +129,9 @@ def estimates(
                     probability=table["probability"].to_numpy(),
                 )
             )
+            ratios = _predictor_ratios(table)
+        else:
+            ratios = _descriptor_ratios(table)
         for metric, (numerator, denominator) in ratios.items():
             estimate = ratio_estimate(
                 numerator=cluster_sums(values=numerator, cluster=cluster, n_clusters=n_clusters),
@@ -130,9 +141,11 @@ def estimates(
                 weights=weights,
                 is_share=_UNITS[metric] == "fraction",
             )
-            if metric == "rmse":
+            if metric in _ROOTS:
                 estimate = _root(estimate)
-            key = Key(entry["mechanism"], entry["level"], entry["consumer"], metric)
+            key = Key(
+                entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"]
+            )
             found[key] = estimate
     return found, tuple(scored)
 
@@ -163,7 +176,7 @@ def to_frame(found: Mapping[Key, Estimate], *, dataset: str) -> pd.DataFrame:
             "mechanism": key.mechanism,
             "level": np.nan if key.level is None else key.level,
             "consumer": key.consumer,
-            "knowledge": "",
+            "knowledge": key.knowledge,
             "metric": key.metric,
             "value": estimate.value,
             "ci_low": estimate.ci_low,
@@ -176,13 +189,25 @@ def to_frame(found: Mapping[Key, Estimate], *, dataset: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _shared_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
+def _descriptor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
+    """Return numerator and denominator of each metric, (R,): of what was shared, or of an attack.
+
+    Of an attack also the ratio to the linear benchmark: sums over the same tracks.
+    """
     ratios = {}
     for metric, column in (("plr", "plr"), ("ael", "ael_s"), ("mel", "mel_s"), ("rmse", "mse_m2")):
         values = table[column].to_numpy()
         # A one-sample track that leaks has no exposure length (NaN): it does not count there.
         known = ~np.isnan(values)
         ratios[metric] = (np.where(known, values, 0.0), known.astype(np.float64))
+    if "benchmark_plr" in table.column_names:
+        for metric, over in (("rmse", "benchmark_mse_m2"), ("plr", "benchmark_plr")):
+            expected = table[over].to_numpy()
+            known = ~np.isnan(expected)
+            ratios[f"{metric}_over_benchmark"] = (
+                np.where(known, ratios[metric][0], 0.0),
+                np.where(known, expected, 0.0),
+            )
     return ratios
 
 

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from evaluation.cell import SHARED
+from evaluation.grid import SHARED
+from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import pandas as pd
 
 UTILITY = ("missed_conflict_rate", "false_alarm_rate", "distance_mae")
 DESCRIPTORS = ("plr", "ael", "mel")
+RECONSTRUCTION = (*DESCRIPTORS, "rmse", "rmse_over_benchmark", "plr_over_benchmark")
+ORACLE = "oracle"
+CONTROL = "identity"
+"""The attack that reproduces what was shared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +39,22 @@ SHOWN = {
     "plr": Shown("PLR", "%", 100.0, 1),
     "ael": Shown("AEL", "s", 1.0, 3),
     "mel": Shown("MEL", "s", 1.0, 3),
+    "rmse": Shown("RMSE", "m", 1.0, 3),
+    "rmse_over_benchmark": Shown("RMSE ratio", "", 1.0, 2),
+    "plr_over_benchmark": Shown("PLR ratio", "", 1.0, 2),
 }
+_READ = ["level", "consumer", "knowledge", "metric", "value", "ci_low", "ci_high"]
 LEVEL_UNITS = {"fid": "eta in 1/(m^2 s)", "fixed": "d_sigma in m"}
+
+
+HEADLINE: tuple[tuple[str, float | None, str], ...] = (
+    ("raw", None, "raw"),
+    ("fid", 1.0, "FID, η = 1"),
+    ("fid", 1000.0, "FID, η = 1000"),
+    ("fixed", 0.7, "fixed, 0.7 m"),
+    ("fixed", 1.0, "fixed, 1.0 m"),
+)
+"""The few levels that tell the story: mechanism without its adding rule, level and a name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +69,26 @@ class Number:
     def interval(self) -> str:
         """Both ends; they are never negative, so that a hyphen is clear."""
         return f"{self.low}-{self.high}" if self.low else ""
+
+
+@dataclass(frozen=True, order=True, slots=True)
+class Source:
+    """Whose positions a descriptor is of: those shared, or an attack's under an adversary."""
+
+    consumer: str
+    knowledge: str = ""
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return f"{self.consumer} ({self.knowledge})" if self.knowledge else self.consumer
+
+
+AS_SHARED = Source(SHARED)
+
+
+After: TypeAlias = "dict[tuple[str, float | None], dict[Source, dict[str, Number]]]"
+"""Mechanism and level to source to metric to number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,30 +116,79 @@ def amount(metric: str, value: float, *, sign: str = "-") -> str:
     return f"{value * shown.scale:{sign}.{shown.digits}f}"
 
 
+def shared_head(metric: str) -> str:
+    """Return the name and unit of a metric; a descriptor's with whose positions it is of."""
+    shown = SHOWN[metric]
+    return f"{shown.head}{', shared' * (metric in DESCRIPTORS)} ({shown.unit})"
+
+
 def level_text(level: float | None) -> str:
     """Return a level, short; empty for a mechanism without one."""
     return "" if level is None or math.isnan(level) else f"{level:.4g}"
 
 
+def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:
+    """Return which rows of a summary are of an attack: those that name an adversary.
+
+    Not the name of the consumer tells: an attack and a predictor may bear the same.
+    """
+    return frame["knowledge"].isin(list(ADVERSARIES))
+
+
 def sweeps(summary: pd.DataFrame) -> list[Sweep]:
     """Return the tables of a summary: descriptors with the first predictor, then the others'."""
-    numbers = _numbers(summary)
-    consumers = dict.fromkeys(key[2] for key in numbers)
+    others = summary[~is_attack(summary)]
+    is_shared = others["consumer"] == SHARED
+    wanted = others["metric"].isin(DESCRIPTORS).where(is_shared, others["metric"].isin(UTILITY))
+    numbers = _numbers(others[wanted])
+    consumers = dict.fromkeys(source.consumer for _, _, source, _ in numbers)
     predictors: list[str | None] = [name for name in consumers if name != SHARED]
     found: list[Sweep] = []
     for predictor in predictors or [None]:
-        wanted = [(predictor, metric) for metric in UTILITY if predictor is not None]
-        if not found:
-            wanted += [(SHARED, metric) for metric in DESCRIPTORS]
-        present = {key[2:] for key in numbers}
-        wanted = [pair for pair in wanted if pair in present]
+        drawn = {predictor} if found else {predictor, SHARED}
         blocks: dict[str, dict[float | None, dict[str, Number]]] = {}
-        for mechanism, level, consumer, metric in numbers:
-            if (consumer, metric) in wanted:
-                row = blocks.setdefault(mechanism, {}).setdefault(level, {})
-                row[metric] = numbers[mechanism, level, consumer, metric]
-        found.append(Sweep(predictor, tuple(metric for _, metric in wanted), blocks))
+        for (mechanism, level, source, metric), one in numbers.items():
+            if source.consumer in drawn:
+                blocks.setdefault(mechanism, {}).setdefault(level, {})[metric] = one
+        present = {metric for _, _, source, metric in numbers if source.consumer in drawn}
+        metrics = tuple(name for name in (*UTILITY, *DESCRIPTORS) if name in present)
+        found.append(Sweep(predictor, metrics, blocks))
     return [sweep for sweep in found if sweep.blocks]
+
+
+def after_attack(summary: pd.DataFrame) -> After:
+    """Return the descriptors as shared and after each attack, by level; empty without attacks."""
+    attacked = is_attack(summary)
+    if not attacked.any():
+        return {}
+    rows = summary[attacked | (summary["consumer"] == SHARED)]
+    rows = rows[rows["metric"].isin(RECONSTRUCTION)]
+    found: After = {}
+    for (mechanism, level, source, metric), one in _numbers(rows).items():
+        found.setdefault((mechanism, level), {}).setdefault(source, {})[metric] = one
+    return found
+
+
+def sources(blocks: Iterable[Iterable[Source]]) -> list[Source]:
+    """Return all sources of some levels, each once, in the order of the run."""
+    return list(dict.fromkeys(source for block in blocks for source in block))
+
+
+def most_knowing(of: Iterable[Source]) -> list[Source]:
+    """Return for each attack the adversary that knows most, short of the oracle if there is one.
+
+    What was shared stays.
+    """
+    # The oracle is a reference: it stands for an attack that nobody else can run.
+    rank = {"": 0, ORACLE: 0} | {
+        name: 1 + place for place, name in enumerate(name for name in ADVERSARIES if name != ORACLE)
+    }
+    best: dict[str, Source] = {}
+    for source in of:
+        name = "" if source == AS_SHARED else source.consumer
+        if name not in best or rank[source.knowledge] > rank[best[name].knowledge]:
+            best[name] = source
+    return list(best.values())
 
 
 def level_unit(mechanism: str) -> str:
@@ -106,21 +196,28 @@ def level_unit(mechanism: str) -> str:
     return LEVEL_UNITS.get(mechanism.partition(":")[0], "")
 
 
+def heading(mechanism: str) -> str:
+    """Return a mechanism with what its level is."""
+    unit = level_unit(mechanism)
+    return f"{mechanism}, {unit}" if unit else mechanism
+
+
 def printable(text: str) -> str:
     """Return a name without what could move a cursor or break a line."""
     return "".join(character if character.isprintable() else "?" for character in text)
 
 
-def _numbers(summary: pd.DataFrame) -> dict[tuple[str, float | None, str, str], Number]:
-    """Return the numbers of the sweep by mechanism, level, consumer and metric, levels rising."""
-    utility = summary["metric"].isin(UTILITY)
-    shared = summary["metric"].isin(DESCRIPTORS) & (summary["consumer"] == SHARED)
-    rows = summary[utility | shared]
-    numbers: dict[tuple[str, float | None, str, str], Number] = {}
-    for mechanism in rows["mechanism"].unique():
-        ordered = rows[rows["mechanism"] == mechanism].sort_values("level", kind="stable")
-        for row in ordered.to_dict("records"):
-            level = None if math.isnan(row["level"]) else float(row["level"])
-            key = (str(mechanism), level, row["consumer"], row["metric"])
-            numbers[key] = number(row["metric"], row["value"], row["ci_low"], row["ci_high"])
+def _numbers(rows: pd.DataFrame) -> dict[tuple[str, float | None, Source, str], Number]:
+    """Return the numbers by mechanism, level, source and metric, levels rising."""
+    numbers: dict[tuple[str, float | None, Source, str], Number] = {}
+    by_adversary = rows.assign(knowledge=rows["knowledge"].where(is_attack(rows), ""))
+    for mechanism in by_adversary["mechanism"].unique():
+        of = by_adversary[by_adversary["mechanism"] == mechanism]
+        ordered = of.sort_values("level", kind="stable")
+        for level, consumer, knowledge, metric, value, low, high in ordered[_READ].itertuples(
+            index=False, name=None
+        ):
+            where = str(mechanism), None if math.isnan(level) else float(level)
+            source = Source(consumer, knowledge)
+            numbers[*where, source, metric] = number(metric, value, low, high)
     return numbers

@@ -3,38 +3,43 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import sys
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from evaluation import flags
+from evaluation.attack_tables import show_attacks
 from evaluation.matching import ADDING_SUFFIX
 from evaluation.paper import DATASET, tolerance
 from evaluation.store import write_whole
 from evaluation.sweeps import (
+    AS_SHARED,
+    DESCRIPTORS,
+    HEADLINE,
+    ORACLE,
     SHOWN,
+    Source,
+    after_attack,
     amount,
+    heading,
     level_text,
-    level_unit,
     number,
-    printable,
+    shared_head,
     sweeps,
 )
-from evaluation.tex import paper_tex, sweep_tex
+from evaluation.terminal import aligned, literal, say, show_grouped, standard_output
+from evaluation.tex import attacks_tex, paper_tex, sweep_tex
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from collections.abc import Set as AbstractSet
     from pathlib import Path
 
-    from evaluation.sweeps import Sweep
+    from rich.console import Console
 
-PIPE_WIDTH = 116
-"""Columns where there is no terminal: room for every interval."""
+    from evaluation.sweeps import Number, Sweep
 
 # The metrics that keep their interval, from wide terminals to narrow ones.
 _INTERVALS = (
@@ -44,14 +49,13 @@ _INTERVALS = (
     frozenset[str](),
 )
 _LONGEST_LABEL = 8
-_ANSWER_STYLES = {"holds": "green", "does not hold": "red", "undecided": "yellow"}
-_HEADLINE = (
-    ("raw", None, "raw"),
-    ("fid", 1.0, "FID, η = 1"),
-    ("fid", 1000.0, "FID, η = 1000"),
-    ("fixed", 0.7, "fixed, 0.7 m"),
-    ("fixed", 1.0, "fixed, 1.0 m"),
+_TELLING = (
+    AS_SHARED,
+    Source("kalman_rts", "informed"),
+    Source("radial_rts", "informed"),
+    Source("averaging", ORACLE),
 )
+_ANSWER_STYLES = {"holds": "green", "does not hold": "red", "undecided": "yellow"}
 
 
 def show(
@@ -62,7 +66,7 @@ def show(
     manifest: Mapping[str, Any],
     console: Console | None = None,
 ) -> None:
-    """Print the results: what was run, the sweep, the paper's numbers beside ours, its claims.
+    """Print what was run, the sweep, what attacks leave, and the paper's numbers and claims.
 
     Parameters
     ----------
@@ -73,18 +77,35 @@ def show(
     console : Console, optional
         By default standard output, as wide as the terminal or 116 columns where there is none.
     """
-    console = _console() if console is None else console
+    console = standard_output() if console is None else console
     _show_header(manifest, console=console)
     for sweep in sweeps(summary):
         _show_sweep(sweep, console=console)
+    show_attacks(summary, slow=flags.slow_attacks(manifest), console=console)
     if not paper_table.empty:
         _show_paper(paper_table, dataset=manifest["dataset"]["name"], console=console)
     if not claims.empty:
         _show_claims(claims, console=console)
 
 
+def show_flags(rows: pd.DataFrame, *, console: Console | None = None) -> None:
+    """Print the flags of weak attacks, in short; nothing without any."""
+    console = standard_output() if console is None else console
+    lines = flags.lines(rows)
+    if not lines:
+        return
+    console.print()
+    for line in lines:
+        say(console, line, "yellow", wrap=True)
+    say(
+        console,
+        "(Not adjusted: of two equally good attacks, a flag at one level in 40.)",
+        wrap=True,
+    )
+
+
 def write_tex(summary: pd.DataFrame, paper_table: pd.DataFrame, *, folder: Path) -> None:
-    """Write `sweep.tex` and `paper.tex`: booktabs tabulars with intervals.
+    """Write `sweep.tex`, `attacks.tex` and `paper.tex`: booktabs tabulars with intervals.
 
     Raises
     ------
@@ -94,59 +115,64 @@ def write_tex(summary: pd.DataFrame, paper_table: pd.DataFrame, *, folder: Path)
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / "sweep.tex", sweep_tex(summary).encode())
+    write_whole(folder / "attacks.tex", attacks_tex(summary).encode())
     write_whole(folder / "paper.tex", paper_tex(paper_table).encode())
 
 
 def headline_markdown(summary: pd.DataFrame) -> str:
     """Return the few rows that tell the story, as a table in GitHub's Markdown."""
-    metrics = ("missed_conflict_rate", "plr", "ael", "mel")
+    metrics = ("missed_conflict_rate", *DESCRIPTORS)
     tables = sweeps(summary)
     blocks = tables[0].blocks if tables else {}
-    heads = [f"{SHOWN[metric].head} ({SHOWN[metric].unit})" for metric in metrics]
-    lines = [
-        "| sharing | adding | " + " | ".join(heads) + " |",
-        "|:--|:--|" + "--:|" * len(heads),
-    ]
+    return _markdown(
+        [shared_head(metric) for metric in metrics],
+        {
+            (mechanism, level): [row.get(metric) for metric in metrics]
+            for mechanism, levels in blocks.items()
+            for level, row in levels.items()
+        },
+    )
+
+
+def attacks_markdown(summary: pd.DataFrame) -> str:
+    """Return PLR at the headline levels, as shared and after the telling attacks, in Markdown."""
+    after = after_attack(summary)
+    return _markdown(
+        [f"PLR, {source.label} (%)" for source in _TELLING],
+        {
+            where: [block.get(source, {}).get("plr") for source in _TELLING]
+            for where, block in after.items()
+        },
+    )
+
+
+def _markdown(
+    heads: Sequence[str], rows: Mapping[tuple[str, float | None], Sequence[Number | None]]
+) -> str:
+    """Return the headline levels of both adding rules, as far as they are there."""
+    lines = ["| sharing | adding | " + " | ".join(heads) + " |", "|:--|:--|" + "--:|" * len(heads)]
     for adding, suffix in ADDING_SUFFIX.items():
-        for mechanism, level, name in _HEADLINE:
+        for mechanism, level, name in HEADLINE:
             if level is None and suffix:  # raw adds nothing
                 continue
-            key = mechanism if level is None else mechanism + suffix
-            row = blocks.get(key, {}).get(level)
+            row = rows.get((mechanism if level is None else mechanism + suffix, level))
             if row is None:
                 continue
-            cells = []
-            for metric in metrics:
-                shown = row.get(metric)
-                value = "" if shown is None else shown.value
-                cells.append(
-                    f"{value} [{shown.low}, {shown.high}]" if shown and shown.low else value
-                )
+            cells = [
+                ""
+                if shown is None
+                else f"{shown.value} [{shown.low}, {shown.high}]"
+                if shown.low
+                else shown.value
+                for shown in row
+            ]
             lines.append(f"| {name} | {'' if level is None else adding} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
-def _console() -> Console:
-    piped = not sys.stdout.isatty() and "COLUMNS" not in os.environ
-    return Console(width=PIPE_WIDTH if piped else None, highlight=False)
-
-
-def _print(console: Console, text: str, style: str = "", *, wrap: bool = False) -> None:
-    """Print text as it is, without markup and in characters that the terminal has."""
-    console.print(
-        Text(_literal(console, text), style=style),
-        no_wrap=not wrap,
-        overflow="fold" if wrap else "crop",
-    )
-
-
-def _literal(console: Console, text: str) -> str:
-    return printable(text).encode(console.encoding, "replace").decode(console.encoding)
-
-
 def _show_header(manifest: Mapping[str, Any], *, console: Console) -> None:
     dataset, identity = manifest["dataset"], manifest["identity"]
-    _print(
+    say(
         console,
         f"{dataset['name']}: {dataset['tracks_used']} of {dataset['tracks']} tracks used, "
         f"{identity['scenes']} scenes, seed {identity['seed']}",
@@ -155,24 +181,26 @@ def _show_header(manifest: Mapping[str, Any], *, console: Console) -> None:
     )
     notice = dataset.get("notice")
     if notice or dataset.get("simulated"):
-        _print(console, f"NOTICE: {notice or 'the tracks are simulated'}", "yellow", wrap=True)
+        say(console, f"NOTICE: {notice or 'the tracks are simulated'}", "yellow", wrap=True)
 
 
 def _show_sweep(sweep: Sweep, *, console: Console) -> None:
     for intervals in _INTERVALS:
         grid = _sweep_grid(sweep, intervals=intervals)
-        lines = _aligned([cells for _, cells in grid], close=_interval_columns(sweep, intervals))
+        lines = aligned([cells for _, cells in grid], close=_interval_columns(sweep, intervals))
         if max(map(len, lines)) <= console.width:
             break
     predictor = "" if sweep.predictor is None else f", predictor {sweep.predictor}"
     left_out = "" if intervals >= set(sweep.metrics) else " where there is room"
     console.print()
-    _print(console, f"Sweep{predictor}: values with 95 % intervals{left_out}", "bold", wrap=True)
-    _show_grouped(grid, lines, console=console)
+    shared = "; privacy as shared" if set(DESCRIPTORS) & set(sweep.metrics) else ""
+    text = f"Sweep{predictor}{shared}: values with 95 % intervals{left_out}"
+    say(console, text, "bold", wrap=True)
+    show_grouped(grid, lines, console=console)
 
 
 def _sweep_grid(sweep: Sweep, *, intervals: AbstractSet[str]) -> list[tuple[str | None, list[str]]]:
-    """Return the rows of cells, each with its mechanism; the head has none."""
+    """Return the rows of cells, each under its heading; the head has none."""
     heads: list[list[str]] = [[""], ["level"]]
     for metric in sweep.metrics:
         first, _, rest = SHOWN[metric].head.partition(" ")
@@ -189,7 +217,7 @@ def _sweep_grid(sweep: Sweep, *, intervals: AbstractSet[str]) -> list[tuple[str 
                 cells.append("-" if shown is None or not shown.value else shown.value)
                 if metric in intervals:
                     cells.append("" if shown is None else shown.interval)
-            grid.append((mechanism, cells))
+            grid.append((heading(mechanism), cells))
     return grid
 
 
@@ -201,34 +229,12 @@ def _interval_columns(sweep: Sweep, intervals: AbstractSet[str]) -> set[int]:
     return {index for index, name in enumerate(columns) if name == "interval"}
 
 
-def _aligned(
-    rows: Sequence[Sequence[str]],
-    *,
-    left: AbstractSet[int] = frozenset(),
-    close: AbstractSet[int] = frozenset(),
-) -> list[str]:
-    """Return the rows as lines whose columns line up.
-
-    Cells go to the right of their column except in `left`; the columns of `close` stand near
-    the one before.
-    """
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for row in rows:
-        line = ""
-        for column, (cell, width) in enumerate(zip(row, widths, strict=True)):
-            gap = "" if column == 0 else " " if column in close else "  "
-            line += gap + (cell.ljust(width) if column in left else cell.rjust(width))
-        lines.append(line.rstrip())
-    return lines
-
-
 def _show_paper(paper_table: pd.DataFrame, *, dataset: str, console: Console) -> None:
     same = dataset == DATASET
     console.print()
-    _print(console, "The paper's numbers beside ours", "bold")
+    say(console, "The paper's numbers beside ours, privacy as shared", "bold", wrap=True)
     if not same:
-        _print(
+        say(
             console,
             f"The paper used {DATASET}; ours are of {dataset}, so they need not agree.",
             "yellow",
@@ -239,22 +245,11 @@ def _show_paper(paper_table: pd.DataFrame, *, dataset: str, console: Console) ->
         ["level", "metric", "paper", "ours", "interval", "paper", "interval", "5,000 scenes"],
     ]
     rows: list[tuple[str | None, list[str]]] = [(None, head) for head in heads]
-    rows += [(row["mechanism"], _paper_cells(row)) for row in paper_table.to_dict("records")]
-    lines = _aligned([cells if same else cells[:6] for _, cells in rows], left={1})
-    _show_grouped(rows, lines, console=console)
-
-
-def _show_grouped(
-    rows: Sequence[tuple[str | None, list[str]]], lines: Sequence[str], *, console: Console
-) -> None:
-    """Print the lines under a heading for each mechanism that they do not name themselves."""
-    heading: str | None = None
-    for (mechanism, cells), line in zip(rows, lines, strict=True):
-        if mechanism is not None and mechanism not in (heading, cells[0]):
-            unit = level_unit(mechanism)
-            _print(console, f"{mechanism}, {unit}" if unit else mechanism, "bold cyan")
-        heading = mechanism
-        _print(console, line, "bold" if mechanism is None else "")
+    rows += [
+        (heading(row["mechanism"]), _paper_cells(row)) for row in paper_table.to_dict("records")
+    ]
+    lines = aligned([cells if same else cells[:6] for _, cells in rows], left={1})
+    show_grouped(rows, lines, console=console)
 
 
 def _paper_cells(row: Mapping[Any, Any]) -> list[str]:
@@ -278,23 +273,23 @@ def _paper_cells(row: Mapping[Any, Any]) -> list[str]:
 
 def _show_claims(claims: pd.DataFrame, *, console: Console) -> None:
     console.print()
-    _print(console, "The paper's claims (evidence: paper_claims.csv)", "bold")
+    say(console, "The paper's claims (evidence: paper_claims.csv)", "bold")
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, show_edge=False)
     table.add_column("claim", ratio=1, overflow="fold")
     table.add_column("answer", no_wrap=True)
     for name in ("effect", "95 % interval", "unit"):
         table.add_column(name, no_wrap=True, justify="left" if name == "unit" else "right")
-    heading = None
+    adding = None
     for row in claims.to_dict("records"):
-        if row["adding"] != heading and isinstance(row["adding"], str) and row["adding"]:
+        if row["adding"] != adding and isinstance(row["adding"], str) and row["adding"]:
             table.add_row(Text(f"{row['adding']} adding", style="bold cyan"))
-        heading = row["adding"]
+        adding = row["adding"]
         scale, digits, unit = {"fraction": (100.0, 1, "%-points"), "s": (1.0, 3, "s")}.get(
             row["unit"], (1.0, 1, str(row["unit"]))
         )
         effect, low, high = (row[key] * scale for key in ("effect", "ci_low", "ci_high"))
         table.add_row(
-            Text(_literal(console, row["claim"])),
+            Text(literal(console, row["claim"])),
             Text(row["answer"], style=_ANSWER_STYLES.get(row["answer"], "")),
             Text("-" if pd.isna(effect) else f"{effect:.{digits}f}"),
             Text("" if pd.isna(low) else f"[{low:.{digits}f}, {high:.{digits}f}]"),

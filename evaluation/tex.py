@@ -4,14 +4,26 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from evaluation.sweeps import SHOWN, amount, level_text, number, printable, sweeps
+from evaluation.sweeps import (
+    AS_SHARED,
+    DESCRIPTORS,
+    SHOWN,
+    after_attack,
+    amount,
+    level_text,
+    number,
+    printable,
+    shared_head,
+    sources,
+    sweeps,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping, Sequence
 
     import pandas as pd
 
-    from evaluation.sweeps import Number, Sweep
+    from evaluation.sweeps import Number, Source
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -38,7 +50,24 @@ def escape(text: str) -> str:
 
 def sweep_tex(summary: pd.DataFrame) -> str:
     """Return one tabular for the first predictor and the descriptors, and one for each other."""
-    return _PREAMBLE + "\n".join(_sweep(sweep) for sweep in sweeps(summary))
+    return _PREAMBLE + "\n".join(
+        ("" if sweep.predictor is None else f"% predictor {escape(sweep.predictor)}\n")
+        + _sweep(sweep.blocks, sweep.metrics)
+        for sweep in sweeps(summary)
+    )
+
+
+def attacks_tex(summary: pd.DataFrame) -> str:
+    """Return a tabular for what was shared, and one for each attack and adversary."""
+    after = after_attack(summary)
+    tabulars = []
+    for source in sources(after.values()):
+        blocks: dict[str, dict[float | None, dict[str, Number]]] = {}
+        for (mechanism, level), block in after.items():
+            if source in block:
+                blocks.setdefault(mechanism, {})[level] = block[source]
+        tabulars.append(_sweep(blocks, (*DESCRIPTORS, "rmse"), source=source))
+    return _PREAMBLE + "\n".join(tabulars)
 
 
 def paper_tex(paper_table: pd.DataFrame) -> str:
@@ -47,13 +76,12 @@ def paper_tex(paper_table: pd.DataFrame) -> str:
     rows = []
     for row in paper_table.to_dict("records"):
         metric = row["metric"]
-        shown = SHOWN[metric]
         ours = number(metric, row["ours"], row["ci_low"], row["ci_high"])
         rows.append(
             [
                 escape(row["mechanism"]),
                 level_text(row["level"]),
-                escape(f"{shown.head} ({shown.unit})"),
+                escape(shared_head(metric)),
                 amount(metric, row["paper"]),
                 _number(ours),
                 f"${amount(metric, row['ours'] - row['paper'], sign='+')}$" if ours.value else "",
@@ -62,22 +90,33 @@ def paper_tex(paper_table: pd.DataFrame) -> str:
     return _PREAMBLE + _tabular("lrlrrr", head, [rows])
 
 
-def _sweep(sweep: Sweep) -> str:
-    shown = [SHOWN[metric] for metric in sweep.metrics]
-    head = ["Mechanism", "Level", *(escape(f"{s.head} ({s.unit})") for s in shown)]
+def _sweep(
+    blocks: Mapping[str, Mapping[float | None, Mapping[str, Number]]],
+    metrics: Sequence[str],
+    *,
+    source: Source | None = None,
+) -> str:
+    """Return a tabular over all levels; a `source` is named above its columns."""
+    if source is None:
+        titles = [shared_head(metric) for metric in metrics]
+        above = ""
+    else:
+        titles = [f"{SHOWN[metric].head} ({SHOWN[metric].unit})" for metric in metrics]
+        what = "As shared" if source == AS_SHARED else f"After {source.label}"
+        above = f" & & \\multicolumn{{{len(metrics)}}}{{c}}{{{escape(what)}}} \\\\\n"
     groups = [
         [
             [
                 escape(mechanism),
                 level_text(level),
-                *(_number(row.get(metric)) for metric in sweep.metrics),
+                *(_number(row.get(metric)) for metric in metrics),
             ]
             for level, row in levels.items()
         ]
-        for mechanism, levels in sweep.blocks.items()
+        for mechanism, levels in blocks.items()
     ]
-    comment = "" if sweep.predictor is None else f"% predictor {escape(sweep.predictor)}\n"
-    return comment + _tabular("lr" + "r" * len(shown), head, groups)
+    head = ["Mechanism", "Level", *map(escape, titles)]
+    return _tabular("lr" + "r" * len(metrics), head, groups, above=above)
 
 
 def _number(value: Number | None) -> str:
@@ -88,11 +127,13 @@ def _number(value: Number | None) -> str:
     return f"{value.value} {{\\scriptsize [{value.low}, {value.high}]}}"
 
 
-def _tabular(columns: str, head: list[str], groups: Iterable[list[list[str]]]) -> str:
+def _tabular(
+    columns: str, head: list[str], groups: Iterable[list[list[str]]], *, above: str = ""
+) -> str:
     body = "\\midrule\n".join(
         "".join(" & ".join(row) + " \\\\\n" for row in rows) for rows in groups
     )
     return (
-        f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{' & '.join(head)} \\\\\n\\midrule\n"
+        f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{above}{' & '.join(head)} \\\\\n\\midrule\n"
         f"{body}\\bottomrule\n\\end{{tabular}}\n"
     )

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from scipy.optimize import minimize
 
-from evaluation.cell import sense_scenes
 from isac_track import datasets, registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, IsacTrackError
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
+from isac_track.sensing import sense_scenes
 from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def releases(dataset: str, *, n_scenes: int, seed: int) -> tuple[Release, ...]:
     tracks = cut(datasets.load(dataset, download=False).tracks, settings=stages, seed=seed)
     order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=4, seed=seed)
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=seed)
-    sensed = sense_scenes(scenes, stages=stages, seed=seed)
+    sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
     return tuple(
         mechanism.instance.share(sensed, stream(seed, "tune")).without_sigma()
         for mechanism in registry.parse_all("mechanisms", LEVELS)

@@ -11,11 +11,22 @@ import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from evaluation import drawing, figure_style, matching, summary
+from evaluation import attack_figure, drawing, figure_style, matching, summary
 from evaluation.figures import draw_all
 
 UNITS = {"plr": "fraction", "ael": "s", "mel": "s", "missed_conflict_rate": "fraction"}
 NAMES = ["fid_threshold", "fixed_error", "operating_points"]
+ATTACKS = [
+    ("identity", "blind"),
+    ("moving_average", "blind"),
+    ("moving_average", "informed"),
+    ("savgol", "informed"),
+    ("kalman_rts", "blind"),
+    ("kalman_rts", "informed"),
+    ("kalman_rts", "oracle"),
+    ("radial_rts", "informed"),
+    ("averaging", "oracle"),
+]
 SUFFIXES = ["", ":adding=independent"]
 ODD_NAMES = [
     "<script>",
@@ -43,10 +54,21 @@ def make_summary(*, dataset="students03", suffixes=SUFFIXES, predictors=("least_
     return pd.DataFrame(rows, columns=summary.COLUMNS)
 
 
+def make_attacked(attacks, *, suffixes=SUFFIXES, dataset="students03"):
+    """The rows of `make_summary` and PLR after each attack, given with its adversary."""
+    frame = make_summary(suffixes=suffixes, dataset=dataset)
+    plr = frame[(frame["consumer"] == "shared") & (frame["metric"] == "plr")]
+    after = [
+        plr.assign(consumer=attack, knowledge=knowledge, value=0.9 - 0.01 * n - 0.1 * plr["value"])
+        for n, (attack, knowledge) in enumerate(attacks)
+    ]
+    return pd.concat([frame, *after], ignore_index=True)
+
+
 def make_matched(*, dataset="students03", predictors=("least_squares",)):
     curves = [0.2, 0.1, 0.3, 0.4, 0.3, 0.5, -0.2, -0.3, -0.1, 1.0]
     rows = [
-        [dataset, adding, predictor, metric, rate - 0.1, rate, *curves]
+        [dataset, adding, predictor, "shared", "", metric, rate - 0.1, rate, *curves]
         for predictor in predictors
         for adding in ("linear", "independent")
         for metric in ("plr", "ael", "mel")
@@ -61,6 +83,7 @@ def figures_of(frame, matched, dataset="students03"):
             drawing.sweep_figure(frame, scheme=drawing.FID, dataset=dataset),
             drawing.sweep_figure(frame, scheme=drawing.FIXED, dataset=dataset),
             drawing.operating_figure(frame, matched, dataset=dataset),
+            attack_figure.attack_figure(frame, dataset=dataset),
         ]
         for figure in found:
             if figure is not None:
@@ -70,7 +93,7 @@ def figures_of(frame, matched, dataset="students03"):
 
 @pytest.fixture(scope="module")
 def drawn():
-    return figures_of(make_summary(), make_matched())
+    return figures_of(make_attacked(ATTACKS), make_matched())
 
 
 def lines_of(ax, linestyle=None):
@@ -198,7 +221,8 @@ def test_odd_names_are_drawn_as_they_are(tmp_path, name):
 def test_missing_parts_leave_out_no_more_than_they_must(keep, expected):
     frame = make_summary(suffixes=[""])
     found = figures_of(frame[keep(frame)], make_matched()[:0])
-    drawn = [name for name, figure in zip(NAMES, found, strict=True) if figure is not None]
+    names = [*NAMES, "after_attack"]
+    drawn = [name for name, figure in zip(names, found, strict=True) if figure is not None]
     assert drawn == expected
 
 
@@ -210,7 +234,7 @@ def test_unknown_intervals_and_values_and_zeros_do_not_stop_it():
     frame.loc[frame["metric"] == "missed_conflict_rate", "value"] = 0.0
     matched = make_matched()
     matched[["fid", "fid_low", "fixed_high"]] = np.nan
-    assert None not in figures_of(frame, matched)
+    assert None not in figures_of(frame, matched)[:3]
 
 
 def test_several_predictors_have_a_line_each_with_its_own_look():
@@ -228,3 +252,92 @@ def test_several_predictors_have_a_line_each_with_its_own_look():
 )
 def test_numbers_are_short(value, text):
     assert figure_style.number(value) == text
+
+
+def test_privacy_says_whose_positions_it_is_of(drawn):
+    for figure in drawn:
+        labels = [ax.get_ylabel() for ax in figure.axes if ax.get_ylabel()]
+        private = [label for label in labels if label != "Missed conflicts (%)"]
+        assert private
+        assert all("shared" in label for label in private)
+
+
+def named(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_an_attack_is_drawn_as_the_adversary_who_knows_most_short_of_the_oracle(drawn):
+    assert named(drawn[3])[:6] == [
+        "as shared",
+        "moving_average (informed)",
+        "savgol (informed)",
+        "kalman_rts (informed)",
+        "radial_rts (informed)",
+        "averaging (oracle), a reference",
+    ]
+
+
+def test_the_lines_after_attack_are_the_numbers_of_the_frame(drawn):
+    frame = make_attacked(ATTACKS)
+    for ax, mechanism in zip(
+        drawn[3].axes,
+        ["fid", "fid:adding=independent", "fixed", "fixed:adding=independent"],
+        strict=True,
+    ):
+        lines = [line for line in lines_of(ax) if line.get_linestyle() != ":"]
+        assert len(lines) == 6
+        kalman = frame[
+            (frame["mechanism"] == mechanism)
+            & (frame["consumer"] == "kalman_rts")
+            & (frame["knowledge"] == "informed")
+        ]
+        np.testing.assert_allclose(lines[3].get_ydata(), 100 * kalman["value"])
+        raws = lines_of(ax, ":")
+        assert len(raws) == 6
+        assert tuple(raws[0].get_xdata()) == (0.0, 1.0)
+
+
+def test_the_oracle_is_set_apart(drawn):
+    lines = [line for line in lines_of(drawn[3].axes[0]) if line.get_linestyle() != ":"]
+    hollow = [line.get_markerfacecolor() == "white" for line in lines]
+    assert hollow == [False] * 5 + [True]
+    looks = {(line.get_color(), line.get_marker()) for line in lines}
+    assert len(looks) == 6
+
+
+def test_without_an_attack_or_a_level_there_is_no_such_figure():
+    def draw(frame):
+        return attack_figure.attack_figure(frame, dataset="students03")
+
+    assert draw(make_summary()) is None
+    assert draw(make_attacked([("identity", "blind")])) is None
+    attacked = make_attacked([("averaging", "oracle")], suffixes=[""])
+    assert draw(attacked[attacked["mechanism"] == "raw"]) is None
+    assert draw(attacked[attacked["consumer"] == "shared"]) is None
+    only = draw(attacked[attacked["mechanism"] == "fixed"])
+    assert len(only.axes) == 1
+    assert named(only) == ["as shared", "averaging (oracle), a reference", "95 % interval"]
+
+
+def test_more_attacks_than_looks_and_odd_names_do_not_stop_it(tmp_path):
+    many = [(f"mine_{n}:{'x' * 40}$_", "blind") for n in range(9)]
+    frame = make_attacked([*many, *[(f"o{n}", "oracle") for n in range(4)]])
+    frame["ci_low"] = np.nan
+    figure = attack_figure.attack_figure(frame, dataset="students03")
+    assert len(lines_of(figure.axes[0])) == 2 * (1 + 5 + 2)
+    paths = draw_all(frame, make_matched(), folder=tmp_path, dataset="students03")
+    assert {path.stem for path in paths} == {*NAMES, "after_attack"}
+
+
+def test_an_attack_that_bears_the_name_of_a_predictor_is_not_drawn_as_one():
+    frame = make_attacked([("least_squares", "blind"), ("shared", "blind")])
+    same = make_summary()
+    odd = frame[frame["knowledge"] != ""].assign(metric="missed_conflict_rate")
+    for scheme in (drawing.FID, drawing.FIXED):
+        with_attack, without = (
+            drawing.sweep_figure(one, scheme=scheme, dataset="students03")
+            for one in (pd.concat([frame, odd]), same)
+        )
+        for ax, other in zip(with_attack.axes, without.axes, strict=True):
+            for line, same_line in zip(lines_of(ax), lines_of(other), strict=True):
+                np.testing.assert_array_equal(line.get_ydata(), same_line.get_ydata())

@@ -27,6 +27,8 @@ def small(csv_recording, tmp_path):
         "raw",
         "--predictor",
         "none",
+        "--attack",
+        "none",
         "--out",
         tmp_path / "run",
     ]

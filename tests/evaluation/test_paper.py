@@ -216,3 +216,35 @@ def test_tolerances():
     assert paper.tolerance("fid", "mel", 0.3) == 0.05
     assert paper.tolerance("raw", "mel", 5.12) == pytest.approx(0.768)
     assert paper.tolerance("raw", "ael", 2.93) == pytest.approx(0.879)
+
+
+def test_what_attacks_get_changes_no_match_and_no_claim():
+    found = results()
+    attacked = dict(found)
+    for key in list(found):
+        if key.consumer == SHARED:
+            for name in (SHARED, PREDICTOR, "kalman_rts"):
+                other = Key(key.mechanism, key.level, name, key.metric, "blind")
+                attacked[other] = estimate(0.5, n=3)
+        elif key.level is not None:
+            other = Key(key.mechanism, key.level + 0.5, PREDICTOR, key.metric, "oracle")
+            attacked[other] = estimate(0.5, n=0)
+    attacked[Key("fid", 5.0, SHARED, "plr", "blind")] = estimate(0.5)
+    at, expected = (
+        matched(one, dataset="students03", predictors=[PREDICTOR]) for one in (attacked, found)
+    )
+    assert at.equals(expected)
+    history = {"history_points": 366.0, "history_interval_s": 0.0834}
+    assert paper.claims(attacked, at, dataset="students03", **history).equals(
+        paper.claims(found, at, dataset="students03", **history)
+    )
+    assert paper.paper_table(attacked, dataset="students03").equals(
+        paper.paper_table(found, dataset="students03")
+    )
+
+
+def test_a_match_says_whose_positions_its_descriptors_are_of():
+    table = matched(results(), dataset="d", predictors=[PREDICTOR])
+    assert list(table.columns[2:5]) == ["predictor", "consumer", "knowledge"]
+    assert set(table["consumer"]) == {SHARED}
+    assert set(table["knowledge"]) == {""}

@@ -9,8 +9,8 @@ import pytest
 
 import evaluation
 from evaluation import store, summary
-from evaluation.cell import Block, compute_block, sense_scenes
-from evaluation.grid import Settings
+from evaluation.cell import Block, compute_block
+from evaluation.grid import Consumer, Settings
 from evaluation.report import build
 from evaluation.runner import plan
 from isac_track import registry, sharing
@@ -18,6 +18,7 @@ from isac_track.config import StageSettings, setting_types
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
+from isac_track.sensing import sense_scenes
 
 KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
@@ -30,6 +31,7 @@ def settings(csv_recording, tmp_path):
         scenes=12,
         mechanisms=("raw", "fid:1000", "fixed:0.7"),
         predictors=("least_squares",),
+        attacks=(),
         out=tmp_path / "run",
     )
 
@@ -41,7 +43,8 @@ def computed(tracks, *, spec="fid:100", stages=None, seed=0, predictor="least_sq
     order = track_order(n_tracks=len(known), n_scenes=12, agents=stages.scenes.agents, seed=seed)
     (mechanism,) = registry.parse("mechanisms", spec)
     (forecaster,) = registry.parse("predictors", predictor)
-    block = Block(number=0, first_scene=0, order=order, levels=((mechanism, (None, forecaster)),))
+    consumers = (Consumer("shared"), Consumer("predictor", forecaster))
+    block = Block(number=0, first_scene=0, order=order, levels=((mechanism, consumers),))
     return [rows for *_, rows in compute_block(block, tracks=known, stages=stages, seed=seed)]
 
 
@@ -136,7 +139,7 @@ def test_fid_at_eta_1_is_fixed_075_sample_by_sample(tracks, adding):
     known = cut(tracks, settings=stages, seed=0)
     order = track_order(n_tracks=len(known), n_scenes=12, agents=4, seed=0)
     scenes = make_scenes(known, order=order, first=0, settings=stages, seed=0)
-    sensed = sense_scenes(scenes, stages=stages, seed=0)
+    sensed = sense_scenes(scenes, settings=stages.sensing, seed=0)
     assert sensed.fid.min() > 38  # rho - 1 > 37: the exponential is lost in rounding
     fid = sharing.Fid(1.0, adding=adding).share(sensed, stream(0, "sharing", "block", 0))
     fixed = sharing.Fixed(0.75, adding=adding).share(sensed, stream(0, "sharing", "block", 0))
@@ -381,6 +384,7 @@ def test_the_manifest_is_enough_to_run_it_again(settings):
         seed=manifest["settings"]["seed"],
         mechanisms=tuple(manifest["settings"]["mechanisms"]),
         predictors=tuple(manifest["settings"]["predictors"]),
+        attacks=tuple(manifest["settings"]["attacks"]),
         stages=StageSettings().changed(manifest["settings"]["stages"]),
         out=settings.out.with_name("again"),
     )

@@ -1,0 +1,334 @@
+"""The weak-attack detector: each rule fires where it must, and nowhere else."""
+
+import json
+import shutil
+import time
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import evaluation
+from evaluation import flags, store
+from evaluation.flags import COLUMNS
+from evaluation.report import build
+from evaluation.summary import Key
+from isac_track.intervals import Estimate, percentile_interval
+
+DRAW = np.random.default_rng(0).normal(size=400)
+BLIND, INFORMED, ORACLE = "blind", "informed", "oracle"
+
+
+def estimate(value, *, spread=0.03, own=0.0, n=50):
+    """An estimate whose replicates move with all others, and by `own` against them."""
+    replicates = value + spread * DRAW + own * DRAW[::-1]
+    return Estimate(value, *percentile_interval(replicates), n, replicates)
+
+
+def run_of(plr, *, level=1.0, mechanism="fixed", shared=0.2, rmse=1.5):
+    """One level with PLR by attack and adversary."""
+    found = {
+        Key(mechanism, level, "shared", "plr"): estimate(shared),
+        Key(mechanism, level, "shared", "rmse"): estimate(rmse),
+    }
+    for (attack, knowledge), value in plr.items():
+        one = value if isinstance(value, Estimate) else estimate(value)
+        found[Key(mechanism, level, attack, "plr", knowledge)] = one
+    return found
+
+
+def beaten(plr, **options):
+    rows = flags.flags(run_of(plr, **options)).rows
+    return [
+        (row["attack"], row["knowledge"], row["by"], row["by_knowledge"])
+        for row in rows.to_dict("records")
+        if row["kind"] == "beaten"
+    ]
+
+
+def test_less_knowledge_must_not_do_better():
+    both = {("a", BLIND): 0.71, ("a", INFORMED): 0.70}
+    assert beaten(both) == [("a", INFORMED, "a", BLIND)]
+    assert beaten({("a", BLIND): 0.70, ("a", INFORMED): 0.71}) == []
+    assert beaten({("a", INFORMED): 0.70, ("a", ORACLE): 0.70}) == []
+
+
+def test_a_simpler_attack_must_not_do_better():
+    order = ("identity", "moving_average", "savgol", "kalman_rts")
+    for n, simple in enumerate(order):
+        for better in order[n + 1 :]:
+            weak = {(simple, BLIND): 0.7, (better, BLIND): 0.6}
+            assert beaten(weak) == [(better, BLIND, simple, BLIND)]
+            assert beaten({(simple, BLIND): 0.6, (better, BLIND): 0.7}) == []
+
+
+@pytest.mark.parametrize("name", ["radial_rts", "my_package.attack:Mine", "gaussian_process"])
+def test_any_other_attack_is_held_against_all_simple_ones(name):
+    simple = dict.fromkeys([(one, BLIND) for one in flags.SIMPLER], 0.7)
+    assert [row[2] for row in beaten(simple | {(name, BLIND): 0.6})] == list(flags.SIMPLER)
+    assert beaten({("another", BLIND): 0.7, (name, BLIND): 0.6}) == []
+
+
+def test_parameters_in_the_name_change_no_rank():
+    assert beaten({("savgol:window_s=2", BLIND): 0.7, ("kalman_rts:q=0.1", BLIND): 0.6})
+    assert not beaten({("kalman_rts:q=0.1", BLIND): 0.7, ("kalman_rts", BLIND): 0.6})
+
+
+def test_more_knowledge_is_an_excuse_to_win():
+    assert beaten({("savgol", INFORMED): 0.7, ("kalman_rts", BLIND): 0.6}) == []
+    assert beaten({("savgol", BLIND): 0.7, ("kalman_rts", INFORMED): 0.6})
+
+
+def test_averaging_is_held_against_the_control_alone():
+    plr = {("identity", BLIND): 0.2, ("kalman_rts", BLIND): 0.7}
+    assert beaten(plr | {("averaging", ORACLE): 0.3}) == []
+    assert beaten(plr | {("averaging", ORACLE): 0.1}) == [("averaging", ORACLE, "identity", BLIND)]
+
+
+def test_the_control_is_never_flagged():
+    found = run_of({("identity", BLIND): 0.5, ("identity", INFORMED): 0.1}, level=0.1, rmse=1.0)
+    found |= run_of({("identity", BLIND): 0.5, ("identity", INFORMED): 0.1}, level=1.0)
+    assert flags.flags(found).rows.empty
+
+
+def test_the_interval_of_the_difference_decides_not_those_of_the_values():
+    """Much spread in common is no doubt; a little of one's own is."""
+    certain = {("savgol", BLIND): estimate(0.71, spread=0.1), ("kalman_rts", BLIND): 0.70}
+    certain["kalman_rts", BLIND] = estimate(0.70, spread=0.1)
+    assert beaten(certain)
+    doubtful = certain | {("savgol", BLIND): estimate(0.71, spread=0.1, own=0.02)}
+    assert beaten(doubtful) == []
+
+
+def test_a_flag_says_how_much_and_how_often_was_looked():
+    found = run_of({("identity", BLIND): 0.3, ("savgol", BLIND): 0.25}, level=1.0)
+    found |= run_of({("identity", BLIND): 0.3, ("savgol", BLIND): 0.6}, level=0.5, rmse=1.0)
+    (row,) = flags.flags(found).rows.to_dict("records")
+    assert list(row) == COLUMNS
+    assert (row["mechanism"], row["level"], row["compared"]) == ("fixed", 1.0, 2)
+    assert row["difference"] == pytest.approx(0.05)
+    assert row["ci_low"] <= row["difference"] <= row["ci_high"]
+    assert row["sentence"] == (
+        "savgol (blind) is beaten by identity (blind) at fixed 1: PLR 25.0 % against 30.0 %, "
+        "+5.0 [+5.0, +5.0] points"
+    )
+
+
+@pytest.mark.parametrize("name", ["clean", "mine"])
+def test_where_all_that_is_shared_leaks_nobody_is_to_blame(name):
+    plr = {("identity", BLIND): 1.0, ("kalman_rts", BLIND): 0.99}
+    found = run_of(plr, mechanism=name, level=None, shared=1.0, rmse=0.0)
+    assert flags.flags(found).rows.empty
+    assert flags.flags(found).left_out == {"all that is shared leaks already": 1}
+
+
+def test_few_clusters_decide_nothing():
+    few = {("savgol", BLIND): estimate(0.7, n=19), ("kalman_rts", BLIND): estimate(0.6, n=19)}
+    assert flags.flags(run_of(few)).rows.empty
+    assert flags.flags(run_of(few)).comparisons["beaten"] == 0
+    assert flags.flags(run_of(few)).left_out["fewer than 20 clusters"] > 0
+
+
+def ends(quiet, noisy, *, rmse=(0.5, 1.5), shared=(0.5, 0.2), mechanism="fid"):
+    """Raw and one level of a mechanism: PLR of one attack at either."""
+    attack = ("kalman_rts", BLIND)
+    return run_of(
+        {attack: quiet}, mechanism="raw", level=None, shared=shared[0], rmse=rmse[0]
+    ) | run_of({attack: noisy}, mechanism=mechanism, level=7.0, shared=shared[1], rmse=rmse[1])
+
+
+def test_success_must_fall_with_the_noise():
+    assert flags.flags(ends(0.8, 0.7)).rows.empty
+    (row,) = flags.flags(ends(0.7, 0.8)).rows.to_dict("records")
+    assert (row["kind"], row["mechanism"], row["level"]) == ("does_not_fall", "fid", 7.0)
+    assert (row["attack"], row["by"], row["compared"]) == ("kalman_rts", "", 1)
+    assert row["difference"] == pytest.approx(0.1)
+    assert "PLR 70.0 % at raw, 80.0 % at fid 7" in row["sentence"]
+
+
+def test_a_fall_within_its_interval_is_none():
+    assert not flags.flags(ends(0.8, estimate(0.79, own=0.02))).rows.empty
+    assert flags.flags(ends(0.8, estimate(0.70, own=0.02))).rows.empty
+
+
+def test_noise_that_hardly_rises_or_does_not_matter_is_no_test():
+    alike = flags.flags(ends(0.7, 0.8, rmse=(1.0, 1.09)))
+    assert alike.rows.empty
+    assert alike.left_out == {"the noise hardly rises": 1}
+    assert flags.flags(ends(0.7, 0.8, shared=(0.5, 0.5))).rows.empty
+    assert flags.flags(ends(0.7, 0.8, mechanism="clean")).rows.empty
+    assert flags.flags(run_of({("kalman_rts", BLIND): 0.5})).rows.empty
+
+
+def test_the_noisiest_level_is_that_of_the_largest_error_whatever_its_number():
+    found = ends(0.9, 0.8)
+    found |= run_of({("kalman_rts", BLIND): 0.95}, mechanism="fid", level=0.1, rmse=3.0)
+    (row,) = flags.flags(found).rows.to_dict("records")
+    assert row["level"] == 0.1
+
+
+def test_a_slow_attack_is_compared_on_its_own_tracks_only():
+    found = run_of({("kalman_rts", BLIND): 0.7, ("slow_one", BLIND): 0.6})
+    without = flags.flags(found, slow={"slow_one"})
+    assert without.rows.empty
+    assert without.left_out == {"a slow attack, without the others on the same tracks": 1}
+    once = run_of({("kalman_rts", BLIND): 0.55, ("slow_one", BLIND): 0.6})
+    assert flags.flags(found, slow={"slow_one"}, once=once).rows.empty
+    once = run_of({("kalman_rts", BLIND): 0.65, ("slow_one", BLIND): 0.6})
+    (row,) = flags.flags(found, slow={"slow_one"}, once=once).rows.to_dict("records")
+    assert row["difference"] == pytest.approx(0.05)
+
+
+def test_a_predictor_of_the_same_name_is_no_attack():
+    found = run_of({("kalman_rts", BLIND): 0.6})
+    found[Key("fixed", 1.0, "savgol", "plr")] = estimate(0.9)
+    assert flags.flags(found).rows.empty
+
+
+def test_draws_without_an_attacks_people_are_left_out():
+    gaps = estimate(0.7)
+    gaps = replace(gaps, replicates=np.where(np.arange(400) < 3, np.nan, gaps.replicates))
+    assert beaten({("savgol", BLIND): gaps, ("kalman_rts", BLIND): 0.6})
+
+
+def test_the_file_explains_itself_and_has_a_list_even_if_it_is_empty():
+    content = json.loads(flags.to_json(flags.flags({})))
+    assert content["flags"] == []
+    assert content["kinds"].keys() == content["comparisons"].keys() == {"beaten", "does_not_fall"}
+    assert "not adjusted" in content["intervals"]
+    content = json.loads(flags.to_json(flags.flags(ends(0.7, 0.8, mechanism="mine"))))
+    assert list(content["flags"][0]) == COLUMNS
+    raw = run_of({("identity", BLIND): 0.7, ("a", BLIND): 0.6}, mechanism="raw", level=None)
+    assert json.loads(flags.to_json(flags.flags(raw)))["flags"][0]["level"] is None
+
+
+def test_lines_are_few_and_say_how_many_levels():
+    found = {}
+    for level in (0.1, 0.2, 0.3):
+        savgol = {("savgol", BLIND): 0.7, ("savgol", INFORMED): 0.71}
+        # At 0.1 the two are equal but for rounding.
+        mine = {("mine", INFORMED): 0.7 - level, ("mine", BLIND): 0.5 + level}
+        found |= run_of(savgol | mine, level=level, rmse=1.0)
+    lines = flags.lines(flags.flags(found).rows)
+    assert [line.partition(" points")[0] for line in lines] == [
+        f"flag: mine ({knowledge}) is beaten by {rest}"
+        for knowledge, rest in (
+            (INFORMED, "savgol (blind, informed) at 3 of 3 levels, by up to 31.0 [31.0, 31.0]"),
+            (BLIND, "savgol (blind) at 1 of 3 levels, by up to 10.0 [10.0, 10.0]"),
+            (INFORMED, "mine (blind) at 2 of 3 levels, by up to 40.0 [40.0, 40.0]"),
+        )
+    ]
+    (line,) = flags.lines(flags.flags(ends(0.7, 0.8)).rows)
+    assert line == (
+        "flag: kalman_rts (blind) does not fall with the noise in 1 of 1 mechanisms (fid), by "
+        "+10.0 [+10.0, +10.0] points: flags.json"
+    )
+    assert flags.lines(pd.DataFrame(columns=COLUMNS)) == []
+
+
+def test_thousands_of_comparisons_take_no_time():
+    plr = {
+        (attack, knowledge): estimate(0.5 + 0.01 * n)
+        for n, attack in enumerate((*flags.SIMPLER, "radial_rts"))
+        for knowledge in (BLIND, INFORMED, ORACLE)
+    }
+    found = {}
+    for n in range(47):
+        found |= run_of(plr, level=float(n))
+    started = time.perf_counter()
+    looked = flags.flags(found)
+    assert looked.comparisons["beaten"] > 2500
+    assert time.perf_counter() - started < 2.0
+
+
+BROKEN = '''
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from isac_track.types import Reconstruction
+
+
+@dataclass(frozen=True)
+class Blur:
+    """Moves everything half a metre: worse than doing nothing."""
+
+    requires: ClassVar[frozenset] = frozenset()
+    uses: ClassVar[frozenset] = frozenset()
+
+    def fit(self, context):
+        return lambda release: Reconstruction(release.xy + 0.5)
+
+
+@dataclass(frozen=True)
+class SlowBlur(Blur):
+    slow: ClassVar[bool] = True
+    seconds_per_sample: ClassVar[float] = 0.0
+'''
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """24 people, each seen about three times: a slow attack gets a third of the releases."""
+    folder = tmp_path_factory.mktemp("flags")
+    (folder / "broken_for_flags.py").write_text(BROKEN, encoding="utf-8")
+    rng = np.random.default_rng(1)
+    t = 0.4 * np.arange(60)
+    walks = [
+        pd.DataFrame({"t": t, "id": n, "x": xy[:, 0], "y": xy[:, 1]})
+        for n in range(24)
+        for xy in [rng.uniform(-3, 3, 2) + rng.normal(0.2, 0.1, (60, 2)).cumsum(axis=0)]
+    ]
+    pd.concat(walks).to_csv(folder / "walks.csv", index=False)
+    settings = evaluation.Settings(
+        dataset=str(folder / "walks.csv"),
+        scenes=18,
+        mechanisms=("clean", "raw", "fixed:1"),
+        predictors=(),
+        attacks=("identity", "kalman_rts", "broken_for_flags:Blur", "broken_for_flags:SlowBlur"),
+        out=folder / "run",
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        return evaluation.run(settings)
+
+
+def test_a_bad_attack_in_a_real_run_is_flagged_in_the_file_and_the_frame(results):
+    bad = results.flags[results.flags["kind"] == "beaten"]
+    assert set(bad["attack"]) == {"broken_for_flags:Blur", "broken_for_flags:SlowBlur"}
+    assert set(bad["by"]) == {"identity", "kalman_rts"}
+    assert set(bad["mechanism"]) == {"raw", "fixed"}
+    content = json.loads((results.out / "flags.json").read_text(encoding="utf-8"))
+    assert [row["sentence"] for row in content["flags"]] == results.flags["sentence"].tolist()
+    assert content["left_out"]["all that is shared leaks already"] > 0
+
+
+def test_what_a_slow_attack_saw_is_what_others_are_read_on(results):
+    once = flags.on_first_releases(results.out, results.manifest)
+    entries = [entry for entry in results.manifest["cells"] if entry["spec"] == "raw"]
+    paths = {
+        entry["consumer"]: [results.out / "cells" / name for name in entry["files"]]
+        for entry in entries
+    }
+    slow = store.read_cells(paths["broken_for_flags:SlowBlur"], columns=["scene", "agent"])
+    fast = store.read_cells(paths["identity"], columns=["scene", "agent", "plr"]).to_pandas()
+    seen = fast.merge(slow.to_pandas(), on=["scene", "agent"])
+    assert len(seen) == 24 < len(fast)
+    value = once[Key("raw", None, "identity", "plr", BLIND)].value
+    assert value == pytest.approx(seen["plr"].mean(), abs=1e-12)
+    assert Key("raw", None, "broken_for_flags:Blur", "plr", BLIND) not in once
+
+
+def test_redrawn_the_flags_are_the_same_and_fresh_removes_them(results, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(results.out, copy)
+    expected = (copy / "flags.json").read_bytes()
+    (copy / "flags.json").unlink()
+    assert build(copy).flags.equals(results.flags)
+    assert (copy / "flags.json").read_bytes() == expected
+    assert (copy / "tables" / "attacks.tex").is_file()
+    assert (copy / "figures" / "after_attack.svg").is_file()
+    store._remove_run(copy, results.manifest)
+    assert not any(copy.iterdir())
