@@ -325,17 +325,16 @@ def descriptors(*, xy: Floats, truth: Floats, t: Floats, offsets: Ints, epsilon_
     offsets : (N + 1,) int
     epsilon_m : float
     """
-    leaked = privacy.leakage_indicator(shared_xy=xy, true_xy=truth, epsilon_m=epsilon_m)
-    exposure = privacy.exposure(leaked=leaked, t=t, offsets=offsets)
-    gap = xy - truth
-    squared_m2 = gap[:, 0] ** 2 + gap[:, 1] ** 2
+    away_m = privacy.distance_m(shared_xy=xy, true_xy=truth)
+    # `privacy.leakage_indicator`, on a distance that the squared error needs as well
+    exposure = privacy.exposure(leaked=away_m < epsilon_m, t=t, offsets=offsets)
     starts = offsets[:-1]
     return {
         "plr": exposure.plr,
         "ael_s": exposure.ael_s,
         "mel_s": exposure.mel_s,
         "segments": exposure.segments,
-        "mse_m2": np.add.reduceat(squared_m2, starts) / np.diff(offsets)
+        "mse_m2": np.add.reduceat(away_m**2, starts) / np.diff(offsets)
         if starts.size
         else np.zeros(0),
     }

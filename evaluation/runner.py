@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -233,8 +233,8 @@ def _parts(
         return [levels]
     n_tasks = _TASKS_PER_WORKER * ready.jobs
     n_parts = min(len(levels), -(-n_tasks // n_blocks(ready.settings.n_scenes)))
-    bounds = np.linspace(0, len(levels), n_parts + 1).astype(int)
-    return [levels[lo:hi] for lo, hi in pairwise(bounds)]
+    # Every n-th level: neighbours take alike long, and so do the parts.
+    return [levels[part::n_parts] for part in range(n_parts)]
 
 
 def _computed(
@@ -264,6 +264,7 @@ def _whole_block(
     block: Block,
     **context: Any,  # noqa: ANN401 - handed on to compute_block
 ) -> tuple[int, list[tuple[Plugin, Consumer, Rows]]]:
+    gc.freeze()  # what was imported stays: looking through it again and again takes long
     return block.number, list(compute_block(block, **context))
 
 

@@ -272,9 +272,9 @@ def smooth_positions(
     zero: a sample that lies close to the walk is very likely almost exact. The posterior mode
     solves a smoother with the weights 1 / r^2 + 1 / sigma^2 per axis, r the sample's distance from
     the smoothed position; they are iterated as 1 / (r^2 + delta^2) + 1 / sigma^2. With
-    delta^2 = 2 P + anneal^(pass - 1) sigma^2 a residual counts as no smaller than the position
-    itself is known (P is its variance per axis), and the first passes are nearly those of Gaussian
-    errors, lest the walk be drawn to samples that only happen to lie where it starts.
+    delta^2 = 2 P + anneal^(m - 1) sigma^2 after the m-th pass a residual counts as no smaller than
+    the position itself is known (P is its variance per axis), and the first passes are nearly those
+    of Gaussian errors, lest the walk be drawn to samples that only happen to lie where it starts.
 
     Parameters
     ----------
@@ -384,9 +384,11 @@ def ragged_times(t: Floats, offsets: Ints) -> tuple[Floats, Ints]:
         raise ValueError(f"offsets must run from 0 to {t.size}")
     if (np.diff(offsets) < 1).any():
         raise ValueError("every track needs at least one sample: offsets must increase")
-    rising = np.diff(t) > 0  # False for NaN
+    if not np.isfinite(t).all():
+        raise ValueError("times must be finite and strictly increasing within a track")
+    rising = np.diff(t) > 0
     rising[offsets[1:-1] - 1] = True  # from one track to the next
-    if not rising.all() or not np.isfinite(t).all():
+    if not rising.all():
         raise ValueError("times must be finite and strictly increasing within a track")
     return t, offsets.astype(np.int64, copy=False)
 

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from isac_track.types import Floats, Ints, Release
 
 _Choice = TypeVar("_Choice")
-_POWERS = (-1.0, -0.5, 0.0, 0.5, 1.0)
+_POWERS = (-1.0, 0.0, 1.0)
 N_CANDIDATES = len(_POWERS)
 """What a built-in attack tries before it attacks."""
 
 
 def around(default: float, *, factor: float) -> tuple[float, ...]:
-    """Return five values from ``default / factor`` to ``default * factor``, evenly in ratio.
+    """Return ``default / factor``, the default and ``default * factor``.
 
     Every attack that learns a number tries these: no recording had a say in the grid.
     """

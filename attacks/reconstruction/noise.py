@@ -6,7 +6,8 @@ FID-controlled sharing, the rule itself tells: a sample gets error if the inform
 carries per second, ``(gap / sigma_raw)^2 / interval``, exceeds the public threshold. The
 intervals are in the release; what an informed adversary finds is one raw standard deviation for
 each track, the one under which the rule explains best how the track's errors differ between short
-and long intervals. The gap of the network's estimator is a constant, learnt from other people.
+and long intervals (one is a simplification: the beam fluctuates from sample to sample). The gap of
+the network's estimator is a constant, learnt from other people.
 """
 
 from __future__ import annotations
@@ -152,21 +153,22 @@ def _intervals(release: Release) -> Floats:
 def _innovation_squares(release: Release) -> tuple[Floats, Floats]:
     """Return squared innovations scaled to the squared length of one error, (M,), and which count.
 
-    As in `isac_track.noise`; the first two samples of a track have none.
+    As in `isac_track.noise`. An innovation spans three samples and counts for the middle one, which
+    weighs most in it; the first and the last of a track have none.
     """
     counts = np.ones_like(release.t)
-    first = release.offsets[:-1]
-    counts[first] = 0.0
-    second = first + 1
-    counts[second[second < release.offsets[1:]]] = 0.0
+    counts[release.offsets[:-1]] = 0.0
+    counts[release.offsets[1:] - 1] = 0.0
     square_m2 = np.zeros_like(release.t)
     step_s = np.diff(release.t)
     if step_s.size > 1:
-        ratio = np.where(counts[2:] > 0, step_s[1:] / np.where(step_s[:-1] > 0, step_s[:-1], 1), 0)
+        ratio = np.where(
+            counts[1:-1] > 0, step_s[1:] / np.where(step_s[:-1] > 0, step_s[:-1], 1), 0
+        )
         x, y = release.xy[:, 0], release.xy[:, 1]
         gap_x = x[2:] - x[1:-1] - ratio * (x[1:-1] - x[:-2])
         gap_y = y[2:] - y[1:-1] - ratio * (y[1:-1] - y[:-2])
-        square_m2[2:] = (gap_x**2 + gap_y**2) / (1.0 + (1.0 + ratio) ** 2 + ratio**2)
+        square_m2[1:-1] = (gap_x**2 + gap_y**2) / (1.0 + (1.0 + ratio) ** 2 + ratio**2)
     return square_m2 * counts, counts
 
 
