@@ -139,6 +139,11 @@ class Consumer:
         return self.plugin is not None and bool(getattr(self.plugin.instance, "slow", False))
 
     @property
+    def is_built_in(self) -> bool:
+        """Whether an attack is one of the project's own."""
+        return self.plugin is not None and self.plugin.origin.startswith("attacks.")
+
+    @property
     def label(self) -> str:
         """For people: with the adversary."""
         return f"{self.spec} ({self.knowledge})" if self.knowledge else self.spec

@@ -23,7 +23,7 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.random import Generator
 
@@ -76,6 +76,8 @@ class Ground:
     """The tracks of either half of the people."""
     first_parts: tuple[Part, Part]
     """The same, only the first release of each source track in the run: for slow attacks."""
+    passes: tuple[tuple[Part, ...], tuple[Part, ...]]
+    """The same, cut by the passes over the recording: in none does a walk occur twice."""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
     """For each part people of the other half, each once; None if there are none."""
     again: tuple[Sensed, ...]
@@ -101,7 +103,8 @@ def slow_cost_s(consumers: Sequence[Consumer], *, tracks: Cut, n_levels: int) ->
     total_s = 0.0
     for consumer in consumers:
         assert consumer.plugin is not None
-        each_s = float(getattr(consumer.plugin.instance, "seconds_per_sample", np.nan))
+        said = getattr(consumer.plugin.instance, "seconds_per_sample", np.nan)
+        each_s = float(said) if isinstance(said, int | float) else np.nan
         learns = Knowledge.TRAIN in consumer.granted
         total_s += each_s * (n_samples.sum() + (N_CANDIDATES * n_training if learns else 0.0))
     return n_levels * total_s
@@ -132,7 +135,7 @@ def ground(
     half = folds(tracks.group, seed=seed)
     victims_half = half[scenes.track]
     seats = scenes.index[0] * scenes.n_agents + np.arange(scenes.track.size)
-    is_first = seats < len(tracks)  # the first pass over the tracks takes each once
+    number = seats // len(tracks)  # each pass over the tracks takes each once
     training = []
     for fold in _FOLDS:
         others = _people(half, fold=1 - fold, seed=seed)
@@ -147,12 +150,23 @@ def ground(
         for number in range(N_REPEATS if repeats else 0)
     )
     first, second = (_part(scenes, victims_half == fold) for fold in _FOLDS)
-    first_once, second_once = (_part(scenes, (victims_half == fold) & is_first) for fold in _FOLDS)
+    passes = tuple(
+        tuple(
+            _part(scenes, (victims_half == fold) & (number == one))
+            for one in np.unique(number[victims_half == fold])
+        )
+        for fold in _FOLDS
+    )
+    _assert_distinct(passes, scenes=scenes)
+    first_once, second_once = (
+        _part(scenes, (victims_half == fold) & (number == 0)) for fold in _FOLDS
+    )
     return Ground(
         scenes=scenes,
         sensed=sensed,
         parts=(first, second),
         first_parts=(first_once, second_once),
+        passes=(passes[0], passes[1]),
         training=tuple(training),
         again=again,
     )
@@ -268,25 +282,16 @@ def attack_rows(
     DataError
         If there is nobody to learn from.
     """
-    parts = ground.first_parts if consumer.is_slow else ground.parts
+    parts: list[Part] = []
     found: list[Rows] = []
-    for fold, part in enumerate(parts):
-        if not part.rows.size:
-            continue
-        xy = _attacked(
-            consumer,
-            level=level,
-            part=part,
-            fold=fold,
-            epsilon_m=epsilon_m,
-            seed=seed,
-        )
+    for part, xy in _attacked(consumer, level=level, ground=ground, epsilon_m=epsilon_m, seed=seed):
+        parts.append(part)
         found.append(
             descriptors(
                 xy=xy, truth=part.truth, t=part.t, offsets=part.offsets, epsilon_m=epsilon_m
             )
         )
-    rows = np.concatenate([part.rows for part in parts])
+    rows = np.concatenate([*(part.rows for part in parts), np.zeros(0, dtype=np.int64)])
     order = np.argsort(rows)
     rows = rows[order]
     names = descriptors(
@@ -376,25 +381,79 @@ def per_axis(law: str) -> float:
 
 
 def _attacked(
-    consumer: Consumer, *, level: Level, part: Part, fold: int, epsilon_m: float, seed: int
-) -> Floats:
-    """Return the reconstructed positions of a part in the true frame, (m, 2) m."""
+    consumer: Consumer, *, level: Level, ground: Ground, epsilon_m: float, seed: int
+) -> Iterator[tuple[Part, Floats]]:
+    """Yield the attacked parts and their reconstructed positions in the true frame, (m, 2) m.
+
+    A release holds every walk once: of two copies an adversary could make one better one. The
+    built-in attacks work track by track (tested) and take all passes in one call.
+    """
+    granted = _granted(consumer, level=level)
+    shows = consumer.granted & _SHOWS
+    whole = consumer.is_built_in and not consumer.is_slow
+    for fold in _FOLDS:
+        if consumer.is_slow:
+            parts: tuple[Part, ...] = (ground.first_parts[fold],)
+        else:
+            parts = (ground.parts[fold],) if whole else ground.passes[fold]
+        fitted: Callable[[Release], Reconstruction] | None = None
+        for number, part in enumerate(parts):
+            if not part.rows.size:
+                continue
+            if whole:
+                own, view = level.victims[fold], level.views[fold, shows]
+                release, training = view.release, level.training.get((fold, shows))
+            else:
+                own = _taken(level.release, part)
+                rng = _frame(level.key, fold, "pass", number, seed=seed)
+                view = seen(own, granted=granted, rng=rng)
+                # A stranger may unlock arrays: what it writes to is its own.
+                release = _copied(view.release)
+                training = level.training.get((fold, shows))
+                if training is not None:
+                    training = TrainingSet(_copied(training.release), training.truth.copy())
+            if fitted is None or Knowledge.REPEATS in granted:
+                fitted = _fitted(
+                    consumer,
+                    granted=granted,
+                    level=level,
+                    part=part,
+                    fold=fold,
+                    training=training,
+                    epsilon_m=epsilon_m,
+                    seed=seed,
+                )
+            found = _called(fitted, release, consumer=consumer)
+            # Only the correction is turned back: what is left alone stays as it was, bit by bit.
+            yield part, own.xy + _turned(found - view.release.xy, angle=-view.angle)
+
+
+def _granted(consumer: Consumer, *, level: Level) -> frozenset[Knowledge]:
+    """Return what an attack gets: without SIGMA where the mechanism declares none."""
     assert consumer.plugin is not None
-    granted = consumer.granted
-    shows = granted & _SHOWS
-    if Knowledge.SIGMA in granted and level.release.sigma is None:
-        if Knowledge.SIGMA in consumer.plugin.instance.requires:
-            raise PluginError(
-                f"attack {consumer.label} requires SIGMA, but mechanism {level.mechanism.spec!r} "
-                "declares none; leave one of the two out"
-            )
-        granted -= {Knowledge.SIGMA}
-    if consumer.is_slow:  # fewer tracks than the others'
-        own = _taken(level.release, part)
-        view = seen(own, granted=granted, rng=_frame(level.key, fold, "slow", seed=seed))
-    else:
-        own, view = level.victims[fold], level.views[fold, shows]
-    if Knowledge.TRAIN in granted and (fold, shows) not in level.training:
+    if Knowledge.SIGMA not in consumer.granted or level.release.sigma is not None:
+        return consumer.granted
+    if Knowledge.SIGMA in consumer.plugin.instance.requires:
+        raise PluginError(
+            f"attack {consumer.label} requires SIGMA, but mechanism {level.mechanism.spec!r} "
+            "declares none; leave one of the two out"
+        )
+    return consumer.granted - {Knowledge.SIGMA}
+
+
+def _fitted(
+    consumer: Consumer,
+    *,
+    granted: frozenset[Knowledge],
+    level: Level,
+    part: Part,
+    fold: int,
+    training: TrainingSet | None,
+    epsilon_m: float,
+    seed: int,
+) -> Callable[[Release], Reconstruction]:
+    assert consumer.plugin is not None
+    if Knowledge.TRAIN in granted and training is None:
         raise DataError(
             f"attack {consumer.spec!r} learns from other people, but all tracks belong to one "
             "person or group; use a recording of more people or leave the attack out"
@@ -413,24 +472,45 @@ def _attacked(
         epsilon_m=epsilon_m,
         granted=granted,
         mechanism=level.mechanism.instance,
-        train=level.training.get((fold, shows)),
+        train=training,
         repeats=repeats,
     )
     try:
-        found = consumer.plugin.instance.fit(context)(view.release)
+        fitted: Callable[[Release], Reconstruction] = consumer.plugin.instance.fit(context)
     except (Exception, SystemExit) as error:  # a plug-in may do anything
         raise PluginError(
             f"attack {consumer.label} failed: {type(error).__name__}: {error}"
         ) from error
-    if not isinstance(found, Reconstruction) or found.xy.shape != own.xy.shape:
+    return fitted
+
+
+def _called(
+    fitted: Callable[[Release], Reconstruction], release: Release, *, consumer: Consumer
+) -> Floats:
+    """Return what an attack makes of a release, (m, 2) m in its frame."""
+    expected = release.xy.shape
+    try:
+        found: object = fitted(release)
+    except (Exception, SystemExit) as error:  # a plug-in may do anything
+        raise PluginError(
+            f"attack {consumer.label} failed: {type(error).__name__}: {error}"
+        ) from error
+    if not isinstance(found, Reconstruction) or found.xy.shape != expected:
         got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
         raise PluginError(
-            f"attack {consumer.label} must return a Reconstruction with xy {own.xy.shape}, "
-            f"got {got}"
+            f"attack {consumer.label} must return a Reconstruction with xy {expected}, got {got}"
         )
-    # Only the correction is turned back: what an attack leaves alone stays as it was, bit by bit.
-    xy: Floats = own.xy + _turned(found.xy - view.release.xy, angle=-view.angle)
-    return xy
+    return found.xy
+
+
+def _copied(release: Release) -> Release:
+    return replace(
+        release,
+        t=release.t.copy(),
+        xy=release.xy.copy(),
+        sigma=None if release.sigma is None else release.sigma.copy(),
+        offsets=release.offsets.copy(),
+    )
 
 
 def seen(release: Release, *, granted: frozenset[Knowledge], rng: Generator) -> View:
@@ -502,6 +582,14 @@ def _assert_apart(training: Ints, victims: Ints, *, tracks: Cut) -> None:
     taught = {tracks.group[row] for row in training}
     if any(tracks.group[row] in taught for row in np.unique(victims)):
         raise AssertionError("a victim's group is among the training people")
+
+
+def _assert_distinct(passes: tuple[tuple[Part, ...], ...], *, scenes: Scenes) -> None:
+    """Assert that no release shows a walk twice."""
+    for part in (part for half in passes for part in half):
+        walks = scenes.track[part.rows]
+        if np.unique(walks).size < walks.size:
+            raise AssertionError("a walk occurs twice in one pass")
 
 
 def _training(

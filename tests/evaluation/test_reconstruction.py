@@ -1,5 +1,6 @@
 """What an attack is shown of a block, what it is not, and what its rows say."""
 
+import contextlib
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import ClassVar
@@ -9,6 +10,7 @@ import pandas as pd
 import pytest
 
 import evaluation
+from attacks.reconstruction.kalman_rts import KalmanRTS
 from evaluation import reconstruction
 from evaluation.cell import Block, compute_block
 from evaluation.grid import Axes, Settings
@@ -16,6 +18,7 @@ from evaluation.reconstruction import TRAINING_PEOPLE, benchmark, descriptors, f
 from isac_track import registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError
+from isac_track.protocols import grants
 from isac_track.registry import Plugin
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
@@ -25,6 +28,8 @@ from isac_track.types import Knowledge, Reconstruction, Sensed
 
 STAGES = StageSettings()
 N_SCENES = 12
+ONE_PASS = 3
+"""Scenes whose four agents each are the twelve people, once."""
 MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = (
     Knowledge.MECHANISM,
     Knowledge.SIGMA,
@@ -121,9 +126,9 @@ def same(a, b):
 class World:
     """The block that `computed` makes, built from the parts that the cells are built of."""
 
-    def __init__(self, tracks, *, mechanism="raw", seed=0):
+    def __init__(self, tracks, *, mechanism="raw", n_scenes=N_SCENES, seed=0):
         self.tracks = cut(tracks, settings=STAGES, seed=seed)
-        (block,) = blocks_of(self.tracks, levels=())
+        (block,) = blocks_of(self.tracks, n_scenes=n_scenes, levels=())
         self.scenes = make_scenes(
             self.tracks, order=block.order, first=0, settings=STAGES, seed=seed
         )
@@ -280,10 +285,10 @@ class TestWhatIsShown:
     def spied(self, tracks, *, granted=(), requires=(), mechanism="fixed:0.5", slow=False):
         """What a spy saw of both halves, as the adversary who is granted so much."""
         spy = (SlowSpy if slow else Spy)(requires=frozenset(requires), uses=frozenset(granted))
-        computed(tracks, plugin(spy), mechanisms=(mechanism,))
+        computed(tracks, plugin(spy), mechanisms=(mechanism,), n_scenes=ONE_PASS)
         seen = [one for one in spy.seen if one[0].granted == frozenset((*granted, *requires))]
         assert len(seen) == 2
-        return World(tracks, mechanism=mechanism), seen
+        return World(tracks, mechanism=mechanism, n_scenes=ONE_PASS), seen
 
     def test_a_blind_adversary_sees_no_sigma_and_no_true_frame_or_clock(self, tracks):
         world, seen = self.spied(tracks)
@@ -308,7 +313,7 @@ class TestWhatIsShown:
 
     def test_the_frames_of_the_halves_and_of_the_levels_differ(self, tracks):
         spy = Spy()
-        computed(tracks, plugin(spy), mechanisms=("raw", "fixed:0.5"))
+        computed(tracks, plugin(spy), mechanisms=("raw", "fixed:0.5"), n_scenes=ONE_PASS)
         clocks = [release.t[0] for _, release, _ in spy.seen]
         starts = [release.t[0] for release in (World(tracks).release,)]
         assert len({round(clock, 3) for clock in clocks}) == 4
@@ -379,7 +384,7 @@ class TestWhatIsShown:
     def test_the_mechanism_is_the_very_object(self, tracks):
         spy = Spy(uses=frozenset({MECHANISM}))
         fixed = Plugin("mine", 0.5, "mine:0.5", "here:Mine", Fixed(0.5))
-        computed(tracks, plugin(spy), mechanisms=(fixed,))
+        computed(tracks, plugin(spy), mechanisms=(fixed,), n_scenes=ONE_PASS)
         granted = [context for context, *_ in spy.seen if MECHANISM in context.granted]
         assert len(granted) == 2
         assert all(context.mechanism is fixed.instance for context in granted)
@@ -426,9 +431,10 @@ class TestWhatIsShown:
 
     def test_its_random_numbers_are_its_own_whatever_else_runs(self, tracks):
         alone, among = (Spy(uses=frozenset({MECHANISM})) for _ in range(2))
-        computed(tracks, plugin(alone), mechanisms=("raw", "fixed:0.5"))
+        computed(tracks, plugin(alone), mechanisms=("raw", "fixed:0.5"), n_scenes=ONE_PASS)
         others = ("moving_average", "averaging", plugin(Spy(uses=frozenset(Knowledge)), "other"))
-        computed(tracks, *others, plugin(among), mechanisms=("clean", "fixed:0.5", "raw"))
+        mechanisms = ("clean", "fixed:0.5", "raw")
+        computed(tracks, *others, plugin(among), mechanisms=mechanisms, n_scenes=ONE_PASS)
         # The release's first clock names the level and the half.
         drawn = [
             {
@@ -440,6 +446,75 @@ class TestWhatIsShown:
         assert len(drawn[0]) == 2 * 2 * 2  # adversaries, levels, halves
         assert drawn[0].items() <= drawn[1].items()
         assert len(set(drawn[0].values())) == 8
+
+
+QUICK = ("identity", "moving_average", "savgol", "kalman_rts", "radial_rts", "averaging")
+
+
+class Vandal:
+    """Unlocks what it is given and overwrites it."""
+
+    requires = frozenset()
+    uses = frozenset({TRAIN})
+
+    def fit(self, context):
+        if TRAIN in context.granted:
+            self.spoil(context.train.truth)
+            self.spoil(context.train.release.xy)
+
+        def reconstruct(release):
+            self.spoil(release.xy)
+            return Reconstruction(release.xy)
+
+        return reconstruct
+
+    @staticmethod
+    def spoil(array):
+        while array is not None:
+            with contextlib.suppress(ValueError):
+                array.flags.writeable = True
+                array[...] = 0.0
+            array = array.base
+
+
+class TestStrangers:
+    """Who is not one of the project's own gets each walk once a release, and copies of it."""
+
+    def test_no_release_shows_a_walk_twice(self, tracks):
+        # Four passes over 12 people: a copy would have the sampling instants of its twin.
+        spy = Spy()
+        computed(tracks, plugin(spy))
+        for _, release, _ in spy.seen:
+            rhythms = [tuple(np.diff(track.t).round(9)) for track in release]
+            assert len(set(rhythms)) == len(rhythms)
+        assert len(spy.seen) == 2 * N_SCENES / ONE_PASS
+        assert sum(len(release) for _, release, _ in spy.seen) == 4 * N_SCENES
+        assert len({round(release.t[0], 3) for _, release, _ in spy.seen}) == len(spy.seen)
+
+    @pytest.mark.parametrize("name", QUICK)
+    def test_the_built_in_attacks_gain_nothing_by_seeing_all_passes_at_once(self, tracks, name):
+        (own,) = registry.parse("attacks", name)
+        mechanisms = ("fid:1000,adding=independent",)
+        found = computed(tracks, own, plugin(own.instance, "foreign"), mechanisms=mechanisms)
+        compared = 0
+        for (mechanism, consumer, knowledge), (rows,) in found.items():
+            if consumer == "foreign":
+                (mine,) = found[mechanism, name, knowledge]
+                np.testing.assert_allclose(rows["mse_m2"], mine["mse_m2"], rtol=1e-6)
+                np.testing.assert_array_equal(rows["plr"], mine["plr"])
+                compared += 1
+        assert compared == len(grants(own.instance))
+
+    def test_what_one_overwrites_the_next_does_not_see(self, tracks):
+        vandal = plugin(Vandal(), "vandal")
+        other = plugin(KalmanRTS(), "other")
+        among = computed(tracks, vandal, other, "kalman_rts", "identity", mechanisms=("fixed:0.5",))
+        alone = computed(tracks, other, "kalman_rts", "identity", mechanisms=("fixed:0.5",))
+        for key, (rows,) in alone.items():
+            same(among[key][0], rows)
+        # All zero is what it said, and what it is judged by.
+        (spoilt,) = among["fixed:0.5", "vandal", "blind"]
+        assert np.sqrt(spoilt["mse_m2"]).min() > 10.0
 
 
 class TestTheWayBack:
@@ -456,9 +531,9 @@ class TestTheWayBack:
         """Backwards through each half's samples: a turn the wrong way round would show."""
         # Not clean: about the truth itself a turn of the correction would change no distance.
         attack = plugin(Moves(lambda xy: xy[::-1]), "backwards")
-        found = computed(tracks, attack, mechanisms=("fixed:5",))
+        found = computed(tracks, attack, mechanisms=("fixed:5",), n_scenes=ONE_PASS)
         (rows,) = found["fixed:5", "backwards", "blind"]
-        world = World(tracks, mechanism="fixed:5")
+        world = World(tracks, mechanism="fixed:5", n_scenes=ONE_PASS)
         expected = np.empty(world.scenes.track.size)
         for fold in (0, 1):
             own = world.samples(fold)
