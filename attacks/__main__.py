@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _list() -> None:
     from isac_track import registry  # noqa: PLC0415 - `--help` stays quick
-    from isac_track.protocols import grants  # noqa: PLC0415
+    from isac_track.protocols import grants  # noqa: PLC0415 - it needs numpy, as above
 
     lines = [("attack", "adversaries", "", "")]
     skipped = {}
@@ -118,8 +118,8 @@ def _summary(attack: Any) -> str:  # noqa: ANN401 - any frozen dataclass
 
 def _check(spec: str) -> int:
     from attacks.testing import CHECKS, run_checks  # noqa: PLC0415 - `--help` stays quick
-    from isac_track import registry  # noqa: PLC0415
-    from isac_track.protocols import grants  # noqa: PLC0415
+    from isac_track import registry  # noqa: PLC0415 - only for this command, as above
+    from isac_track.protocols import grants  # noqa: PLC0415 - it needs numpy, as above
 
     words = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
     width = max(map(len, CHECKS))

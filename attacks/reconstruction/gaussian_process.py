@@ -182,8 +182,8 @@ def solve_sklearn(
 ) -> Reconstruction:
     """Return what `smooth` does, track by track with scikit-learn's regressor."""
     # Only where it is asked for: the import takes a second.
-    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
-    from sklearn.gaussian_process.kernels import (  # noqa: PLC0415
+    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415 - see above
+    from sklearn.gaussian_process.kernels import (  # noqa: PLC0415 - see above
         ConstantKernel,
         DotProduct,
         Matern,
