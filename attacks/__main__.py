@@ -21,11 +21,25 @@ if TYPE_CHECKING:
 USAGE_ERROR = 2
 INTERRUPTED = 130
 TEMPLATES = {
-    "{name}.py": "attack.py.tmpl",
     "test_{name}.py": "test_attack.py.tmpl",
     "pyproject.toml": "pyproject.toml.tmpl",
     "README.md": "README.md.tmpl",
 }
+KINDS = {
+    "reconstruction": {
+        "template": "attack.py.tmpl",
+        "idea": "smooth",
+        "parameter": "tau_s",
+        "another": "0.1",
+    },
+    "linkage": {
+        "template": "linker.py.tmpl",
+        "idea": "describe",
+        "parameter": "bin_s",
+        "another": "0.5",
+    },
+}
+"""What the packages of the two kinds differ in."""
 _IMPORTED = {"ClassVar", "Knowledge", "Reconstruction"}
 """Classes that the generated file imports; its own must be called otherwise."""
 _EPILOG = """\
@@ -36,6 +50,7 @@ examples:
   python -m attacks check kalman_rts
   python -m attacks check my_package.my_module:MyAttack
   python -m attacks new my_attack
+  python -m attacks new my_linker --kind linkage
 """
 
 
@@ -52,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.command == "check":
             return _check(options.spec)
         if options.command == "new":
-            _new(options.name, into=options.into)
+            _new(options.name, kind=options.kind, into=options.into)
         else:
             _list()
     except IsacTrackError as error:
@@ -81,28 +96,37 @@ def parser() -> argparse.ArgumentParser:
     new = commands.add_parser("new", help="write a package with an attack that works, to edit")
     new.add_argument("name", metavar="NAME", help="a lower-case Python identifier: my_attack")
     new.add_argument(
+        "--kind",
+        choices=KINDS,
+        default="reconstruction",
+        help="where people were, or whose release it is (default: reconstruction)",
+    )
+    new.add_argument(
         "--into", type=Path, default=Path(), metavar="DIR", help="where (default: this folder)"
     )
     return command
 
 
 def _list() -> None:
-    from isac_track import registry  # noqa: PLC0415 - `--help` stays quick
-    from isac_track.protocols import grants  # noqa: PLC0415 - it needs numpy, as above
+    from attacks.testing import adversaries_of  # noqa: PLC0415 - `--help` stays quick
+    from isac_track import registry  # noqa: PLC0415 - as above
+    from isac_track.protocols import kind_of  # noqa: PLC0415 - it needs numpy, as above
 
-    lines = [("attack", "adversaries", "", "")]
+    lines = [("attack", "kind", "adversaries", "", "")]
     skipped = {}
     for name in registry.names("attacks"):
         try:
             (plugin,) = registry.parse("attacks", name)
+            adversaries = ", ".join(adversaries_of(plugin.instance))
         except IsacTrackError as error:
             skipped[name] = str(error)
             continue
         slow = "slow" if getattr(plugin.instance, "slow", False) else ""
-        lines.append((name, ", ".join(grants(plugin.instance)), slow, _summary(plugin.instance)))
-    widths = [max(len(line[column]) for line in lines) for column in range(3)]
-    for name, adversaries, slow, summary in lines:
-        columns = zip((name, adversaries, slow), widths, strict=True)
+        kind = kind_of(plugin.instance)
+        lines.append((name, kind, adversaries, slow, _summary(plugin.instance)))
+    widths = [max(len(line[column]) for line in lines) for column in range(4)]
+    for *shown_first, summary in lines:
+        columns = zip(shown_first, widths, strict=True)
         shown = "  ".join(f"{text:<{width}}" for text, width in columns if width)
         print(f"{shown}  {summary}".rstrip())
     for name, wrong in skipped.items():
@@ -117,17 +141,24 @@ def _summary(attack: Any) -> str:  # noqa: ANN401 - any frozen dataclass
 
 
 def _check(spec: str) -> int:
-    from attacks.testing import CHECKS, run_checks  # noqa: PLC0415 - `--help` stays quick
-    from isac_track import registry  # noqa: PLC0415 - only for this command, as above
-    from isac_track.protocols import grants  # noqa: PLC0415 - it needs numpy, as above
+    linker, at, reconstruction = spec.partition("@")
+    if at:
+        raise SettingsError(
+            f"{spec!r} is two attacks, one on what the other makes of a release; check the two "
+            f"parts apart: {linker or 'LINKER'}, then {reconstruction or 'RECONSTRUCTION'}"
+        )
+    # Only for this command: `--help` stays quick.
+    from attacks.testing import adversaries_of, checks_for, run_checks  # noqa: PLC0415
+    from isac_track import registry  # noqa: PLC0415
 
     words = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
-    width = max(map(len, CHECKS))
     failed = False
     for plugin in registry.parse("attacks", spec):
-        print(f"{plugin.spec} as {', '.join(grants(plugin.instance))}:")
+        checks = checks_for(plugin.instance)
+        width = max(map(len, checks))
+        print(f"{plugin.spec} as {', '.join(adversaries_of(plugin.instance))}:")
         counts = dict.fromkeys(words, 0)
-        for name in CHECKS:  # one by one, for those who watch
+        for name in checks:  # one by one, for those who watch
             (result,) = run_checks(plugin.instance, names=(name,))
             counts[result.status] += 1
             print(f"  {words[result.status]}  {name:<{width}}  {result.message}".rstrip())
@@ -137,7 +168,7 @@ def _check(spec: str) -> int:
     return int(failed)
 
 
-def _new(name: str, *, into: Path) -> None:
+def _new(name: str, *, kind: str, into: Path) -> None:
     class_name = "".join(part.capitalize() for part in name.split("_"))
     folder = into / name
     _reject_taken(name, class_name=class_name, folder=folder)
@@ -147,12 +178,14 @@ def _new(name: str, *, into: Path) -> None:
         "pytest": f"pytest {shown.removeprefix('./')}",
         "matrix": f"python -m evaluation.matrix --preset smoke --attack {name}",
     }
+    words = commands | KINDS[kind] | {"kind": kind, "name": name, "class_name": class_name}
+    templates = {"{name}.py": KINDS[kind]["template"], **TEMPLATES}
     sources = files("attacks") / "templates"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for target, source in TEMPLATES.items():
+        for target, source in templates.items():
             template = Template((sources / source).read_text(encoding="utf-8"))
-            text = template.substitute(commands, name=name, class_name=class_name)
+            text = template.substitute(words)
             (folder / target.format(name=name)).write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error

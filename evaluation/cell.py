@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from evaluation.linkage import ground as link_ground
+from evaluation.linkage import link_level
+from evaluation.linkage_cell import to_parquet
 from evaluation.reconstruction import (
     attack_rows,
     descriptors,
@@ -29,6 +32,7 @@ from isac_track.types import Knowledge, Prediction, Release
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from attacks.linkage.tasks import Sessions
     from evaluation.grid import Consumer
     from evaluation.reconstruction import Rows
     from isac_track.config import StageSettings
@@ -47,6 +51,40 @@ class Block:
     """(S, A) rows of the tracks."""
     levels: tuple[tuple[Plugin, tuple[Consumer, ...]], ...]
     """Mechanism and its consumers."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkWork:
+    """Work of one linkage task: which levels, and which of their consumers are missing."""
+
+    sessions: Sessions
+    groups: tuple[str, ...]
+    """Clusters of the run's scenes."""
+    levels: tuple[tuple[Plugin, tuple[Consumer, ...]], ...]
+    """Mechanism and its consumers."""
+
+
+def compute_links(
+    work: LinkWork, *, stages: StageSettings, seed: int
+) -> Iterator[tuple[Plugin, Consumer, bytes]]:
+    """Yield the file of every linkage cell.
+
+    Raises
+    ------
+    PluginError
+        If a plug-in raises or breaks its contract; the message names it.
+    """
+    ground = link_ground(work.sessions, groups=work.groups, stages=stages, seed=seed)
+    for mechanism, consumers in work.levels:
+        for consumer, linked in link_level(
+            mechanism,
+            consumers,
+            ground=ground,
+            share=partial(_share, mechanism, seed=seed),
+            epsilon_m=stages.privacy.epsilon_m,
+            seed=seed,
+        ):
+            yield mechanism, consumer, to_parquet(linked, work.sessions)
 
 
 def compute_block(

@@ -14,7 +14,12 @@ if TYPE_CHECKING:
 
 
 def draw_all(
-    summary: pd.DataFrame, matched: pd.DataFrame, *, folder: Path, dataset: str
+    summary: pd.DataFrame,
+    matched: pd.DataFrame,
+    *,
+    folder: Path,
+    dataset: str,
+    linkability: pd.DataFrame | None = None,
 ) -> list[Path]:
     """Draw every figure that the results allow and return the files written.
 
@@ -25,7 +30,9 @@ def draw_all(
     folder : Path
         Made if it is missing.
     dataset : str
-        Rows of other data sets are left out.
+        Rows of other data sets are left out, except those of tasks that have their own.
+    linkability : DataFrame, optional
+        As in `linkability.csv`.
 
     Raises
     ------
@@ -36,6 +43,7 @@ def draw_all(
     from evaluation.attack_figure import attack_figure  # noqa: PLC0415
     from evaluation.drawing import FID, FIXED, operating_figure, sweep_figure  # noqa: PLC0415
     from evaluation.figure_style import rendered, style  # noqa: PLC0415
+    from evaluation.linkage_figure import linkage_figure  # noqa: PLC0415
 
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
@@ -46,6 +54,10 @@ def draw_all(
             ("fixed_error", sweep_figure(summary, scheme=FIXED, dataset=dataset)),
             ("operating_points", operating_figure(summary, matched, dataset=dataset)),
             ("after_attack", attack_figure(summary, dataset=dataset)),
+            (
+                "linkability",
+                None if linkability is None else linkage_figure(linkability, dataset=dataset),
+            ),
         ):
             if figure is None:
                 continue

@@ -38,6 +38,7 @@ _CONFIG_KEYS = {
     "mechanism": list,
     "predictor": list,
     "attack": list,
+    "task": list,
     "jobs": int,
     "out": str,
 }
@@ -88,7 +89,14 @@ def parser() -> argparse.ArgumentParser:
         "--attack",
         action="append",
         metavar="SPEC",
-        help="reconstruction attack; repeatable; `none` for none; replaces the preset's",
+        help="attack: a reconstruction, a linker, or LINKER@RECONSTRUCTION; repeatable; `none` "
+        "for none; replaces the preset's",
+    )
+    add(
+        "--task",
+        action="append",
+        metavar="NAME",
+        help="what is to be linked; repeatable; `none` for none; replaces the preset's",
     )
     add(
         "--set",
@@ -143,6 +151,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
         mechanisms=_axis(values.get("mechanism"), option="--mechanism"),
         predictors=_axis(values.get("predictor"), option="--predictor"),
         attacks=_axis(values.get("attack"), option="--attack"),
+        tasks=_axis(values.get("task"), option="--task"),
         stages=StageSettings().changed(stage_values),
         jobs=values.get("jobs"),
         out=Path(values["out"]) if "out" in values else None,
@@ -177,6 +186,8 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
     ready = plan(settings)
     _announce(ready)
+    for why in ready.axes.skipped.values():
+        _say(f"notice: left out: {why}", stream=sys.stderr)
     _announce_slow(ready)
     if dry_run:
         return 0
@@ -184,9 +195,16 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
         results = run(ready=ready, progress=bar.update)
     for notice in _notices(results.manifest):
         _say(f"notice: {notice}", stream=sys.stderr)
-    tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
+    tables.show(
+        results.summary,
+        results.paper_table,
+        results.claims,
+        manifest=results.manifest,
+        linkability=results.linkability,
+    )
     tables.show_flags(results.flags)
-    _say(f"\nresults in {results.out}: summary.csv, paper_table.csv, figures/, tables/")
+    files = "summary.csv, linkability.csv, paper_table.csv, figures/, tables/"
+    _say(f"\nresults in {results.out}: {files}")
     return 0
 
 
@@ -282,6 +300,7 @@ class _Bar:
 
 
 def _list() -> None:
+    from attacks.linkage.task_list import TASKS  # noqa: PLC0415
     from isac_track import registry  # noqa: PLC0415
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
 
@@ -292,6 +311,7 @@ def _list() -> None:
         "mechanisms": registry.names("mechanisms"),
         "predictors": registry.names("predictors"),
         "attacks": registry.names("attacks"),
+        "tasks": {name: task.about for name, task in TASKS.items()},
         "settings (--set)": {name: f"{defaults[name]}" for name in setting_types()},
     }
     width = max(len(name) for entries in sections.values() for name in entries)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation import figures, flags, paper, store, summary, tables
+from evaluation import figures, flags, linkability, paper, store, summary, tables
 from evaluation.decisions import decisions
 from evaluation.matching import matched
 from isac_track.errors import IsacTrackError
@@ -35,6 +35,7 @@ class Results:
     decisions: pd.DataFrame
     curves: pd.DataFrame
     flags: pd.DataFrame
+    linkability: pd.DataFrame
 
 
 def build(out: Path) -> Results:
@@ -56,10 +57,11 @@ def build(out: Path) -> Results:
         slow=flags.slow_attacks(manifest),
         once=flags.on_first_releases(out, manifest),
     )
+    read = linkability.cards(out, manifest)
     results = Results(
         out=out,
         manifest=manifest,
-        summary=summary.to_frame(found, dataset=dataset),
+        summary=summary.to_frame({**found, **summary.linkage_estimates(read)}, dataset=dataset),
         paper_table=paper.paper_table(found, dataset=dataset),
         claims=paper.claims(
             found,
@@ -72,6 +74,7 @@ def build(out: Path) -> Results:
         decisions=decided,
         curves=curves,
         flags=flagged.rows,
+        linkability=linkability.linkability(read, dataset=dataset),
     )
     for frame, name in (
         (results.summary, "summary.csv"),
@@ -80,11 +83,23 @@ def build(out: Path) -> Results:
         (results.matched, "matched.csv"),
         (results.decisions, "decisions.csv"),
         (results.curves, "curves.csv"),
+        (results.linkability, "linkability.csv"),
     ):
         store.write_whole(out / name, frame.to_csv(index=False).encode())
     store.write_whole(out / "flags.json", flags.to_json(flagged))
-    tables.write_tex(results.summary, results.paper_table, folder=out / "tables")
-    figures.draw_all(results.summary, results.matched, folder=out / "figures", dataset=dataset)
+    tables.write_tex(
+        results.summary,
+        results.paper_table,
+        folder=out / "tables",
+        linkability=results.linkability,
+    )
+    figures.draw_all(
+        results.summary,
+        results.matched,
+        folder=out / "figures",
+        dataset=dataset,
+        linkability=results.linkability,
+    )
     return results
 
 
@@ -104,7 +119,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    tables.show(results.summary, results.paper_table, results.claims, manifest=results.manifest)
+    tables.show(
+        results.summary,
+        results.paper_table,
+        results.claims,
+        manifest=results.manifest,
+        linkability=results.linkability,
+    )
     tables.show_flags(results.flags)
     return 0
 

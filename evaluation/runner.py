@@ -12,28 +12,37 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation import store
-from evaluation.cell import Block, compute_block
+from evaluation.cell import Block, LinkWork, compute_block, compute_links
 from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
+from evaluation.linkage import sessions_of
 from evaluation.report import Results, build
 from isac_track import datasets, kernels
+from isac_track.errors import DataError
 from isac_track.privacy import mean_interval_s
 from isac_track.scenes import cut, track_order
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from attacks.linkage.tasks import Sessions
     from evaluation.grid import Consumer
     from evaluation.reconstruction import Rows
+    from isac_track.config import StageSettings
     from isac_track.datasets import Dataset
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
+    from isac_track.types import Tracks
 
 
 WORTH_WORKERS = 5000
 """Scenes times levels: below, workers take longer to start than they save."""
+WORTH_WORKERS_LINKED = 400
+"""Linkage cells: the same."""
 MOST_DEFAULT_JOBS = 8
 """Unless more are asked for: each takes a few hundred MB."""
 _TASKS_PER_WORKER = 2
+_LEVELS_PER_TASK = 6
+"""Of what is linked."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,12 +60,14 @@ class Plan:
     """Worker processes."""
     out: Path
     cells: tuple[tuple[Plugin, Consumer, tuple[str, ...]], ...]
-    """Mechanism, consumer and its files, one a block."""
+    """Mechanism, consumer and its files: one a block of scenes, or one for all that is linked."""
+    sessions: tuple[Sessions, ...]
+    """What is linked, by task."""
 
     @property
     def n_cells(self) -> int:
         """Cells of the run, finished or not."""
-        return len(self.cells) * n_blocks(self.settings.n_scenes)
+        return sum(len(files) for _, _, files in self.cells)
 
 
 def plan(settings: Settings) -> Plan:
@@ -81,23 +92,24 @@ def plan(settings: Settings) -> Plan:
         **settings.stages.flat(),
     }
     code = store.code_hash()
-    cells = tuple(
-        (
-            mechanism,
-            consumer,
-            tuple(
-                store.cell_name(
-                    identity=identity,
-                    code=code,
-                    block=block,
-                    mechanism=mechanism,
-                    consumer=consumer,
-                )
-                for block in range(n_blocks(settings.n_scenes))
-            ),
+    crossed, sessions = _sessions(crossed, settings, tracks=dataset.tracks)
+
+    def files(mechanism: Plugin, consumer: Consumer, count: int) -> tuple[str, ...]:
+        return tuple(
+            store.cell_name(
+                identity=identity, code=code, block=block, mechanism=mechanism, consumer=consumer
+            )
+            for block in range(count)
         )
-        for mechanism in crossed.mechanisms
-        for consumer in crossed.consumers
+
+    cells = tuple(
+        (mechanism, consumer, files(mechanism, consumer, count))
+        for mechanisms, consumers, count in (
+            (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
+            *((crossed.linked_mechanisms, crossed.linkers(task), 1) for task in crossed.tasks),
+        )
+        for mechanism in mechanisms
+        for consumer in consumers
     )
     name = f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(
@@ -107,17 +119,42 @@ def plan(settings: Settings) -> Plan:
         axes=crossed,
         identity=identity,
         code=code,
-        jobs=_jobs(settings, n_levels=len(crossed.mechanisms)),
+        jobs=_jobs(
+            settings,
+            n_levels=len(crossed.mechanisms),
+            n_links=sum(len(crossed.linkers(task)) for task in crossed.tasks),
+        ),
         out=Path("runs") / name if settings.out is None else Path(settings.out),
         cells=cells,
+        sessions=sessions,
     )
 
 
-def _jobs(settings: Settings, *, n_levels: int) -> int:
+def _sessions(
+    crossed: Axes, settings: Settings, *, tracks: Tracks
+) -> tuple[Axes, tuple[Sessions, ...]]:
+    """Return the sessions of every task, and the axes without tasks that cannot be.
+
+    A task that was named must be; one of a preset is left out, with the reason.
+    """
+    sessions = []
+    for task in crossed.tasks:
+        try:
+            sessions.append(
+                sessions_of(task, tracks=tracks, stages=settings.stages, seed=settings.seed)
+            )
+        except DataError as error:
+            if settings.tasks is not None:
+                raise
+            crossed = crossed.without(task, str(error))
+    return crossed, tuple(sessions)
+
+
+def _jobs(settings: Settings, *, n_levels: int, n_links: int) -> int:
     """Return how many workers to use: as asked, or what the work is worth."""
     if settings.jobs is not None:
         return settings.jobs
-    if settings.n_scenes * n_levels < WORTH_WORKERS:
+    if settings.n_scenes * n_levels < WORTH_WORKERS and n_levels * n_links < WORTH_WORKERS_LINKED:
         return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return min(cores or 1, MOST_DEFAULT_JOBS)
@@ -168,22 +205,28 @@ def _compute_missing(ready: Plan, tell: Callable[[int, int, str], None]) -> None
     folder = ready.out / "cells"
     present = {path.name for path in folder.iterdir()}
     blocks = tuple(_missing_blocks(ready, present))
-    total = sum(len(consumers) for block in blocks for _, consumers in block.levels)
+    links = tuple(_missing_links(ready, present))
+    works: tuple[Block | LinkWork, ...] = (*blocks, *links)
+    total = sum(len(consumers) for work in works for _, consumers in work.levels)
     files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
     done = 0
     tell(done, total, "starting")
     if total and any(_uses_kernels(consumer) for _, consumer, _ in ready.cells):
         kernels.prepare()  # before workers start: each would compile for itself
-    for block, mechanism, consumer, rows in _computed(blocks, ready):
-        name = files[mechanism.spec, consumer.label][block]
-        store.write_cell(folder / name, rows, tracks=ready.tracks)
+    for block, mechanism, consumer, rows in _computed(works, ready):
+        path = folder / files[mechanism.spec, consumer.label][block]
+        if isinstance(rows, bytes):
+            store.write_whole(path, rows)
+        else:
+            store.write_cell(path, rows, tracks=ready.tracks)
         done += 1
         tell(done, total, f"{mechanism.spec} > {consumer.label}")
 
 
 def _uses_kernels(consumer: Consumer) -> bool:
     origin = "" if consumer.plugin is None else consumer.plugin.origin
-    return origin.startswith(("predictors.kalman", "attacks."))
+    links = consumer.kind in {"linkage", "control"}
+    return links or origin.startswith(("predictors.kalman", "attacks."))
 
 
 def _exhausted_redraws(ready: Plan) -> int | None:
@@ -207,7 +250,7 @@ def _missing_blocks(ready: Plan, present: set[str]) -> Iterator[Block]:
     for number in range(n_blocks(settings.n_scenes)):
         missing: dict[str, tuple[Plugin, list[Consumer]]] = {}
         for mechanism, consumer, names in ready.cells:
-            if names[number] not in present:
+            if not consumer.task and names[number] not in present:
                 missing.setdefault(mechanism.spec, (mechanism, []))[1].append(consumer)
         levels = tuple((mechanism, tuple(consumers)) for mechanism, consumers in missing.values())
         first = number * BLOCK_SCENES
@@ -217,6 +260,22 @@ def _missing_blocks(ready: Plan, present: set[str]) -> Iterator[Block]:
                 first_scene=first,
                 order=order[first : first + BLOCK_SCENES],
                 levels=part,
+            )
+
+
+def _missing_links(ready: Plan, present: set[str]) -> Iterator[LinkWork]:
+    for sessions in ready.sessions:
+        missing: dict[str, tuple[Plugin, list[Consumer]]] = {}
+        for mechanism, consumer, names in ready.cells:
+            if consumer.task == sessions.task.name and names[0] not in present:
+                missing.setdefault(mechanism.spec, (mechanism, []))[1].append(consumer)
+        levels = [(mechanism, tuple(consumers)) for mechanism, consumers in missing.values()]
+        # Each part senses the sessions again, which takes less than one level.
+        for first in range(0, len(levels), _LEVELS_PER_TASK):
+            yield LinkWork(
+                sessions=sessions,
+                groups=tuple(sorted(set(ready.tracks.group))),
+                levels=tuple(levels[first : first + _LEVELS_PER_TASK]),
             )
 
 
@@ -238,34 +297,38 @@ def _parts(
 
 
 def _computed(
-    blocks: tuple[Block, ...], ready: Plan
-) -> Iterator[tuple[int, Plugin, Consumer, Rows]]:
+    works: tuple[Block | LinkWork, ...], ready: Plan
+) -> Iterator[tuple[int, Plugin, Consumer, Rows | bytes]]:
     """Yield the rows of every cell as it is finished, in this process or from workers."""
-    stages, seed = ready.settings.stages, ready.settings.seed
-    if ready.jobs == 1 or len(blocks) < 2:  # noqa: PLR2004 - nothing to share out
-        for block in blocks:
-            for mechanism, consumer, rows in compute_block(
-                block, tracks=ready.tracks, stages=stages, seed=seed
-            ):
-                yield block.number, mechanism, consumer, rows
+    context: dict[str, Any] = {"stages": ready.settings.stages, "seed": ready.settings.seed}
+    if ready.jobs == 1 or len(works) < 2:  # noqa: PLR2004 - nothing to share out
+        for work in works:
+            yield from _cells(work, tracks=ready.tracks, **context)
         return
     from joblib import Parallel, delayed  # noqa: PLC0415 - only where there are workers
 
     workers = Parallel(n_jobs=ready.jobs, return_as="generator_unordered")
-    for number, cells in workers(
-        delayed(_whole_block)(block, tracks=ready.tracks, stages=stages, seed=seed)
-        for block in blocks
-    ):
-        for mechanism, consumer, rows in cells:
-            yield number, mechanism, consumer, rows
+    for cells in workers(delayed(_whole)(work, tracks=ready.tracks, **context) for work in works):
+        yield from cells
 
 
-def _whole_block(
-    block: Block,
-    **context: Any,  # noqa: ANN401 - handed on to compute_block
-) -> tuple[int, list[tuple[Plugin, Consumer, Rows]]]:
+def _whole(
+    work: Block | LinkWork,
+    **context: Any,  # noqa: ANN401 - handed on to _cells
+) -> list[tuple[int, Plugin, Consumer, Rows | bytes]]:
     gc.freeze()  # what was imported stays: looking through it again and again takes long
-    return block.number, list(compute_block(block, **context))
+    return list(_cells(work, **context))
+
+
+def _cells(
+    work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
+) -> Iterator[tuple[int, Plugin, Consumer, Rows | bytes]]:
+    if isinstance(work, LinkWork):
+        for mechanism, consumer, content in compute_links(work, stages=stages, seed=seed):
+            yield 0, mechanism, consumer, content
+        return
+    for mechanism, consumer, rows in compute_block(work, tracks=tracks, stages=stages, seed=seed):
+        yield work.number, mechanism, consumer, rows
 
 
 def _describe(ready: Plan) -> dict[str, Any]:
@@ -279,7 +342,11 @@ def _describe(ready: Plan) -> dict[str, Any]:
             "seed": settings.seed,
             "mechanisms": [plugin.spec for plugin in ready.axes.mechanisms],
             "predictors": [plugin.spec for plugin in ready.axes.predictors],
-            "attacks": [plugin.spec for plugin in ready.axes.attacks],
+            "attacks": [
+                *(plugin.spec for plugin in ready.axes.attacks),
+                *dict.fromkeys(link.spec for _, link in ready.axes.links),
+            ],
+            "tasks": [task.name for task in ready.axes.tasks],
             "stages": settings.stages.flat(),
         },
         "granted": {
@@ -308,6 +375,29 @@ def _describe(ready: Plan) -> dict[str, Any]:
             "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),
         },
         "groups": sorted(set(tracks.group)),
+        "linkage": {
+            "skipped": dict(ready.axes.skipped),
+            "tasks": {sessions.task.name: _described(sessions) for sessions in ready.sessions},
+        },
+    }
+
+
+def _described(sessions: Sessions) -> dict[str, Any]:
+    """Return what is linked in a task: who, among how many, and who learns from whom."""
+    galleries = np.bincount(sessions.gallery.search, minlength=len(sessions.searches))
+    return {
+        "about": sessions.task.about,
+        "people": len(sessions.source),
+        "too_short": sessions.too_short,
+        "not_drawn": sessions.not_drawn,
+        "clusters": len(set(sessions.group)),
+        "in_groups": int((~sessions.alone).sum()),
+        "frozen": int((~sessions.moving).sum()),
+        "probes": len(sessions.probe),
+        "mated": int((sessions.mate >= 0).sum()),
+        "candidates": dict(zip(sessions.searches, galleries.tolist(), strict=True)),
+        "learnt_from": sessions.learns.sum(axis=1).tolist(),
+        "calibrated_on": sessions.calibrates.sum(axis=1).tolist(),
     }
 
 

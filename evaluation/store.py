@@ -41,12 +41,15 @@ _TABLES = (
     "decisions.csv",
     "curves.csv",
     "flags.json",
+    "linkability.csv",
 )
-_FIGURES = ("fid_threshold", "fixed_error", "operating_points", "after_attack")
+_FIGURES = ("fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability")
+_TEX = ("sweep.tex", "attacks.tex", "paper.tex", "linkability.tex")
 _CELL = re.compile(r"_\d{5}_[0-9a-f]{16}\.parquet$")
 _ENTRY = {"mechanism", "level", "spec", "kind", "consumer", "knowledge", "files"}
 _SHOWN_DIFFERENCES = 3
 _COMPUTING = ("isac_track", "predictors", "attacks")
+_CELL_SOURCES = ("cell.py", "grid.py", "reconstruction.py", "linkage.py", "linkage_cell.py")
 _LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
 
 
@@ -58,7 +61,7 @@ def code_hash() -> str:
     digest = hashlib.sha256()
     root = Path(isac_track.__file__).parent.parent
     sources = [path for package in _COMPUTING for path in (root / package).rglob("*.py")]
-    sources += [root / "evaluation" / name for name in ("cell.py", "grid.py", "reconstruction.py")]
+    sources += [root / "evaluation" / name for name in _CELL_SOURCES]
     for path in sorted(sources):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0")
         digest.update(path.read_bytes())
@@ -79,7 +82,10 @@ def cell_name(
         "code": code,
         "block": block,
         "mechanism": _plugin_key(mechanism),
-        "consumer": consumer.spec if consumer.plugin is None else _plugin_key(consumer.plugin),
+        "consumer": [
+            consumer.spec,
+            *(_plugin_key(one) for one in (consumer.plugin, consumer.behind) if one is not None),
+        ],
         "knowledge": [consumer.knowledge, *sorted(one.name for one in consumer.granted)],
     }
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:16]
@@ -266,7 +272,7 @@ def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
     ours = [out / "cells" / name for name in cells]
     ours += [path for path in (out / "cells").glob("*.parquet") if _CELL.search(path.name)]
     ours += [out / "figures" / f"{name}.{kind}" for name in _FIGURES for kind in ("svg", "pdf")]
-    ours += [out / "tables" / name for name in ("sweep.tex", "attacks.tex", "paper.tex")]
+    ours += [out / "tables" / name for name in _TEX]
     ours += [out / name for name in _TABLES]
     try:
         for path in ours:

@@ -12,15 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from evaluation.linkability import dataset_of
 from evaluation.store import read_cells
 from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import pyarrow as pa
 
+    from evaluation.linkage_cell import Card
     from isac_track.intervals import Estimate
     from isac_track.types import Bools, Floats, Ints
 
@@ -49,6 +51,20 @@ _UNITS = {
     "missed_conflict_rate": "fraction",
     "false_alarm_rate": "fraction",
     "distance_mae": "m",
+    "rank1": "fraction",
+    "rank1_assigned": "fraction",
+    "false_link_rate": "fraction",
+    "mrr": "ratio",
+    "auc": "fraction",
+    "eer": "fraction",
+    "tpr_at_fpr_1pct": "fraction",
+    "tpr_at_fpr_01pct": "fraction",
+    "cllr": "bit",
+    "cllr_min": "bit",
+    "d_sys": "ratio",
+    "d_sys_corrected": "ratio",
+    "residual_risk": "fraction",
+    "chance": "fraction",
 }
 _SHARED_COLUMNS = ["group", "plr", "ael_s", "mel_s", "mse_m2"]
 _ATTACK_COLUMNS = [*_SHARED_COLUMNS, "benchmark_mse_m2", "benchmark_plr"]
@@ -101,7 +117,7 @@ class Scored:
 def estimates(
     out: Path, manifest: Mapping[str, Any]
 ) -> tuple[dict[Key, Estimate], tuple[Scored, ...]]:
-    """Return every metric of a run folder with its interval and replicates, and the scores.
+    """Return every metric of the scenes with its interval and replicates, and the scores.
 
     Raises
     ------
@@ -113,6 +129,8 @@ def estimates(
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
     for entry in manifest["cells"]:
+        if entry["kind"] not in _COLUMNS_OF:
+            continue
         table = read_cells(
             (out / "cells" / name for name in entry["files"]), columns=_COLUMNS_OF[entry["kind"]]
         )
@@ -150,6 +168,17 @@ def estimates(
     return found, tuple(scored)
 
 
+def linkage_estimates(
+    read: Sequence[tuple[Mapping[str, Any], Card]],
+) -> dict[Key, Estimate]:
+    """Return every metric of the linkage cells; `read` is what `linkability.cards` returns."""
+    return {
+        Key(entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"]): one
+        for entry, card in read
+        for metric, one in card.estimates.items()
+    }
+
+
 def weights_of(manifest: Mapping[str, Any]) -> Floats:
     """Return the bootstrap weights of a run, (B, C): the same for everything in it."""
     return cluster_weights(
@@ -172,7 +201,7 @@ def to_frame(found: Mapping[Key, Estimate], *, dataset: str) -> pd.DataFrame:
     """Return the tidy summary; the first six columns are unique together."""
     rows = [
         {
-            "dataset": dataset,
+            "dataset": dataset_of(key.consumer, dataset=dataset),
             "mechanism": key.mechanism,
             "level": np.nan if key.level is None else key.level,
             "consumer": key.consumer,

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
+from attacks.linkage.task_list import TASKS
 from evaluation.grid import SHARED
+from evaluation.linkability import CLEAN
+from evaluation.matching import ADDING_SUFFIX
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     import pandas as pd
 
@@ -42,6 +45,7 @@ SHOWN = {
     "rmse": Shown("RMSE", "m", 1.0, 3),
     "rmse_over_benchmark": Shown("RMSE ratio", "", 1.0, 2),
     "plr_over_benchmark": Shown("PLR ratio", "", 1.0, 2),
+    "rank1": Shown("rank 1", "%", 100.0, 1),
 }
 _READ = ["level", "consumer", "knowledge", "metric", "value", "ci_low", "ci_high"]
 LEVEL_UNITS = {"fid": "eta in 1/(m^2 s)", "fixed": "d_sigma in m"}
@@ -89,6 +93,37 @@ AS_SHARED = Source(SHARED)
 
 After: TypeAlias = "dict[tuple[str, float | None], dict[Source, dict[str, Number]]]"
 """Mechanism and level to source to metric to number."""
+
+
+Where: TypeAlias = "tuple[str, float | None]"
+"""Mechanism and level."""
+INVALID = "invalid"
+REMARKS = {
+    "no link detected": "no link detected",
+    "attack too weak": "attack too weak: it fails on clean too",
+    INVALID: "a shortcut leaks: no measure of the attack",
+}
+"""What is to be said of a linkage cell that does not simply link: its outcome, or that a shortcut
+gives people away. With what it means."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkedTask:
+    """A linkage task: how well each attack links at each level, and its controls."""
+
+    name: str
+    about: str
+    attacks: tuple[Source, ...]
+    """Of each attack the adversary that knows most, short of the oracle if there is one."""
+    cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]]
+    """Rows of `linkability.csv` by cohort, mechanism and level, and attack."""
+    controls: tuple[Mapping[str, Any], ...]
+    """Rows of the controls, at all levels."""
+
+    @property
+    def cells(self) -> dict[Where, dict[Source, Mapping[str, Any]]]:
+        """The result: everybody, at each level."""
+        return self.cohorts["all"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +226,69 @@ def most_knowing(of: Iterable[Source]) -> list[Source]:
     return list(best.values())
 
 
+def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
+    """Return the tasks in which somebody links, in the order of the run, levels rising."""
+    tidy = linkability.sort_values("level", kind="stable", na_position="first")
+    for name in ("knowledge", "outcome", "invalid"):
+        # Of texts read from a file, those that are empty are missing.
+        texts = tidy[name].astype(object)
+        tidy = tidy.assign(**{name: texts.where(texts.notna(), "")})
+    found = []
+    for task in linkability["consumer"].map(_task_name).unique():
+        of = tidy[tidy["consumer"].map(_task_name) == task]
+        cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]] = {}
+        # In the order of the run, not of their levels.
+        for mechanism in linkability["mechanism"].unique():
+            rows = of[(of["mechanism"] == mechanism) & (of["knowledge"] != "")]
+            for row in rows.to_dict("records"):
+                where = mechanism, None if math.isnan(row["level"]) else float(row["level"])
+                source = Source(row["consumer"].removeprefix(f"{task}/"), row["knowledge"])
+                cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
+        if "all" not in cohorts:
+            continue
+        found.append(
+            LinkedTask(
+                name=task,
+                about=TASKS[task].about if task in TASKS else "",
+                # The reconstructions that a linker runs behind, next to it.
+                attacks=_by_linker(most_knowing(sources(cohorts["all"].values()))),
+                cohorts=cohorts,
+                controls=tuple(of[of["knowledge"] == ""].to_dict("records")),
+            )
+        )
+    return found
+
+
+def linked_levels(task: LinkedTask) -> list[Where]:
+    """Return the ceiling, raw and the headline levels; all levels of a run without any of these."""
+    without_level: tuple[Where, ...] = ((CLEAN, None), ("raw", None))
+    alone = [where for where in without_level if where in task.cells]
+    headline: list[Where] = [
+        where
+        for suffix in ADDING_SUFFIX.values()
+        for mechanism, level, _ in HEADLINE
+        if level is not None and (where := (mechanism + suffix, level)) in task.cells
+    ]
+    return alone + (headline or [where for where in task.cells if where not in alone])
+
+
+def remarks(row: Mapping[str, Any]) -> list[str]:
+    """Return what is to be said of a linkage cell that does not simply link."""
+    return [row["outcome"]] * (row["outcome"] in REMARKS) + [INVALID] * bool(row["invalid"])
+
+
+def linker(source: Source) -> str:
+    """Return the linker of an attack, without the reconstruction that it runs behind."""
+    return source.consumer.partition("@")[0]
+
+
+def adding_of(mechanism: str) -> tuple[str, str]:
+    """Return a mechanism without its adding rule, and the rule if it is the independent one."""
+    suffix = ADDING_SUFFIX["independent"]
+    bare = mechanism.removesuffix(suffix)
+    return bare, "independent" if bare != mechanism else ""
+
+
 def level_unit(mechanism: str) -> str:
     """Return what the level of a mechanism is, as far as it is known."""
     return LEVEL_UNITS.get(mechanism.partition(":")[0], "")
@@ -200,6 +298,14 @@ def heading(mechanism: str) -> str:
     """Return a mechanism with what its level is."""
     unit = level_unit(mechanism)
     return f"{mechanism}, {unit}" if unit else mechanism
+
+
+def shortened(name: str, *, room: int) -> str:
+    """Return a name without its middle if it is too long: its settings are at the end."""
+    if len(name) <= room:
+        return name
+    end = (room - 3) // 2
+    return f"{name[: room - 3 - end]}...{name[-end:]}"
 
 
 def printable(text: str) -> str:
@@ -221,3 +327,14 @@ def _numbers(rows: pd.DataFrame) -> dict[tuple[str, float | None, Source, str], 
             source = Source(consumer, knowledge)
             numbers[*where, source, metric] = number(metric, value, low, high)
     return numbers
+
+
+def _task_name(consumer: str) -> str:
+    return consumer.partition("/")[0]
+
+
+def _by_linker(attacks: Iterable[Source]) -> tuple[Source, ...]:
+    by_linker: dict[str, list[Source]] = {}
+    for source in attacks:
+        by_linker.setdefault(linker(source), []).append(source)
+    return tuple(source for behind in by_linker.values() for source in behind)

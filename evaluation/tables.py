@@ -11,6 +11,7 @@ from rich.text import Text
 
 from evaluation import flags
 from evaluation.attack_tables import show_attacks
+from evaluation.linkage_tables import show_linkage
 from evaluation.matching import ADDING_SUFFIX
 from evaluation.paper import DATASET, tolerance
 from evaluation.store import write_whole
@@ -30,7 +31,7 @@ from evaluation.sweeps import (
     sweeps,
 )
 from evaluation.terminal import aligned, literal, say, show_grouped, standard_output
-from evaluation.tex import attacks_tex, paper_tex, sweep_tex
+from evaluation.tex import attacks_tex, linkability_tex, paper_tex, sweep_tex
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -64,9 +65,10 @@ def show(
     claims: pd.DataFrame,
     *,
     manifest: Mapping[str, Any],
+    linkability: pd.DataFrame | None = None,
     console: Console | None = None,
 ) -> None:
-    """Print what was run, the sweep, what attacks leave, and the paper's numbers and claims.
+    """Print what was run, the sweep, what attacks leave and link, and the paper's numbers.
 
     Parameters
     ----------
@@ -74,6 +76,8 @@ def show(
         As in `summary.csv`, `paper_table.csv` and `paper_claims.csv`.
     manifest : mapping
         As in `manifest.json`.
+    linkability : DataFrame, optional
+        As in `linkability.csv`.
     console : Console, optional
         By default standard output, as wide as the terminal or 116 columns where there is none.
     """
@@ -82,6 +86,8 @@ def show(
     for sweep in sweeps(summary):
         _show_sweep(sweep, console=console)
     show_attacks(summary, slow=flags.slow_attacks(manifest), console=console)
+    if linkability is not None:
+        show_linkage(linkability, manifest=manifest, console=console)
     if not paper_table.empty:
         _show_paper(paper_table, dataset=manifest["dataset"]["name"], console=console)
     if not claims.empty:
@@ -104,8 +110,16 @@ def show_flags(rows: pd.DataFrame, *, console: Console | None = None) -> None:
     )
 
 
-def write_tex(summary: pd.DataFrame, paper_table: pd.DataFrame, *, folder: Path) -> None:
-    """Write `sweep.tex`, `attacks.tex` and `paper.tex`: booktabs tabulars with intervals.
+def write_tex(
+    summary: pd.DataFrame,
+    paper_table: pd.DataFrame,
+    *,
+    folder: Path,
+    linkability: pd.DataFrame | None = None,
+) -> None:
+    """Write `sweep.tex`, `attacks.tex`, `paper.tex` and `linkability.tex`: booktabs tabulars.
+
+    The last one is left out without `linkability`.
 
     Raises
     ------
@@ -117,6 +131,8 @@ def write_tex(summary: pd.DataFrame, paper_table: pd.DataFrame, *, folder: Path)
     write_whole(folder / "sweep.tex", sweep_tex(summary).encode())
     write_whole(folder / "attacks.tex", attacks_tex(summary).encode())
     write_whole(folder / "paper.tex", paper_tex(paper_table).encode())
+    if linkability is not None:
+        write_whole(folder / "linkability.tex", linkability_tex(linkability).encode())
 
 
 def headline_markdown(summary: pd.DataFrame) -> str:

@@ -7,12 +7,17 @@ from typing import TYPE_CHECKING
 from evaluation.sweeps import (
     AS_SHARED,
     DESCRIPTORS,
+    REMARKS,
     SHOWN,
+    adding_of,
     after_attack,
     amount,
     level_text,
+    linked_levels,
+    linked_tasks,
     number,
     printable,
+    remarks,
     shared_head,
     sources,
     sweeps,
@@ -20,10 +25,11 @@ from evaluation.sweeps import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from typing import Any
 
     import pandas as pd
 
-    from evaluation.sweeps import Number, Source
+    from evaluation.sweeps import LinkedTask, Number, Source, Where
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -40,6 +46,9 @@ _SPECIAL = {
     ">": r"\textgreater{}",
     "|": r"\textbar{}",
 }
+_MARKS = dict(zip(REMARKS, "abc", strict=True))
+_MOST_LEVELS = 10
+"""Columns that a page has room for."""
 _PREAMBLE = "% Needs \\usepackage{booktabs}. Values with 95 % intervals.\n"
 
 
@@ -90,6 +99,63 @@ def paper_tex(paper_table: pd.DataFrame) -> str:
     return _PREAMBLE + _tabular("lrlrrr", head, [rows])
 
 
+def linkability_tex(linkability: pd.DataFrame) -> str:
+    """Return a tabular for each linkage task: rank 1 in % of each attack at the headline levels."""
+    tabulars = []
+    for task in linked_tasks(linkability):
+        levels = linked_levels(task)
+        tabulars += [
+            f"% {escape(task.name)}: {escape(task.about)}; rank 1 in %\n"
+            + _linked(task, levels[start : start + _MOST_LEVELS])
+            for start in range(0, len(levels), _MOST_LEVELS)
+        ]
+    return _PREAMBLE + "\n".join(tabulars)
+
+
+def _linked(task: LinkedTask, levels: Sequence[Where]) -> str:
+    """Return a tabular with the attacks as rows, each interval below its value."""
+    heads = [escape(f"{adding_of(name)[0]} {level_text(level)}".rstrip()) for name, level in levels]
+    rules = [adding_of(name)[1] or ("" if level is None else "linear") for name, level in levels]
+    above = " & ".join(["", *rules]) + " \\\\\n" if "independent" in rules else ""
+    rows = []
+    used: set[str] = set()
+    for source in task.attacks:
+        found = [task.cells[where].get(source) for where in levels]
+        used.update(remark for row in found if row is not None for remark in remarks(row))
+        rows.append([escape(source.label), *map(_marked, found)])
+        rows.append(["", *map(_interval_below, found)])
+    some = [next(iter(task.cells[where].values())) for where in levels]
+    chance = ["chance", *(amount("rank1", row["chance"]) for row in some)]
+    notes = [
+        rf"\textsuperscript{{{mark}}}{escape(REMARKS[remark])}"
+        for remark, mark in _MARKS.items()
+        if remark in used
+    ]
+    below = (
+        rf"\multicolumn{{{1 + len(levels)}}}{{l}}{{\scriptsize {'; '.join(notes)}}} \\" + "\n"
+        if notes
+        else ""
+    )
+    return _tabular(
+        "l" + "r" * len(levels), ["Attack", *heads], [rows, [chance]], above=above, below=below
+    )
+
+
+def _marked(row: Mapping[str, Any] | None) -> str:
+    value = "" if row is None else number("rank1", row["rank1"]).value
+    if row is None or not value:
+        return "--"
+    marks = "".join(_MARKS[remark] for remark in remarks(row))
+    return rf"{value}\textsuperscript{{{marks}}}" if marks else value
+
+
+def _interval_below(row: Mapping[str, Any] | None) -> str:
+    if row is None:
+        return ""
+    shown = number("rank1", row["rank1"], row["ci_low"], row["ci_high"])
+    return rf"{{\scriptsize [{shown.low}, {shown.high}]}}" if shown.low else ""
+
+
 def _sweep(
     blocks: Mapping[str, Mapping[float | None, Mapping[str, Number]]],
     metrics: Sequence[str],
@@ -128,12 +194,17 @@ def _number(value: Number | None) -> str:
 
 
 def _tabular(
-    columns: str, head: list[str], groups: Iterable[list[list[str]]], *, above: str = ""
+    columns: str,
+    head: list[str],
+    groups: Iterable[list[list[str]]],
+    *,
+    above: str = "",
+    below: str = "",
 ) -> str:
     body = "\\midrule\n".join(
         "".join(" & ".join(row) + " \\\\\n" for row in rows) for rows in groups
     )
     return (
         f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{above}{' & '.join(head)} \\\\\n\\midrule\n"
-        f"{body}\\bottomrule\n\\end{{tabular}}\n"
+        f"{body}\\bottomrule\n{below}\\end{{tabular}}\n"
     )

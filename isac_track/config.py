@@ -168,6 +168,48 @@ class PrivacySettings:
 
 
 @dataclass(frozen=True, slots=True)
+class LinkageSettings:
+    """What an adversary is given to link: windows of walks (`attacks.linkage.tasks`)."""
+
+    window_s: float = 12.0
+    """length of a release in rerelease and new_traversal, the same for everyone"""
+    rerelease_shift_s: float = 6.0
+    """the two releases of a walk start at most this far apart, so that most of it is shown twice"""
+    split_window_s: float = 5.0
+    """length of either half in split"""
+    split_gap_s: float = 2.0
+    """shortest gap between the halves; with the windows, 12 s of a track"""
+    handover_period_s: float = 20.0
+    """time between two instants at which all pseudonyms rotate"""
+    handover_window_s: float = 5.0
+    """how much of a walk an adversary sees on either side of the gap, at most"""
+    handover_least_s: float = 1.0
+    """who is there for less than this on one side of the gap is no candidate on that side"""
+    handover_instants: int = 16
+    """... and at most so many, evenly over the recording"""
+    most_people: int = 300
+    """people who are linked in the other tasks, at most: of more, so many are drawn"""
+    trait_strength: float = 1.0
+    """spread of the crowd's planted traits; 1 is the bundled one, another is simulated anew"""
+
+    def __post_init__(self) -> None:
+        _positive(
+            self,
+            "linkage",
+            "window_s",
+            "split_window_s",
+            "handover_period_s",
+            "handover_window_s",
+            "handover_least_s",
+            "handover_instants",
+            "most_people",
+        )
+        _not_negative(self, "linkage", "rerelease_shift_s", "split_gap_s", "trait_strength")
+        if self.handover_least_s > self.handover_window_s:
+            raise SettingsError("linkage.handover_least_s is above linkage.handover_window_s")
+
+
+@dataclass(frozen=True, slots=True)
 class StageSettings:
     """Everything that changes numbers and is not an axis of the matrix."""
 
@@ -176,6 +218,7 @@ class StageSettings:
     sensing: SensingSettings = field(default_factory=SensingSettings)
     conflict: ConflictSettings = field(default_factory=ConflictSettings)
     privacy: PrivacySettings = field(default_factory=PrivacySettings)
+    linkage: LinkageSettings = field(default_factory=LinkageSettings)
 
     def __post_init__(self) -> None:
         if self.scenes.near_miss_max_m <= self.conflict.safety_radius_m:

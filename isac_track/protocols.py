@@ -6,8 +6,11 @@ that hands an attack what it was granted and nothing else.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
 
 from isac_track.errors import KnowledgeDenied
 from isac_track.types import Knowledge, read_only
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from isac_track.types import Floats, Prediction, Reconstruction, Release, Sensed
+    from isac_track.types import Floats, Ints, Prediction, Reconstruction, Release, Sensed
 
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),
@@ -54,13 +57,8 @@ class Predictor(Protocol):
         ...
 
 
-@runtime_checkable
-class ReconstructionAttack(Protocol):
-    """An adversary who estimates where people truly were from what was shared.
-
-    A class attribute ``slow = True`` keeps an attack out of the presets and runs it on one
-    release of each source track; ``seconds_per_sample`` then says what it costs.
-    """
+class Adversary(Protocol):
+    """Who says which knowledge it needs and which it takes."""
 
     @property
     def requires(self) -> frozenset[Knowledge]:
@@ -72,9 +70,53 @@ class ReconstructionAttack(Protocol):
         """Knowledge that it takes if granted."""
         ...
 
+
+@runtime_checkable
+class ReconstructionAttack(Adversary, Protocol):
+    """An adversary who estimates where people truly were from what was shared.
+
+    A class attribute ``slow = True`` keeps an attack out of the presets and runs it on one
+    release of each source track; ``seconds_per_sample`` then says what it costs.
+    """
+
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return what turns a release into a reconstruction, sample for sample."""
         ...
+
+
+@runtime_checkable
+class LinkageAttack(Adversary, Protocol):
+    """An adversary who tells which releases of two sessions are of one person.
+
+    A class attribute ``kind = "linkage"`` tells it from a reconstruction attack (`kind_of`).
+    """
+
+    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+        """Return what scores P probes against G gallery tracks: (P, G), higher = same person."""
+        ...
+
+
+def kind_of(attack: object) -> Literal["reconstruction", "linkage"]:
+    """Return which of the two kinds an attack is.
+
+    A class attribute ``kind`` says so; without it the annotation of what ``fit`` returns does
+    (two releases in: linkage), and without either it is a reconstruction attack.
+
+    Raises
+    ------
+    ValueError
+        If ``kind`` is neither.
+    """
+    said = getattr(attack, "kind", None)
+    if said is None:
+        annotations = getattr(getattr(type(attack), "fit", None), "__annotations__", {})
+        releases = re.findall(r"\bRelease\b", str(annotations.get("return", "")))
+        said = "linkage" if len(releases) > 1 else "reconstruction"
+    if said == "linkage":
+        return "linkage"
+    if said == "reconstruction":
+        return "reconstruction"
+    raise ValueError(f'kind must be "reconstruction" or "linkage", got {said!r}')
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -93,6 +135,27 @@ class TrainingSet:
         object.__setattr__(self, "truth", read_only(self.truth))
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkageTrainingSet:
+    """Two releases of other people, perturbed by the same mechanism, and who is who in them."""
+
+    probe: Release
+    gallery: Release
+    mate: Ints
+    """(P,) track of the gallery that is the same person, or -1 if there is none."""
+
+    def __post_init__(self) -> None:
+        mate = np.asarray(self.mate)
+        if mate.shape != (len(self.probe),) or mate.dtype.kind not in "iu":
+            raise ValueError(f"mate must hold {len(self.probe)} integers, got {mate.shape}")
+        if mate.size and not (mate.min() >= -1 and mate.max() < len(self.gallery)):
+            raise ValueError(f"mate must lie within -1 and {len(self.gallery) - 1}")
+        known = mate[mate >= 0]
+        if np.unique(known).size < known.size:
+            raise ValueError("two probes have one mate")
+        object.__setattr__(self, "mate", read_only(mate.astype(np.int64, copy=False)))
+
+
 class AttackContext:
     """What an attack is given to prepare with; it holds nothing that was not granted."""
 
@@ -105,7 +168,7 @@ class AttackContext:
         epsilon_m: float,
         granted: frozenset[Knowledge] = frozenset(),
         mechanism: Mechanism | None = None,
-        train: TrainingSet | None = None,
+        train: TrainingSet | LinkageTrainingSet | None = None,
         repeats: tuple[Release, ...] | None = None,
     ) -> None:
         """Keep what was granted.
@@ -121,8 +184,8 @@ class AttackContext:
             frame and clock.
         mechanism : Mechanism, optional
             The frozen object, for MECHANISM.
-        train : TrainingSet, optional
-            For TRAIN.
+        train : TrainingSet or LinkageTrainingSet, optional
+            For TRAIN; which of the two goes by the kind of the attack.
         repeats : tuple of Release, optional
             Further releases of the same walks, sample by sample at the same instants, for
             REPEATS.
@@ -151,10 +214,12 @@ class AttackContext:
         return self._get(Knowledge.MECHANISM)
 
     @property
-    def train(self) -> TrainingSet:
-        """Other people, perturbed by the same mechanism."""
-        train: TrainingSet = self._get(Knowledge.TRAIN)
-        return train
+    def train(self) -> Any:  # noqa: ANN401 - of one of two kinds
+        """Other people, perturbed by the same mechanism.
+
+        A `TrainingSet` for a reconstruction attack, a `LinkageTrainingSet` for a linkage attack.
+        """
+        return self._get(Knowledge.TRAIN)
 
     @property
     def repeats(self) -> tuple[Release, ...]:
@@ -171,14 +236,27 @@ class AttackContext:
         return self._held[what]
 
 
-def grants(attack: ReconstructionAttack) -> dict[str, frozenset[Knowledge]]:
+def grants(
+    attack: Adversary,
+    *,
+    everyone: frozenset[Knowledge] = frozenset(),
+    nobody: frozenset[Knowledge] = frozenset(),
+) -> dict[str, frozenset[Knowledge]]:
     """Return ``{adversary: what it is granted}`` of every row that an attack makes.
 
     An attack runs once for each adversary that grants all of its `requires`; of those that
     grant it the same, the weakest names the row.
+
+    Parameters
+    ----------
+    attack : Adversary
+        An attack of either kind.
+    everyone, nobody : frozenset of Knowledge
+        What a task grants to every adversary, and what it withholds from all.
     """
     rows: dict[str, frozenset[Knowledge]] = {}
-    for name, knows in ADVERSARIES.items():
+    for name, always in ADVERSARIES.items():
+        knows = (always | everyone) - nobody
         granted = knows & (attack.requires | attack.uses)
         if attack.requires <= knows and granted not in rows.values():
             rows[name] = granted

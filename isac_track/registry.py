@@ -56,6 +56,12 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "imm_rts": "attacks.reconstruction.imm_rts:ImmRTS",
         "gaussian_process": "attacks.reconstruction.gaussian_process:GaussianProcess",
         "averaging": "attacks.reconstruction.averaging:Averaging",
+        "shape": "attacks.linkage.shape:Shape",
+        "profile": "attacks.linkage.profile:Profile",
+        "dtw": "attacks.linkage.dtw:DTW",
+        "behaviour": "attacks.linkage.behaviour:Behaviour",
+        "histogram": "attacks.linkage.histogram:Histogram",
+        "kinematic": "attacks.linkage.kinematic:Kinematic",
     },
 }
 _METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
@@ -174,8 +180,7 @@ def _plugin(
         requires = _knowledge(instance, "requires", kind=kind, name=name, origin=origin)
         _check_granted(requires, name=name)
     elif kind == "attacks":
-        for attribute in ("requires", "uses"):
-            _knowledge(instance, attribute, kind=kind, name=name, origin=origin)
+        _check_attack(instance, name=name, origin=origin)
     level: float | None = None
     parameters: list[str] = []
     for position, item in enumerate(item for item in dataclasses.fields(cls) if item.init):
@@ -215,6 +220,17 @@ def _knowledge(
             f"{_SINGULAR[kind]} {name!r}: {origin}.{attribute} must be a frozenset of Knowledge"
         )
     return declared
+
+
+def _check_attack(instance: object, *, name: str, origin: str) -> None:
+    from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
+
+    for attribute in ("requires", "uses"):
+        _knowledge(instance, attribute, kind="attacks", name=name, origin=origin)
+    try:
+        kind_of(instance)
+    except ValueError as error:
+        raise PluginError(f"attack {name!r}: {origin}: {error}") from None
 
 
 def _check_granted(requires: frozenset[Knowledge], *, name: str) -> None:

@@ -177,6 +177,31 @@ class DeadReckoning(Base):
         return xy
 
 
+class CountsCalls(Base):
+    """Drifts with every release that one function is asked about."""
+
+    def fit(self, context):
+        del context
+        seen = []
+
+        def reconstruct(release):
+            seen.append(release)
+            return Reconstruction(release.xy + 1e-9 * len(seen))
+
+        return reconstruct
+
+
+class KeepsByName(Base):
+    """Answers pseudonyms that it has seen from a cache."""
+
+    def fit(self, context):
+        del context
+        known = {}
+        return lambda release: known.setdefault(
+            release.pseudonym, Reconstruction(self.positions(release))
+        )
+
+
 class Peeks(Base):
     """Takes every tenth position from whoever called and has it."""
 
@@ -233,6 +258,8 @@ BROKEN = [
     (NeedsThree, "short_tracks_are_handled", "raised IndexError: .* (broken_attacks.py, line "),
     (FarFromAPoint, "short_tracks_are_handled", "an answer lies 71 m from the middle of track 0"),
     (DeadReckoning, "irregular_sampling_is_handled", "is anything divided by a time step?"),
+    (CountsCalls, "calls_do_not_remember", "asked once more, after another release: .* 0 m;"),
+    (KeepsByName, "calls_do_not_remember", "another release, asked after the first: positions"),
     (Peeks, "null_stays_at_chance", "samples leak, expected about 2 by chance"),
     (StepsAside, "easy_case_beats_chance", "expected at least 0.5"),
     (GivesUpInBetween, "success_falls_with_noise", "expected a fall of more than"),

@@ -1,4 +1,4 @@
-"""The attack kit: what every reconstruction attack must do, as named checks.
+"""The attack kit: what every attack must do, as named checks for either kind.
 
 With pytest, every check of every attack becomes a test of its own::
 
@@ -10,8 +10,10 @@ so that ``pytest -k null_stays_at_chance`` runs one of them. From the command li
 
     python -m attacks check my_module:MyAttack
 
-Every check runs once for each adversary that grants the attack something else
-(`isac_track.protocols.grants`). All draws are seeded: a check never flickers.
+`CHECKS` are those of reconstruction attacks, `LINKAGE_CHECKS` those of linkage attacks; which of
+them an attack gets goes by its kind (`isac_track.protocols.kind_of`). Every check runs once for
+each adversary that grants the attack something else (`isac_track.protocols.grants`). All draws
+are seeded: a check never flickers.
 """
 
 from __future__ import annotations
@@ -24,15 +26,25 @@ from typing import TYPE_CHECKING, Any, Literal
 from unittest import SkipTest
 
 from attacks.testing._checks import CHECKS
-from attacks.testing._kit import reject_what_is_no_attack
+from attacks.testing._kit import granted_rows, reject_what_is_no_attack
+from attacks.testing._linkage_checks import LINKAGE_CHECKS
 from isac_track.errors import PluginError, SettingsError
+from isac_track.protocols import ADVERSARIES, kind_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from isac_track.protocols import ReconstructionAttack
+    from isac_track.protocols import LinkageAttack, ReconstructionAttack
 
-__all__ = ["CHECKS", "CheckResult", "parametrize_attack_checks", "run_checks"]
+__all__ = [
+    "CHECKS",
+    "LINKAGE_CHECKS",
+    "CheckResult",
+    "adversaries_of",
+    "checks_for",
+    "parametrize_attack_checks",
+    "run_checks",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +62,44 @@ class CheckResult:
         return self.status == "passed"
 
 
+def checks_for(
+    attack: ReconstructionAttack | LinkageAttack,
+) -> dict[str, Callable[[Any], None]]:
+    """Return the checks of an attack of this kind by name, in the order in which they run.
+
+    Raises
+    ------
+    PluginError
+        If it is no attack at all.
+    """
+    reject_what_is_no_attack(attack)
+    return dict(LINKAGE_CHECKS if kind_of(attack) == "linkage" else CHECKS)
+
+
+def adversaries_of(attack: ReconstructionAttack | LinkageAttack) -> tuple[str, ...]:
+    """Return the names of the adversaries whose rows an attack makes, weakest first.
+
+    Those of a linkage attack are the adversaries of a task that shows what it requires: SCENE is
+    then granted to everyone.
+
+    Raises
+    ------
+    PluginError
+        If it is no attack at all.
+    """
+    reject_what_is_no_attack(attack)
+    named = {adversary for adversary, _ in granted_rows(attack)}
+    return tuple(adversary for adversary in ADVERSARIES if adversary in named)
+
+
 def run_checks(
-    attack: ReconstructionAttack, *, names: Sequence[str] | None = None
+    attack: ReconstructionAttack | LinkageAttack, *, names: Sequence[str] | None = None
 ) -> tuple[CheckResult, ...]:
     """Run the checks on an attack; one that fails ends nothing.
 
     Parameters
     ----------
-    attack : ReconstructionAttack
+    attack : ReconstructionAttack or LinkageAttack
     names : sequence of str, optional
         Only these checks; by default all.
 
@@ -68,16 +110,20 @@ def run_checks(
     SettingsError
         For a check that does not exist.
     """
-    reject_what_is_no_attack(attack)
+    checks = checks_for(attack)
     for name in names or ():
-        if name not in CHECKS:
-            near = get_close_matches(name, CHECKS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(CHECKS)}"
-            raise SettingsError(f"unknown check {name!r}; {hint}")
-    return tuple(_result(name, attack) for name in (CHECKS if names is None else names))
+        if name not in checks:
+            near = get_close_matches(name, checks, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(checks)}"
+            raise SettingsError(f"unknown check {name!r} of a {kind_of(attack)} attack; {hint}")
+    return tuple(
+        _result(name, checks[name], attack) for name in (checks if names is None else names)
+    )
 
 
-def parametrize_attack_checks(attacks: Iterable[ReconstructionAttack]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
+def parametrize_attack_checks(
+    attacks: Iterable[ReconstructionAttack | LinkageAttack],
+) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     """Return a pytest decorator that runs a test once per attack and check.
 
     The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not
@@ -85,7 +131,7 @@ def parametrize_attack_checks(attacks: Iterable[ReconstructionAttack]) -> Any:  
 
     Parameters
     ----------
-    attacks : iterable of ReconstructionAttack
+    attacks : iterable of ReconstructionAttack or LinkageAttack
         Instances; one attack may come several times, with different parameters.
 
     Raises
@@ -104,21 +150,19 @@ def parametrize_attack_checks(attacks: Iterable[ReconstructionAttack]) -> Any:  
     given = list(attacks)
     if not given:
         raise SettingsError("no attack to check: the list is empty")
-    for attack in given:
-        reject_what_is_no_attack(attack)
     return pytest.mark.parametrize(
         ("attack", "check"),
         [
             pytest.param(attack, check, id=f"{_label(attack)}-{name}")
             for attack in given
-            for name, check in CHECKS.items()
+            for name, check in checks_for(attack).items()
         ],
     )
 
 
-def _result(name: str, attack: ReconstructionAttack) -> CheckResult:
+def _result(name: str, check: Callable[[Any], None], attack: object) -> CheckResult:
     try:
-        CHECKS[name](attack)
+        check(attack)
     except AssertionError as error:
         return CheckResult(name=name, status="failed", message=str(error))
     except SkipTest as reason:

@@ -4,36 +4,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from math import log
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from attacks.testing._releases import (
+    BOX_M,
+    RAW_SIGMA_M,
+    copied_release,
+    draws,
+    in_order,
+    joined,
+    origins,
+    renamed_release,
+    shared,
+    steps,
+)
 from isac_track.protocols import TrainingSet
-from isac_track.rng import stream
-from isac_track.sensing import fisher_information_density, unit_errors
 from isac_track.sharing import Fixed
-from isac_track.types import Release, Sensed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isac_track.types import ErrorLaw, Floats, Ints
+    from attacks.testing._releases import Motion, Sampling, Walks
+    from isac_track.types import ErrorLaw, Floats, Ints, Release
 
-Sampling: TypeAlias = Literal["steady", "irregular"]
-
-SEED = 0
-EPSILON_M = 0.3
-RAW_SIGMA_M = 0.05
-"""Of the sensing; all else is added by the mechanism."""
 ACCELERATION = 0.04
 """m^2/s^3, spectral density of the walks' acceleration (Bar-Shalom et al., 2001, ch. 6.2)."""
 SPEED_MPS = (1.0, 0.2)
 """Mean and standard deviation at the start."""
-BOX_M = 20.0
-"""Side of the square in which walks start."""
-STEADY_STEP_S = (1 / 16, 1 / 8)
-IRREGULAR_STEP_S = (1e-3, 30.0)
 N_TRACKS = 24
 N_REPEATS = 2
 
@@ -52,18 +51,20 @@ class Case:
     repeats: tuple[Release, ...]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Walks:
-    t: Floats
-    xy: Floats
-    offsets: Ints
-
-
 @cache
 def ordinary() -> Case:
     """Return a small release as most are: for checks that compare two runs."""
     sizes = tuple(20 + 4 * row for row in range(8))
     return made_up("ordinary", about="8 walks, noise of 0.3 m", sizes=sizes, sigma_m=0.3)
+
+
+@cache
+def another() -> Case:
+    """Return other walks with the same numbers of samples and pseudonyms as the ordinary case."""
+    base = ordinary()
+    sizes = np.diff(base.release.offsets).tolist()
+    case = made_up("another", about="8 other walks, noise of 0.3 m", sizes=sizes, sigma_m=0.3)
+    return replace(case, release=replace(case.release, pseudonym=base.release.pseudonym))
 
 
 @cache
@@ -150,35 +151,24 @@ def made_up(
     others = _walks([40 + 4 * row for row in range(12)], (name, "others"), sampling=sampling)
     return Case(
         about=about,
-        release=_shared(mine, (name, "release"), mechanism=mechanism, law=law),
+        release=shared(mine, (name, "release"), mechanism=mechanism, law=law),
         truth=mine.xy,
         mechanism=mechanism,
-        train=TrainingSet(
-            _shared(others, (name, "train"), mechanism=mechanism, law=law), others.xy
-        ),
+        train=TrainingSet(shared(others, (name, "train"), mechanism=mechanism, law=law), others.xy),
         repeats=tuple(
-            _shared(mine, (name, "repeat", row), mechanism=mechanism, law=law)
+            shared(mine, (name, "repeat", row), mechanism=mechanism, law=law)
             for row in range(N_REPEATS)
         ),
     )
 
 
-def _walks(sizes: Sequence[int], name: tuple[str, ...], *, sampling: Sampling) -> _Walks:
-    tracks = [_walk(size, (*name, row), sampling=sampling) for row, size in enumerate(sizes)]
-    return _Walks(
-        t=np.concatenate([t for t, _ in tracks]),
-        xy=np.concatenate([xy for _, xy in tracks]),
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-    )
+def _walks(sizes: Sequence[int], name: tuple[str, ...], *, sampling: Sampling) -> Walks:
+    return joined([_walk(size, (*name, row), sampling=sampling) for row, size in enumerate(sizes)])
 
 
 def _walk(size: int, name: tuple[str | int, ...], *, sampling: Sampling) -> tuple[Floats, Floats]:
-    rng = _stream(*name)
-    if sampling == "steady":
-        step_s: Floats = rng.uniform(*STEADY_STEP_S, size)
-    else:
-        low, high = map(log, IRREGULAR_STEP_S)
-        step_s = np.exp(rng.uniform(low, high, size))
+    rng = draws(*name)
+    step_s = steps(rng, size, sampling=sampling)
     t: Floats = rng.uniform(0.0, 60.0) + np.cumsum(step_s)
     direction = rng.uniform(0.0, 2.0 * np.pi)
     velocity = rng.normal(*SPEED_MPS) * np.array([np.cos(direction), np.sin(direction)])
@@ -192,53 +182,12 @@ def _walk(size: int, name: tuple[str | int, ...], *, sampling: Sampling) -> tupl
     return t, xy
 
 
-def _shared(
-    walks: _Walks, name: tuple[str | int, ...], *, mechanism: Fixed, law: ErrorLaw
-) -> Release:
-    unit = unit_errors(n_samples=walks.t.size, law=law, rng=_stream("errors", *name))
-    information = np.full(walks.t.size, RAW_SIGMA_M**-2)
-    sensed = Sensed(
-        t=walks.t,
-        xy=walks.xy + RAW_SIGMA_M * unit,
-        unit_error=unit,
-        sigma_raw=np.full(walks.t.size, RAW_SIGMA_M),
-        information=information,
-        fid=fisher_information_density(information=information, t=walks.t, offsets=walks.offsets),
-        offsets=walks.offsets,
-        law=law,
-    )
-    return mechanism.share(sensed, _stream("share", *name))
-
-
 def _uniform(release: Release, *name: str | int) -> Floats:
-    xy: Floats = _stream("unrelated", *name).uniform(-BOX_M / 2, BOX_M / 2, release.xy.shape)
+    xy: Floats = draws("unrelated", *name).uniform(-BOX_M / 2, BOX_M / 2, release.xy.shape)
     return xy
 
 
-def _stream(*name: str | int) -> np.random.Generator:
-    return stream(SEED, "attacks", "testing", *name)
-
-
 # The same case, seen otherwise
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """A frame and a clock: turned, then shifted."""
-
-    angle_rad: float
-    shift_m: tuple[float, float]
-    clock_s: float
-
-    def of_points(self, xy: Floats) -> Floats:
-        """Return points, (M, 2) m, in this frame."""
-        cos, sin = np.cos(self.angle_rad), np.sin(self.angle_rad)
-        moved: Floats = xy @ np.array([[cos, sin], [-sin, cos]]) + self.shift_m
-        return moved
-
-    def of_release(self, release: Release) -> Release:
-        """Return a release in this frame and on this clock."""
-        return replace(release, t=release.t + self.clock_s, xy=self.of_points(release.xy))
 
 
 def moved(case: Case, motions: Sequence[Motion]) -> Case:
@@ -262,13 +211,12 @@ def moved(case: Case, motions: Sequence[Motion]) -> Case:
 
 def reordered(case: Case, order: Sequence[int]) -> tuple[Case, Ints]:
     """Return the case with its tracks in another order, and where each sample came from, (M,)."""
-    offsets = case.release.offsets
-    origin = np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in order])
+    origin = origins(case.release.offsets, order)
     changed = replace(
         case,
-        release=_in_order(case.release, order, origin),
+        release=in_order(case.release, order),
         truth=case.truth[origin],
-        repeats=tuple(_in_order(repeat, order, origin) for repeat in case.repeats),
+        repeats=tuple(in_order(repeat, order) for repeat in case.repeats),
     )
     return changed, origin
 
@@ -277,20 +225,25 @@ def renamed(case: Case) -> Case:
     """Return the case with other pseudonyms, whose alphabetical order is another one, too."""
     return replace(
         case,
-        release=_renamed(case.release),
-        train=TrainingSet(_renamed(case.train.release), case.train.truth),
-        repeats=tuple(map(_renamed, case.repeats)),
+        release=renamed_release(case.release),
+        train=TrainingSet(renamed_release(case.train.release), case.train.truth),
+        repeats=tuple(map(renamed_release, case.repeats)),
     )
+
+
+def repeat_as_release(case: Case) -> Release:
+    """Return another release of the same walks, under the pseudonyms of the first."""
+    return replace(case.repeats[0], pseudonym=case.release.pseudonym)
 
 
 def copied(case: Case) -> Case:
     """Return the case in arrays of its own; nothing done to them reaches another run."""
     return replace(
         case,
-        release=_copied(case.release),
+        release=copied_release(case.release),
         truth=case.truth.copy(),
-        train=TrainingSet(_copied(case.train.release), case.train.truth.copy()),
-        repeats=tuple(map(_copied, case.repeats)),
+        train=TrainingSet(copied_release(case.train.release), case.train.truth.copy()),
+        repeats=tuple(map(copied_release, case.repeats)),
     )
 
 
@@ -301,30 +254,4 @@ def without_sigma(case: Case) -> Case:
         release=case.release.without_sigma(),
         train=TrainingSet(case.train.release.without_sigma(), case.train.truth),
         repeats=tuple(repeat.without_sigma() for repeat in case.repeats),
-    )
-
-
-def _in_order(release: Release, order: Sequence[int], origin: Ints) -> Release:
-    sizes = np.diff(release.offsets)[list(order)]
-    return Release(
-        t=release.t[origin],
-        xy=release.xy[origin],
-        sigma=None if release.sigma is None else release.sigma[origin],
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        pseudonym=tuple(release.pseudonym[row] for row in order),
-    )
-
-
-def _renamed(release: Release) -> Release:
-    ranks = {name: rank for rank, name in enumerate(sorted(release.pseudonym, reverse=True))}
-    return replace(release, pseudonym=tuple(f"p{ranks[name]:04}" for name in release.pseudonym))
-
-
-def _copied(release: Release) -> Release:
-    return Release(
-        t=release.t.copy(),
-        xy=release.xy.copy(),
-        sigma=None if release.sigma is None else release.sigma.copy(),
-        offsets=release.offsets.copy(),
-        pseudonym=release.pseudonym,
     )

@@ -12,6 +12,7 @@ from scipy.special import bdtrc
 
 from attacks.testing import _cases as cases
 from attacks.testing._kit import Estimate, expect_same, read, rows, run, strict_rows
+from attacks.testing._releases import BOX_M, EPSILON_M, RAW_SIGMA_M, Motion
 from isac_track.privacy import exposure, leakage_indicator
 from isac_track.types import Knowledge, Reconstruction
 
@@ -31,10 +32,10 @@ SAME_M = 1e-6
 SAME_FRAME_M = 1e-5
 """Room for rounding after a motion by some hundred metres and seconds."""
 FRAMES = (
-    cases.Motion(angle_rad=2.1, shift_m=(35.0, -80.0), clock_s=500.0),
-    cases.Motion(angle_rad=-0.7, shift_m=(-60.0, 15.0), clock_s=-20.0),
-    cases.Motion(angle_rad=1.2, shift_m=(5.0, 140.0), clock_s=120.0),
-    cases.Motion(angle_rad=-2.8, shift_m=(-90.0, -30.0), clock_s=1000.0),
+    Motion(angle_rad=2.1, shift_m=(35.0, -80.0), clock_s=500.0),
+    Motion(angle_rad=-0.7, shift_m=(-60.0, 15.0), clock_s=-20.0),
+    Motion(angle_rad=1.2, shift_m=(5.0, 140.0), clock_s=120.0),
+    Motion(angle_rad=-2.8, shift_m=(-90.0, -30.0), clock_s=1000.0),
 )
 """Of the release, the training set and the two repeats: without SCENE, no two are the same."""
 SHORT = ((1,), (1, 2, 30, 1, 2, 3), (2,))
@@ -43,7 +44,7 @@ EXTRA_M = 10.0
 """How far an answer may lie from the middle of its track: 3 times its extent and 10 m."""
 SURPRISE = 1e-6
 """Probability with which chance alone would fail an attack."""
-EASY_SIGMA_M = cases.RAW_SIGMA_M
+EASY_SIGMA_M = RAW_SIGMA_M
 EASY_PLR = 0.5
 """The shared positions themselves come to 1.0 there."""
 SIGMAS_M = (0.3, 1.0, 3.0)
@@ -164,6 +165,38 @@ def irregular_sampling_is_handled(attack: ReconstructionAttack) -> None:
     _stay_near(attack, [cases.irregular()], hint="is anything divided by a time step?")
 
 
+def calls_do_not_remember(attack: ReconstructionAttack) -> None:
+    """What the function from fit answers does not depend on what it was asked before.
+
+    Asked A, B and A again it answers A alike to the last bit, and B as if it had not seen A. B has
+    A's pseudonyms and as many samples, lest a cache go by those.
+    """
+    case = cases.ordinary()
+    for row in rows(attack):
+        # Repeats are of the walks of A: another release of those is all that may be asked.
+        if Knowledge.REPEATS in row.granted:
+            other = cases.repeat_as_release(case)
+        else:
+            other = cases.another().release
+        first, after, again = row.estimates(case, [case.release, other, case.release])
+        (alone,) = row.estimates(case, [other])
+        for got, expected, what in (
+            (again, first, "asked once more, after another release"),
+            (after, alone, "another release, asked after the first"),
+        ):
+            if _same_bits(got.xy, expected.xy) and _same_bits(got.std, expected.std):
+                continue
+            expect_same(
+                row,
+                case,
+                got=got,
+                expected=expected,
+                tolerance_m=0.0,
+                what=what,
+                hint="one function serves many releases: keep nothing from one to the next",
+            )
+
+
 def only_granted_knowledge_is_touched(attack: ReconstructionAttack) -> None:
     """Given what its adversary knows and it declares, and no more, the attack runs."""
     case = cases.ordinary()
@@ -188,7 +221,7 @@ def null_stays_at_chance(attack: ReconstructionAttack) -> None:
     """
     case = cases.unrelated()
     truth = case.truth
-    chance = np.pi * cases.EPSILON_M**2 / cases.BOX_M**2
+    chance = np.pi * EPSILON_M**2 / BOX_M**2
     for row in rows(attack):
         found = row.estimate(case)
         leaked = int(_leaked(found, truth).sum())
@@ -208,7 +241,7 @@ def easy_case_beats_chance(attack: ReconstructionAttack) -> None:
         plr = float(_plr(row.estimate(case), case).mean())
         if plr < EASY_PLR:
             raise AssertionError(
-                f"{row}, {case.about}: PLR {plr:.3f} at epsilon {cases.EPSILON_M:g} m, expected "
+                f"{row}, {case.about}: PLR {plr:.3f} at epsilon {EPSILON_M:g} m, expected "
                 f"at least {EASY_PLR:g}; the shared positions themselves come to "
                 f"{_shared_plr(case):.3f} (does it smooth too much, or lag behind?)"
             )
@@ -251,6 +284,7 @@ CHECKS: dict[str, Check] = {
         pseudonyms_do_not_matter,
         short_tracks_are_handled,
         irregular_sampling_is_handled,
+        calls_do_not_remember,
         null_stays_at_chance,
         easy_case_beats_chance,
         success_falls_with_noise,
@@ -277,7 +311,7 @@ def _stay_near(attack: ReconstructionAttack, releases: list[Case], *, hint: str)
 
 
 def _leaked(found: Estimate, truth: Floats) -> Bools:
-    return leakage_indicator(shared_xy=found.xy, true_xy=truth, epsilon_m=cases.EPSILON_M)
+    return leakage_indicator(shared_xy=found.xy, true_xy=truth, epsilon_m=EPSILON_M)
 
 
 def _plr(found: Estimate, case: Case) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import sys
 import traceback
 from dataclasses import dataclass, replace
@@ -11,21 +12,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from attacks.testing._cases import EPSILON_M, copied, ordinary, without_sigma
+from attacks.testing._cases import copied, ordinary, without_sigma
+from attacks.testing._releases import EPSILON_M, copied_release
 from isac_track.errors import PluginError
-from isac_track.protocols import AttackContext, grants
+from isac_track.protocols import AttackContext, grants, kind_of
 from isac_track.rng import stream
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from attacks.testing._cases import Case
-    from isac_track.protocols import ReconstructionAttack
-    from isac_track.types import Floats
+    from isac_track.protocols import LinkageAttack, ReconstructionAttack
+    from isac_track.types import Floats, Release
 
 SPREADS = 3.0
 """Two runs of an attack that draws may differ by so many times what two seeds differ by."""
+_GIVES = {
+    "reconstruction": (1, "from a release to a reconstruction"),
+    "linkage": (2, "from two releases, probe and gallery, to a matrix of scores"),
+}
+"""How many releases the function from `fit` takes, and what it is."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,16 +62,31 @@ class Row:
 
     def raw(self, case: Case, *, seed: int = 0) -> object:
         """Return whatever the attack returns for the release of a case, on copies of all arrays."""
-        return run(self.attack, copied(case), granted=self.given, seed=seed, who=str(self))
+        (result,) = run(self.attack, copied(case), granted=self.given, seed=seed, who=str(self))
+        return result
 
     def estimate(self, case: Case, *, seed: int = 0) -> Estimate:
         """Return what the attack makes of the release of a case."""
         return read(self.raw(case, seed=seed), case, who=str(self))
 
+    def estimates(self, case: Case, releases: Sequence[Release]) -> list[Estimate]:
+        """Return what one call of `fit`, for the case, makes of several releases in turn."""
+        results = run(
+            self.attack,
+            copied(case),
+            granted=self.given,
+            who=str(self),
+            releases=[copied_release(release) for release in releases],
+        )
+        return [
+            read(result, replace(case, release=release), who=str(self))
+            for result, release in zip(results, releases, strict=True)
+        ]
+
 
 def strict_rows(attack: ReconstructionAttack) -> Iterator[Row]:
     """Yield the rows of an attack, weakest adversary first, given what they are granted."""
-    for adversary, granted in grants(attack).items():
+    for adversary, granted in granted_rows(attack):
         yield Row(attack=attack, adversary=adversary, granted=granted, given=granted)
 
 
@@ -90,16 +112,21 @@ def run(
     granted: frozenset[Knowledge],
     who: str,
     seed: int = 0,
-) -> object:
-    """Return whatever an attack returns for a release, given what was granted and no more.
+    releases: Sequence[Release] | None = None,
+) -> list[object]:
+    """Return whatever an attack returns for each release, given what was granted and no more.
+
+    The context is that of the case; the releases are its own one, unless others are given.
 
     Raises
     ------
     AssertionError
         For anything that the attack raises, with the line that did.
     """
+    asked = [case.release] if releases is None else list(releases)
     if Knowledge.SIGMA not in granted:
         case = without_sigma(case)
+        asked = [release.without_sigma() for release in asked]
     context = AttackContext(
         rng=stream(seed, "attacks", "testing", "attack"),
         epsilon_m=EPSILON_M,
@@ -108,20 +135,39 @@ def run(
         train=case.train,
         repeats=case.repeats,
     )
-    doing = "fit(context)"
+    return answers(attack, context, [(release,) for release in asked], who=f"{who}, {case.about}")
+
+
+def answers(
+    attack: ReconstructionAttack | LinkageAttack,
+    context: AttackContext,
+    asked: Sequence[tuple[Release, ...]],
+    *,
+    who: str,
+) -> list[object]:
+    """Return what the function from one call of `fit` answers, question by question.
+
+    Raises
+    ------
+    AssertionError
+        For anything that the attack raises, with the line that did.
+    """
+    n_releases, gives = _GIVES[kind_of(attack)]
+    doing, fitted = "fit(context)", None
     try:
-        reconstruct = attack.fit(context)
-        if not callable(reconstruct):
+        fitted = attack.fit(context)
+        if not callable(fitted):
             raise TypeError(  # noqa: TRY301 - reported as what the attack raises
-                f"fit must return a function from a release to a reconstruction, "
-                f"got {reconstruct!r}"
+                f"fit must return a function {gives}, got {fitted!r}"
             )
         doing = "the function from fit"
-        return reconstruct(case.release)
+        return [fitted(*releases) for releases in asked]
     except (Exception, SystemExit) as error:
+        hint = ""
+        if isinstance(error, TypeError) and _n_arguments(fitted) == 3 - n_releases:
+            hint = f"; it takes a function {gives}: which `kind` is the attack?"
         raise AssertionError(
-            f"{who}, {case.about}: {doing} raised {type(error).__name__}: {error}"
-            + _place(error, attack)
+            f"{who}: {doing} raised {type(error).__name__}: {error}{_place(error, attack)}{hint}"
         ) from error
 
 
@@ -206,6 +252,34 @@ def reject_what_is_no_attack(attack: object) -> None:
                 f"attack {name} needs a class attribute {attribute}: a frozenset of Knowledge, "
                 f"got {declared!r}"
             )
+    try:
+        kind_of(attack)
+    except ValueError as error:
+        raise PluginError(f"attack {name}: {error}") from None
+    if not granted_rows(attack):  # type: ignore[arg-type]  # it has all that a row takes
+        raise PluginError(
+            f"attack {name} requires REPEATS, which nobody who links is granted: the repeats of a "
+            "walk would be linked already"
+        )
+
+
+def granted_rows(
+    attack: ReconstructionAttack | LinkageAttack,
+) -> list[tuple[str, frozenset[Knowledge]]]:
+    """Return (adversary, what it is granted) of every row that an attack makes here.
+
+    What a linkage attack is granted depends on the task: some show the scene to everyone, the
+    others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once.
+    """
+    if kind_of(attack) == "reconstruction":
+        return list(grants(attack).items())
+    hidden = frozenset({Knowledge.REPEATS, Knowledge.SCENE})
+    shown = frozenset({Knowledge.SCENE})
+    made: dict[frozenset[Knowledge], str] = {}
+    for everyone, nobody in ((frozenset(), hidden), (shown, hidden - shown)):
+        for adversary, granted in grants(attack, everyone=everyone, nobody=nobody).items():
+            made.setdefault(granted, adversary)
+    return [(adversary, granted) for granted, adversary in made.items()]
 
 
 def _largest_m(first: Estimate, second: Estimate) -> float:
@@ -213,13 +287,16 @@ def _largest_m(first: Estimate, second: Estimate) -> float:
 
 
 def _rms_m(first: Estimate, second: Estimate) -> float:
+    return max(rms(part) for part in _gaps(first, second))
+
+
+def rms(gaps: Floats) -> float:
+    """Return the root of the mean square, whatever the scale."""
     # Scaled by the largest, lest the squares of tiny gaps vanish.
-    largest = _largest_m(first, second)
+    largest = float(np.max(gaps, initial=0.0))
     if largest == 0 or not np.isfinite(largest):
         return largest
-    return max(
-        largest * float(np.sqrt(np.mean((part / largest) ** 2))) for part in _gaps(first, second)
-    )
+    return largest * float(np.sqrt(np.mean((gaps / largest) ** 2)))
 
 
 def _gaps(first: Estimate, second: Estimate) -> list[Floats]:
@@ -231,7 +308,17 @@ def _gaps(first: Estimate, second: Estimate) -> list[Floats]:
     return gaps
 
 
-def _place(error: BaseException, attack: ReconstructionAttack) -> str:
+def _n_arguments(fitted: object) -> int | None:
+    """Return how many arguments a function cannot do without, or None if it does not say."""
+    try:
+        parameters = inspect.signature(fitted).parameters  # type: ignore[arg-type]  # or TypeError
+    except (TypeError, ValueError):
+        return None
+    positional = {inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD}
+    return sum(one.kind in positional and one.default is one.empty for one in parameters.values())
+
+
+def _place(error: BaseException, attack: object) -> str:
     """Return the last line of the attack's own file on the way to an error."""
     module = sys.modules.get(type(attack).__module__)
     file = getattr(module, "__file__", None)

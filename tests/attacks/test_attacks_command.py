@@ -12,7 +12,7 @@ import pytest
 
 from attacks import __main__ as command
 from attacks.__main__ import main
-from attacks.testing import CHECKS
+from attacks.testing import CHECKS, LINKAGE_CHECKS
 from isac_track import registry
 
 TESTS = Path(__file__).parents[1]
@@ -37,30 +37,40 @@ def installed(monkeypatch):
 
 class TestList:
     def test_names_rows_and_what_they_do(self, capsys, installed):
-        installed(mine="broken_attacks:OneFrameForAll")
+        installed(mine="broken_attacks:OneFrameForAll", linker="broken_linkers:Continues")
         assert main(["list"]) == 0
         captured = capsys.readouterr()
         head, *lines = captured.out.splitlines()
-        assert head.split() == ["attack", "adversaries"]
+        assert head.split() == ["attack", "kind", "adversaries"]
         assert [line.split()[0] for line in lines] == list(registry.names("attacks"))
         assert re.search(
-            r"^identity +blind +Return the shared positions", captured.out, re.MULTILINE
+            r"^identity +reconstruction +blind +Return the shared", captured.out, re.MULTILINE
         )
-        assert re.search(r"^averaging +oracle ", captured.out, re.MULTILINE)
-        assert re.search(r"^kalman_rts +blind, informed, oracle ", captured.out, re.MULTILINE)
-        assert re.search(
-            r"^gaussian_process +blind, informed, oracle +slow ", captured.out, re.MULTILINE
-        )
-        assert re.search(r"^mine +oracle +Averages repeats as if", captured.out, re.MULTILINE)
+        for row in (
+            "averaging +reconstruction +oracle ",
+            "kalman_rts +reconstruction +blind, informed, oracle ",
+            "gaussian_process +reconstruction +blind, informed, oracle +slow ",
+            "kinematic +linkage +blind",
+            "mine +reconstruction +oracle +Averages repeats as if",
+            "linker +linkage +blind +Asks how far",
+        ):
+            assert re.search(f"^{row}", captured.out, re.MULTILINE)
         assert captured.err == ""
 
     def test_a_broken_one_is_reported_and_skipped(self, capsys, installed):
-        installed(lost="no_such_module:Lost", fine="broken_attacks:OwnDice")
+        installed(
+            lost="no_such_module:Lost",
+            fine="broken_attacks:OwnDice",
+            many="broken_linkers:NeedsRepeats",
+        )
         assert main(["list"]) == 0
         captured = capsys.readouterr()
         assert "skipped lost: attack 'lost' cannot be loaded from no_such_module" in captured.err
+        assert "skipped many: attack NeedsRepeats requires REPEATS" in captured.err
         assert "lost" not in captured.out
-        assert re.search(r"^fine +blind$", captured.out, re.MULTILINE)  # and no docstring
+        assert re.search(
+            r"^fine +reconstruction +blind$", captured.out, re.MULTILINE
+        )  # and no docstring
 
 
 class TestCheck:
@@ -91,6 +101,25 @@ class TestCheck:
         )
         assert shown.endswith(f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped\n")
 
+    def test_a_linker(self, capsys):
+        assert main(["check", "broken_linkers:Base"]) == 0
+        head, *lines, summary = capsys.readouterr().out.splitlines()
+        assert head == "broken_linkers:Base as blind:"
+        assert lines == [f"  pass  {name}" for name in LINKAGE_CHECKS]
+        assert summary == f"{len(LINKAGE_CHECKS)} passed, 0 failed, 0 skipped"
+
+    def test_a_linker_that_fails(self, capsys):
+        assert main(["check", "broken_linkers:LikesTheFirst"]) == 1
+        shown = capsys.readouterr().out
+        assert f"{len(LINKAGE_CHECKS) - 1} passed, 1 failed, 0 skipped" in shown
+        assert re.search(r"^  FAIL  order_of_tracks_does_not_matter +Likes", shown, re.MULTILINE)
+
+    def test_a_linker_that_sees_the_scene(self, capsys):
+        assert main(["check", "broken_linkers:Continues"]) == 0
+        shown = capsys.readouterr().out
+        assert shown.startswith("broken_linkers:Continues as blind:\n")
+        assert "  skip  frames_and_clocks_do_not_matter    granted SCENE in every row" in shown
+
     def test_with_parameters(self, capsys):
         assert main(["check", "kalman_rts:0.1"]) == 0
         assert capsys.readouterr().out.startswith("kalman_rts:q=0.1 as blind, ")
@@ -106,6 +135,13 @@ class TestCheck:
             ("broken_attacks:Nobody", "cannot be loaded from broken_attacks:Nobody"),
             ("broken_attacks:BROKEN", "broken_attacks:BROKEN must be a frozen dataclass"),
             ("kalman_rts:-1", "q must be positive"),
+            ("broken_linkers:NeedsRepeats", "nobody who links is granted"),
+            (
+                "profile@kalman_rts:0.1",
+                "what the other makes of a release; check the two parts apart: profile, then kal",
+            ),
+            ("@kalman_rts", "apart: LINKER, then kalman_rts"),
+            ("profile@", "apart: profile, then RECONSTRUCTION"),
         ],
     )
     def test_wrong_usage(self, spec, message, capsys):
@@ -165,8 +201,9 @@ class TestNew:
         assert main(["new", "my_attack"]) == 0
         assert (here / "my_attack" / "my_attack.py").is_file()
 
-    def test_nothing_is_left_to_fill_in(self, here):
-        assert main(["new", "my_attack"]) == 0
+    @pytest.mark.parametrize("kind", ["reconstruction", "linkage"])
+    def test_nothing_is_left_to_fill_in(self, kind, here):
+        assert main(["new", "my_attack", "--kind", kind]) == 0
         for path in (here / "my_attack").iterdir():
             assert "$" not in path.read_text(encoding="utf-8")
 
@@ -183,6 +220,36 @@ class TestNew:
         assert done.returncode == 0, done.stdout + done.stderr
         assert f"{2 * len(CHECKS)} passed" in done.stdout
 
+    def test_a_linker_passes_its_own_tests(self, here, capsys):
+        assert main(["new", "my_linker", "--kind", "linkage"]) == 0
+        assert capsys.readouterr().out.splitlines()[-3:] == [
+            "  pip install -e ./my_linker",
+            "  pytest my_linker",
+            "  python -m evaluation.matrix --preset smoke --attack my_linker",
+        ]
+        for name in ("README.md", "pyproject.toml"):
+            text = (here / "my_linker" / name).read_text(encoding="utf-8")
+            assert "A linkage attack for isac-track" in text
+        done = run_python(
+            here, "-W", "error", "-m", "pytest", "-p", "no:cacheprovider", "my_linker"
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert f"{2 * len(LINKAGE_CHECKS)} passed" in done.stdout
+
+    def test_a_linker_is_listed_and_takes_its_parameter(self, here, capsys, installed, monkeypatch):
+        assert main(["new", "my_linker", "--kind", "linkage"]) == 0
+        monkeypatch.syspath_prepend(here / "my_linker")
+        installed(my_linker="my_linker:MyLinker")
+        capsys.readouterr()
+        try:
+            assert main(["list"]) == 0
+            listed = capsys.readouterr().out
+            assert re.search(r"^my_linker +linkage +blind, informed ", listed, re.MULTILINE)
+            assert main(["check", "my_linker:0"]) == 2
+            assert "bin_s must be positive, got 0" in capsys.readouterr().err
+        finally:
+            sys.modules.pop("my_linker", None)
+
     def test_it_is_checked_and_listed_by_name(self, here, capsys, installed, monkeypatch):
         assert main(["new", "my_attack"]) == 0
         monkeypatch.syspath_prepend(here / "my_attack")
@@ -192,7 +259,8 @@ class TestNew:
             assert main(["check", "my_attack"]) == 0
             assert capsys.readouterr().out.startswith("my_attack as blind, informed:\n")
             assert main(["list"]) == 0
-            assert "\nmy_attack         blind, informed" in capsys.readouterr().out
+            listed = capsys.readouterr().out
+            assert re.search(r"^my_attack +reconstruction +blind, informed ", listed, re.MULTILINE)
             assert main(["check", "my_attack:0"]) == 2
             assert "tau_s must be positive, got 0" in capsys.readouterr().err
         finally:
@@ -201,6 +269,8 @@ class TestNew:
     def test_ruff_and_its_formatter_have_nothing_to_say(self, here):
         assert main(["new", "a"]) == 0
         assert main(["new", "zzz_with_quite_a_long_name"]) == 0
+        assert main(["new", "b", "--kind", "linkage"]) == 0
+        assert main(["new", "yyy_with_quite_a_long_name", "--kind", "linkage"]) == 0
         for words in (["check"], ["format", "--check"]):
             done = run_python(here, "-m", "ruff", *words, "--no-cache", ".")
             assert done.returncode == 0, done.stdout + done.stderr
@@ -256,7 +326,10 @@ class TestNew:
 
 
 class TestCommandLine:
-    @pytest.mark.parametrize("words", [[], ["chekc"], ["check"], ["new"], ["list", "--all"]])
+    @pytest.mark.parametrize(
+        "words",
+        [[], ["chekc"], ["check"], ["new"], ["list", "--all"], ["new", "mine", "--kind", "other"]],
+    )
     def test_wrong_usage_is_one_line(self, words, capsys):
         assert main(words) == 2
         assert re.fullmatch(r"error: .* \(see --help\)\n", capsys.readouterr().err)

@@ -13,6 +13,7 @@ from broken_attacks import BROKEN, Base
 
 from attacks.testing import CHECKS, CheckResult, parametrize_attack_checks, run_checks
 from attacks.testing import _cases as cases
+from attacks.testing._releases import BOX_M, RAW_SIGMA_M, Motion
 from isac_track import registry
 from isac_track.errors import PluginError, SettingsError
 from isac_track.types import Knowledge, Reconstruction
@@ -20,7 +21,7 @@ from isac_track.types import Knowledge, Reconstruction
 BUILT_IN = [
     registry.parse("attacks", name)[0].instance
     for name, origin in registry.names("attacks").items()
-    if origin.startswith("attacks.")
+    if origin.startswith("attacks.reconstruction.")
 ]
 DOCS = Path(__file__).parents[2] / "docs" / "attacks.md"
 
@@ -216,7 +217,7 @@ class TestCases:
             mean = np.mean((gap**2).sum(axis=1)) / square
             assert np.sqrt(mean) == pytest.approx(sigma_m, rel=0.05)
             np.testing.assert_allclose(case.release.sigma, sigma_m)
-            assert case.mechanism.d_sigma == pytest.approx(sigma_m - cases.RAW_SIGMA_M)
+            assert case.mechanism.d_sigma == pytest.approx(sigma_m - RAW_SIGMA_M)
 
     def test_levels_differ_in_the_size_of_the_errors_alone(self):
         low, high = cases.noisy(0.3, "isotropic"), cases.noisy(3.0, "isotropic")
@@ -267,12 +268,12 @@ class TestCases:
     def test_null_truth_has_nothing_to_do_with_the_release(self):
         case = cases.unrelated()
         assert abs(np.corrcoef(case.release.xy[:, 0], case.truth[:, 0])[0, 1]) < 0.1
-        assert np.abs(case.truth).max() <= cases.BOX_M / 2
+        assert np.abs(case.truth).max() <= BOX_M / 2
         gap = np.hypot(*(case.release.xy - case.truth).T)
         assert np.mean(gap < 3.0) == pytest.approx(np.pi * 9 / 400, rel=0.2)
 
     def test_motion_is_rigid(self):
-        motion = cases.Motion(angle_rad=0.5 * np.pi, shift_m=(10.0, 20.0), clock_s=3.0)
+        motion = Motion(angle_rad=0.5 * np.pi, shift_m=(10.0, 20.0), clock_s=3.0)
         np.testing.assert_allclose(motion.of_points(np.array([[1.0, 0.0]])), [[10.0, 21.0]])
 
     def test_changed_cases_change_what_they_say(self):

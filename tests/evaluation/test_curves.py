@@ -87,6 +87,7 @@ def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording
         scenes=40,
         mechanisms=("raw", "fixed:0.7"),
         predictors=("least_squares", "least_squares:4"),
+        tasks=(),
         out=tmp_path / "run",
     )
     results = evaluation.run(settings)

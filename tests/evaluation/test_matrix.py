@@ -226,7 +226,9 @@ def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, cap
     monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
     monkeypatch.setenv("ISAC_TRACK_CACHE", str(tmp_path / "empty"))
     out = tmp_path / "run"
-    code = run("--preset", "smoke", "--scenes", "8", "--mechanism", "raw", "--out", out)
+    code = run(
+        "--preset", "smoke", "--scenes", "8", "--mechanism", "raw", "--task", "none", "--out", out
+    )
     shown = capsys.readouterr()
     assert code == 0
     assert "notice: students03 is not here" in shown.err
@@ -275,7 +277,7 @@ def test_one_recording_gives_one_result_in_every_format(tracks, tmp_path):
         out = tmp_path / f"run-{name}"
         code = run(
             "--dataset", path, "--format", name, *frames, "--scenes", 8,
-            "--mechanism", "fixed:0.5", "--out", out,
+            "--mechanism", "fixed:0.5", "--task", "none", "--out", out,
         )  # fmt: skip
         assert code == 0
         values[name] = pd.read_csv(out / "summary.csv")["value"].tolist()
@@ -286,7 +288,7 @@ def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, capsys):
     out = tmp_path / "run"
     code = run(
         "--dataset", csv_recording, "--scenes", 8, "--mechanism", "raw", "--out", out,
-        "--predictor", "kalman_cv:noise=declared",
+        "--task", "none", "--predictor", "kalman_cv:noise=declared",
         "--set", "scenes.clearance_m=6.5", "--set", "scenes.max_redraws=2",
     )  # fmt: skip
     assert code == 0

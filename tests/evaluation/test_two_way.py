@@ -17,6 +17,7 @@ def run(students03, tmp_path_factory):
         scenes=5000,
         mechanisms=("raw", "fixed:0.7", "fixed:1", "fid:1", "fid:1000"),
         predictors=("least_squares",),
+        attacks=(),
         out=out,
     )
     evaluation.run(settings)

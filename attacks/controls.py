@@ -1,0 +1,184 @@
+"""Controls of linkage: what every attack is held against, and what no task may reveal.
+
+Two controls must stay at chance whatever the task: random scores, and the scores of a real attack
+with the mates shuffled. The others are the *shortcut audit*: each sees one thing that has nothing
+to do with how a person walks. If it beats chance, the task gives people away by a side door, and
+what an attack achieves there is no measure of anything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import numpy as np
+
+from isac_track.sensing import intervals_before
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.random import Generator
+
+    from attacks.linkage.task_list import Task
+    from isac_track.types import Floats, Release
+
+Score: TypeAlias = "Callable[[Release, Release, Generator], Floats]"
+_NO_SIGMA_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """A linker that must not succeed."""
+
+    about: str
+    score: Score | None
+    """From probe, gallery and a stream to scores (P, G), higher = more alike; None: the scores
+    of an attack, with shuffled mates."""
+    in_scene: Score | None = None
+    """The same where the task shows the true frame, if it must look another way there."""
+    is_audit: bool = True
+    hides_in_scene: bool = False
+    """Whether it sees what a task in the true frame shows on purpose."""
+    sees_times_only: bool = False
+    """Whether it scores alike at every mechanism level: no mechanism changes a time."""
+
+    def applies(self, task: Task) -> bool:
+        """Whether a task has this control."""
+        return not (self.hides_in_scene and task.shows_scene)
+
+    def scorer(self, task: Task) -> Score | None:
+        """Return what scores in a task."""
+        return self.in_scene if task.shows_scene and self.in_scene is not None else self.score
+
+
+def _random(probe: Release, gallery: Release, rng: Generator) -> Floats:
+    return rng.standard_normal((len(probe), len(gallery)))
+
+
+def _duration(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+    return _closeness(*(one.t[one.offsets[1:] - 1] - _starts(one) for one in (probe, gallery)))
+
+
+def _sample_count(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+    return _closeness(*(np.diff(one.offsets).astype(np.float64) for one in (probe, gallery)))
+
+
+def _sampling_times(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+    described = []
+    for one in (probe, gallery):
+        step_s = intervals_before(t=one.t, offsets=one.offsets)
+        starts = one.offsets[:-1]
+        described.append(
+            np.column_stack(
+                [
+                    _means(step_s, one),
+                    _means(step_s**2, one),
+                    np.minimum.reduceat(step_s, starts),
+                    np.maximum.reduceat(step_s, starts),
+                ]
+            )
+        )
+    return _closeness(*described)
+
+
+def _noise_level(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+    described = [_noise(one) for one in (probe, gallery)]
+    return _closeness(*described)
+
+
+def _noise_beyond_place(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+    """Score by the part of the noise level that the place does not explain.
+
+    Where the true frame shows, so does the place, and noise grows with the distance from the base
+    station: that is no shortcut but the place once more. A parabola takes it away.
+    """
+    described = np.concatenate([_noise(one) for one in (probe, gallery)])
+    middle_m = np.concatenate([_middles(one) for one in (probe, gallery)])
+    x, y = (middle_m - middle_m.mean(axis=0)).T
+    terms = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    fitted = np.linalg.lstsq(terms, described, rcond=None)[0]
+    beyond = described - terms @ fitted
+    return _closeness(beyond[: len(probe)], beyond[len(probe) :])
+
+
+def _noise(release: Release) -> Floats:
+    """Return the mean and the least logarithm of each track's declared noise, (N, 2)."""
+    if release.sigma is None:
+        return np.zeros((len(release), 2))
+    level = np.log(np.maximum(release.sigma, _NO_SIGMA_M))
+    lowest = np.minimum.reduceat(level, release.offsets[:-1])
+    return np.column_stack([_means(level, release), lowest])
+
+
+def _frame(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+    described = []
+    for one in (probe, gallery):
+        early, late = _half_means(one)
+        way = late - early
+        length_m = np.hypot(way[:, 0], way[:, 1])[:, None]
+        heading = np.divide(way, length_m, out=np.zeros_like(way), where=length_m > 0)
+        described.append(np.column_stack([(early + late) / 2.0, heading]))
+    return _closeness(*described)
+
+
+def _clock(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+    return _closeness(*(_starts(one) for one in (probe, gallery)))
+
+
+CONTROLS: Final[Mapping[str, Control]] = {
+    "random": Control("random scores", _random, is_audit=False),
+    "shuffled": Control("an attack's scores with shuffled mates", None, is_audit=False),
+    "duration": Control("how long a release lasts", _duration, sees_times_only=True),
+    "sample_count": Control("how many samples it has", _sample_count, sees_times_only=True),
+    "sampling_times": Control("how its sampling steps vary", _sampling_times, sees_times_only=True),
+    "noise_level": Control(
+        "the standard deviations declared with it", _noise_level, in_scene=_noise_beyond_place
+    ),
+    "frame": Control("where it lies and heads in its frame", _frame, hides_in_scene=True),
+    "clock": Control(
+        "when it starts on its clock", _clock, hides_in_scene=True, sees_times_only=True
+    ),
+}
+
+
+def _closeness(probe: Floats, gallery: Floats) -> Floats:
+    """Return minus the distance of features, (P,) or (P, F), each scaled by its spread: (P, G)."""
+    first, second = (one.reshape(one.shape[0], -1) for one in (probe, gallery))
+    spread = np.concatenate([first, second]).std(axis=0)
+    scale = np.where(spread > 0, spread, 1.0)
+    gap = (first[:, None, :] - second[None, :, :]) / scale
+    closeness: Floats = -np.sqrt((gap**2).sum(axis=2))
+    return closeness
+
+
+def _starts(release: Release) -> Floats:
+    return release.t[release.offsets[:-1]]
+
+
+def _means(values: Floats, release: Release) -> Floats:
+    """Return the mean of each track's values, (N,)."""
+    means: Floats = np.add.reduceat(values, release.offsets[:-1]) / np.diff(release.offsets)
+    return means
+
+
+def _middles(release: Release) -> Floats:
+    """Return the mean position of each track, (N, 2) m."""
+    sizes = np.diff(release.offsets)[:, None]
+    middle: Floats = np.add.reduceat(release.xy, release.offsets[:-1]) / sizes
+    return middle
+
+
+def _half_means(release: Release) -> tuple[Floats, Floats]:
+    """Return the mean position of each track's first and of its second half, (N, 2) m each."""
+    sizes = np.diff(release.offsets)
+    middle = release.offsets[:-1] + sizes // 2
+    total = np.add.reduceat(release.xy, release.offsets[:-1])
+    late = np.add.reduceat(release.xy, np.column_stack([middle, release.offsets[1:]]).ravel()[:-1])[
+        ::2
+    ]
+    n_late = sizes - sizes // 2
+    # A track of one sample has no first half: it stands where it is.
+    n_early = np.maximum(sizes // 2, 1)
+    early = np.where((sizes > 1)[:, None], total - late, total)
+    return early / n_early[:, None], late / n_late[:, None]

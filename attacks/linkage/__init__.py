@@ -1,0 +1,1 @@
+"""Linkage attacks: whose release is it? Tasks, and one attack a file."""

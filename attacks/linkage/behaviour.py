@@ -1,0 +1,209 @@
+"""Who walks in this manner? A learnt metric on what describes a walk as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.linkage.signals import (
+    STEP_S,
+    lengths,
+    mated,
+    motion,
+    on_grid,
+    product,
+    teaches,
+    widths_s,
+)
+from isac_track.noise import innovation_variance_m2
+from isac_track.types import Knowledge
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from attacks.linkage.signals import Walks
+    from isac_track.protocols import AttackContext, LinkageTrainingSet
+    from isac_track.types import Floats, Release
+
+_STOPPED_M_S = 0.3
+_BANDS_HZ = ((0.4, 0.7), (0.7, 1.0), (1.0, 1.4), (1.4, 2.0))
+_SWAY_M2 = 1e-3
+"""Per cell: (3 cm)^2, what a body sways by. Where noise hides it there is nothing to compare."""
+_LEAST_SWAY_M2 = 1e-5
+_LEAST_CELLS = 8
+"""Fewer have no spectrum to speak of."""
+_LEAST_SCALE = 0.02
+"""Of a feature: all are speeds in m/s, shares, or logarithms."""
+
+FEATURES = {
+    "mean speed": 0.06,
+    "spread of speed": 0.25,
+    "slowest tenth": 0.08,
+    "median speed": 0.07,
+    "fastest tenth": 0.10,
+    "stops": 0.10,
+    "turning": 0.25,
+    "sharp turning": 0.30,
+    "net turn": 0.40,
+    "progress": 0.06,
+    "changes of speed": 0.30,
+    **{f"sway {low:g}-{high:g} Hz": 0.5 for low, high in _BANDS_HZ},
+}
+"""Standard deviation of each about what it is of the same walk, released twice: measured on the
+simulated crowd, rounded; a blind adversary's metric."""
+
+
+@dataclass(frozen=True, slots=True)
+class Behaviour:
+    """Distance of two walks' features, in a metric that tells people apart.
+
+    The features: level, spread and quantiles of the speed, share of stops, turning (mean and root
+    mean square of the rate, and its mean, whose sign a frame cannot tell from habit), progress
+    along the chord, changes of speed, and how much the body sways to its side in four bands, less
+    what the noise explains of it and the less, the more noise there is.
+
+    Blind, each is divided by a fixed scale and the score is minus the squared distance. Informed,
+    the score is minus ``x' (W^-1 - T^-1) x`` of the difference x, with W its covariance over mated
+    pairs and T over strangers: the log likelihood ratio of two Gaussians, up to a constant. Both
+    are shrunk by `shrinkage` towards their diagonals, since some 90 pairs do not fill a matrix of
+    this size, and of the difference only the positive part is kept, lest a distance should speak
+    for a pair.
+
+    References
+    ----------
+    Koestinger, Hirzer, Wohlhart, Roth, Bischof, "Large scale metric learning from equivalence
+    constraints", CVPR 2012; Ledoit, Wolf, "A well-conditioned estimator for large-dimensional
+    covariance matrices", J. Multivariate Analysis 88, 2004 (for the shrinkage).
+    """
+
+    shrinkage: float = 0.7
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.shrinkage <= 1:
+            raise ValueError(f"shrinkage must lie in [0, 1], got {self.shrinkage}")
+
+    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+        """Return what scores walks like those in the training set."""
+        if not teaches(context):
+            return partial(_score, metric=np.diag(1.0 / np.array(list(FEATURES.values())) ** 2))
+        return partial(_score, metric=learnt_metric(context.train, shrinkage=self.shrinkage))
+
+
+def _score(probe: Release, gallery: Release, *, metric: Floats) -> Floats:
+    a, b = features(probe), features(gallery)
+    through = product(a, metric)
+    own_b = (product(b, metric) * b).sum(axis=1)
+    own_a = (through * a).sum(axis=1)
+    score: Floats = 2.0 * product(through, b.T) - own_a[:, None] - own_b[None, :]
+    return score
+
+
+def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
+    """Return W^-1 - T^-1 as far as it is positive, (F, F); see `Behaviour`."""
+    from sklearn.covariance import shrunk_covariance  # noqa: PLC0415 - half a second, for one fit
+
+    a, b = features(train.probe), features(train.gallery)
+    rows = mated(train)
+    between = a[rows] - b[train.mate[rows]]
+    scale = np.maximum(np.sqrt((between**2).mean(axis=0)), _LEAST_SCALE)
+    everybody = np.concatenate([a, b])
+    spread = np.maximum(everybody.std(axis=0), _LEAST_SCALE)
+    # With units in the diagonal, its mean is what scikit-learn shrinks towards.
+    within = shrunk_covariance(_second_moments(between / scale), shrinkage)
+    total = shrunk_covariance(
+        _second_moments((everybody - everybody.mean(axis=0)) / spread), shrinkage
+    )
+    strangers = 2.0 * total * np.outer(spread / scale, spread / scale)
+    value, vector = np.linalg.eigh(np.linalg.inv(within) - np.linalg.inv(strangers))
+    metric: Floats = (vector * np.maximum(value, 0.0)) @ vector.T / np.outer(scale, scale)
+    return metric
+
+
+def _second_moments(x: Floats) -> Floats:
+    moments: Floats = x.T @ x / len(x)
+    # One in which hardly anybody varies counts as if it had the least scale.
+    np.fill_diagonal(moments, 1.0)
+    return moments
+
+
+def features(release: Release) -> Floats:
+    """Return what describes each walk, (N, F) in the order of `FEATURES`."""
+    walks = on_grid(release)
+    going = motion(walks, width_s=widths_s(release))
+    cells = np.arange(walks.z.shape[1])
+    live = cells[None, :] < walks.count[:, None]
+
+    def mean(values: Floats) -> Floats:
+        average: Floats = np.einsum("ij,ij->i", values, live) / walks.count
+        return average
+
+    level = mean(going.speed)
+    spread = np.sqrt(np.maximum(mean(going.speed**2) - level**2, 0.0))
+    in_order = np.sort(np.where(live, going.speed, np.inf), axis=1)
+    rows = np.arange(len(walks))
+    slow, middle, fast = (
+        in_order[rows, ((walks.count - 1) * share).astype(np.int64)] for share in (0.1, 0.5, 0.9)
+    )
+    turning = np.abs(going.turn)
+    steps = np.where(live[:, 1:], np.diff(going.speed, axis=1), 0.0) / STEP_S
+    changes = np.sqrt((steps**2).sum(axis=1) / walks.count)
+    chord_m = np.abs(walks.z[rows, walks.count - 1] - walks.z[:, 0])
+    return np.column_stack(
+        [
+            level,
+            np.log(spread + 0.03),
+            slow,
+            middle,
+            fast,
+            np.sqrt(mean((going.speed < _STOPPED_M_S).astype(np.float64))),
+            np.log(mean(turning) + 0.03),
+            np.log(np.sqrt(mean(turning**2)) + 0.03),
+            np.log(np.abs(mean(going.turn)) + 0.02),
+            chord_m / (np.maximum(walks.count - 1, 1) * STEP_S),
+            np.log(changes + 0.03),
+            sway(release, walks),
+        ]
+    )
+
+
+def sway(release: Release, walks: Walks) -> Floats:
+    """Return the log power of lateral sway in each band, relative to `_SWAY_M2`, (N, 4).
+
+    The second difference of the positions, across the heading: walking straight on or speeding up
+    does not show in it. Its periodogram is divided by the gain of a second difference, and the
+    error variance of a cell's mean is taken off. The logarithm is shrunk to 0 where that variance
+    is above `_SWAY_M2`.
+    """
+    variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
+    in_cell = np.maximum(np.diff(release.offsets) / walks.count, 1.0)
+    noise_m2 = variance_m2 / in_cell
+    power_m2 = np.zeros((len(walks), len(_BANDS_HZ)))
+    for cells, rows in lengths(walks.count):
+        if cells < _LEAST_CELLS:
+            continue
+        z = walks.z[rows, :cells]
+        bend = z[:, 2:] - 2.0 * z[:, 1:-1] + z[:, :-2]
+        along = z[:, 2:] - z[:, :-2]
+        along /= np.maximum(np.abs(along), 2.0 * STEP_S * 0.2)
+        lateral = along.real * bend.imag - along.imag * bend.real
+        window = np.hanning(cells)[1:-1]
+        spectrum = np.fft.rfft(lateral * window, axis=1)
+        hz = np.fft.rfftfreq(cells - 2, STEP_S)
+        gain = (2.0 - 2.0 * np.cos(2.0 * np.pi * hz * STEP_S)) ** 2
+        for band, (low, high) in enumerate(_BANDS_HZ):
+            inside = (hz >= low) & (hz < high)
+            if inside.any():
+                part = spectrum[:, inside]
+                square = (part.real**2 + part.imag**2) / gain[inside]
+                power_m2[rows, band] = square.mean(axis=1) / (window**2).sum()
+    clear = 1.0 / (1.0 + noise_m2 / _SWAY_M2)
+    left_m2 = np.maximum(power_m2 - noise_m2[:, None], 0.0) + _LEAST_SWAY_M2
+    log_power: Floats = np.log(left_m2 / _SWAY_M2) * clear[:, None]
+    return log_power

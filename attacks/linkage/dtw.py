@@ -1,0 +1,167 @@
+"""Who walks like this, give or take the pace? Dynamic time warping of speed and turning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.linkage.signals import (
+    FACTORS,
+    FULL_CELLS,
+    few_mates,
+    learn,
+    lengths,
+    motion,
+    on_grid,
+    positive,
+    widths_s,
+)
+from isac_track.types import Knowledge
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from isac_track.protocols import AttackContext
+    from isac_track.types import Floats, Ints, Release
+
+_STRIDE = 2
+"""Cells between those compared: 2 Hz of signals that are smoothed over more than that."""
+_TAUGHT_BY = 48
+"""Mated pairs to learn from: the library takes a microsecond a pair, and there are candidates."""
+_EXPONENT = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class DTW:
+    """Least squared distance of two profiles of speed and turning under warping of time.
+
+    The profiles, (speed in m/s, turning rate in rad/s times `turn_m`) twice a second, may be
+    warped within a Sakoe-Chiba band of `band` of the longer one, and as much at either end may be
+    left out (the windows of two releases do not start together). Each step of warping costs
+    `penalty` squared. The score is ``-log((d^2 / m + floor) * (L / m)^3)`` of the distance d, the
+    length m of the shorter profile and L, that of 12 s: a monotone function of d between walks of
+    one length.
+
+    Other than `attacks.linkage.profile.Profile` it forgives changes of pace and knows no lag
+    beyond its band.
+
+    References
+    ----------
+    Sakoe, Chiba, "Dynamic programming algorithm optimization for spoken word recognition", IEEE
+    Trans. ASSP 26(1), 1978, 43-49; for several signals at once: Shokoohi-Yekta et al.,
+    "Generalizing DTW to the multi-dimensional case requires an adaptive approach", Data Mining
+    and Knowledge Discovery 31, 2017, 1-31. The implementation is dtaidistance's.
+    """
+
+    factor: float | None = None
+    """Of the widths in `attacks.linkage.signals.widths_s`; None: learnt from the training set, or
+    1 without one."""
+    turn_m: float = 1.0
+    band: float = 0.15
+    penalty: float | None = None
+    """None: learnt, or `DEFAULT_PENALTY`."""
+    floor: float = 0.003
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    DEFAULT_PENALTY: ClassVar[float] = 0.1
+
+    def __post_init__(self) -> None:
+        positive(factor=self.factor, turn_m=self.turn_m, penalty=self.penalty, floor=self.floor)
+        if not 0 <= self.band <= 1:
+            raise ValueError(f"band must lie in [0, 1], got {self.band}")
+
+    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+        """Return what scores walks like those in the training set."""
+        factors = FACTORS if self.factor is None else (self.factor,)
+        penalties = PENALTIES if self.penalty is None else (self.penalty,)
+        factor, penalty = factors[0], penalties[0]
+        if Knowledge.TRAIN in context.granted:
+            train = few_mates(context.train, most=_TAUGHT_BY)
+            factor = learn(train, candidates=factors, score=partial(self._score, penalty=penalty))
+            penalty = learn(
+                train,
+                candidates=penalties,
+                score=lambda penalty, probe, gallery: self._score(
+                    factor, probe, gallery, penalty=penalty
+                ),
+            )
+        return partial(self._score, factor, penalty=penalty)
+
+    def _score(self, factor: float, probe: Release, gallery: Release, *, penalty: float) -> Floats:
+        profiles = [
+            motion(on_grid(release), width_s=widths_s(release, factor=factor))
+            for release in (probe, gallery)
+        ]
+        series = [
+            np.stack([each.speed, self.turn_m * each.turn], axis=2)[:, ::_STRIDE]
+            for each in profiles
+        ]
+        counts = [(each.count + _STRIDE - 1) // _STRIDE for each in profiles]
+        return -np.log(
+            warped_costs(
+                probe=series[0],
+                probe_count=counts[0],
+                gallery=series[1],
+                gallery_count=counts[1],
+                band=self.band,
+                penalty=penalty,
+                floor=self.floor,
+            )
+        )
+
+
+PENALTIES: tuple[float, ...] = (DTW.DEFAULT_PENALTY, 0.02, 0.5)
+"""The default first."""
+
+
+def warped_costs(
+    *,
+    probe: Floats,
+    probe_count: Ints,
+    gallery: Floats,
+    gallery_count: Ints,
+    band: float,
+    penalty: float,
+    floor: float,
+) -> Floats:
+    """Return the cost of warping each of P profiles onto each of G, (P, G); see `DTW`.
+
+    Parameters
+    ----------
+    probe : (P, K, 2) float
+    probe_count : (P,) int
+        Points of each that count.
+    gallery, gallery_count
+        As for the probe.
+    band, penalty, floor
+        Of `DTW`.
+    """
+    from dtaidistance import dtw_ndim  # noqa: PLC0415 - a quarter of a second, for one attack
+
+    costs = np.empty((probe_count.size, gallery_count.size))
+    for n_probe, rows in lengths(probe_count):
+        for n_gallery, columns in lengths(gallery_count):
+            shorter, longer = sorted((n_probe, n_gallery))
+            reach = round(band * longer)
+            series = [np.ascontiguousarray(probe[row, :n_probe]) for row in rows]
+            series += [np.ascontiguousarray(gallery[row, :n_gallery]) for row in columns]
+            distances = dtw_ndim.distance_matrix_fast(
+                series,
+                ndim=2,
+                window=reach + 1,
+                # What is left out at the ends must leave something, and lie within the band.
+                psi=min(reach, (shorter - 1) // 2),
+                penalty=penalty,
+                block=((0, rows.size), (rows.size, len(series))),
+                compact=True,
+                parallel=False,  # the run has its own processes
+            )
+            block = np.asarray(distances).reshape(rows.size, columns.size)
+            overlap = (FULL_CELLS / _STRIDE / shorter) ** _EXPONENT
+            costs[np.ix_(rows, columns)] = (block**2 / shorter + floor) * overlap
+    return costs

@@ -1,0 +1,155 @@
+"""Whose speeds and turns are these? Matching of histograms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.linkage.signals import (
+    FACTORS,
+    few_mates,
+    learn,
+    motion,
+    on_grid,
+    positive,
+    product,
+    widths_s,
+)
+from isac_track.types import Knowledge
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from attacks.linkage.signals import Motion
+    from isac_track.protocols import AttackContext
+    from isac_track.types import Floats, Ints, Release
+
+_FASTEST_M_S = 2.2
+_TAUGHT_BY = 64
+"""Mated pairs to learn from: six candidates on all would cost more than the attack."""
+_TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
+
+
+@dataclass(frozen=True, slots=True)
+class Histogram:
+    """Likelihood that two walks' speeds and turning rates are drawn from one distribution.
+
+    Every quarter of a second of a walk counts for a cell of speed and signed turning rate, split
+    among the four nearest centres, so that nothing hangs on the side of an edge it lies on. With
+    counts a and b in the cells and f(x) = x log x, the score is the generalised log likelihood
+    ratio of "one multinomial" to "two":
+
+        sum_k [f(a_k + b_k) - f(a_k) - f(b_k)] - [f(A + B) - f(A) - f(B)],   A = sum a, B = sum b
+
+    It is 0 for equal shapes and negative otherwise; divided by -(A + B) it is the Jensen-Shannon
+    divergence with the weights A / (A + B) and B / (A + B). Order in time does not enter.
+
+    References
+    ----------
+    Naini, Unnikrishnan, Thiran, Vetterli, "Where you are is who you are: user identification by
+    matching statistics", IEEE Trans. Information Forensics and Security 11(2), 2016, 358-372;
+    Unnikrishnan, "Asymptotically optimal matching of multiple sequences to source distributions
+    and training sequences", IEEE Trans. Information Theory 61(1), 2015, 452-468.
+    """
+
+    factor: float | None = None
+    """Of the widths in `attacks.linkage.signals.widths_s`; None: learnt from the training set, or
+    1 without one."""
+    speeds: int | None = None
+    """Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`."""
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    DEFAULT_SPEEDS: ClassVar[int] = 12
+
+    def __post_init__(self) -> None:
+        positive(factor=self.factor)
+        if self.speeds is not None and self.speeds < 2:  # noqa: PLR2004 - both ends
+            raise ValueError(f"speeds must be at least 2, got {self.speeds}")
+
+    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+        """Return what scores walks like those in the training set."""
+        factors = FACTORS if self.factor is None else (self.factor,)
+        numbers = SPEEDS if self.speeds is None else (self.speeds,)
+        factor, speeds = factors[0], numbers[0]
+        if Knowledge.TRAIN in context.granted:
+            factor, speeds = learn(
+                few_mates(context.train, most=_TAUGHT_BY),
+                candidates=[(each, number) for each in factors for number in numbers],
+                score=lambda choice, probe, gallery: _score(
+                    probe, gallery, factor=choice[0], speeds=choice[1]
+                ),
+            )
+        return partial(_score, factor=factor, speeds=speeds)
+
+
+SPEEDS: tuple[int, ...] = (Histogram.DEFAULT_SPEEDS, 24)
+"""The default first."""
+
+
+def _score(probe: Release, gallery: Release, *, factor: float, speeds: int) -> Floats:
+    a, b = (
+        counts_of(motion(on_grid(release), width_s=widths_s(release, factor=factor)), speeds=speeds)
+        for release in (probe, gallery)
+    )
+    return one_source(a, b)
+
+
+def counts_of(walks: Motion, *, speeds: int) -> Floats:
+    """Return how often each walk is at each speed and turning rate, (N, speeds * 5)."""
+    n_tracks, n_cells = walks.speed.shape
+    live = np.arange(n_cells)[None, :] < walks.count[:, None]
+    owner = np.repeat(np.arange(n_tracks), walks.count)
+    low_speed, share_speed = _between(walks.speed[live], np.linspace(0.0, _FASTEST_M_S, speeds))
+    low_turn, share_turn = _between(walks.turn[live], _TURNS_RAD_S)
+    size = speeds * _TURNS_RAD_S.size
+    cell = owner * size + low_speed * _TURNS_RAD_S.size + low_turn
+    corners = (
+        (cell, (1.0 - share_speed) * (1.0 - share_turn)),
+        (cell + 1, (1.0 - share_speed) * share_turn),
+        (cell + _TURNS_RAD_S.size, share_speed * (1.0 - share_turn)),
+        (cell + _TURNS_RAD_S.size + 1, share_speed * share_turn),
+    )
+    counts = np.bincount(
+        np.concatenate([index for index, _ in corners]),
+        np.concatenate([share for _, share in corners]),
+        n_tracks * size,
+    ).astype(np.float64)
+    table: Floats = counts.reshape(n_tracks, size)
+    return table
+
+
+def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
+    """Return the centre below each value and the share of the one above."""
+    inside = np.clip(values, centres[0], centres[-1])
+    low = np.clip(np.searchsorted(centres, inside, side="right") - 1, 0, centres.size - 2)
+    share: Floats = (inside - centres[low]) / (centres[low + 1] - centres[low])
+    return low, share
+
+
+def one_source(a: Floats, b: Floats) -> Floats:
+    """Return the log likelihood ratio of one source to two, (P, G), of counts (P, K) and (G, K)."""
+    all_a, all_b = a.sum(axis=1), b.sum(axis=1)
+    ratio: Floats = (
+        _x_log_x(all_a)[:, None]
+        + _x_log_x(all_b)[None, :]
+        - _x_log_x(all_a[:, None] + all_b[None, :])
+    )
+    some_a, some_b = (a > 0).astype(np.float64), (b > 0).astype(np.float64)
+    # Where either is empty the term is 0, and most are.
+    ratio -= product(_x_log_x(a), some_b.T) + product(some_a, _x_log_x(b).T)
+    for k in range(a.shape[1]):
+        rows, columns = np.flatnonzero(some_a[:, k]), np.flatnonzero(some_b[:, k])
+        both = a[rows, k][:, None] + b[columns, k][None, :]
+        both *= np.log(both)
+        ratio[np.ix_(rows, columns)] += both
+    return ratio
+
+
+def _x_log_x(x: Floats) -> Floats:
+    product: Floats = x * np.log(np.maximum(x, np.finfo(np.float64).tiny))
+    return product

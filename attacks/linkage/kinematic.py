@@ -1,0 +1,167 @@
+"""Who walks on where somebody left off? Kalman states on both sides of a silent gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.linkage.signals import learn, mated, positive
+from isac_track.kernels import kalman_last
+from isac_track.noise import innovation_variance_m2
+from isac_track.types import Knowledge
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from isac_track.kernels import LastState
+    from isac_track.protocols import AttackContext, LinkageTrainingSet
+    from isac_track.types import Bools, Floats, Ints, Release
+
+_PRIOR_STD = (100.0, 1.4)
+"""m around the first sample and m/s around rest: people walk, they do not run."""
+_TAIL = 5.0
+"""Degrees of freedom: people do turn and stop in a gap, more than white noise would."""
+_SLACK_S = 0.5
+_LONGEST_S = 60.0
+"""A longer gap counts as one of this length: nobody's state outlives it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kinematic:
+    """Likelihood that a gallery walk starts in the state that a probe's has got to by then.
+
+    A constant-velocity filter runs along every probe and, back in time, along every gallery walk.
+    The probe's last state, predicted across the gap, differs from the gallery's first by an error
+    of both covariances and the process noise of the gap; the score is the log density of the
+    difference in position and velocity. Density in place of a Gaussian's: Student's t with five
+    degrees of freedom, whose tail is a gate that never closes.
+
+    A walk that begins before another has ended is predicted back in time, with process noise all
+    the same. Nothing is left out of account for "no match": that is the business of whoever
+    assigns.
+
+    References
+    ----------
+    Gruteser, Hoh, "On the anonymity of periodic location samples", SPC 2005 (multi-target tracking
+    as an attack on pseudonyms); Wiedersheim, Ma, Kargl, Papadimitratos, "Privacy in inter-vehicular
+    networks: why simple pseudonym change is not enough", WONS 2010. Bar-Shalom, Li, Kirubarajan,
+    *Estimation with Applications to Tracking and Navigation*, 2001, ch. 6.2.
+    """
+
+    q: float | None = None
+    """m^2/s^3, of the walk and of the gap; None: learnt from the training set, or `DEFAULT_Q`
+    without one."""
+    floor_m2: float | None = None
+    """m^2, least error variance per axis: a smoother's errors are correlated and do not show
+    in the innovations. None: learnt, or `DEFAULT_FLOOR_M2`."""
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    DEFAULT_Q: ClassVar[float] = 0.05
+    DEFAULT_FLOOR_M2: ClassVar[float] = 0.01
+
+    def __post_init__(self) -> None:
+        positive(q=self.q, floor_m2=self.floor_m2)
+
+    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+        """Return what scores walks like those in the training set."""
+        densities = QS if self.q is None else (self.q,)
+        floors = FLOORS_M2 if self.floor_m2 is None else (self.floor_m2,)
+        q, floor_m2 = densities[0], floors[0]
+        if Knowledge.TRAIN in context.granted:
+            train = context.train
+            elsewhere = ~rivals(train)
+            q, floor_m2 = learn(
+                train,
+                candidates=[(density, floor) for density in densities for floor in floors],
+                score=lambda choice, probe, gallery: np.where(
+                    elsewhere,
+                    -np.inf,
+                    continuations(probe, gallery, q=choice[0], floor_m2=choice[1]),
+                ),
+            )
+        return partial(continuations, q=q, floor_m2=floor_m2)
+
+
+QS: tuple[float, ...] = tuple(Kinematic.DEFAULT_Q * 4.0**power for power in (0, -1, 1))
+FLOORS_M2: tuple[float, ...] = tuple(
+    Kinematic.DEFAULT_FLOOR_M2 * 10.0**power for power in (0, -1, 1)
+)
+"""Of both the default first."""
+
+
+def rivals(train: LinkageTrainingSet) -> Bools:
+    """Return which pairs of a training set are as far apart in time as mates are, (P, G).
+
+    Of a recording whose pseudonyms rotated more than once, only those pairs compete for whom the
+    gap is that of one rotation.
+    """
+    begun_s = train.gallery.t[train.gallery.offsets[:-1]]
+    ended_s = train.probe.t[train.probe.offsets[1:] - 1]
+    gap_s = begun_s[None, :] - ended_s[:, None]
+    rows = mated(train)
+    if rows.size == 0:
+        return np.ones(gap_s.shape, dtype=np.bool_)
+    known_s = gap_s[rows, train.mate[rows]]
+    near: Bools = (gap_s >= known_s.min() - _SLACK_S) & (gap_s <= known_s.max() + _SLACK_S)
+    return near
+
+
+def continuations(probe: Release, gallery: Release, *, q: float, floor_m2: float) -> Floats:
+    """Return the log density of every gallery walk as the continuation of every probe, (P, G)."""
+    past, ended_s = last_states(
+        t=probe.t, xy=probe.xy, offsets=probe.offsets, q=q, floor_m2=floor_m2
+    )
+    t, xy = backwards(gallery)
+    future, begun_s = last_states(t=t, xy=xy, offsets=gallery.offsets, q=q, floor_m2=floor_m2)
+    # Backwards in time, clock and velocity have the other sign.
+    gap_s = np.clip(-begun_s[None, :] - ended_s[:, None], -_LONGEST_S, _LONGEST_S)
+    grown = q * np.abs(gap_s)
+    p00, p01, p11 = (past.cov[:, i, j][:, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    g00, g01, g11 = (future.cov[:, i, j][None, :] for i, j in ((0, 0), (0, 1), (1, 1)))
+    place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s**2 / 3.0 + g00
+    both = p01 + gap_s * p11 + grown * gap_s / 2.0 - g01
+    pace = p11 + grown + g11
+    determinant = place * pace - both**2
+    square = np.zeros_like(gap_s)
+    for axis in range(2):
+        position, velocity = past.mean[:, axis, 0][:, None], past.mean[:, axis, 1][:, None]
+        off = position + gap_s * velocity - future.mean[:, axis, 0][None, :]
+        drift = velocity + future.mean[:, axis, 1][None, :]
+        square += pace * off**2 - 2.0 * both * off * drift + place * drift**2
+    square /= determinant
+    # Of four dimensions, up to a constant.
+    density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
+    return density
+
+
+def last_states(
+    *, t: Floats, xy: Floats, offsets: Ints, q: float, floor_m2: float
+) -> tuple[LastState, Floats]:
+    """Return the filtered state of every track after its last sample, and when that was, (N,) s."""
+    n_tracks = offsets.size - 1
+    variance_m2 = np.maximum(innovation_variance_m2(t=t, xy=xy, offsets=offsets), floor_m2)
+    mean = np.zeros((n_tracks, 2, 2))
+    mean[:, :, 0] = xy[offsets[:-1]]
+    state = kalman_last(
+        model="cv",
+        t=t,
+        xy=xy,
+        variance=np.repeat(variance_m2, np.diff(offsets)),
+        offsets=offsets,
+        q=q,
+        initial_mean=mean,
+        initial_cov=np.broadcast_to(np.diag(_PRIOR_STD) ** 2, (n_tracks, 2, 2)),
+    )
+    return state, t[offsets[1:] - 1]
+
+
+def backwards(release: Release) -> tuple[Floats, Floats]:
+    """Return times, negated, and positions with every track from its last sample to its first."""
+    ends = release.offsets[:-1] + release.offsets[1:] - 1
+    turned = np.repeat(ends, np.diff(release.offsets)) - np.arange(release.t.size)
+    return -release.t[turned], release.xy[turned]

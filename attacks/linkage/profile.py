@@ -1,0 +1,108 @@
+"""Who walks like this, moment for moment? Speed and turning over all alignments in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.linkage.signals import (
+    FACTORS,
+    aligned_costs,
+    chosen,
+    log_rank,
+    motion,
+    on_grid,
+    positive,
+    teaches,
+    widths_s,
+)
+from isac_track.types import Knowledge
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from isac_track.protocols import AttackContext
+    from isac_track.types import Floats, Release
+
+_EXPONENT = 3.0
+_RANK = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Least mean squared distance of two profiles of speed and turning over all lags.
+
+    The profile is the speed in m/s and the signed turning rate in rad/s times `turn_m`, four
+    times a second, both from parabolas over a stretch that grows with the noise of the track
+    (`attacks.linkage.signals.widths_s`): both are then about as wrong as each other. For every
+    lag, d is the mean squared difference over the overlap of m cells, of its first eight
+    polynomials; the score is -log of the least ``(d + floor) (L / m)^3``, L the cells of 12 s.
+    `attacks.linkage.shape.Shape` says why a logarithm and why a floor.
+    """
+
+    factor: float | None = None
+    """Of the widths; None: learnt from the training set, or 1 without one."""
+    turn_m: float = 1.0
+    floor: float | None = None
+    """None: learnt, or `DEFAULT_FLOOR`."""
+    reach_s: float = 6.0
+    """s, greatest lag."""
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    DEFAULT_FLOOR: ClassVar[float] = 0.002
+
+    def __post_init__(self) -> None:
+        positive(factor=self.factor, turn_m=self.turn_m, floor=self.floor, reach_s=self.reach_s)
+
+    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+        """Return what scores walks like those in the training set."""
+        floors = FLOORS if self.floor is None else (self.floor,)
+        factors = FACTORS if self.factor is None else (self.factor,)
+        best = 0
+        if teaches(context) and len(floors) * len(factors) > 1:
+            train = context.train
+            best = chosen(
+                [
+                    log_rank(-cost, mate=train.mate)
+                    for factor in factors
+                    for cost in self._costs(
+                        train.probe, train.gallery, factor=factor, floors=floors
+                    )
+                ]
+            )
+        factor, floor = factors[best // len(floors)], floors[best % len(floors)]
+        return partial(self._score, factor=factor, floor=floor)
+
+    def _score(self, probe: Release, gallery: Release, *, factor: float, floor: float) -> Floats:
+        costs = self._costs(probe, gallery, factor=factor, floors=(floor,))
+        score: Floats = -np.log(costs[0])
+        return score
+
+    def _costs(
+        self, probe: Release, gallery: Release, *, factor: float, floors: Sequence[float]
+    ) -> Floats:
+        """Return ``(d + floor) (L / m)^3`` at the best lag of every pair, (E, P, G)."""
+        p, g = (
+            motion(on_grid(release), width_s=widths_s(release, factor=factor))
+            for release in (probe, gallery)
+        )
+        return aligned_costs(
+            probe=np.stack([p.speed, self.turn_m * p.turn]),
+            probe_count=p.count,
+            gallery=np.stack([g.speed, self.turn_m * g.turn]),
+            gallery_count=g.count,
+            floors=floors,
+            rank=_RANK,
+            exponent=_EXPONENT,
+            reach_s=self.reach_s,
+            rotated=False,
+        )
+
+
+FLOORS: tuple[float, ...] = (Profile.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2)
+"""The default first."""

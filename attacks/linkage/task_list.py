@@ -1,0 +1,69 @@
+"""Which linkage tasks there are, and what each tells an adversary about frame and clock.
+
+Every task shows walks twice, before and after the pseudonyms change: as probe and as gallery.
+
+- ``rerelease``: one walk, sensed and shared twice. The walk itself is duplicated: an upper bound.
+- ``split``: two windows of one walk that do not touch. Nothing but behaviour is shared.
+- ``handover-1s``, ``-2s``, ``-5s``: all pseudonyms of the live recording rotate at one instant,
+  after a silent gap, in the true frame and on the true clock. Who left has no mate, who is new is
+  a candidate all the same.
+- ``new_traversal``: the same person walks again another day. Simulated: nobody recorded that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from isac_track.types import Knowledge
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is linked, and what the adversary is told about frame and clock."""
+
+    name: str
+    about: str
+    shows_scene: bool = False
+    """Whether the releases come in the true frame and on the true clock."""
+    gap_s: float = 0.0
+    """Silence before all pseudonyms rotate."""
+    simulated: bool = False
+    """Whether it needs the two-session crowd instead of a recording."""
+
+    @property
+    def everyone(self) -> frozenset[Knowledge]:
+        """What every adversary is granted."""
+        from isac_track.types import Knowledge  # noqa: PLC0415 - a list of names needs no numpy
+
+        return frozenset({Knowledge.SCENE}) if self.shows_scene else frozenset()
+
+    @property
+    def nobody(self) -> frozenset[Knowledge]:
+        """What no adversary is granted: it would turn the task into another one."""
+        from isac_track.types import Knowledge  # noqa: PLC0415 - as above
+
+        withheld = {Knowledge.REPEATS, Knowledge.SCENE}
+        return frozenset(withheld - self.everyone)
+
+
+TASKS: Final[Mapping[str, Task]] = {
+    task.name: task
+    for task in (
+        Task("rerelease", "one walk sensed and shared twice: an upper bound"),
+        Task("split", "two windows of one walk that do not touch: behaviour only"),
+        *(
+            Task(
+                f"handover-{gap_s:g}s",
+                f"all pseudonyms rotate after {gap_s:g} s of silence, in the true frame",
+                shows_scene=True,
+                gap_s=gap_s,
+            )
+            for gap_s in (1.0, 2.0, 5.0)
+        ),
+        Task("new_traversal", "the same person on another day, simulated", simulated=True),
+    )
+}

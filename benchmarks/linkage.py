@@ -1,0 +1,154 @@
+"""What it costs to link, and how that grows with the gallery: ``python -m benchmarks.linkage``.
+
+Probes and candidates are 12 s of simulated walks, shared at fid:1 and linked as they come. The
+gallery is searched in blocks, so that memory does not grow with it; a built-in linker scores a
+pair alike whatever else is in the block, which is checked first. One thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+# Before numpy: the figures are those of one core.
+for _library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ[f"{_library}_NUM_THREADS"] = "1"
+
+# ruff: noqa: E402
+import resource
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isac_track import datasets, registry
+from isac_track.config import StageSettings
+from isac_track.protocols import AttackContext
+from isac_track.resample import sampling_times, walk
+from isac_track.rng import stream
+from isac_track.sensing import draw_channel, sense
+from isac_track.types import Knowledge, Release
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from isac_track.types import Floats, Ints
+
+LINKERS = ("shape", "profile", "dtw", "behaviour", "histogram", "kinematic")
+WINDOW_S = 12.0
+LEVEL = "fid:1"
+N_PROBES = 100
+BLOCK = 500
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table; return 0."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.linkage", description=__doc__)
+    parser.add_argument(
+        "--sizes", type=int, nargs="+", default=[100, 300, 1000, 3000, 10_000], metavar="G"
+    )
+    sizes = sorted(parser.parse_args(arguments).sizes)
+    probe = released(n=N_PROBES, side="probe")
+    gallery = released(n=sizes[-1], side="gallery")
+    print(f"{N_PROBES} probes, blocks of {BLOCK} candidates, {LEVEL}, microseconds a pair")
+    print(f"{'linker':<12}{'G':>8}{'us / pair':>12}{'exponent':>10}{'peak MB':>10}")
+    for name in LINKERS:
+        fitted = fit(name)
+        check_blocks(fitted, probe, part(gallery, np.arange(sizes[0])))
+        times = []
+        for size in sizes:
+            seconds = search_s(fitted, probe, part(gallery, np.arange(size)))
+            times.append(seconds)
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            each_us = 1e6 * seconds / (N_PROBES * size)
+            print(f"{name:<12}{size:>8}{each_us:>12.2f}{'':>10}{peak:>10.0f}")
+        if len(sizes) > 1:
+            exponent = np.polyfit(np.log(sizes), np.log(times), 1)[0]
+            print(f"{name:<12}{'all':>8}{'':>12}{exponent:>10.2f}")
+    print(f"load at the end {os.getloadavg()[0]:.1f}", file=sys.stderr)
+    return 0
+
+
+def fit(name: str) -> Any:  # noqa: ANN401 - from two releases to scores
+    """Return a blind linker, ready."""
+    (plugin,) = registry.parse("attacks", name)
+    granted: frozenset[Knowledge] = plugin.instance.requires
+    context = AttackContext(rng=stream(0, "benchmark"), epsilon_m=0.3, granted=granted)
+    return plugin.instance.fit(context)
+
+
+def search_s(fitted: Any, probe: Release, gallery: Release) -> float:  # noqa: ANN401
+    """Return how long it takes to find the best candidate of every probe, s."""
+    started = perf_counter()
+    best = np.full(len(probe), -np.inf)
+    who = np.full(len(probe), -1)
+    for rows, scores in blocks(fitted, probe, gallery):
+        column = scores.argmax(axis=1)
+        found = scores[np.arange(len(probe)), column]
+        who = np.where(found > best, rows[column], who)
+        best = np.maximum(found, best)
+    assert (who >= 0).all()
+    return perf_counter() - started
+
+
+def blocks(fitted: Any, probe: Release, gallery: Release) -> Any:  # noqa: ANN401
+    """Yield the rows of each block of the gallery, and the scores, (P, B)."""
+    for first in range(0, len(gallery), BLOCK):
+        rows = np.arange(first, min(first + BLOCK, len(gallery)))
+        yield rows, fitted(probe, part(gallery, rows))
+
+
+def check_blocks(fitted: Any, probe: Release, gallery: Release) -> None:  # noqa: ANN401
+    """Assert that a block's scores are those of the whole gallery."""
+    whole = fitted(probe, gallery)
+    half = np.arange(len(gallery) // 2)
+    spread = float(whole.std()) or 1.0
+    assert np.allclose(fitted(probe, part(gallery, half)), whole[:, half], atol=1e-6 * spread)
+
+
+def released(*, n: int, side: str) -> Release:
+    """Return n windows of simulated walks as they are shared; people come more than once."""
+    stages = StageSettings()
+    tracks = datasets.load("plaza").tracks
+    lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
+    long = np.flatnonzero(lasts >= WINDOW_S)
+    walks = {int(row): walk(tracks[int(row)]) for row in long}
+    rng = stream(0, "benchmark", side)
+    t_parts, xy_parts = [], []
+    for row in rng.choice(long, n):
+        start = tracks.t[tracks.offsets[row]] + rng.uniform(0.0, lasts[row] - WINDOW_S)
+        t = sampling_times(start_s=start, end_s=start + WINDOW_S, settings=stages.resample, rng=rng)
+        t_parts.append(t)
+        xy_parts.append(walks[int(row)](t))
+    sizes = np.array([[part.size for part in t_parts]])
+    channel = draw_channel(
+        n_samples=sizes, keys=[("benchmark", side)], settings=stages.sensing, seed=0
+    )
+    sensed = sense(
+        t=np.concatenate(t_parts),
+        xy=np.concatenate(xy_parts),
+        offsets=np.concatenate([[0], np.cumsum(sizes[0])]),
+        channel=channel,
+        settings=stages.sensing,
+    )
+    (mechanism,) = registry.parse("mechanisms", LEVEL)
+    release: Release = mechanism.instance.share(sensed, rng)
+    return release.without_sigma()
+
+
+def part(release: Release, rows: Ints) -> Release:
+    """Return some tracks of a release, neighbours in their order."""
+    low, high = release.offsets[rows[0]], release.offsets[rows[-1] + 1]
+    t: Floats = release.t[low:high]
+    return Release(
+        t=t,
+        xy=release.xy[low:high],
+        sigma=None,
+        offsets=release.offsets[rows[0] : rows[-1] + 2] - low,
+        pseudonym=release.pseudonym[rows[0] : rows[-1] + 1],
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,384 @@
+"""Compiled loops of the linkage scorecard: ranks, cells of scores, and bootstrap replicates.
+
+The scores of one scale are cut into *cells*: the break points are the distinct mated scores and
+the inner edges of the D_sys bins, and a cell is one break point or the gap between two. Within a
+cell no metric can tell two scores apart, so that a replicate needs the weight of mated and
+non-mated scores per cell and nothing else. A pair's weight is a product of two clusters' weights;
+`LANES` replicates lie side by side in memory, so that one vector instruction treats several.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from isac_track._compiling import (
+    FLOAT,
+    FLOATS1,
+    FLOATS2,
+    FLOATS3,
+    INT,
+    INTS1,
+    OUT_FLOATS1,
+    OUT_FLOATS2,
+    compiled,
+    part_of_loop,
+)
+
+if TYPE_CHECKING:
+    from isac_track.types import Floats, Ints
+
+LANES = 64
+"""Replicates side by side: so many that their latencies overlap and a pair's overhead vanishes."""
+
+_FEW = 8
+"""Replicates whose numbers share a line of the cache."""
+
+COLUMNS = 10
+"""What `replicates` writes: mass of mated and of non-mated scores, AUC, EER, Cllr_min, TPR and
+FPR at the first level, TPR and FPR at the second, D_sys."""
+
+_INTS2 = numba.types.Array(numba.int64, 2, "C", readonly=True)
+_OUT_INTS1 = numba.int64[::1]
+_OUT_INTS2 = numba.int64[:, ::1]
+
+
+@compiled(FLOATS2, _INTS2, FLOATS1, FLOATS1, OUT_FLOATS2, _OUT_INTS2)
+def rank_rows(
+    scores: Floats,
+    order: Ints,
+    breaks: Floats,
+    log_factorial: Floats,
+    log_rank: Floats,
+    cell: Ints,
+) -> None:
+    """Write -log(rank / G), expected under ties, and the cell of every score.
+
+    `order` sorts each row, ascending; `breaks` ascends. Cell 2 k + 1 is the k-th break point,
+    cell 2 k the gap below it.
+    """
+    n_probes, n_gallery = scores.shape
+    log_gallery = np.log(n_gallery)
+    for i in range(n_probes):
+        start = 0
+        k = 0
+        while start < n_gallery:
+            score = scores[i, order[i, start]]
+            stop = start + 1
+            while stop < n_gallery and scores[i, order[i, stop]] == score:
+                stop += 1
+            while k < breaks.size and breaks[k] < score:
+                k += 1
+            code = 2 * k
+            if k < breaks.size and breaks[k] == score:
+                code += 1
+            above = n_gallery - stop
+            spread = log_factorial[n_gallery - start] - log_factorial[above]
+            value = log_gallery - spread / (stop - start)
+            for place in range(start, stop):
+                log_rank[i, order[i, place]] = value
+                cell[i, order[i, place]] = code
+            start = stop
+
+
+@compiled(FLOATS2, INTS1, INT, _OUT_INTS2)
+def draw_mates(uniform: Floats, probes: Ints, n_gallery: int, mates: Ints) -> None:
+    """Write a random injective mate for each of `probes`: Fisher and Yates, from uniforms."""
+    columns = np.arange(n_gallery)
+    # The order that one draw leaves behind is as good a start for the next as any.
+    for row in range(uniform.shape[0]):
+        for k in range(probes.size):
+            other = k + int(uniform[row, k] * (n_gallery - k))
+            column = columns[other]
+            columns[other] = columns[k]
+            columns[k] = column
+            mates[row, probes[k]] = column
+
+
+@compiled(_INTS2, INTS1, _OUT_INTS1)
+def count_cells(cell: Ints, mate: Ints, counts: Ints) -> None:
+    """Add the number of non-mated scores to each cell."""
+    for i in range(cell.shape[0]):
+        for j in range(cell.shape[1]):
+            if j != mate[i]:
+                counts[cell[i, j]] += 1
+
+
+@compiled(_INTS2, INTS1, INTS1, INTS1, INT, _OUT_INTS1, _OUT_INTS1, _OUT_INTS1)
+def fill_cells(
+    cell: Ints,
+    mate: Ints,
+    probe_cluster: Ints,
+    gallery_cluster: Ints,
+    one: int,
+    place: Ints,
+    first: Ints,
+    second: Ints,
+) -> None:
+    """Write the two clusters of each non-mated score where `place` says, cell by cell.
+
+    `one` stands for the second of two equal clusters.
+    """
+    for i in range(cell.shape[0]):
+        for j in range(cell.shape[1]):
+            if j == mate[i]:
+                continue
+            at = place[cell[i, j]]
+            place[cell[i, j]] = at + 1
+            first[at] = probe_cluster[i]
+            second[at] = one if gallery_cluster[j] == probe_cluster[i] else gallery_cluster[j]
+
+
+@compiled(FLOATS2, FLOAT, FLOAT, INTS1, INTS1, INTS1, OUT_FLOATS2, OUT_FLOATS1)
+def pair_costs(
+    scores: Floats,
+    slope: float,
+    intercept: float,
+    mate: Ints,
+    probe_cluster: Ints,
+    gallery_cluster: Ints,
+    costs: Floats,
+    within: Floats,
+) -> None:
+    """Write log(1 + LR) of each non-mated score, (P, G), and 0 for a mated one.
+
+    The costs of pairs of one cluster go to `within`, (P,), summed, and are 0 among the others.
+    """
+    for i in range(scores.shape[0]):
+        within[i] = 0.0
+        for j in range(scores.shape[1]):
+            costs[i, j] = 0.0
+            if j == mate[i]:
+                continue
+            llr = slope * scores[i, j] + intercept
+            cost = max(llr, 0.0) + np.log1p(np.exp(-abs(llr)))
+            if gallery_cluster[j] == probe_cluster[i]:
+                within[i] += cost
+            else:
+                costs[i, j] = cost
+
+
+@part_of_loop
+def _excess(mated: float, non_mated: float) -> float:
+    """D of Gomez-Barrero et al. (2017) times the mated share, from the shares of one bin."""
+    if mated <= non_mated:
+        return 0.0
+    # 2 LR / (1 + LR) - 1 = (LR - 1) / (LR + 1), which is 1 where LR is infinite.
+    return mated * (mated - non_mated) / (mated + non_mated)
+
+
+@part_of_loop
+def _x_log2_x(x: float) -> float:
+    return x * np.log2(x) if x > 0 else 0.0
+
+
+@part_of_loop
+def _hull(
+    mated: Floats, non_mated: Floats, totals: tuple[float, float], stack: Floats
+) -> tuple[float, float]:
+    """Return EER and Cllr_min from the convex hull of the ROC: pool adjacent violators."""
+    depth = 0
+    waiting = 0.0
+    for back in range(mated.size):
+        k = mated.size - 1 - back
+        m, n = mated[k], non_mated[k] + waiting
+        # Without mated scores a cell has the least likelihood ratio, and joins the one below.
+        if m == 0:
+            waiting = n
+            continue
+        waiting = 0.0
+        # Downwards the likelihood ratio of a block must fall.
+        while depth > 0 and m * stack[depth - 1, 1] >= stack[depth - 1, 0] * n:
+            depth -= 1
+            m += stack[depth, 0]
+            n += stack[depth, 1]
+        stack[depth, 0] = m
+        stack[depth, 1] = n
+        depth += 1
+    if waiting > 0:
+        stack[depth, 0] = 0.0
+        stack[depth, 1] = waiting
+        depth += 1
+    miss, false = 1.0, 0.0
+    eer = -1.0
+    cost = 0.0
+    for k in range(depth):
+        m, n = stack[k, 0] / totals[0], stack[k, 1] / totals[1]
+        cost += _x_log2_x(m + n) - _x_log2_x(m) - _x_log2_x(n)
+        if eer < 0 and miss - m <= false + n:
+            eer = false + n * (miss - false) / (m + n)
+        miss -= m
+        false += n
+    return eer, cost / 2
+
+
+@part_of_loop
+def _turn(rows: Floats, lane: int, out: Floats) -> None:
+    """Write a few lanes, side by side in `rows`, as rows of `out`."""
+    for k in range(rows.shape[0]):
+        for few in range(_FEW):
+            out[few, k] = rows[k, lane + few]
+
+
+@part_of_loop
+def _areas(mated: Floats, non_mated: Floats, sums: Floats, out: Floats) -> None:
+    """Write the mass of either class, and the AUC, of every lane: columns 0 to 2."""
+    sums[:] = 0.0
+    for k in range(mated.shape[0]):
+        m, n = mated[k], non_mated[k]
+        for lane in range(LANES):
+            sums[2, lane] += m[lane] * (sums[1, lane] + n[lane] / 2)
+            sums[0, lane] += m[lane]
+            sums[1, lane] += n[lane]
+    for lane in range(LANES):
+        out[lane, 0] = sums[0, lane]
+        out[lane, 1] = sums[1, lane]
+        out[lane, 2] = sums[2, lane] / (sums[0, lane] * sums[1, lane])
+
+
+@part_of_loop
+def _tpr(
+    mated: Floats, non_mated: Floats, level: float, column: int, sums: Floats, out: Floats
+) -> None:
+    """Write the largest TPR with FPR <= level, and the FPR of its highest threshold."""
+    sums[:] = 0.0
+    m, n, tpr, fpr = sums[0], sums[1], sums[2], sums[3]
+    # Rounding must not refuse a share that lies exactly at the level.
+    share = level * (1 + 1e-12)
+    for back in range(mated.shape[0]):
+        k = mated.shape[0] - 1 - back
+        row_m, row_n = mated[k], non_mated[k]
+        most = -1.0
+        for lane in range(LANES):
+            m[lane] += row_m[lane]
+            n[lane] += row_n[lane]
+            rest = share * out[lane, 1] - n[lane]
+            most = max(most, rest)
+            is_better = rest >= 0 and row_m[lane] > 0
+            tpr[lane] = m[lane] if is_better else tpr[lane]
+            fpr[lane] = n[lane] if is_better else fpr[lane]
+        if most < 0:
+            break
+    for lane in range(LANES):
+        out[lane, column] = tpr[lane] / out[lane, 0]
+        out[lane, column + 1] = fpr[lane] / out[lane, 1]
+
+
+@part_of_loop
+def _d_sys(mated: Floats, non_mated: Floats, bin_of_cell: Ints, sums: Floats, out: Floats) -> None:
+    """Write D_sys of every lane: column 9."""
+    sums[:] = 0.0
+    m, n, linked = sums[0], sums[1], sums[2]
+    for k in range(mated.shape[0]):
+        row_m, row_n = mated[k], non_mated[k]
+        for lane in range(LANES):
+            m[lane] += row_m[lane]
+            n[lane] += row_n[lane]
+        if k + 1 == mated.shape[0] or bin_of_cell[k + 1] != bin_of_cell[k]:
+            for lane in range(LANES):
+                linked[lane] += _excess(m[lane] / out[lane, 0], n[lane] / out[lane, 1])
+                m[lane] = 0.0
+                n[lane] = 0.0
+    for lane in range(LANES):
+        out[lane, 9] = linked[lane]
+
+
+@part_of_loop
+def _weigh(
+    table: Floats,
+    starts: Ints,
+    first: Ints,
+    second: Ints,
+    cells: Ints,
+    clusters: Ints,
+    mated: Floats,
+    non_mated: Floats,
+) -> None:
+    """Write the weight of mated and of non-mated scores per cell, (K, `LANES`) each."""
+    mated[:] = 0.0
+    non_mated[:] = 0.0
+    for k in range(starts.size - 1):
+        row = non_mated[k]
+        for pair in range(starts[k], starts[k + 1]):
+            a, b = table[first[pair]], table[second[pair]]
+            for lane in range(LANES):
+                row[lane] += a[lane] * b[lane]
+    for k in range(cells.size):
+        row = mated[cells[k]]
+        a = table[clusters[k]]
+        for lane in range(LANES):
+            row[lane] += a[lane]
+
+
+@compiled(FLOATS3, INTS1, INTS1, INTS1, INTS1, INTS1, INTS1, FLOAT, FLOAT, OUT_FLOATS2)
+def replicates(
+    tables: Floats,
+    starts: Ints,
+    first: Ints,
+    second: Ints,
+    mated_cell: Ints,
+    mated_cluster: Ints,
+    bin_of_cell: Ints,
+    level_1: float,
+    level_2: float,
+    out: Floats,
+) -> None:
+    """Write the metrics of every replicate, `COLUMNS` each; NaN where a class has no weight.
+
+    `tables` is (chunks, C + 1, `LANES`): weights of the clusters, then a row of ones. Cell k owns
+    the non-mated scores ``starts[k]:starts[k + 1]``; `bin_of_cell` ascends.
+    """
+    n_cells = starts.size - 1
+    # Once for all chunks: the system hands out so much memory page by page.
+    mated, non_mated = np.empty((n_cells, LANES)), np.empty((n_cells, LANES))
+    few_mated, few_non_mated = np.empty((_FEW, n_cells)), np.empty((_FEW, n_cells))
+    stack = np.empty((n_cells, 2))
+    sums = np.empty((4, LANES))
+    for chunk in range(tables.shape[0]):
+        _weigh(tables[chunk], starts, first, second, mated_cell, mated_cluster, mated, non_mated)
+        block = out[chunk * LANES : (chunk + 1) * LANES]
+        _areas(mated, non_mated, sums, block)
+        for column in (5, 7):
+            level = level_1 if column == 5 else level_2  # noqa: PLR2004
+            _tpr(mated, non_mated, level, column, sums, block)
+        _d_sys(mated, non_mated, bin_of_cell, sums, block)
+        for lane in range(LANES):
+            few = lane % _FEW
+            if few == 0:
+                _turn(mated, lane, few_mated)
+                _turn(non_mated, lane, few_non_mated)
+            line = block[lane]
+            if line[0] > 0 and line[1] > 0:
+                totals = (line[0], line[1])
+                line[3], line[4] = _hull(few_mated[few], few_non_mated[few], totals, stack)
+            else:
+                for column in range(2, COLUMNS):
+                    line[column] = np.nan
+
+
+@compiled(_INTS2, FLOATS2, _INTS2, INTS1, OUT_FLOATS1, OUT_FLOATS2)
+def shuffled(
+    mates: Ints, log_rank: Floats, cell: Ints, bin_of_cell: Ints, total: Floats, bins: Floats
+) -> None:
+    """Add the log-rank statistic, and the histogram of mated scores, of every set of mates."""
+    for row in range(mates.shape[0]):
+        for i in range(mates.shape[1]):
+            j = mates[row, i]
+            if j >= 0:
+                total[row] += log_rank[i, j]
+                bins[row, bin_of_cell[cell[i, j]]] += 1.0
+
+
+@compiled(OUT_FLOATS2, FLOATS1, OUT_FLOATS1)
+def linked_shares(mated: Floats, total: Floats, out: Floats) -> None:
+    """Write D_sys for each row of mated counts per bin; `total` counts all scores of a bin."""
+    n_scores = total.sum()
+    for row in range(mated.shape[0]):
+        n_mated = mated[row].sum()
+        linked = 0.0
+        for k in range(total.size):
+            share = (total[k] - mated[row, k]) / (n_scores - n_mated)
+            linked += _excess(mated[row, k] / n_mated, share)
+        out[row] = linked

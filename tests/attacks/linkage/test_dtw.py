@@ -1,0 +1,91 @@
+"""Warped costs against a plain dynamic programme, and what is learnt."""
+
+import numpy as np
+import pytest
+from linkage_walks import context, hits, training, two_releases
+
+from attacks.linkage.dtw import DTW, warped_costs
+from isac_track.rng import stream
+
+
+def plain(a, b, *, band, psi, penalty):
+    """Squared DTW distance of (n, 2) and (m, 2), with the band |i - j| of either diagonal."""
+    n, m = len(a), len(b)
+    best = np.full((n + 1, m + 1), np.inf)
+    best[0, : psi + 1] = 0
+    best[: psi + 1, 0] = 0
+    for i in range(1, n + 1):
+        for j in range(1, m + 1):
+            if not -band - max(n - m, 0) <= j - i <= band + max(m - n, 0):
+                continue
+            cost = ((a[i - 1] - b[j - 1]) ** 2).sum()
+            best[i, j] = cost + min(
+                best[i - 1, j - 1],
+                best[i - 1, j] + penalty**2,
+                best[i, j - 1] + penalty**2,
+            )
+    return min(best[n, m - psi :].min(), best[n - psi :, m].min())
+
+
+def cost_by_hand(a, b, *, band, penalty, floor):
+    shorter, longer = sorted((len(a), len(b)))
+    reach = round(band * longer)
+    psi = min(reach, (shorter - 1) // 2)
+    square = plain(a, b, band=reach, psi=psi, penalty=penalty)
+    return (square / shorter + floor) * (24 / shorter) ** 3
+
+
+@pytest.mark.parametrize("penalty", [1e-9, 0.3])
+@pytest.mark.parametrize("band", [0.0, 0.1, 0.3])
+def test_it_is_a_plain_dynamic_programme(band, penalty):
+    rng = stream(0, "test", "dtw")
+    probe, gallery = rng.normal(size=(5, 24, 2)), rng.normal(size=(4, 24, 2))
+    sizes_p, sizes_g = np.array([24, 24, 10, 1, 2]), np.array([24, 11, 3, 24])
+    costs = warped_costs(
+        probe=probe,
+        probe_count=sizes_p,
+        gallery=gallery,
+        gallery_count=sizes_g,
+        band=band,
+        penalty=penalty,
+        floor=0.01,
+    )
+    for i, n in enumerate(sizes_p):
+        for j, m in enumerate(sizes_g):
+            slow = cost_by_hand(
+                probe[i, :n], gallery[j, :m], band=band, penalty=penalty, floor=0.01
+            )
+            assert costs[i, j] == pytest.approx(slow, rel=1e-9), (n, m)
+
+
+def test_warping_forgives_a_change_of_pace():
+    at = np.linspace(0, 1, 24)
+    bump = np.stack([np.sin(6 * at), 0 * at], axis=1)
+    slower = np.stack([np.sin(6 * at**1.15), 0 * at], axis=1)
+    sizes = np.array([24])
+    stiff, pliant = (
+        warped_costs(
+            probe=bump[None],
+            probe_count=sizes,
+            gallery=slower[None],
+            gallery_count=sizes,
+            band=band,
+            penalty=1e-6,
+            floor=1e-6,
+        )[0, 0]
+        for band in (0.0, 0.15)
+    )
+    assert pliant < stiff / 5
+
+
+def test_it_learns_to_smooth():
+    # White noise of half a metre in slow walks: twice the usual width does better.
+    habits = {"noise_m": 0.5, "sway": 0.6, "turn_rad_s": 0.15, "shift_s": 0.5}
+    train = training(*two_releases(48, seed=7, **habits))
+    probe, gallery, mate = two_releases(48, seed=8, **habits)
+    narrow, wide = (
+        hits(DTW(factor=f, penalty=0.1).fit(context())(probe, gallery), mate) for f in (0.5, 2.0)
+    )
+    learnt = hits(DTW().fit(context(train))(probe, gallery), mate)
+    assert wide > narrow
+    assert learnt > narrow

@@ -1,0 +1,129 @@
+"""States across a gap against filterpy, and what is learnt."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import KalmanFilter
+from linkage_walks import Person, context, hits, release_of, training
+
+from attacks.linkage.kinematic import Kinematic, backwards, continuations, rivals
+from attacks.linkage.signals import log_rank
+from isac_track.noise import innovation_variance_m2
+from isac_track.rng import stream
+
+Q = 0.07
+FLOOR_M2 = 0.02
+
+
+def gap(n=10, *, seed=0, gap_s=2.0, noise_m=0.1, same_start=True, **habits):
+    """Windows of 4 s before and after a silent gap, in one frame and on one clock."""
+    rng = stream(seed, "test", "gap")
+    people = [Person(rng, **habits) for _ in range(n)]
+    for person in people:
+        person.xy = person.xy + rng.uniform(-4, 4, 2)
+    order = rng.permutation(n)
+    probe = [person.seen(rng, start_s=1.0, length_s=4.0, noise_m=noise_m) for person in people]
+    gallery = [
+        people[k].seen(
+            rng,
+            start_s=5.0 + gap_s + (0.0 if same_start else rng.uniform(0, 2.0)),
+            length_s=4.0,
+            noise_m=noise_m,
+        )
+        for k in order
+    ]
+    return release_of(probe), release_of(gallery), np.argsort(order)
+
+
+def filtered(t, xy, variance_m2):
+    """filterpy's state (x, vx, y, vy) after the last sample."""
+    kf = KalmanFilter(dim_x=4, dim_z=2)
+    kf.x = np.array([xy[0, 0], 0, xy[0, 1], 0])
+    kf.P = np.diag([100.0, 1.4, 100.0, 1.4]) ** 2
+    kf.H = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0]])
+    kf.R = np.eye(2) * variance_m2
+    for k, z in enumerate(xy):
+        if k:
+            step(kf, t[k] - t[k - 1])
+        kf.update(z)
+    return kf
+
+
+def step(kf, dt):
+    one = np.array([[1.0, dt], [0, 1]])
+    kf.F = np.kron(np.eye(2), one)
+    kf.Q = Q_continuous_white_noise(dim=2, dt=dt, spectral_density=Q, block_size=2)
+    kf.predict()
+
+
+def test_it_is_filterpy_across_the_gap():
+    probe, gallery, _ = gap(4, same_start=False)
+    scores = continuations(probe, gallery, q=Q, floor_m2=FLOOR_M2)
+    noise = [
+        np.maximum(innovation_variance_m2(t=r.t, xy=r.xy, offsets=r.offsets), FLOOR_M2)
+        for r in (probe, gallery)
+    ]
+    for i, before in enumerate(probe):
+        for j, after in enumerate(gallery):
+            past = filtered(before.t, before.xy, noise[0][i])
+            future = filtered(-after.t[::-1], after.xy[::-1], noise[1][j])
+            turn = np.diag([1.0, -1, 1, -1])
+            step(past, after.t[0] - before.t[-1])
+            cov = past.P + turn @ future.P @ turn
+            off = past.x - turn @ future.x
+            square = off @ np.linalg.solve(cov, off)
+            by_hand = -0.5 * np.linalg.slogdet(cov)[1] - 4.5 * np.log1p(square / 5)
+            assert scores[i, j] == pytest.approx(by_hand, rel=1e-6)
+
+
+def test_backwards_is_each_track_backwards():
+    _, gallery, _ = gap(3)
+    t, xy = backwards(gallery)
+    for row, (lo, hi) in enumerate(zip(gallery.offsets[:-1], gallery.offsets[1:], strict=True)):
+        assert np.array_equal(t[lo:hi], -gallery[row].t[::-1])
+        assert np.array_equal(xy[lo:hi], gallery[row].xy[::-1])
+
+
+@pytest.mark.parametrize("informed", [False, True])
+def test_who_walks_on_is_found(informed):
+    probe, gallery, mate = gap(10, same_start=False)
+    train = training(*gap(20, seed=3)) if informed else None
+    scores = Kinematic().fit(context(train, scene=True))(probe, gallery)
+    assert hits(scores, mate) == 1.0
+
+
+def test_a_common_motion_changes_nothing():
+    probe, gallery, _ = gap(6)
+    score = Kinematic().fit(context(scene=True))
+    cos, sin = np.cos(0.7), np.sin(0.7)
+
+    def move(release):
+        xy = release.xy @ np.array([[cos, sin], [-sin, cos]]) + np.array([30.0, -7.0])
+        return replace(release, t=release.t + 1234.5, xy=xy)
+
+    scores = score(probe, gallery)
+    assert np.allclose(score(move(probe), move(gallery)), scores, rtol=1e-6, atol=1e-6)
+    # Of one alone it changes everything: the frame is the knowledge.
+    assert not np.allclose(score(move(probe), gallery), scores, atol=1.0)
+
+
+def test_rivals_are_those_of_one_rotation():
+    probe, gallery, mate = gap(6)
+    late = replace(gallery, t=gallery.t + np.repeat([0.0, 20.0] * 3, np.diff(gallery.offsets)))
+    on_time = np.arange(6) % 2 == 0
+    known = np.where(on_time[mate], mate, -1)
+    assert known.max() >= 0
+    assert np.array_equal(rivals(training(probe, late, known)), np.tile(on_time, (6, 1)))
+    assert rivals(training(probe, late, np.full(6, -1))).all()
+
+
+def test_it_learns_how_much_people_turn():
+    # People who hold their course, and a long gap: less process noise than usual.
+    habits = {"sway": 0.0, "turn_rad_s": 0.0, "gap_s": 5.0, "noise_m": 0.3}
+    train = training(*gap(60, seed=4, **habits))
+    probe, gallery, mate = gap(60, seed=5, **habits)
+    blind = Kinematic().fit(context(scene=True))(probe, gallery)
+    learnt = Kinematic().fit(context(train, scene=True))(probe, gallery)
+    assert log_rank(learnt, mate=mate) < log_rank(blind, mate=mate)

@@ -1,0 +1,42 @@
+"""What speed and turning tell, blind and after learning."""
+
+import numpy as np
+from linkage_walks import context, hits, release_of, training, two_releases
+
+from attacks.linkage.profile import Profile
+from attacks.linkage.signals import log_rank
+
+
+def circle(radius_m, rad_s):
+    t = np.arange(0.0, 12.0, 0.1)
+    return t, radius_m * np.stack([np.cos(rad_s * t), np.sin(rad_s * t)], axis=1)
+
+
+def test_left_and_right_differ():
+    scores = Profile().fit(context())(
+        release_of([circle(4.0, 0.3), circle(4.0, -0.3)]),
+        release_of([circle(4.0, 0.3), circle(4.0, -0.3)]),
+    )
+    assert (np.diag(scores) > scores[[0, 1], [1, 0]] + 2.0).all()
+
+
+def test_without_turning_it_goes_by_speed_alone():
+    scores = Profile(turn_m=1e-6).fit(context())(
+        release_of([circle(4.0, 0.3)]), release_of([circle(4.0, -0.3), circle(4.0, 0.2)])
+    )
+    assert scores[0, 0] > scores[0, 1] + 2.0
+
+
+def test_it_finds_the_lag():
+    probe, gallery, mate = two_releases(12, shift_s=5.0, length_s=12.0)
+    assert hits(Profile().fit(context())(probe, gallery), mate) >= 0.9
+    assert hits(Profile(reach_s=0.25).fit(context())(probe, gallery), mate) <= 0.6
+
+
+def test_it_learns_how_small_a_misfit_counts():
+    habits = {"sway": 0.02, "turn_rad_s": 0.01, "speed_m_s": 1.2}
+    train = training(*two_releases(40, seed=7, **habits))
+    probe, gallery, mate = two_releases(40, seed=8, **habits)
+    blind = Profile().fit(context())(probe, gallery)
+    learnt = Profile().fit(context(train))(probe, gallery)
+    assert log_rank(learnt, mate=mate) < log_rank(blind, mate=mate) - 0.1

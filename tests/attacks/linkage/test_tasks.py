@@ -1,0 +1,335 @@
+"""What is linked: whose windows, when, and who may learn from whom."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from attacks.linkage.task_list import TASKS
+from attacks.linkage.tasks import LEAST_PEOPLE, build
+from isac_track.config import StageSettings
+from isac_track.errors import DataError
+from isac_track.rng import stream
+from isac_track.types import Tracks
+
+STAGES = StageSettings()
+CLOSED = ("rerelease", "split", "new_traversal")
+HANDOVERS = ("handover-1s", "handover-2s", "handover-5s")
+WINDOW_S = STAGES.linkage.window_s
+
+
+def crowd(*, n=60, seed=0, groups=(3, 2, 2), session=0):
+    """People who come and go over 100 s, each for 5 to 40 s; the first few walk in groups."""
+    t_parts, xy_parts, source, group = [], [], [], []
+    labels = [f"g{number}" for number, size in enumerate(groups) for _ in range(size)]
+    for row in range(n):
+        rng = stream(seed, "test", "crowd", session, row)
+        start, length = rng.uniform(0, 80), rng.uniform(5, 40)
+        t = np.round(np.arange(start, start + length, 0.4), 2)
+        velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal((t.size, 2)).cumsum(axis=0)
+        t_parts.append(t)
+        xy_parts.append(rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0))
+        source.append(f"p{row:03d}")
+        group.append(labels[row] if row < len(labels) else f"alone{session}-{row}")
+    return Tracks(
+        t=np.concatenate(t_parts),
+        xy=np.concatenate(xy_parts),
+        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
+        source=tuple(source),
+        group=tuple(group),
+    )
+
+
+def sessions(name, *, tracks=None, stages=STAGES, seed=0):
+    tracks = tracks if tracks is not None else crowd()
+    later = crowd(session=1, groups=(2, 2)) if TASKS[name].simulated else None
+    return build(TASKS[name], tracks=tracks, later=later, settings=stages, seed=seed)
+
+
+def spans(windows):
+    return windows.t[windows.offsets[:-1]], windows.t[windows.offsets[1:] - 1]
+
+
+def without(tracks, row):
+    keep = np.repeat(np.arange(len(tracks)) != row, np.diff(tracks.offsets))
+    sizes = np.delete(np.diff(tracks.offsets), row)
+    names = [name for place, name in enumerate(tracks.source) if place != row]
+    groups = [name for place, name in enumerate(tracks.group) if place != row]
+    return Tracks(
+        t=tracks.t[keep],
+        xy=tracks.xy[keep],
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        source=tuple(names),
+        group=tuple(groups),
+    )
+
+
+@pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
+def test_a_mate_is_the_same_person_in_the_same_search(name):
+    found = sessions(name)
+    has = found.mate >= 0
+    assert has.any()
+    assert has.all() == (name in CLOSED)
+    mates = found.mate[has]
+    assert (found.gallery.person[mates] == found.probe.person[has]).all()
+    assert (found.gallery.search[mates] == found.probe.search[has]).all()
+    # Nobody in the same search was overlooked.
+    for row in np.flatnonzero(~has):
+        here = found.gallery.search == found.probe.search[row]
+        assert found.probe.person[row] not in found.gallery.person[here]
+
+
+@pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
+def test_windows_are_stretches_of_the_walk_at_instants_of_their_own(name):
+    tracks = crowd()
+    found = sessions(name, tracks=tracks)
+    row_of = {source: row for row, source in enumerate(tracks.source)}
+    starts, ends = spans(found.probe)
+    for row, person in enumerate(found.probe.person):
+        track = tracks[row_of[found.source[person]]]
+        assert track.t[0] - 1e-9 <= starts[row] < ends[row] <= track.t[-1] + 1e-9
+        inside = slice(found.probe.offsets[row], found.probe.offsets[row + 1])
+        steps = np.diff(found.probe.t[inside])
+        assert (steps >= 1 / 16 - 1e-9).all()
+        assert (steps <= 1 / 8 + 1e-9).all()
+        # The recorded samples lie on the walk that the window is cut from.
+        near = np.interp(found.probe.t[inside], track.t, track.xy[:, 0])
+        apart = found.probe.xy[inside, 0] - near
+        if name in CLOSED:  # put elsewhere, as it is
+            assert abs(apart.mean()) > 1e-6
+            apart -= apart.mean()
+        assert np.abs(apart).max() < 0.1
+
+
+class TestRerelease:
+    def test_everybody_long_enough_has_two_windows_of_one_length(self):
+        tracks = crowd()
+        found = sessions("rerelease", tracks=tracks)
+        lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
+        assert len(found.source) == (lasts >= WINDOW_S - 1e-9).sum()
+        assert found.too_short == (lasts < WINDOW_S - 1e-9).sum()
+        for side in (found.probe, found.gallery):
+            starts, ends = spans(side)
+            # The last instant lies within one step of the end.
+            assert (ends - starts <= WINDOW_S + 1e-9).all()
+            assert (ends - starts > WINDOW_S - 1 / 8 - 1e-9).all()
+
+    def test_the_windows_of_a_walk_start_apart_but_mostly_overlap(self):
+        found = sessions("rerelease")
+        apart = np.abs(spans(found.probe)[0] - spans(found.gallery)[0][found.mate])
+        assert (apart <= STAGES.linkage.rerelease_shift_s).all()
+        assert apart.max() > 2.0
+        assert (apart > 0).mean() > 0.8  # a track of just 12 s has no room to shift
+
+    def test_the_place_in_the_list_does_not_tell_who_is_who(self):
+        found = sessions("rerelease")
+        assert (found.mate == np.arange(found.mate.size)).mean() < 0.2
+
+
+class TestSplit:
+    def test_the_halves_are_of_one_length_and_do_not_touch(self):
+        found = sessions("split")
+        (_, first_end), (second_start, _) = spans(found.probe), spans(found.gallery)
+        gap = second_start[found.mate] - first_end
+        assert (gap >= STAGES.linkage.split_gap_s - 1e-9).all()
+        assert gap.max() > 5.0
+        for side in (found.probe, found.gallery):
+            starts, ends = spans(side)
+            assert np.ptp(ends - starts) < 1 / 8 + 1e-9
+            assert (ends - starts <= STAGES.linkage.split_window_s + 1e-9).all()
+
+
+@pytest.mark.parametrize("name", HANDOVERS)
+class TestHandover:
+    def test_everyone_who_is_there_is_a_candidate(self, name):
+        tracks = crowd()
+        found = sessions(name, tracks=tracks)
+        gap_s, least_s = TASKS[name].gap_s, STAGES.linkage.handover_least_s
+        start, end = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
+        for number, label in enumerate(found.searches):
+            at = float(label.removesuffix(" s"))
+            before = {
+                tracks.source[row]
+                for row in np.flatnonzero((start <= at - least_s) & (end >= at - 1e-9))
+            }
+            after = {
+                tracks.source[row]
+                for row in np.flatnonzero(
+                    (start <= at + gap_s) & (end >= at + gap_s + least_s - 1e-9)
+                )
+            }
+            for side, expected in ((found.probe, before), (found.gallery, after)):
+                seen = [found.source[one] for one in side.person[side.search == number]]
+                # Labels are rounded: allow for those on the very edge.
+                assert len(expected ^ set(seen)) <= 1
+                assert len(set(seen)) == len(seen)
+
+    def test_pseudonyms_rotate_at_one_instant_after_a_silent_gap(self, name):
+        found = sessions(name)
+        for number in range(len(found.searches)):
+            _, ends = spans(found.probe)
+            starts, _ = spans(found.gallery)
+            last = ends[found.probe.search == number].max()
+            first = starts[found.gallery.search == number].min()
+            assert first - last >= TASKS[name].gap_s - 1e-9
+            assert first - last < TASKS[name].gap_s + 1 / 8
+
+    def test_some_have_left_and_some_are_new(self, name):
+        found = sessions(name)
+        assert (found.mate < 0).any()
+        assert np.setdiff1d(np.arange(len(found.gallery)), found.mate).size
+
+    def test_the_instants_are_the_same_for_all_gaps(self, name):
+        ours, first = sessions(name), sessions("handover-1s")
+        assert set(ours.searches) <= set(first.searches)
+
+
+class TestNewTraversal:
+    def test_company_of_either_day_is_one_cluster(self):
+        found = sessions("new_traversal")
+        first, later = crowd(), crowd(session=1, groups=(2, 2))
+        group = dict(zip(found.source, found.group, strict=True))
+        for tracks in (first, later):
+            for one, other in zip(tracks.source, tracks.source[1:], strict=False):
+                company = dict(zip(tracks.source, tracks.group, strict=True))
+                if {one, other} <= group.keys() and company[one] == company[other]:
+                    assert group[one] == group[other]
+
+    def test_no_more_people_than_asked_for(self):
+        fewer = STAGES.changed({"linkage.most_people": 30})
+        found = sessions("new_traversal", stages=fewer)
+        assert len(found.source) == 30
+
+
+@pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
+class TestRoles:
+    def test_nobody_is_attacked_by_who_learnt_from_them_or_their_company(self, name):
+        found = sessions(name)
+        for fold in (0, 1):
+            attacked = set()
+            for side in (found.probe, found.gallery):
+                attacked |= set(side.person[found.fold[side.search] == fold].tolist())
+            taught = np.flatnonzero(found.learns[fold] | found.calibrates[fold])
+            assert taught.size
+            groups = {found.group[one] for one in attacked}
+            assert not any(found.group[one] in groups for one in taught)
+
+    def test_scores_are_calibrated_on_people_who_were_not_learnt_from(self, name):
+        found = sessions(name)
+        for fold in (0, 1):
+            learnt = {found.group[one] for one in np.flatnonzero(found.learns[fold])}
+            known = {found.group[one] for one in np.flatnonzero(found.calibrates[fold])}
+            assert learnt
+            assert known
+            assert not learnt & known
+
+    def test_who_breaks_that_is_stopped(self, name):
+        found = sessions(name)
+        with pytest.raises(AssertionError, match="among the training people"):
+            replace(found, learns=np.ones_like(found.learns), calibrates=found.calibrates)
+
+
+@pytest.mark.parametrize("name", ["rerelease", "split", "handover-2s"])
+def test_leaving_one_person_out_changes_no_other_window(name):
+    tracks = crowd()
+    whole = sessions(name, tracks=tracks)
+    # Somebody in the middle of the recording, so that the instants of handovers stay.
+    lost = next(
+        row
+        for row, source in enumerate(tracks.source)
+        if source in whole.source
+        and tracks.group[row].startswith("alone")
+        and 20 < tracks.t[tracks.offsets[row]] < 60
+    )
+    part = sessions(name, tracks=without(tracks, lost))
+
+    def by_person(found, side):
+        windows = getattr(found, side)
+        closed = name in CLOSED
+        return {
+            (found.source[who], "" if closed else found.searches[number]): tuple(windows.t[lo:hi])
+            for who, number, lo, hi in zip(
+                windows.person,
+                windows.search,
+                windows.offsets[:-1],
+                windows.offsets[1:],
+                strict=True,
+            )
+        }
+
+    for side in ("probe", "gallery"):
+        before, after = by_person(whole, side), by_person(part, side)
+        gone = {key for key in before if key[0] == tracks.source[lost]}
+        assert gone
+        if name in CLOSED:
+            assert after == {key: value for key, value in before.items() if key not in gone}
+        else:  # which epochs there are may change, the windows of those that stay do not
+            assert all(
+                np.allclose(value[0], before[key][0])
+                for key, value in after.items()
+                if key in before
+            )
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "name"),
+    [
+        ("linkage.window_s", 8.0, "rerelease"),
+        ("linkage.rerelease_shift_s", 1.0, "rerelease"),
+        ("linkage.split_window_s", 4.0, "split"),
+        ("linkage.split_gap_s", 4.0, "split"),
+        ("linkage.handover_period_s", 15.0, "handover-2s"),
+        ("linkage.handover_window_s", 3.0, "handover-2s"),
+        ("linkage.handover_least_s", 2.0, "handover-2s"),
+        ("linkage.handover_instants", 2, "handover-2s"),
+        ("linkage.most_people", 26, "new_traversal"),
+        ("linkage.most_people", 26, "rerelease"),
+        ("resample.rate_max_hz", 12.0, "split"),
+    ],
+)
+def test_every_setting_changes_what_is_linked(setting, value, name):
+    plain, changed = sessions(name), sessions(name, stages=STAGES.changed({setting: value}))
+    assert plain.probe.t.size != changed.probe.t.size or not np.array_equal(
+        plain.probe.t, changed.probe.t
+    )
+
+
+def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
+    tracks = crowd(n=400)
+    found = sessions("rerelease", tracks=tracks)
+    middles = [
+        np.add.reduceat(side.xy, side.offsets[:-1]) / np.diff(side.offsets)[:, None]
+        for side in (found.probe, found.gallery)
+    ]
+    at_all = tracks.xy.min(axis=0) - 1e-9, tracks.xy.max(axis=0) + 1e-9
+    for middle in middles:
+        assert (middle >= at_all[0]).all()
+        assert (middle <= at_all[1]).all()
+    for axis in (0, 1):
+        together = np.corrcoef(middles[0][:, axis], middles[1][found.mate][:, axis])[0, 1]
+        assert abs(together) < 4 / np.sqrt(found.mate.size)
+
+
+def test_frozen_people_and_company_are_marked():
+    tracks = crowd()
+    lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
+    row = int(np.flatnonzero(lasts > WINDOW_S)[-1])
+    xy = tracks.xy.copy()
+    xy[tracks.offsets[row] : tracks.offsets[row + 1]] = (1.0, 1.0)
+    found = sessions("rerelease", tracks=replace(tracks, xy=xy))
+    frozen = [found.source[one] for one in np.flatnonzero(~found.moving)]
+    assert frozen == [tracks.source[row]]
+    together = {found.source[one] for one in np.flatnonzero(~found.alone)}
+    assert together == {name for name in found.source if name <= "p006"}
+
+
+@pytest.mark.parametrize("name", ["rerelease", "handover-2s", "new_traversal"])
+def test_too_few_people_are_refused_with_the_way_out(name):
+    few = crowd(n=10)
+    with pytest.raises(DataError, match=rf"task {name}: \d+ .*takes {LEAST_PEOPLE}.*--task"):
+        sessions(name, tracks=few)
+
+
+def test_other_seeds_are_other_windows():
+    one, other = sessions("rerelease"), sessions("rerelease", seed=1)
+    assert not np.array_equal(one.probe.t[:10], other.probe.t[:10])

@@ -1,0 +1,125 @@
+"""Controls: each sees what it is there for, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from attacks.controls import CONTROLS
+from attacks.linkage.task_list import TASKS
+from isac_track.linkability import Search, permutation_p
+from isac_track.types import Release
+
+N = 60
+ALPHA = 1e-3
+
+
+def release(rng, *, duration_s=None, rate_hz=None, level=None, place=None, start_s=None):
+    """N tracks in which nothing tells who is who but what is given, one value a track."""
+    duration_s = rng.uniform(8, 12, N) if duration_s is None else duration_s
+    rate_hz = rng.uniform(8, 16, N) if rate_hz is None else rate_hz
+    level = rng.uniform(0.1, 1, N) if level is None else level
+    place = rng.uniform(-50, 50, (N, 2)) if place is None else place
+    start_s = rng.uniform(0, 1e4, N) if start_s is None else start_s
+    t, xy, sigma, sizes = [], [], [], []
+    for row in range(N):
+        size = int(duration_s[row] * rate_hz[row])
+        steps = rng.uniform(0.8, 1.2, size) / rate_hz[row]
+        t.append(start_s[row] + np.cumsum(steps) - steps[0])
+        xy.append(place[row] + 0.2 * rng.standard_normal((size, 2)).cumsum(axis=0))
+        sigma.append(level[row] * rng.uniform(0.9, 1.1, size))
+        sizes.append(size)
+    return Release(
+        t=np.concatenate(t),
+        xy=np.concatenate(xy),
+        sigma=np.concatenate(sigma),
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        pseudonym=tuple(f"{row}" for row in range(N)),
+    )
+
+
+LEAKS = {
+    "duration": lambda rng: {"duration_s": rng.uniform(5, 20, N)},
+    "sample_count": lambda rng: {"duration_s": rng.uniform(5, 20, N), "rate_hz": np.full(N, 12.0)},
+    "sampling_times": lambda rng: {"rate_hz": rng.uniform(4, 20, N)},
+    "noise_level": lambda rng: {"level": rng.uniform(0.1, 2, N)},
+    "frame": lambda rng: {"place": rng.uniform(-50, 50, (N, 2))},
+    "clock": lambda rng: {"start_s": rng.uniform(0, 1e4, N)},
+}
+
+
+def p_value(name, **shared):
+    return scored_p(name, "rerelease", **shared)
+
+
+def scored_p(name, task, **shared):
+    rng = np.random.default_rng(5)
+    probe, gallery = release(rng, **shared), release(rng, **shared)
+    scores = CONTROLS[name].scorer(TASKS[task])(probe, gallery, rng)
+    assert scores.shape == (N, N)
+    assert np.isfinite(scores).all()
+    people = np.arange(N)
+    search = Search(scores=scores, mate=people, probe_cluster=people, gallery_cluster=people)
+    return permutation_p(searches=[search], rng=rng, n_shuffles=9999)
+
+
+def test_every_audit_has_a_leak_to_find():
+    assert LEAKS.keys() == {name for name, control in CONTROLS.items() if control.is_audit}
+
+
+@pytest.mark.parametrize("name", LEAKS)
+def test_an_audit_finds_its_leak(name):
+    assert p_value(name, **LEAKS[name](np.random.default_rng(1))) < ALPHA
+
+
+@pytest.mark.parametrize("name", [*LEAKS, "random"])
+def test_a_control_stays_at_chance_where_nothing_leaks(name):
+    assert p_value(name) > ALPHA
+
+
+@pytest.mark.parametrize(
+    ("name", "leak"), [("noise_level", "clock"), ("frame", "noise_level"), ("clock", "frame")]
+)
+def test_an_audit_sees_nothing_but_its_own(name, leak):
+    assert p_value(name, **LEAKS[leak](np.random.default_rng(1))) > ALPHA
+
+
+def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
+    rng = np.random.default_rng(3)
+    place = rng.uniform(-50, 50, (N, 2))
+    by_place = 0.3 * np.exp(0.02 * place[:, 0] + 3e-4 * place[:, 1] ** 2)
+    shared = {"place": place, "level": by_place}
+    assert scored_p("noise_level", "rerelease", **shared) < ALPHA
+    assert scored_p("noise_level", "handover-1s", **shared) > ALPHA
+    own = {"place": place, "level": by_place * rng.uniform(0.3, 3, N)}
+    assert scored_p("noise_level", "handover-1s", **own) < ALPHA
+
+
+def test_without_a_declared_level_there_is_nothing_to_see():
+    rng = np.random.default_rng(0)
+    one = replace(release(rng), sigma=None)
+    assert not CONTROLS["noise_level"].score(one, one, rng).any()
+
+
+@pytest.mark.parametrize("name", [name for name in LEAKS if name != "sampling_times"])
+def test_tracks_of_one_sample_are_handled(name):
+    one = Release(
+        t=np.array([0.0, 1.0, 2.0, 3.0]),
+        xy=np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [5.0, 5.0]]),
+        sigma=np.full(4, 0.1),
+        offsets=np.array([0, 1, 3, 4]),
+        pseudonym=("a", "b", "c"),
+    )
+    scores = CONTROLS[name].score(one, one, np.random.default_rng(0))
+    assert np.isfinite(scores).all()
+    assert (scores.argmax(axis=1) == [0, 1, 2]).all() or name in {
+        "duration",
+        "noise_level",
+        "sample_count",
+    }
+
+
+def test_frame_and_clock_are_no_shortcuts_where_the_scene_shows():
+    for name, control in CONTROLS.items():
+        assert control.applies(TASKS["rerelease"])
+        assert control.applies(TASKS["handover-1s"]) == (name not in {"frame", "clock"})
