@@ -2,8 +2,8 @@
 
 Two controls must stay at chance whatever the task: random scores, and the scores of a real attack
 with the mates shuffled. The others are the *shortcut audit*: each sees one thing that has nothing
-to do with how a person walks. If it beats chance, the task gives people away by a side door, and
-what an attack achieves there is no measure of anything.
+to do with how a person walks. If it differs from chance, in either direction, the task gives people
+away by a side door, and what an attack achieves there is no measure of anything.
 """
 
 from __future__ import annotations
@@ -103,12 +103,14 @@ def _noise_beyond_place(probe: Release, gallery: Release, rng: Generator) -> Flo
 
 
 def _noise(release: Release) -> Floats:
-    """Return the mean and the least logarithm of each track's declared noise, (N, 2)."""
+    """Return the mean logarithm of each track's declared noise, (N, 1).
+
+    The level alone: how far it ranges within a track tells how far the person walked, which is no
+    shortcut but the walk.
+    """
     if release.sigma is None:
-        return np.zeros((len(release), 2))
-    level = np.log(np.maximum(release.sigma, _NO_SIGMA_M))
-    lowest = np.minimum.reduceat(level, release.offsets[:-1])
-    return np.column_stack([_means(level, release), lowest])
+        return np.zeros((len(release), 1))
+    return _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)[:, None]
 
 
 def _frame(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.linkage import ground as link_ground
 from evaluation.linkage import link_level
 from evaluation.linkage_cell import to_parquet
+from evaluation.linkage_ground import ground as link_ground
+from evaluation.plugin_calls import guarded
 from evaluation.reconstruction import (
     attack_rows,
     descriptors,
@@ -148,12 +149,9 @@ def compute_block(
 def _share(mechanism: Plugin, sensed: Sensed, key: tuple[str | int, ...], *, seed: int) -> Release:
     # Every mechanism gets the same stream: common random numbers.
     rng = stream(seed, "sharing", *key)
-    try:
-        release = mechanism.instance.share(sensed, rng)
-    except (Exception, SystemExit) as error:  # a plug-in may do anything
-        raise PluginError(
-            f"mechanism {mechanism.spec!r} failed: {type(error).__name__}: {error}"
-        ) from error
+    release = guarded(
+        f"mechanism {mechanism.spec!r}", lambda: mechanism.instance.share(sensed, rng)
+    )
     if not isinstance(release, Release):
         raise PluginError(
             f"mechanism {mechanism.spec!r} must return a Release, got {type(release).__name__}"
@@ -189,12 +187,10 @@ def _forecast(
     granted = release
     if Knowledge.SIGMA not in predictor.instance.requires:
         granted = release.without_sigma()
-    try:
-        prediction = predictor.instance.predict(granted, scenes.t_future)
-    except (Exception, SystemExit) as error:  # a plug-in may do anything
-        raise PluginError(
-            f"predictor {predictor.spec!r} failed: {type(error).__name__}: {error}"
-        ) from error
+    prediction = guarded(
+        f"predictor {predictor.spec!r}",
+        lambda: predictor.instance.predict(granted, scenes.t_future),
+    )
     expected = scenes.xy_future.shape
     if not isinstance(prediction, Prediction) or prediction.mean.shape != expected:
         raise PluginError(

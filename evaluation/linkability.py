@@ -16,7 +16,8 @@ import pandas as pd
 from attacks.controls import CONTROLS
 from attacks.linkage.task_list import TASKS
 from evaluation.linkage_cell import read_card
-from isac_track.linkability import outcome
+from evaluation.linkage_scores import AUDIT_SHUFFLES
+from isac_track.linkability import LEVEL, outcome
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 CLEAN = "clean"
 """Mechanism of the ceiling."""
 AUDIT_LEVEL: Final = 0.01
-"""Of the shortcut audit, over all audits of a cell (Holm): set before any was run."""
+"""Of the shortcut audit, two-sided, over all audits of a cell (Holm): set before any was run."""
 COLUMNS = [
     "dataset",
     "mechanism",
@@ -105,7 +106,7 @@ def linkability(read: Sequence[tuple[Mapping[str, Any], Card]], *, dataset: str)
         numbers, task = card.numbers, entry["consumer"].partition("/")[0]
         p_value = numbers["p_value"]
         if entry["kind"] == "control":
-            found = BEATS_CHANCE if p_value <= AUDIT_LEVEL else AT_CHANCE
+            found = BEATS_CHANCE if p_value <= LEVEL else AT_CHANCE
         else:
             ceiling = ceilings[entry["consumer"], entry["knowledge"]]
             found = outcome(p_value=p_value, ceiling_p_value=ceiling)
@@ -159,7 +160,10 @@ def _leaks(
     for entry, card in read:
         task, _, name = entry["consumer"].partition("/control-")
         if entry["kind"] == "control" and CONTROLS[name].is_audit:
-            audits.setdefault((entry["spec"], task), {})[name] = card.numbers["p_value"]
+            # Two-sided: who scores mates low gives them away as well.
+            p_value = card.numbers["p_value"]
+            p_value = min(1.0, 2.0 * min(p_value, 1.0 + 1.0 / (1 + AUDIT_SHUFFLES) - p_value))
+            audits.setdefault((entry["spec"], task), {})[name] = p_value
     leaks = {}
     for where, p_values in audits.items():
         in_order = sorted(p_values, key=p_values.__getitem__)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from attacks.linkage.tasks import Sessions
-    from evaluation.linkage import Linked
+    from evaluation.linkage_scores import Linked
 
 _METADATA = b"isac_track.linkage"
 _NUMBERS = (

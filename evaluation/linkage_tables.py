@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from attacks.controls import CONTROLS
 from evaluation.linkability import CLEAN
-from evaluation.linkage import WITHOUT_FROZEN, WITHOUT_GROUPS
+from evaluation.linkage_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
 from evaluation.sweeps import (
     INVALID,
     REMARKS,

@@ -14,6 +14,7 @@ import numpy as np
 from attacks.reconstruction.kalman_rts import KalmanRTS, smooth
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.grid import MOST_SCENES
+from evaluation.plugin_calls import copied, guarded
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, TrainingSet
@@ -408,10 +409,10 @@ def _attacked(
                 rng = _frame(level.key, fold, "pass", number, seed=seed)
                 view = seen(own, granted=granted, rng=rng)
                 # A stranger may unlock arrays: what it writes to is its own.
-                release = _copied(view.release)
+                release = copied(view.release)
                 training = level.training.get((fold, shows))
                 if training is not None:
-                    training = TrainingSet(_copied(training.release), training.truth.copy())
+                    training = TrainingSet(copied(training.release), training.truth.copy())
             if fitted is None or Knowledge.REPEATS in granted:
                 fitted = _fitted(
                     consumer,
@@ -475,12 +476,10 @@ def _fitted(
         train=training,
         repeats=repeats,
     )
-    try:
-        fitted: Callable[[Release], Reconstruction] = consumer.plugin.instance.fit(context)
-    except (Exception, SystemExit) as error:  # a plug-in may do anything
-        raise PluginError(
-            f"attack {consumer.label} failed: {type(error).__name__}: {error}"
-        ) from error
+    attack = consumer.plugin.instance
+    fitted: Callable[[Release], Reconstruction] = guarded(
+        f"attack {consumer.label}", lambda: attack.fit(context)
+    )
     return fitted
 
 
@@ -489,28 +488,13 @@ def _called(
 ) -> Floats:
     """Return what an attack makes of a release, (m, 2) m in its frame."""
     expected = release.xy.shape
-    try:
-        found: object = fitted(release)
-    except (Exception, SystemExit) as error:  # a plug-in may do anything
-        raise PluginError(
-            f"attack {consumer.label} failed: {type(error).__name__}: {error}"
-        ) from error
+    found: object = guarded(f"attack {consumer.label}", lambda: fitted(release))
     if not isinstance(found, Reconstruction) or found.xy.shape != expected:
         got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
         raise PluginError(
             f"attack {consumer.label} must return a Reconstruction with xy {expected}, got {got}"
         )
     return found.xy
-
-
-def _copied(release: Release) -> Release:
-    return replace(
-        release,
-        t=release.t.copy(),
-        xy=release.xy.copy(),
-        sigma=None if release.sigma is None else release.sigma.copy(),
-        offsets=release.offsets.copy(),
-    )
 
 
 def seen(release: Release, *, granted: frozenset[Knowledge], rng: Generator) -> View:

@@ -6,6 +6,7 @@ import gc
 import os
 import time
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from evaluation import store
 from evaluation.cell import Block, LinkWork, compute_block, compute_links
 from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
-from evaluation.linkage import sessions_of
+from evaluation.linkage_ground import sessions_of
 from evaluation.report import Results, build
 from isac_track import datasets, kernels
 from isac_track.errors import DataError
@@ -213,6 +214,9 @@ def _compute_missing(ready: Plan, tell: Callable[[int, int, str], None]) -> None
     tell(done, total, "starting")
     if total and any(_uses_kernels(consumer) for _, consumer, _ in ready.cells):
         kernels.prepare()  # before workers start: each would compile for itself
+    if links:
+        for loops in ("isac_track._linkability_loops", "attacks.linkage._lag_loop"):
+            import_module(loops)
     for block, mechanism, consumer, rows in _computed(works, ready):
         path = folder / files[mechanism.spec, consumer.label][block]
         if isinstance(rows, bytes):

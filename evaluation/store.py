@@ -49,7 +49,16 @@ _CELL = re.compile(r"_\d{5}_[0-9a-f]{16}\.parquet$")
 _ENTRY = {"mechanism", "level", "spec", "kind", "consumer", "knowledge", "files"}
 _SHOWN_DIFFERENCES = 3
 _COMPUTING = ("isac_track", "predictors", "attacks")
-_CELL_SOURCES = ("cell.py", "grid.py", "reconstruction.py", "linkage.py", "linkage_cell.py")
+_CELL_SOURCES = (
+    "cell.py",
+    "grid.py",
+    "linkage.py",
+    "linkage_cell.py",
+    "linkage_ground.py",
+    "linkage_scores.py",
+    "plugin_calls.py",
+    "reconstruction.py",
+)
 _LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
 
 

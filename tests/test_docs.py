@@ -1,10 +1,12 @@
 """What the documents show must run."""
 
+import importlib
 import re
 from pathlib import Path
 
 import pytest
 
+from attacks.testing import run_checks
 from evaluation import matrix
 
 ROOT = Path(__file__).parent.parent
@@ -34,3 +36,13 @@ def test_the_plugin_guide_runs_as_it_stands(tmp_path, monkeypatch, csv_recording
     shown = capsys.readouterr().out
     assert "coarse:Coarse" in shown
     assert "stand:Stand" in shown
+
+
+def test_the_linker_of_the_guide_passes_the_kit(tmp_path, monkeypatch):
+    guide = (ROOT / "docs" / "linkage.md").read_text(encoding="utf-8")
+    ((name, code),) = re.findall(r"```python\n# (\w+)\.py\n(.*?)```", guide, flags=re.DOTALL)
+    (tmp_path / f"{name}.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    attack = importlib.import_module(name).MyLinker()
+    failed = [result for result in run_checks(attack) if result.status == "failed"]
+    assert failed == []

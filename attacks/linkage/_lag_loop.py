@@ -1,7 +1,11 @@
-"""Compiled loop of `attacks.linkage.signals`: the best of all lags, for every pair."""
+"""Compiled loops of the linkage attacks: what they do walk by walk or pair by pair.
+
+Of every pair a loop makes the same, whoever else is there: no result hangs on its neighbours.
+"""
 
 from __future__ import annotations
 
+from math import log
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,9 +14,11 @@ from isac_track._compiling import (
     BOOL,
     FLOAT,
     FLOATS1,
+    FLOATS2,
     FLOATS3,
     INT,
     INTS1,
+    OUT_FLOATS2,
     OUT_FLOATS3,
     compiled,
     part_of_loop,
@@ -20,6 +26,131 @@ from isac_track._compiling import (
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
+
+
+@compiled(FLOATS1, FLOATS2, INTS1, INTS1, FLOAT, FLOAT, FLOAT, OUT_FLOATS3)
+def cell_means(  # noqa: PLR0917 - numba passes by position
+    t: Floats,
+    xy: Floats,
+    offsets: Ints,
+    count: Ints,
+    step_s: float,
+    longest_s: float,
+    least_s: float,
+    out: Floats,
+) -> None:
+    """Fill `out` (N, K, 2) with the means over the cells of a grid; see `signals.on_grid`."""
+    out[:] = 0.0
+    for row in range(count.size):
+        first, last = offsets[row], offsets[row + 1] - 1
+        if first == last:
+            continue
+        lasts_s = t[last] - t[first]
+        start_s = max((min(lasts_s, longest_s) - count[row] * step_s) / 2.0, 0.0)
+        k = first
+        for cell in range(count[row]):
+            at_s = min(start_s + cell * step_s, lasts_s)
+            until_s = min(start_s + (cell + 1) * step_s, lasts_s)
+            width_s = max(until_s - at_s, least_s)
+            x, y = 0.0, 0.0
+            while at_s < until_s:
+                while k < last - 1 and t[k + 1] - t[first] <= at_s:
+                    k += 1
+                since_s = t[k] - t[first]
+                end_s = min(t[k + 1] - t[first], until_s) if k < last - 1 else until_s
+                # The line through two samples, in the middle of what lies in the cell.
+                share = ((at_s + end_s) / 2.0 - since_s) / (t[k + 1] - t[k])
+                x += (end_s - at_s) * (xy[k, 0] - xy[first, 0] + share * (xy[k + 1, 0] - xy[k, 0]))
+                y += (end_s - at_s) * (xy[k, 1] - xy[first, 1] + share * (xy[k + 1, 1] - xy[k, 1]))
+                at_s = end_s
+            out[row, cell, 0] = x / width_s
+            out[row, cell, 1] = y / width_s
+
+
+@compiled(FLOATS2, FLOATS2, FLOATS2, FLOATS2, OUT_FLOATS2)
+def shared_cells(a: Floats, b: Floats, f_a: Floats, f_b: Floats, out: Floats) -> None:
+    """Fill `out` (P, G) with the sum of f(a + b) - f(a) - f(b), f(x) = x log x, of (P, K), (G, K).
+
+    Where either is 0 the term is, and most are: they are passed over.
+    """
+    n_cells = a.shape[1]
+    some = np.empty(n_cells, dtype=np.int64)
+    for i in range(a.shape[0]):
+        n_some = 0
+        for k in range(n_cells):
+            if a[i, k] > 0.0:
+                some[n_some] = k
+                n_some += 1
+        for j in range(b.shape[0]):
+            total = 0.0
+            for at in range(n_some):
+                k = some[at]
+                if b[j, k] > 0.0:
+                    both = a[i, k] + b[j, k]
+                    total += both * log(both) - f_a[i, k] - f_b[j, k]
+            out[i, j] = total
+
+
+@compiled(FLOATS3, FLOATS3, INT, INT, FLOAT, OUT_FLOATS2)
+def warp(  # noqa: PLR0917 - numba passes by position
+    probe: Floats, gallery: Floats, reach: int, loose: int, penalty: float, out: Floats
+) -> None:
+    """Fill `out` (P, G) with the least sums of squares under warping; see `dtw.warped_costs`.
+
+    Of (C, n, P) and (C, m, G) signals, with cells ``-reach - max(n - m, 0) <= j - i <= reach +
+    max(m - n, 0)`` and up to `loose` cells of either left out at either end.
+    """
+    channels, n, n_probe = probe.shape
+    _, m, n_gallery = gallery.shape
+    back, ahead = reach + max(n - m, 0), reach + max(m - n, 0)
+    # Cell 0 is before the first; that m + 1 is out of reach for whoever looks there.
+    rows = np.empty((2, m + 2, n_gallery))
+    cost = np.empty(n_gallery)
+    for p in range(n_probe):
+        least = out[p]
+        least[:] = np.inf
+        rows[:] = np.inf
+        rows[0, : loose + 1] = 0.0
+        for i in range(1, n + 1):
+            before, here = rows[(i - 1) % 2], rows[i % 2]
+            low, high = max(i - back, 1), min(i + ahead, m)
+            here[low - 1] = 0.0 if low == 1 and i <= loose else np.inf
+            for j in range(low, high + 1):
+                cost[:] = 0.0
+                for c in range(channels):
+                    own, other = probe[c, i - 1, p], gallery[c, j - 1]
+                    for g in range(n_gallery):
+                        cost[g] += (own - other[g]) * (own - other[g])
+                on, up, left, to = before[j - 1], before[j], here[j - 1], here[j]
+                for g in range(n_gallery):
+                    aside = up[g] if up[g] < left[g] else left[g]
+                    aside += penalty
+                    to[g] = cost[g] + (on[g] if on[g] < aside else aside)
+                if (i == n and j >= m - loose) or (j == m and i >= n - loose):
+                    for g in range(n_gallery):
+                        least[g] = to[g] if to[g] < least[g] else least[g]
+            here[high + 1] = np.inf
+
+
+@part_of_loop
+def _add(weights: Floats, begin: int, cells: Floats, first: int, last: int, row: Floats) -> None:
+    """Add cells ``first:last`` of (K, N), times the weights from `begin` on, to a row of N."""
+    n = row.size
+    j = first
+    # Walk by walk in the innermost loop: it becomes vector code. By fours, since it is the loads
+    # and stores of the row that take the time.
+    while j + 4 <= last:
+        at = begin + j - first
+        w0, w1, w2, w3 = weights[at], weights[at + 1], weights[at + 2], weights[at + 3]
+        c0, c1, c2, c3 = cells[j], cells[j + 1], cells[j + 2], cells[j + 3]
+        for i in range(n):
+            row[i] += (w0 * c0[i] + w1 * c1[i]) + (w2 * c2[i] + w3 * c3[i])
+        j += 4
+    while j < last:
+        w0, c0 = weights[begin + j - first], cells[j]
+        for i in range(n):
+            row[i] += w0 * c0[i]
+        j += 1
 
 
 @part_of_loop
@@ -33,12 +164,7 @@ def _project(
         for k in range(rank):
             row = parts[c * rank + k]
             row[:] = 0.0
-            for j in range(m):
-                # Walk by walk in the innermost loop, here as below: it becomes vector code.
-                weight = basis[k * m + j]
-                cell = signal[c, start + j]
-                for i in range(n):
-                    row[i] += weight * cell[i]
+            _add(basis, k * m, signal[c], start, start + m, row)
             for i in range(n):
                 norm[i] += row[i] * row[i]
 
@@ -78,6 +204,7 @@ def least_costs(  # noqa: C901, PLR0912, PLR0917 - one loop, for speed
     p_parts, g_parts = np.empty((most, n_probe)), np.empty((most, n_gallery))
     p_norm, g_norm = np.empty(n_probe), np.empty(n_gallery)
     dot, cross, gap = np.empty(n_gallery), np.empty(n_gallery), np.empty(n_gallery)
+    along, across = np.empty(most), np.empty(most)
     least = min(least, long_p, long_g)
     out[:] = np.inf
     for lag in range(-reach - max(long_g - long_p, 0), reach + max(long_p - long_g, 0) + 1):
@@ -96,20 +223,22 @@ def least_costs(  # noqa: C901, PLR0912, PLR0917 - one loop, for speed
                 # The modulus of a b*: the rotation that fits best, which no reflection can enter.
                 cross[:] = 0.0
                 for k in range(rank):
-                    ax, ay = p_parts[k, i], p_parts[rank + k, i]
-                    for j in range(n_gallery):
-                        dot[j] += ax * g_parts[k, j] + ay * g_parts[rank + k, j]
-                        cross[j] += ay * g_parts[k, j] - ax * g_parts[rank + k, j]
+                    along[k], along[rank + k] = p_parts[k, i], p_parts[rank + k, i]
+                    across[k], across[rank + k] = p_parts[rank + k, i], -p_parts[k, i]
+                _add(along, 0, g_parts, 0, 2 * rank, dot)
+                _add(across, 0, g_parts, 0, 2 * rank, cross)
                 for j in range(n_gallery):
                     dot[j] = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
             else:
                 for k in range(channels * rank):
-                    ax = p_parts[k, i]
-                    for j in range(n_gallery):
-                        dot[j] += ax * g_parts[k, j]
-            own = p_norm[i]
+                    along[k] = p_parts[k, i]
+                _add(along, 0, g_parts, 0, channels * rank, dot)
+            own, scale = p_norm[i], factor / m
             for j in range(n_gallery):
-                gap[j] = max(own + g_norm[j] - 2.0 * dot[j], 0.0) / m
+                left = own + g_norm[j] - 2.0 * dot[j]
+                gap[j] = (left if left > 0.0 else 0.0) * scale
             for e in range(floors.size):
+                best, more = out[e, i], floors[e] * factor
                 for j in range(n_gallery):
-                    out[e, i, j] = min(out[e, i, j], (gap[j] + floors[e]) * factor)
+                    cost = gap[j] + more
+                    best[j] = cost if cost < best[j] else best[j]

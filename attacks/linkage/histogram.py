@@ -12,11 +12,11 @@ from attacks.linkage.signals import (
     FACTORS,
     few_mates,
     learn,
-    motion,
-    on_grid,
+    log_rank,
+    loops,
+    motions,
     positive,
-    product,
-    widths_s,
+    teaches,
 )
 from isac_track.types import Knowledge
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _FASTEST_M_S = 2.2
 _TAUGHT_BY = 64
-"""Mated pairs to learn from: six candidates on all would cost more than the attack."""
+"""Mated pairs to learn from: four candidates on all would cost more than the attack."""
 _TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
 
 
@@ -76,14 +76,21 @@ class Histogram:
         factors = FACTORS if self.factor is None else (self.factor,)
         numbers = SPEEDS if self.speeds is None else (self.speeds,)
         factor, speeds = factors[0], numbers[0]
-        if Knowledge.TRAIN in context.granted:
-            factor, speeds = learn(
-                few_mates(context.train, most=_TAUGHT_BY),
-                candidates=[(each, number) for each in factors for number in numbers],
-                score=lambda choice, probe, gallery: _score(
-                    probe, gallery, factor=choice[0], speeds=choice[1]
-                ),
+        if teaches(context):
+            train = few_mates(context.train, most=_TAUGHT_BY)
+            pairs = zip(
+                motions(train.probe, factors=factors),
+                motions(train.gallery, factors=factors),
+                strict=True,
             )
+            walks = dict(zip(factors, pairs, strict=True))
+
+            def loss(choice: tuple[float, ...]) -> float:
+                a, b = (counts_of(each, speeds=int(choice[1])) for each in walks[choice[0]])
+                return log_rank(one_source(a, b), mate=train.mate)
+
+            factor, best = learn((factors, numbers), loss=loss)
+            speeds = int(best)
         return partial(_score, factor=factor, speeds=speeds)
 
 
@@ -93,7 +100,7 @@ SPEEDS: tuple[int, ...] = (Histogram.DEFAULT_SPEEDS, 24)
 
 def _score(probe: Release, gallery: Release, *, factor: float, speeds: int) -> Floats:
     a, b = (
-        counts_of(motion(on_grid(release), width_s=widths_s(release, factor=factor)), speeds=speeds)
+        counts_of(motions(release, factors=(factor,))[0], speeds=speeds)
         for release in (probe, gallery)
     )
     return one_source(a, b)
@@ -139,14 +146,9 @@ def one_source(a: Floats, b: Floats) -> Floats:
         + _x_log_x(all_b)[None, :]
         - _x_log_x(all_a[:, None] + all_b[None, :])
     )
-    some_a, some_b = (a > 0).astype(np.float64), (b > 0).astype(np.float64)
-    # Where either is empty the term is 0, and most are.
-    ratio -= product(_x_log_x(a), some_b.T) + product(some_a, _x_log_x(b).T)
-    for k in range(a.shape[1]):
-        rows, columns = np.flatnonzero(some_a[:, k]), np.flatnonzero(some_b[:, k])
-        both = a[rows, k][:, None] + b[columns, k][None, :]
-        both *= np.log(both)
-        ratio[np.ix_(rows, columns)] += both
+    shared = np.empty(ratio.shape)
+    loops().shared_cells(a, b, _x_log_x(a), _x_log_x(b), shared)
+    ratio += shared
     return ratio
 
 

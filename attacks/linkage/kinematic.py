@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.signals import learn, mated, positive
+from attacks.linkage.signals import learn, log_rank, mated, positive, teaches
 from isac_track.kernels import kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
@@ -72,18 +72,17 @@ class Kinematic:
         densities = QS if self.q is None else (self.q,)
         floors = FLOORS_M2 if self.floor_m2 is None else (self.floor_m2,)
         q, floor_m2 = densities[0], floors[0]
-        if Knowledge.TRAIN in context.granted:
+        if teaches(context):
             train = context.train
             elsewhere = ~rivals(train)
-            q, floor_m2 = learn(
-                train,
-                candidates=[(density, floor) for density in densities for floor in floors],
-                score=lambda choice, probe, gallery: np.where(
-                    elsewhere,
-                    -np.inf,
-                    continuations(probe, gallery, q=choice[0], floor_m2=choice[1]),
-                ),
-            )
+            ends = Ends.of(train.probe, train.gallery)
+
+            def loss(choice: tuple[float, ...]) -> float:
+                scores = ends.densities(q=choice[0], floor_m2=choice[1])
+                scores[elsewhere] = -np.inf
+                return log_rank(scores, mate=train.mate)
+
+            q, floor_m2 = learn((densities, floors), loss=loss)
         return partial(continuations, q=q, floor_m2=floor_m2)
 
 
@@ -113,51 +112,78 @@ def rivals(train: LinkageTrainingSet) -> Bools:
 
 def continuations(probe: Release, gallery: Release, *, q: float, floor_m2: float) -> Floats:
     """Return the log density of every gallery walk as the continuation of every probe, (P, G)."""
-    past, ended_s = last_states(
-        t=probe.t, xy=probe.xy, offsets=probe.offsets, q=q, floor_m2=floor_m2
-    )
-    t, xy = backwards(gallery)
-    future, begun_s = last_states(t=t, xy=xy, offsets=gallery.offsets, q=q, floor_m2=floor_m2)
-    # Backwards in time, clock and velocity have the other sign.
-    gap_s = np.clip(-begun_s[None, :] - ended_s[:, None], -_LONGEST_S, _LONGEST_S)
-    grown = q * np.abs(gap_s)
-    p00, p01, p11 = (past.cov[:, i, j][:, None] for i, j in ((0, 0), (0, 1), (1, 1)))
-    g00, g01, g11 = (future.cov[:, i, j][None, :] for i, j in ((0, 0), (0, 1), (1, 1)))
-    place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s**2 / 3.0 + g00
-    both = p01 + gap_s * p11 + grown * gap_s / 2.0 - g01
-    pace = p11 + grown + g11
-    determinant = place * pace - both**2
-    square = np.zeros_like(gap_s)
-    for axis in range(2):
-        position, velocity = past.mean[:, axis, 0][:, None], past.mean[:, axis, 1][:, None]
-        off = position + gap_s * velocity - future.mean[:, axis, 0][None, :]
-        drift = velocity + future.mean[:, axis, 1][None, :]
-        square += pace * off**2 - 2.0 * both * off * drift + place * drift**2
-    square /= determinant
-    # Of four dimensions, up to a constant.
-    density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
-    return density
+    return Ends.of(probe, gallery).densities(q=q, floor_m2=floor_m2)
 
 
-def last_states(
-    *, t: Floats, xy: Floats, offsets: Ints, q: float, floor_m2: float
-) -> tuple[LastState, Floats]:
-    """Return the filtered state of every track after its last sample, and when that was, (N,) s."""
-    n_tracks = offsets.size - 1
-    variance_m2 = np.maximum(innovation_variance_m2(t=t, xy=xy, offsets=offsets), floor_m2)
-    mean = np.zeros((n_tracks, 2, 2))
-    mean[:, :, 0] = xy[offsets[:-1]]
-    state = kalman_last(
-        model="cv",
-        t=t,
-        xy=xy,
-        variance=np.repeat(variance_m2, np.diff(offsets)),
-        offsets=offsets,
-        q=q,
-        initial_mean=mean,
-        initial_cov=np.broadcast_to(np.diag(_PRIOR_STD) ** 2, (n_tracks, 2, 2)),
-    )
-    return state, t[offsets[1:] - 1]
+@dataclass(frozen=True, eq=False, slots=True)
+class Ends:
+    """P probes and, back in time, G gallery walks as tracks of one batch; what fits any filter.
+
+    Together they cost one call of the filter, whose checks take longer than its loop.
+    """
+
+    t: Floats
+    """(M,) s, negated in the gallery"""
+    xy: Floats
+    """(M, 2) m"""
+    offsets: Ints
+    """(P + G + 1,)"""
+    variance_m2: Floats
+    """(P + G,) per axis, as the innovations have it."""
+    n_probe: int
+
+    @classmethod
+    def of(cls, probe: Release, gallery: Release) -> Ends:
+        """Return the walks of two releases on both sides of a gap."""
+        turned_t, turned_xy = backwards(gallery)
+        t = np.concatenate([probe.t, turned_t])
+        xy = np.concatenate([probe.xy, turned_xy])
+        offsets = np.concatenate([probe.offsets, gallery.offsets[1:] + probe.offsets[-1]])
+        variance_m2 = innovation_variance_m2(t=t, xy=xy, offsets=offsets)
+        return cls(t, xy, offsets, variance_m2, len(probe))
+
+    def states(self, *, q: float, floor_m2: float) -> LastState:
+        """Return the filtered state of every track after its last sample."""
+        n_tracks = self.variance_m2.size
+        mean = np.zeros((n_tracks, 2, 2))
+        mean[:, :, 0] = self.xy[self.offsets[:-1]]
+        variance_m2 = np.maximum(self.variance_m2, floor_m2)
+        return kalman_last(
+            model="cv",
+            t=self.t,
+            xy=self.xy,
+            variance=np.repeat(variance_m2, np.diff(self.offsets)),
+            offsets=self.offsets,
+            q=q,
+            initial_mean=mean,
+            initial_cov=np.broadcast_to(np.diag(_PRIOR_STD) ** 2, (n_tracks, 2, 2)),
+        )
+
+    def densities(self, *, q: float, floor_m2: float) -> Floats:
+        """Return the log density of every pair, (P, G), up to a constant."""
+        state, n = self.states(q=q, floor_m2=floor_m2), self.n_probe
+        until_s = self.t[self.offsets[1:] - 1]
+        # Backwards in time, clock and velocity have the other sign.
+        gap_s = np.clip(-until_s[None, n:] - until_s[:n, None], -_LONGEST_S, _LONGEST_S)
+        grown = q * np.abs(gap_s)
+        (p00, g00), (p01, g01), (p11, g11) = (
+            (state.cov[:n, i, j][:, None], state.cov[n:, i, j][None, :])
+            for i, j in ((0, 0), (0, 1), (1, 1))
+        )
+        place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s**2 / 3.0 + g00
+        both = p01 + gap_s * p11 + grown * gap_s / 2.0 - g01
+        pace = p11 + grown + g11
+        determinant = place * pace - both**2
+        square = np.zeros_like(gap_s)
+        for axis in range(2):
+            position, velocity = (state.mean[:n, axis, k][:, None] for k in range(2))
+            off = position + gap_s * velocity - state.mean[n:, axis, 0][None, :]
+            drift = velocity + state.mean[n:, axis, 1][None, :]
+            square += (pace * off - 2.0 * both * drift) * off + place * drift**2
+        square /= determinant
+        # Of four dimensions.
+        density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
+        return density
 
 
 def backwards(release: Release) -> tuple[Floats, Floats]:

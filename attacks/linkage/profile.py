@@ -12,23 +12,24 @@ from attacks.linkage.signals import (
     FACTORS,
     aligned_costs,
     chosen,
+    few_mates,
     log_rank,
-    motion,
-    on_grid,
+    motions,
     positive,
     teaches,
-    widths_s,
 )
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from isac_track.protocols import AttackContext
     from isac_track.types import Floats, Release
 
 _EXPONENT = 3.0
 _RANK = 8
+_TAUGHT_BY = 64
+"""Mated pairs to learn from: three widths of smoothing on all would cost more than the attack."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,43 +66,47 @@ class Profile:
         factors = FACTORS if self.factor is None else (self.factor,)
         best = 0
         if teaches(context) and len(floors) * len(factors) > 1:
-            train = context.train
+            train = few_mates(context.train, most=_TAUGHT_BY)
             best = chosen(
                 [
                     log_rank(-cost, mate=train.mate)
-                    for factor in factors
-                    for cost in self._costs(
-                        train.probe, train.gallery, factor=factor, floors=floors
+                    for costs in self._costs(
+                        train.probe, train.gallery, factors=factors, floors=floors
                     )
+                    for cost in costs
                 ]
             )
         factor, floor = factors[best // len(floors)], floors[best % len(floors)]
         return partial(self._score, factor=factor, floor=floor)
 
     def _score(self, probe: Release, gallery: Release, *, factor: float, floor: float) -> Floats:
-        costs = self._costs(probe, gallery, factor=factor, floors=(floor,))
+        costs = next(self._costs(probe, gallery, factors=(factor,), floors=(floor,)))
         score: Floats = -np.log(costs[0])
         return score
 
     def _costs(
-        self, probe: Release, gallery: Release, *, factor: float, floors: Sequence[float]
-    ) -> Floats:
-        """Return ``(d + floor) (L / m)^3`` at the best lag of every pair, (E, P, G)."""
-        p, g = (
-            motion(on_grid(release), width_s=widths_s(release, factor=factor))
-            for release in (probe, gallery)
-        )
-        return aligned_costs(
-            probe=np.stack([p.speed, self.turn_m * p.turn]),
-            probe_count=p.count,
-            gallery=np.stack([g.speed, self.turn_m * g.turn]),
-            gallery_count=g.count,
-            floors=floors,
-            rank=_RANK,
-            exponent=_EXPONENT,
-            reach_s=self.reach_s,
-            rotated=False,
-        )
+        self,
+        probe: Release,
+        gallery: Release,
+        *,
+        factors: Sequence[float],
+        floors: Sequence[float],
+    ) -> Iterator[Floats]:
+        """Yield ``(d + floor) (L / m)^3`` at the best lag of every pair, (E, P, G), per factor."""
+        for p, g in zip(
+            motions(probe, factors=factors), motions(gallery, factors=factors), strict=True
+        ):
+            yield aligned_costs(
+                probe=np.stack([p.speed, self.turn_m * p.turn]),
+                probe_count=p.count,
+                gallery=np.stack([g.speed, self.turn_m * g.turn]),
+                gallery_count=g.count,
+                floors=floors,
+                rank=_RANK,
+                exponent=_EXPONENT,
+                reach_s=self.reach_s,
+                rotated=False,
+            )
 
 
 FLOORS: tuple[float, ...] = (Profile.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2)

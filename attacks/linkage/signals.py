@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,12 @@ from isac_track.types import Knowledge, Release, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from types import ModuleType
 
     from isac_track.protocols import AttackContext
     from isac_track.types import Floats, Ints
 
 Complexes: TypeAlias = NDArray[np.complex128]
-_Choice = TypeVar("_Choice")
 
 STEP_S = 0.25
 """Of the grid: 4 Hz, above what is left of a walk behind the noise of any network."""
@@ -61,40 +61,21 @@ def on_grid(release: Release) -> Walks:
     in it is wasted and a step longer than a cell is bridged. Whole cells only, in the middle of
     what there is; a walk shorter than one cell is one cell.
     """
-    t, offsets = release.t, release.offsets
-    n_tracks = len(release)
-    owner = np.repeat(np.arange(n_tracks), np.diff(offsets))
-    first = offsets[:-1]
-    since_s = t - t[first][owner]
-    lasts_s = since_s[offsets[1:] - 1]
+    t = np.ascontiguousarray(release.t)
+    offsets = release.offsets.astype(np.int64, copy=False)
+    lasts_s = t[offsets[1:] - 1] - t[offsets[:-1]]
     count = np.floor(np.minimum(lasts_s, LONGEST_S) / STEP_S + _CLOCK_S).astype(np.int64)
     count = np.maximum(count, 1)
-    if n_tracks == 0:
-        return Walks(np.zeros((0, 1), dtype=np.complex128), count)
-    z = release.xy[:, 0] + 1j * release.xy[:, 1]
-    z -= z[first][owner]
-    # One clock for all walks, with a pause in between: the integrals of all in one call.
-    pitch_s = float(lasts_s.max()) + 2.0 * STEP_S
-    clock_s = since_s + owner * pitch_s
-    step_s = np.diff(clock_s)
-    rise = np.diff(z)
-    area = np.zeros_like(z)
-    area[1:] = step_s * (z[:-1] + rise / 2.0)
-    area[first] = 0.0
-    slope = np.zeros_like(z)
-    slope[:-1] = rise / step_s
-    slope[offsets[1:] - 1] = 0.0
-    total = np.cumsum(area)
-    edge = np.arange(int(count.max()) + 1) * STEP_S
-    start_s = np.maximum((np.minimum(lasts_s, LONGEST_S) - count * STEP_S) / 2.0, 0.0)
-    edges_s = np.minimum(start_s[:, None] + edge, lasts_s[:, None])
-    at_s = edges_s + np.arange(n_tracks)[:, None] * pitch_s
-    before = np.maximum(np.searchsorted(clock_s, at_s, side="right") - 1, first[:, None])
-    past_s = np.maximum(at_s - clock_s[before], 0.0)
-    integral = total[before] + past_s * (z[before] + 0.5 * past_s * slope[before])
-    width_s = np.maximum(np.diff(edges_s, axis=1), _CLOCK_S)
-    cells: Complexes = np.diff(integral, axis=1) / width_s
-    return Walks(cells, count)
+    cells = np.empty((count.size, int(count.max(initial=1)), 2))
+    loops().cell_means(
+        t, np.ascontiguousarray(release.xy), offsets, count, STEP_S, LONGEST_S, _CLOCK_S, cells
+    )
+    return Walks(cells.view(np.complex128)[..., 0], count)
+
+
+def loops() -> ModuleType:
+    """Return the compiled loops, imported at first use: numba takes its time."""
+    return import_module("attacks.linkage._lag_loop")
 
 
 def lengths(count: Ints) -> list[tuple[int, Ints]]:
@@ -168,15 +149,29 @@ def motion(walks: Walks, *, width_s: Floats) -> Motion:
     return Motion(speed, turn, walks.count)
 
 
-def widths_s(release: Release, *, factor: float = 1.0) -> Floats:
-    """Return over how long to smooth each walk, (N,) s: the noisier, the longer.
+def widths_s(release: Release) -> Floats:
+    """Return over how long to smooth each walk, (N,) s, unrounded: the noisier, the longer.
 
-    ``factor * 3 s * v^(1/4)`` of the error variance per axis v in m^2, as the innovations have it,
-    rounded to `WIDTHS_S`. Behind a smoother there is nothing left to smooth and v is next to 0.
+    ``3 s * v^(1/4)`` of the error variance per axis v in m^2, as the innovations have it. Behind a
+    smoother there is nothing left to smooth and v is next to 0.
     """
     variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    wanted = factor * _WIDTH_S * variance_m2**0.25
-    return WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), wanted)]
+    wanted: Floats = _WIDTH_S * variance_m2**0.25
+    return wanted
+
+
+def motions(release: Release, *, factors: Sequence[float] = (1.0,)) -> list[Motion]:
+    """Return how the walks of a release go, smoothed over `widths_s` times each factor.
+
+    The widths are rounded to `WIDTHS_S`. Several factors at once share the grid.
+    """
+    walks, wanted = on_grid(release), widths_s(release)
+    return [motion(walks, width_s=rounded_s(factor * wanted)) for factor in factors]
+
+
+def rounded_s(width_s: Floats) -> Floats:
+    """Return the nearest of `WIDTHS_S` for each width, (N,) s."""
+    return WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), width_s)]
 
 
 _WIDTH_S = 3.0
@@ -250,7 +245,7 @@ def aligned_costs(
         return out
     most = int(max(probe_count.max(), gallery_count.max()))
     basis, begin, ranks = polynomials(most, rank, 1 if rotated else 0)
-    loop = import_module("attacks.linkage._lag_loop").least_costs
+    loop = loops().least_costs
     reach = round(reach_s / STEP_S)
     gallery_parts = [
         (rows, _by_cell(gallery, rows, cells)) for cells, rows in lengths(gallery_count)
@@ -323,23 +318,31 @@ def tracks_of(release: Release, rows: Ints) -> Release:
 
 
 def learn(
-    train: LinkageTrainingSet,
-    *,
-    candidates: Sequence[_Choice],
-    score: Callable[[_Choice, Release, Release], Floats],
-) -> _Choice:
-    """Return the candidate under which the mates of a training set rank best; see `chosen`.
+    options: Sequence[Sequence[float]], *, loss: Callable[[tuple[float, ...]], float]
+) -> tuple[float, ...]:
+    """Return a value for each of some parameters, chosen one after the other; see `chosen`.
 
-    The first candidate is the default, with which a set of fewer than `LEAST_MATES` mates leaves
-    one.
+    Of each parameter the first option is the default, which those after it are tried with. All
+    combinations would cost their product in place of their sum, and be more likely to find one
+    that is best by chance.
+
+    Parameters
+    ----------
+    options : one sequence for each parameter
+    loss : callable
+        The `log_rank` under one value for each parameter.
     """
-    if mated(train).size < LEAST_MATES:
-        return candidates[0]
-    losses = [
-        log_rank(score(candidate, train.probe, train.gallery), mate=train.mate)
-        for candidate in candidates
-    ]
-    return candidates[chosen(losses)]
+    best = tuple(values[0] for values in options)
+    least = None
+    for which, values in enumerate(options):
+        if len(values) == 1:
+            continue
+        least = loss(best) if least is None else least
+        tried = [(*best[:which], value, *best[which + 1 :]) for value in values[1:]]
+        losses = [least, *(loss(choice) for choice in tried)]
+        winner = chosen(losses)
+        best, least = [best, *tried][winner], losses[winner]
+    return best
 
 
 def chosen(losses: Sequence[float]) -> int:

@@ -17,8 +17,9 @@ from attacks.linkage.tasks import build
 from evaluation import linkability, matrix
 from evaluation.cell import _share
 from evaluation.grid import Axes, Link, Settings, axes
-from evaluation.linkage import ground, link_level
+from evaluation.linkage import link_level
 from evaluation.linkage_cell import read_card, to_parquet
+from evaluation.linkage_ground import ground
 from isac_track import registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError
@@ -723,7 +724,7 @@ class TestOutcomes:
 
     def test_a_leak_makes_the_cells_of_its_task_and_level_invalid(self):
         found = self.outcomes(
-            self.entry("split/control-duration", "fixed", 0.001, kind="control"),
+            self.entry("split/control-duration", "fixed", 0.0004, kind="control"),
             self.entry("split/control-clock", "fixed", 0.02, kind="control"),
             self.entry("split/control-duration", "clean", 0.3, kind="control"),
             self.entry("split/x", "fixed", 0.001),
@@ -735,6 +736,14 @@ class TestOutcomes:
         assert found.loc[("clean", "split/x"), "invalid"] == ""
         assert found.loc[("fixed", "rerelease/x"), "invalid"] == ""
         assert found.loc[("fixed", "split/control-duration"), "outcome"] == "beats chance"
+
+    def test_a_shortcut_that_scores_mates_low_is_a_leak_as_well(self):
+        found = self.outcomes(
+            self.entry("split/control-duration", "raw", 1.0, kind="control"),
+            self.entry("split/x", "raw", 0.001),
+            self.entry("split/x", "clean", 0.001),
+        )
+        assert found.loc[("raw", "split/x"), "invalid"] == "duration"
 
     def test_a_random_control_is_no_shortcut(self):
         found = self.outcomes(
