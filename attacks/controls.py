@@ -96,6 +96,8 @@ def _noise_beyond_place(probe: Release, gallery: Release, rng: Generator) -> Flo
     described = np.concatenate([_noise(one) for one in (probe, gallery)])
     middle_m = np.concatenate([_middles(one) for one in (probe, gallery)])
     x, y = (middle_m - middle_m.mean(axis=0)).T
+    if np.ptp(described) < _NO_SIGMA_M:  # of a residual of nothing only rounding is left, by place
+        return np.zeros((len(probe), len(gallery)))
     terms = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     fitted = np.linalg.lstsq(terms, described, rcond=None)[0]
     beyond = described - terms @ fitted

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @compiled(FLOATS1, FLOATS2, INTS1, INTS1, FLOAT, FLOAT, FLOAT, OUT_FLOATS3)
-def cell_means(  # noqa: PLR0917 - numba passes by position
+def cell_means(
     t: Floats,
     xy: Floats,
     offsets: Ints,
@@ -92,7 +92,7 @@ def shared_cells(a: Floats, b: Floats, f_a: Floats, f_b: Floats, out: Floats) ->
 
 
 @compiled(FLOATS3, FLOATS3, INT, INT, FLOAT, OUT_FLOATS2)
-def warp(  # noqa: PLR0917 - numba passes by position
+def warp(
     probe: Floats, gallery: Floats, reach: int, loose: int, penalty: float, out: Floats
 ) -> None:
     """Fill `out` (P, G) with the least sums of squares under warping; see `dtw.warped_costs`.
@@ -123,12 +123,12 @@ def warp(  # noqa: PLR0917 - numba passes by position
                         cost[g] += (own - other[g]) * (own - other[g])
                 on, up, left, to = before[j - 1], before[j], here[j - 1], here[j]
                 for g in range(n_gallery):
-                    aside = up[g] if up[g] < left[g] else left[g]
+                    aside = min(left[g], up[g])
                     aside += penalty
-                    to[g] = cost[g] + (on[g] if on[g] < aside else aside)
+                    to[g] = cost[g] + (min(aside, on[g]))
                 if (i == n and j >= m - loose) or (j == m and i >= n - loose):
                     for g in range(n_gallery):
-                        least[g] = to[g] if to[g] < least[g] else least[g]
+                        least[g] = min(least[g], to[g])
             here[high + 1] = np.inf
 
 
@@ -183,7 +183,7 @@ def _project(
     BOOL,
     OUT_FLOATS3,
 )
-def least_costs(  # noqa: C901, PLR0912, PLR0917 - one loop, for speed
+def least_costs(  # noqa: C901, PLR0917 - one loop, for speed
     probe: Floats,
     gallery: Floats,
     basis: Floats,
@@ -236,9 +236,9 @@ def least_costs(  # noqa: C901, PLR0912, PLR0917 - one loop, for speed
             own, scale = p_norm[i], factor / m
             for j in range(n_gallery):
                 left = own + g_norm[j] - 2.0 * dot[j]
-                gap[j] = (left if left > 0.0 else 0.0) * scale
+                gap[j] = (max(0.0, left)) * scale
             for e in range(floors.size):
                 best, more = out[e, i], floors[e] * factor
                 for j in range(n_gallery):
                     cost = gap[j] + more
-                    best[j] = cost if cost < best[j] else best[j]
+                    best[j] = min(best[j], cost)

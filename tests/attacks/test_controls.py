@@ -95,6 +95,14 @@ def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
     assert scored_p("noise_level", "handover-1s", **own) < ALPHA
 
 
+def test_where_all_noise_is_alike_the_place_is_not_seen_through_rounding():
+    level = np.full(N, 0.0)
+    rng = np.random.default_rng(3)
+    probe = release(rng, level=level, place=rng.uniform(-50, 50, (N, 2)))
+    scores = CONTROLS["noise_level"].scorer(TASKS["handover-1s"])(probe, probe, rng)
+    assert not scores.any()
+
+
 def test_without_a_declared_level_there_is_nothing_to_see():
     rng = np.random.default_rng(0)
     one = replace(release(rng), sigma=None)
