@@ -10,13 +10,12 @@ import numpy as np
 from isac_track.intervals import cluster_sums, ratio_estimate
 from isac_track.linkability import (
     Calibration,
-    Scorecard,
     Search,
     fit_calibration,
     rank1,
     rank1_p,
-    scorecard,
 )
+from isac_track.scorecard import Scorecard, scorecard
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

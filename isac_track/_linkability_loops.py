@@ -18,7 +18,6 @@ from isac_track._compiling import (
     FLOAT,
     FLOATS1,
     FLOATS2,
-    FLOATS3,
     INT,
     INTS1,
     OUT_FLOATS1,
@@ -28,36 +27,60 @@ from isac_track._compiling import (
 )
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from isac_track.types import Floats, Ints
 
-LANES = 64
+    Bytes = NDArray[np.uint8]
+    Weights = NDArray[np.float32]
+
+LANES = 128
 """Replicates side by side: so many that their latencies overlap and a pair's overhead vanishes."""
 
 _FEW = 8
 """Replicates whose numbers share a line of the cache."""
 
-COLUMNS = 10
-"""What `replicates` writes: mass of mated and of non-mated scores, AUC, EER, Cllr_min, TPR and
-FPR at the first level, TPR and FPR at the second, D_sys."""
+_BLOCK = 4096
+"""Pairs whose weights a 32-bit number may add up: integers below 2^24 are exact."""
 
+COLUMNS = 11
+"""What `replicates` writes: mass of mated and of non-mated scores, AUC, EER, Cllr_min, TPR and
+FPR at the first level, TPR and FPR at the second, D_sys, and room for Cllr."""
+
+_WEIGHTS3 = numba.types.Array(numba.float32, 3, "C", readonly=True)
+_BYTES2 = numba.types.Array(numba.uint8, 2, "C", readonly=True)
 _INTS2 = numba.types.Array(numba.int64, 2, "C", readonly=True)
 _OUT_INTS1 = numba.int64[::1]
 _OUT_INTS2 = numba.int64[:, ::1]
 
 
-@compiled(FLOATS2, _INTS2, FLOATS1, FLOATS1, OUT_FLOATS2, _OUT_INTS2)
+@compiled(
+    FLOATS2,
+    _INTS2,
+    FLOATS1,
+    FLOATS1,
+    INTS1,
+    OUT_FLOATS2,
+    _OUT_INTS2,
+    _OUT_INTS2,
+    _OUT_INTS1,
+)
 def rank_rows(
     scores: Floats,
     order: Ints,
     breaks: Floats,
     log_factorial: Floats,
+    mate: Ints,
     log_rank: Floats,
     cell: Ints,
+    standing: Ints,
+    counts: Ints,
 ) -> None:
     """Write -log(rank / G), expected under ties, and the cell of every score.
 
     `order` sorts each row, ascending; `breaks` ascends. Cell 2 k + 1 is the k-th break point,
-    cell 2 k the gap below it.
+    cell 2 k the gap below it. `standing`, (P, 3), gets how many stand above the probe's mate and
+    how many as high, and the mate's cell; to `counts` are added the non-mated scores of each cell.
     """
     n_probes, n_gallery = scores.shape
     log_gallery = np.log(n_gallery)
@@ -78,32 +101,45 @@ def rank_rows(
             spread = log_factorial[n_gallery - start] - log_factorial[above]
             value = log_gallery - spread / (stop - start)
             for place in range(start, stop):
-                log_rank[i, order[i, place]] = value
-                cell[i, order[i, place]] = code
+                j = order[i, place]
+                log_rank[i, j] = value
+                cell[i, j] = code
+                if j == mate[i]:
+                    standing[i, 0] = above
+                    standing[i, 1] = stop - start
+                    standing[i, 2] = code
+            counts[code] += stop - start
             start = stop
+        if mate[i] >= 0:
+            counts[standing[i, 2]] -= 1
 
 
-@compiled(FLOATS2, INTS1, INT, _OUT_INTS2)
-def draw_mates(uniform: Floats, probes: Ints, n_gallery: int, mates: Ints) -> None:
-    """Write a random injective mate for each of `probes`: Fisher and Yates, from uniforms."""
-    columns = np.arange(n_gallery)
+@compiled(FLOATS2, FLOATS2, _BYTES2, OUT_FLOATS1, OUT_FLOATS2)
+def shuffle(
+    uniform: Floats,
+    log_rank: Floats,
+    score_bin: Bytes,
+    total: Floats,
+    bins: Floats,
+) -> None:
+    """Give probes random injective mates, once a row: Fisher and Yates, from uniforms.
+
+    Add the log-rank statistic, and the histogram of mated scores, of every set of mates.
+    """
+    n_probes, n_gallery = log_rank.shape
+    # Unsigned: no index from the end, which would have to be looked for.
+    columns = np.arange(n_gallery).astype(np.uint64)
     # The order that one draw leaves behind is as good a start for the next as any.
     for row in range(uniform.shape[0]):
-        for k in range(probes.size):
-            other = k + int(uniform[row, k] * (n_gallery - k))
+        of_row = total[row]
+        for k in range(n_probes):
+            other = np.uint64(k + int(uniform[row, k] * (n_gallery - k)))
             column = columns[other]
             columns[other] = columns[k]
             columns[k] = column
-            mates[row, probes[k]] = column
-
-
-@compiled(_INTS2, INTS1, _OUT_INTS1)
-def count_cells(cell: Ints, mate: Ints, counts: Ints) -> None:
-    """Add the number of non-mated scores to each cell."""
-    for i in range(cell.shape[0]):
-        for j in range(cell.shape[1]):
-            if j != mate[i]:
-                counts[cell[i, j]] += 1
+            of_row += log_rank[k, column]
+            bins[row, score_bin[k, column]] += 1.0
+        total[row] = of_row
 
 
 @compiled(_INTS2, INTS1, INTS1, INTS1, INT, _OUT_INTS1, _OUT_INTS1, _OUT_INTS1)
@@ -131,33 +167,26 @@ def fill_cells(
             second[at] = one if gallery_cluster[j] == probe_cluster[i] else gallery_cluster[j]
 
 
-@compiled(FLOATS2, FLOAT, FLOAT, INTS1, INTS1, INTS1, OUT_FLOATS2, OUT_FLOATS1)
-def pair_costs(
-    scores: Floats,
-    slope: float,
-    intercept: float,
+@compiled(FLOATS2, INTS1, INTS1, INTS1, OUT_FLOATS2, OUT_FLOATS1)
+def add_costs(
+    costs: Floats,
     mate: Ints,
     probe_cluster: Ints,
     gallery_cluster: Ints,
-    costs: Floats,
+    between: Floats,
     within: Floats,
 ) -> None:
-    """Write log(1 + LR) of each non-mated score, (P, G), and 0 for a mated one.
-
-    The costs of pairs of one cluster go to `within`, (P,), summed, and are 0 among the others.
-    """
-    for i in range(scores.shape[0]):
-        within[i] = 0.0
-        for j in range(scores.shape[1]):
-            costs[i, j] = 0.0
+    """Add the costs of non-mated scores, (P, G), to those of their clusters, (C, C) or (C,)."""
+    for i in range(costs.shape[0]):
+        a = probe_cluster[i]
+        for j in range(costs.shape[1]):
+            b = gallery_cluster[j]
             if j == mate[i]:
                 continue
-            llr = slope * scores[i, j] + intercept
-            cost = max(llr, 0.0) + np.log1p(np.exp(-abs(llr)))
-            if gallery_cluster[j] == probe_cluster[i]:
-                within[i] += cost
+            if a == b:
+                within[a] += costs[i, j]
             else:
-                costs[i, j] = cost
+                between[a, b] += costs[i, j]
 
 
 @part_of_loop
@@ -178,17 +207,23 @@ def _x_log2_x(x: float) -> float:
 def _hull(
     mated: Floats, non_mated: Floats, totals: tuple[float, float], stack: Floats
 ) -> tuple[float, float]:
-    """Return EER and Cllr_min from the convex hull of the ROC: pool adjacent violators."""
-    depth = 0
+    """Return EER and Cllr_min from the convex hull of the ROC: pool adjacent violators.
+
+    Blocks of cells come from the top, and are changed. The last has no mated scores.
+    """
+    # Without mated scores a block has the least likelihood ratio, and joins the one below.
+    size = 0
     waiting = 0.0
-    for back in range(mated.size):
-        k = mated.size - 1 - back
+    for k in range(mated.size):
         m, n = mated[k], non_mated[k] + waiting
-        # Without mated scores a cell has the least likelihood ratio, and joins the one below.
-        if m == 0:
-            waiting = n
-            continue
-        waiting = 0.0
+        # Written without a branch, which no processor could predict.
+        mated[size] = m
+        non_mated[size] = n
+        size += m > 0
+        waiting = 0.0 if m > 0 else n
+    depth = 0
+    for k in range(size):
+        m, n = mated[k], non_mated[k]
         # Downwards the likelihood ratio of a block must fall.
         while depth > 0 and m * stack[depth - 1, 1] >= stack[depth - 1, 0] * n:
             depth -= 1
@@ -215,11 +250,40 @@ def _hull(
 
 
 @part_of_loop
-def _turn(rows: Floats, lane: int, out: Floats) -> None:
-    """Write a few lanes, side by side in `rows`, as rows of `out`."""
-    for k in range(rows.shape[0]):
+def _turn(
+    mated: Floats,
+    non_mated: Floats,
+    block_of_cell: Ints,
+    lane: int,
+    few_mated: Floats,
+    few_non_mated: Floats,
+) -> None:
+    """Write the weights in each block of cells for a few lanes, a row each."""
+    few_mated[:] = 0.0
+    few_non_mated[:] = 0.0
+    for k in range(block_of_cell.size):
+        block = block_of_cell[k]
         for few in range(_FEW):
-            out[few, k] = rows[k, lane + few]
+            few_mated[few, block] += mated[k, lane + few]
+            few_non_mated[few, block] += non_mated[k, lane + few]
+
+
+@part_of_loop
+def _blocks(mated_cell: Ints, n_cells: int) -> Ints:
+    """Return the block of each cell: a cell with mated scores, and those above up to the next.
+
+    Blocks count from the top. The last, which may be empty, has no mated scores.
+    """
+    block_of_cell = np.zeros(n_cells, dtype=np.int64)
+    for k in mated_cell:
+        block_of_cell[k] = 1
+    block = 0
+    for back in range(n_cells):
+        k = n_cells - 1 - back
+        is_last = block_of_cell[k]
+        block_of_cell[k] = block
+        block += is_last
+    return block_of_cell
 
 
 @part_of_loop
@@ -287,12 +351,13 @@ def _d_sys(mated: Floats, non_mated: Floats, bin_of_cell: Ints, sums: Floats, ou
 
 @part_of_loop
 def _weigh(
-    table: Floats,
+    table: Weights,
     starts: Ints,
     first: Ints,
     second: Ints,
     cells: Ints,
     clusters: Ints,
+    some: Weights,
     mated: Floats,
     non_mated: Floats,
 ) -> None:
@@ -301,10 +366,24 @@ def _weigh(
     non_mated[:] = 0.0
     for k in range(starts.size - 1):
         row = non_mated[k]
-        for pair in range(starts[k], starts[k + 1]):
-            a, b = table[first[pair]], table[second[pair]]
+        for start in range(starts[k], starts[k + 1], _BLOCK):
+            stop = min(start + _BLOCK, starts[k + 1])
+            some[:] = 0.0
+            # Four pairs a turn, since to fetch and store the sums takes longer than a product.
+            for pair in range(start, stop - 3, 4):
+                a, b = table[first[pair]], table[second[pair]]
+                c, d = table[first[pair + 1]], table[second[pair + 1]]
+                e, f = table[first[pair + 2]], table[second[pair + 2]]
+                g, h = table[first[pair + 3]], table[second[pair + 3]]
+                for lane in range(LANES):
+                    two = a[lane] * b[lane] + c[lane] * d[lane]
+                    some[lane] += two + (e[lane] * f[lane] + g[lane] * h[lane])
+            for pair in range(stop - (stop - start) % 4, stop):
+                a, b = table[first[pair]], table[second[pair]]
+                for lane in range(LANES):
+                    some[lane] += a[lane] * b[lane]
             for lane in range(LANES):
-                row[lane] += a[lane] * b[lane]
+                row[lane] += some[lane]
     for k in range(cells.size):
         row = mated[cells[k]]
         a = table[clusters[k]]
@@ -312,9 +391,9 @@ def _weigh(
             row[lane] += a[lane]
 
 
-@compiled(FLOATS3, INTS1, INTS1, INTS1, INTS1, INTS1, INTS1, FLOAT, FLOAT, OUT_FLOATS2)
+@compiled(_WEIGHTS3, INTS1, INTS1, INTS1, INTS1, INTS1, INTS1, FLOAT, FLOAT, OUT_FLOATS2)
 def replicates(
-    tables: Floats,
+    tables: Weights,
     starts: Ints,
     first: Ints,
     second: Ints,
@@ -333,11 +412,14 @@ def replicates(
     n_cells = starts.size - 1
     # Once for all chunks: the system hands out so much memory page by page.
     mated, non_mated = np.empty((n_cells, LANES)), np.empty((n_cells, LANES))
-    few_mated, few_non_mated = np.empty((_FEW, n_cells)), np.empty((_FEW, n_cells))
-    stack = np.empty((n_cells, 2))
-    sums = np.empty((4, LANES))
+    block_of_cell = _blocks(mated_cell, n_cells)
+    few_mated = np.empty((_FEW, block_of_cell.max() + 2))
+    few_non_mated = np.empty_like(few_mated)
+    stack = np.empty((few_mated.shape[1] + 1, 2))
+    sums, some = np.empty((4, LANES)), np.empty(LANES, dtype=np.float32)
     for chunk in range(tables.shape[0]):
-        _weigh(tables[chunk], starts, first, second, mated_cell, mated_cluster, mated, non_mated)
+        table = tables[chunk]
+        _weigh(table, starts, first, second, mated_cell, mated_cluster, some, mated, non_mated)
         block = out[chunk * LANES : (chunk + 1) * LANES]
         _areas(mated, non_mated, sums, block)
         for column in (5, 7):
@@ -347,8 +429,7 @@ def replicates(
         for lane in range(LANES):
             few = lane % _FEW
             if few == 0:
-                _turn(mated, lane, few_mated)
-                _turn(non_mated, lane, few_non_mated)
+                _turn(mated, non_mated, block_of_cell, lane, few_mated, few_non_mated)
             line = block[lane]
             if line[0] > 0 and line[1] > 0:
                 totals = (line[0], line[1])
@@ -356,19 +437,6 @@ def replicates(
             else:
                 for column in range(2, COLUMNS):
                     line[column] = np.nan
-
-
-@compiled(_INTS2, FLOATS2, _INTS2, INTS1, OUT_FLOATS1, OUT_FLOATS2)
-def shuffled(
-    mates: Ints, log_rank: Floats, cell: Ints, bin_of_cell: Ints, total: Floats, bins: Floats
-) -> None:
-    """Add the log-rank statistic, and the histogram of mated scores, of every set of mates."""
-    for row in range(mates.shape[0]):
-        for i in range(mates.shape[1]):
-            j = mates[row, i]
-            if j >= 0:
-                total[row] += log_rank[i, j]
-                bins[row, bin_of_cell[cell[i, j]]] += 1.0
 
 
 @compiled(OUT_FLOATS2, FLOATS1, OUT_FLOATS1)

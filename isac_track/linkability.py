@@ -1,4 +1,4 @@
-"""The scorecard of linkage attacks: who is who across two pseudonymous releases.
+"""Metrics and tests of linkage attacks: who is who across two pseudonymous releases.
 
 A *search* holds the scores of P probes, the people of one release, against the gallery, the G
 people of another; the *mate* of a probe is the same person. Everything here is a pure function of
@@ -9,7 +9,7 @@ Ties carry no information: rank metrics are expectations under a random order of
 assignments are made in a random order of the columns. Where an attack's scores are all equal, every
 metric is at chance.
 
-Numba is imported, and its loops compiled, at the first scorecard or shuffle, not before.
+Numba is imported, and its loops compiled, at the first shuffle, not before.
 
 References
 ----------
@@ -17,8 +17,7 @@ Ranks: Grother and Phillips, CVPR 2004 (cumulative match characteristic). Likeli
 Bruemmer and du Preez, Computer Speech and Language 20, 2006 (Cllr). Hull: Fawcett and
 Niculescu-Mizil, Machine Learning 68, 2007 (the ROC's hull is isotonic regression). D_sys:
 Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018. Residual risk: Giomi, Boenisch,
-Wehmeyer, Tasnadi, PoPETs 2023(2). Pairs of resampled clusters: Snijders and Borgatti, Connections
-22(2), 1999; Owen, Annals of Applied Statistics 1(2), 2007.
+Wehmeyer, Tasnadi, PoPETs 2023(2).
 """
 
 from __future__ import annotations
@@ -32,25 +31,12 @@ import numpy as np
 from scipy.optimize import isotonic_regression, linear_sum_assignment
 from scipy.special import bdtrc, betaincinv, expit, gammaln, xlog1py, xlogy
 
-from isac_track.intervals import (
-    Estimate,
-    cluster_sums,
-    percentile_interval,
-    ratio_estimate,
-    wilson,
-)
-
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from isac_track.types import Bools, Floats, Ints
+    from isac_track.types import Floats, Ints
 
 Outcome: TypeAlias = Literal["links", "no link detected", "attack too weak"]
-
-SCORE_REPLICATES = 250
-"""Bootstrap replicates of score metrics; one visits every pair, where a rank metric visits every
-probe. The ends of a 95 % interval from 400 replicates have a standard error of 0.15 standard
-deviations of the estimate (0.09 from 1,000)."""
 
 MIN_EXPECTED = 10
 """A TPR at the FPR alpha needs 10 / alpha non-mated scores: ten above the threshold."""
@@ -61,12 +47,6 @@ LEVEL = 0.05
 SLOPE_PENALTY = 1e-6
 """Of the squared slope per standard deviation of the score, where each class weighs 1: it keeps the
 slope finite where the classes do not overlap, and otherwise changes nothing that matters."""
-
-_LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
-_COLUMNS = ("auc", "eer", "cllr_min", "tpr_at_fpr_1pct", "", "tpr_at_fpr_01pct", "", "d_sys")
-_FITTED = {"eer": 0.5, "cllr_min": 1.0}
-"""Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
-_NO_SPREAD = 1e-12
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,39 +93,15 @@ class Calibration:
     intercept: float
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Scorecard:
-    """How well one attack links, over all of its searches."""
-
-    estimates: dict[str, Estimate]
-    """By metric; NaN where undefined or refused. See `scorecard`."""
-    p_value: float
-    """Of `permutation_p`."""
-    p_rank1: float
-    """Of `rank1_p`."""
-    n_probes: int
-    n_mated: int
-    """Probes with a mate."""
-    gallery_sizes: tuple[int, int, float]
-    """Smallest, largest, and mean over searches."""
-    n_clusters: int
-    """Clusters with a mated probe."""
-    realised_fpr_1pct: float
-    realised_fpr_01pct: float
-    """FPR at the operating points of the TPR, the mean over scales; NaN where that is refused."""
-    d_sys_bins: int
-    """The fewest over scales."""
-    is_inverted: bool
-    """AUC < 0.5: mates score low. D_sys, which ignores direction, may say linkable all the same."""
-    minimum_detectable_rank1: float
-    """What the test of rank 1 would find in 8 of 10 studies of this size."""
-
-
-def _check_scores(scores: Floats, mate: Ints) -> None:
+def _check_finite(scores: Floats) -> None:
     if scores.ndim != 2 or 0 in scores.shape:  # noqa: PLR2004
         raise ValueError(f"scores must have shape (P, G), neither 0, got {scores.shape}")
     if not np.isfinite(scores).all():
         raise ValueError("scores must be finite")
+
+
+def _check_scores(scores: Floats, mate: Ints) -> None:
+    _check_finite(scores)
     n_probes, n_gallery = scores.shape
     if mate.shape != (n_probes,) or mate.dtype.kind not in "iu":
         raise ValueError(f"mate must be integers of shape ({n_probes},), got {mate.shape}")
@@ -176,7 +132,7 @@ def rank1(*, scores: Floats, mate: Ints) -> Floats:
         As `Search`.
     """
     _check_scores(scores, mate)
-    return _rank1(*_standing(scores, mate), mate)
+    return expected_hit(*_standing(scores, mate), mate)
 
 
 def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
@@ -185,7 +141,7 @@ def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
     Parameters and errors are those of `rank1`.
     """
     _check_scores(scores, mate)
-    return _reciprocal_rank(*_standing(scores, mate), mate, scores.shape[1])
+    return expected_reciprocal(*_standing(scores, mate), mate, scores.shape[1])
 
 
 def log_rank(*, scores: Floats, mate: Ints) -> Floats:
@@ -200,7 +156,7 @@ def log_rank(*, scores: Floats, mate: Ints) -> Floats:
     _check_scores(scores, mate)
     above, tied = _standing(scores, mate)
     n_gallery = scores.shape[1]
-    log_factorial = _log_factorial(n_gallery)
+    log_factorial = log_factorials(n_gallery)
     spread = log_factorial[above + tied] - log_factorial[above]
     expected: Floats = math.log(n_gallery) - spread / tied
     expected[mate < 0] = np.nan
@@ -255,11 +211,7 @@ def assign(
     ValueError
         If the scores have no shape (P, G) or are not finite.
     """
-    _check_scores(scores, np.full(len(scores), -1))
-    return _assign(scores, rng, no_match_score)
-
-
-def _assign(scores: Floats, rng: np.random.Generator, no_match_score: float | None) -> Ints:
+    _check_finite(scores)
     order = rng.permutation(scores.shape[1])
     gain = scores[:, order]
     if no_match_score is not None:
@@ -276,7 +228,7 @@ def _assign(scores: Floats, rng: np.random.Generator, no_match_score: float | No
 
 def chance(searches: Sequence[Search]) -> float:
     """Return the expected rank-1 rate of guessing: the mean of 1 / G over mated probes."""
-    chances = np.concatenate([_chances(search) for search in searches])
+    chances = np.concatenate([chances_of(search) for search in searches])
     return float(chances.mean()) if chances.size else float("nan")
 
 
@@ -288,17 +240,20 @@ def residual_risk(*, success: float, control: float) -> float:
     return (success - control) / (1.0 - control) if control != 1.0 else float("nan")
 
 
-def _chances(search: Search) -> Floats:
+def chances_of(search: Search) -> Floats:
+    """Return 1 / G for every mated probe."""
     return np.full(int((search.mate >= 0).sum()), 1.0 / search.scores.shape[1])
 
 
-def _rank1(above: Ints, tied: Ints, mate: Ints) -> Floats:
+def expected_hit(above: Ints, tied: Ints, mate: Ints) -> Floats:
+    """Return `rank1` of mates with so many above and so many as high, themselves included."""
     hit = np.where(above == 0, 1.0 / tied, 0.0)
     hit[mate < 0] = np.nan
     return hit
 
 
-def _reciprocal_rank(above: Ints, tied: Ints, mate: Ints, n_gallery: int) -> Floats:
+def expected_reciprocal(above: Ints, tied: Ints, mate: Ints, n_gallery: int) -> Floats:
+    """Return `reciprocal_rank` likewise; `n_gallery` is the largest there is."""
     harmonic = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, n_gallery + 1))])
     expected: Floats = (harmonic[above + tied] - harmonic[above]) / tied
     expected[mate < 0] = np.nan
@@ -311,7 +266,8 @@ def _standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
     return (scores > own).sum(axis=1), (scores == own).sum(axis=1)
 
 
-def _log_factorial(n: int) -> Floats:
+def log_factorials(n: int) -> Floats:
+    """Return log k! for 0..n, (n + 1,)."""
     return np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
 
 
@@ -388,7 +344,7 @@ def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float
     _check_classes(mated, non_mated)
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie in (0, 1), got {alpha}")
-    if _is_refused(non_mated.size, alpha):
+    if is_refused(non_mated.size, alpha):
         return float("nan"), float("nan")
     thresholds = np.unique(mated)
     fpr = 1.0 - np.searchsorted(np.sort(non_mated), thresholds, side="left") / non_mated.size
@@ -516,12 +472,12 @@ def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tup
     """
     _check_classes(mated, non_mated)
     if n_bins is None:
-        n_bins = _n_bins(mated.size)
+        n_bins = default_bins(mated.size)
     if n_bins < 1:
         raise ValueError(f"n_bins must be at least 1, got {n_bins}")
     low = min(float(mated.min()), float(non_mated.min()))
     high = max(float(mated.max()), float(non_mated.max()))
-    edges = _inner_edges(low, high, n_bins)
+    edges = inner_edges(low, high, n_bins)
     p, q = (
         np.bincount(np.searchsorted(edges, x, side="right"), minlength=n_bins) / x.size
         for x in (mated, non_mated)
@@ -531,15 +487,18 @@ def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tup
     return float((p * (p - q) / (p + q)).sum()), n_bins
 
 
-def _n_bins(n_mated: int) -> int:
+def default_bins(n_mated: int) -> int:
+    """Return the number of bins of `d_sys`."""
     return max(1, min(n_mated // 10, 100))
 
 
-def _inner_edges(low: float, high: float, n_bins: int) -> Floats:
+def inner_edges(low: float, high: float, n_bins: int) -> Floats:
+    """Return the edges between the bins of `d_sys`."""
     return np.linspace(low, high, n_bins + 1)[1:-1]
 
 
-def _is_refused(n_non_mated: int, alpha: float) -> bool:
+def is_refused(n_non_mated: int, alpha: float) -> bool:
+    """Tell whether non-mated scores are too few for `tpr_at_fpr`."""
     return n_non_mated * alpha < MIN_EXPECTED * (1 - 1e-12)
 
 
@@ -565,18 +524,6 @@ def _hull_steps(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
 # ------------------------------------------------------------------------------------ tests
 
 
-def shuffled_mates(*, search: Search, rng: np.random.Generator, n: int) -> Ints:
-    """Return n sets of random mates, (n, P): distinct columns, uniform; -1 where there is none.
-
-    One uniform number a set and mated probe is drawn.
-    """
-    probes = np.flatnonzero(search.mate >= 0)
-    mates = np.full((n, search.mate.size), -1)
-    uniform = rng.random((n, probes.size))
-    _loops().draw_mates(uniform, probes, search.scores.shape[1], mates)
-    return mates
-
-
 def permutation_p(
     *, searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int = 999
 ) -> float:
@@ -590,7 +537,7 @@ def permutation_p(
     ----------
     searches : sequence of Search
     rng : Generator
-        As for `shuffled_mates`, search by search.
+        Search by search, one uniform number a shuffle and mated probe is drawn.
     n_shuffles : int, optional
         At least 999.
 
@@ -603,17 +550,20 @@ def permutation_p(
     ----------
     Phipson and Smyth, Statistical Applications in Genetics and Molecular Biology 9(1), 2010.
     """
-    _check_searches(searches, n_shuffles)
-    null, observed = np.zeros(n_shuffles), 0.0
+    check_searches(searches, n_shuffles)
+    loops = import_loops()
+    null, nowhere = np.zeros(n_shuffles), np.zeros((n_shuffles, 1))
+    log_factorial = log_factorials(max(search.scores.shape[1] for search in searches))
+    observed = 0.0
     for search in searches:
-        scores = np.ascontiguousarray(search.scores, dtype=np.float64)
-        ranks, cells = _ranks_and_cells(scores, np.empty(0))
-        mates = shuffled_mates(search=search, rng=rng, n=n_shuffles)
-        _loops().shuffled(
-            mates, ranks, cells, np.zeros(1, dtype=np.int64), null, np.zeros((n_shuffles, 1))
-        )
-        observed += _mates_of(ranks, search.mate).sum()
-    return _p_value(float(observed), null)
+        ranks = rank_rows(search, np.empty(0), log_factorial)
+        probes = np.flatnonzero(search.mate >= 0)
+        uniform = rng.random((n_shuffles, probes.size))
+        log_rank_of = ranks.log_rank[probes]
+        one_bin = np.zeros(log_rank_of.shape, dtype=np.uint8)
+        loops.shuffle(uniform, log_rank_of, one_bin, null, nowhere)
+        observed += float(ranks.log_rank[probes, search.mate[probes]].sum())
+    return p_value_among(observed, null)
 
 
 def rank1_p(*, hits: Floats, chance: Floats) -> float:
@@ -713,489 +663,60 @@ def _binomial(n: int, p: float) -> Floats:
     return law
 
 
-def _p_value(observed: float, null: Floats) -> float:
+def p_value_among(observed: float, null: Floats) -> float:
+    """Return the one-sided p-value of a sum among those of shuffles."""
     # Sums of the same numbers in another order may differ by rounding; they are ties.
     return (1 + int((null >= observed - 1e-9).sum())) / (1 + null.size)
 
 
-def _check_searches(searches: Sequence[Search], n_shuffles: int) -> None:
+def check_searches(searches: Sequence[Search], n_shuffles: int) -> None:
+    """Raise ValueError without a search or for too few shuffles."""
     if not searches:
         raise ValueError("at least one search is needed")
     if n_shuffles < 999:  # noqa: PLR2004
         raise ValueError(f"n_shuffles must be at least 999, got {n_shuffles}")
 
 
-# -------------------------------------------------------------------------------- scorecard
+# -------------------------------------------------------------------- what the loops have to say
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Trial:
-    """What one search gives beside its scores."""
+class RankedScores:
+    """What the loop over the ranks of a search writes."""
 
-    scores: Floats
-    """(P, G) contiguous"""
-    mate: Ints
-    probe_cluster: Ints
-    """Renumbered: 0..C - 1 are the clusters that occur."""
-    gallery_cluster: Ints
-    scale: int
-    hit: Floats
-    reciprocal: Floats
-    assigned: Ints
-    mates: Ints
-    """(n_shuffles, P)"""
+    log_rank: Floats
+    """(P, G) `log_rank` of every column were it the mate."""
+    cell: Ints
+    """(P, G) cell of every score; 2 k + 1 is the k-th break point, 2 k the gap below it."""
+    standing: Ints
+    """(P, 3) how many stand above the mate, how many as high, and its cell; 0, 1, 0 without one."""
+    counts: Ints
+    """Non-mated scores of each cell."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Scale:
-    """Score metrics of one scale."""
-
-    columns: Floats
-    """(R, 10) as the loop writes them; row 0 is the data, the others are replicates."""
-    cllr: Floats
-    """(R,)"""
-    null_d_sys: Floats
-    """(n_shuffles,)"""
-    n_mated: int
-    n_non_mated: int
-    n_bins: int
-
-
-def scorecard(
-    searches: Sequence[Search],
-    *,
-    weights: Floats,
-    calibration: Mapping[int, Calibration] | None,
-    no_match_score: Mapping[int, float] | None,
-    rng: np.random.Generator,
-    n_shuffles: int = 999,
-) -> Scorecard:
-    """Return every metric of one attack with its interval.
-
-    | metric | what it is |
-    |---|---|
-    | rank1, mrr | `rank1`, `reciprocal_rank`: mean over mated probes |
-    | rank1_assigned | share of mated probes to which `assign` gives their mate |
-    | false_link_rate | share of probes without a mate that get somebody; only if there are any |
-    | chance, residual_risk | `chance`, and `residual_risk` of rank1 against it |
-    | auc, eer, cllr, cllr_min | as the functions; cllr needs `calibration` |
-    | tpr_at_fpr_1pct, tpr_at_fpr_01pct | `tpr_at_fpr`; refused on all non-mated pairs together |
-    | d_sys, d_sys_corrected | `d_sys`, and less its mean under shuffled mates |
-
-    Rank metrics pool the probes of all searches. Score metrics pool the scores within a scale, a
-    non-mated pair being of one search; over scales they are averaged, weighted by mated probes.
-
-    Intervals resample clusters. For rank metrics the galleries stay as they are (`ratio_estimate`).
-    A mated score weighs w, how often its probe's cluster is drawn, a non-mated score the product of
-    its two clusters' w. Two people of one cluster who are no mates weigh w, not w^2: the pair is
-    drawn as often as the cluster, and a pair of a cluster with its own copy is not one that any
-    population holds. Score metrics take the first `SCORE_REPLICATES` rows of `weights`.
-
-    Intervals are percentile intervals, but those of eer and cllr_min basic ones, 2 value - quantile
-    (Davison and Hinkley, 1997, ch. 5.2). Both are read off a hull that is fitted to the scores, and
-    come out too low; replicates come out lower still, and a percentile interval would miss twice.
-
-    Away from chance, intervals at 95 % of 40 clusters hold the population's value in 92 to 95 % of
-    studies, those of eer and cllr_min in 89 to 91 %, that of the TPR in 97 % (the tests measure
-    it). At chance, where eer, cllr_min and d_sys are at their bounds, and for an AUC near 1, they
-    hold it far less often: whether there is a link at all is for `p_value` to say.
-
-    A metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
-    Wilson's interval, with the clusters as the sample size: of all variables in 0..1 a mean of 0 or
-    1 says least about a coin. With fewer than two clusters there is no interval.
-
-    Parameters
-    ----------
-    searches : sequence of Search
-        At least one.
-    weights : (B, C)
-        From `cluster_weights`; the clusters of `searches` are its columns.
-    calibration : mapping of scale to Calibration, or None
-        Fitted on other people. Without it `cllr` is NaN.
-    no_match_score : mapping of scale to float, or None
-        As in `assign`. Without it every probe is assigned.
-    rng : Generator
-        Draws, search by search, the order of columns for `assign`, then `shuffled_mates`.
-    n_shuffles : int, optional
-        At least 999; for `permutation_p` and `d_sys_corrected`.
-
-    Raises
-    ------
-    ValueError
-        Without a search, for too few shuffles, for clusters beyond `weights`, or if a mapping lacks
-        a scale.
-    """
-    _check_searches(searches, n_shuffles)
-    _check_scales(searches, calibration, no_match_score)
-    used = _used_clusters(searches, weights)
-    trials = [
-        _trial(search, used, no_match_score, rng=rng, n_shuffles=n_shuffles) for search in searches
-    ]
-    scales = sorted({search.scale for search in searches})
-    tables, rows = _tables(weights[:SCORE_REPLICATES, used])
-    null, observed = np.zeros(n_shuffles), 0.0
-    results = []
-    for scale in scales:
-        group = [trial for trial in trials if trial.scale == scale]
-        calibrated = calibration[scale] if calibration is not None else None
-        result, log_ranks = _score_scale(group, tables, rows, calibrated, null)
-        results.append(result)
-        observed += log_ranks
-
-    has_mate = np.concatenate([trial.mate >= 0 for trial in trials])
-    clusters = np.concatenate([search.probe_cluster for search in searches])
-    n_clusters = int(np.unique(clusters[has_mate]).size)
-    chances = np.concatenate([_chances(search) for search in searches])
-    hits = np.concatenate([trial.hit for trial in trials])[has_mate]
-    estimates = _rank_estimates(trials, clusters, chances, weights)
-    estimates |= _score_estimates(results, n_clusters)
-    n_mated = int(has_mate.sum())
-    sizes = [search.scores.shape[1] for search in searches]
-    return Scorecard(
-        estimates=estimates,
-        p_value=_p_value(observed, null),
-        p_rank1=rank1_p(hits=hits, chance=chances),
-        n_probes=has_mate.size,
-        n_mated=n_mated,
-        gallery_sizes=(min(sizes), max(sizes), sum(sizes) / len(sizes)),
-        n_clusters=n_clusters,
-        realised_fpr_1pct=_realised(results, 6, 0.01),
-        realised_fpr_01pct=_realised(results, 8, 0.001),
-        d_sys_bins=min(result.n_bins for result in results),
-        is_inverted=bool(estimates["auc"].value < 0.5),  # noqa: PLR2004
-        minimum_detectable_rank1=minimum_detectable_rank1(
-            n=n_mated, chance=float(chances.mean()) if n_mated else 1.0
-        ),
-    )
-
-
-def _check_scales(
-    searches: Sequence[Search],
-    calibration: Mapping[int, Calibration] | None,
-    no_match_score: Mapping[int, float] | None,
-) -> None:
-    for name, mapping in (("calibration", calibration), ("no_match_score", no_match_score)):
-        missing = {search.scale for search in searches}.difference(
-            mapping if mapping is not None else {search.scale for search in searches}
-        )
-        if missing:
-            raise ValueError(f"{name} lacks the scales {sorted(missing)}")
-
-
-def _used_clusters(searches: Sequence[Search], weights: Floats) -> Ints:
-    used = np.unique(
-        np.concatenate([np.concatenate([s.probe_cluster, s.gallery_cluster]) for s in searches])
-    )
-    if weights.ndim != 2 or used[-1] >= weights.shape[1]:  # noqa: PLR2004
-        raise ValueError(f"weights must be (B, C), C > {used[-1]}, got {weights.shape}")
-    return used.astype(np.int64, copy=False)
-
-
-def _trial(
-    search: Search,
-    used: Ints,
-    no_match_score: Mapping[int, float] | None,
-    *,
-    rng: np.random.Generator,
-    n_shuffles: int,
-) -> _Trial:
+def rank_rows(search: Search, breaks: Floats, log_factorial: Floats) -> RankedScores:
+    """Return ranks and cells of all scores of a search."""
     scores = np.ascontiguousarray(search.scores, dtype=np.float64)
-    mate = np.ascontiguousarray(search.mate, dtype=np.int64)
-    above, tied = _standing(scores, mate)
-    no_match = no_match_score[search.scale] if no_match_score is not None else None
-    return _Trial(
-        scores=scores,
-        mate=mate,
-        probe_cluster=np.searchsorted(used, search.probe_cluster),
-        gallery_cluster=np.searchsorted(used, search.gallery_cluster),
-        scale=search.scale,
-        hit=_rank1(above, tied, mate),
-        reciprocal=_reciprocal_rank(above, tied, mate, scores.shape[1]),
-        assigned=_assign(scores, rng, no_match),
-        mates=shuffled_mates(search=search, rng=rng, n=n_shuffles),
+    ranks = RankedScores(
+        log_rank=np.empty(scores.shape),
+        cell=np.empty(scores.shape, dtype=np.int64),
+        standing=np.tile(np.array([0, 1, 0]), (scores.shape[0], 1)),
+        counts=np.zeros(2 * breaks.size + 1, dtype=np.int64),
     )
-
-
-def _tables(weights: Floats) -> tuple[Floats, Floats]:
-    """Return the weights as the loop wants them, (chunks, C + 1, lanes), and as rows, (C, R).
-
-    Replicate 0 weighs every cluster once: the data. The loop's last cluster always weighs 1.
-    """
-    lanes = _loops().LANES
-    n_replicates, n_clusters = 1 + weights.shape[0], weights.shape[1]
-    n_chunks = -(-n_replicates // lanes)
-    padded = np.ones((n_chunks * lanes, n_clusters + 1))
-    padded[1:n_replicates, :-1] = weights
-    tables = padded.reshape(n_chunks, lanes, -1).transpose(0, 2, 1)
-    return np.ascontiguousarray(tables), np.ascontiguousarray(padded[:n_replicates, :-1].T)
-
-
-def _score_scale(
-    trials: Sequence[_Trial],
-    tables: Floats,
-    rows: Floats,
-    calibration: Calibration | None,
-    null: Floats,
-) -> tuple[_Scale, float]:
-    """Return the score metrics of one scale, and the sum of its log-ranks; add those of `null`."""
-    loops = _loops()
-    mated = np.concatenate([_mates_of(t.scores, t.mate) for t in trials])
-    n_bins = _n_bins(mated.size)
-    edges = _inner_edges(
-        min(float(t.scores.min()) for t in trials),
-        max(float(t.scores.max()) for t in trials),
-        n_bins,
+    import_loops().rank_rows(
+        scores,
+        np.argsort(scores, axis=1),
+        breaks,
+        log_factorial,
+        np.ascontiguousarray(search.mate, dtype=np.int64),
+        ranks.log_rank,
+        ranks.cell,
+        ranks.standing,
+        ranks.counts,
     )
-    breaks = np.unique(np.concatenate([mated, edges]))
-    bins = np.zeros(2 * breaks.size + 1, dtype=np.int64)
-    bins[1::2] = np.searchsorted(edges, breaks, side="right")
-    bins[2::2] = bins[1::2]
-
-    counts = np.zeros(bins.size, dtype=np.int64)
-    null_bins = np.zeros((null.size, n_bins))
-    log_ranks = 0.0
-    cells = []
-    for trial in trials:
-        ranks, cell = _ranks_and_cells(trial.scores, breaks)
-        cells.append(cell)
-        loops.count_cells(cell, trial.mate, counts)
-        loops.shuffled(trial.mates, ranks, cell, bins, null, null_bins)
-        log_ranks += float(_mates_of(ranks, trial.mate).sum())
-    n_non_mated = int(counts.sum())
-
-    mated_cells = np.concatenate(
-        [_mates_of(cell, t.mate) for cell, t in zip(cells, trials, strict=True)]
-    )
-    total_bins = np.bincount(bins, weights=counts, minlength=n_bins)
-    total_bins += np.bincount(bins[mated_cells], minlength=n_bins)
-    null_d_sys = np.full(null.size, np.nan)
-    if mated.size and n_non_mated:
-        loops.linked_shares(null_bins, total_bins, null_d_sys)
-
-    columns = _replicates(trials, cells, counts, mated_cells, bins, tables)
-    return _Scale(
-        columns=columns[: rows.shape[1]],
-        cllr=_cllr_rows(trials, columns[: rows.shape[1]], rows, calibration),
-        null_d_sys=null_d_sys,
-        n_mated=mated.size,
-        n_non_mated=n_non_mated,
-        n_bins=n_bins,
-    ), log_ranks
+    return ranks
 
 
-def _replicates(
-    trials: Sequence[_Trial],
-    cells: Sequence[Ints],
-    counts: Ints,
-    mated_cells: Ints,
-    bins: Ints,
-    tables: Floats,
-) -> Floats:
-    """Return what the loop of that name writes, with the chunks' empty rows at the end."""
-    loops = _loops()
-    stops = np.cumsum(counts)
-    place = stops - counts
-    first = np.empty(stops[-1], dtype=np.int64)
-    second = np.empty_like(first)
-    for trial, cell in zip(trials, cells, strict=True):
-        loops.fill_cells(
-            cell,
-            trial.mate,
-            trial.probe_cluster,
-            trial.gallery_cluster,
-            tables.shape[1] - 1,
-            place,
-            first,
-            second,
-        )
-    occupied = counts > 0
-    occupied[mated_cells] = True
-    number = np.cumsum(occupied) - 1
-    columns = np.empty((tables.shape[0] * loops.LANES, loops.COLUMNS))
-    loops.replicates(
-        tables,
-        np.concatenate([[0], stops[occupied]]),
-        first,
-        second,
-        number[mated_cells],
-        _mated_clusters(trials),
-        bins[occupied],
-        *_LEVELS.values(),
-        columns,
-    )
-    return columns
-
-
-def _cllr_rows(
-    trials: Sequence[_Trial], columns: Floats, rows: Floats, calibration: Calibration | None
-) -> Floats:
-    """Return `cllr` of every replicate, (R,)."""
-    values = np.full(rows.shape[1], np.nan)
-    if calibration is None:
-        return values
-    slope, intercept = calibration.slope, calibration.intercept
-    non_mated_cost = np.zeros(rows.shape[1])
-    for trial in trials:
-        costs, within = np.empty(trial.scores.shape), np.empty(trial.mate.size)
-        clusters = trial.probe_cluster, trial.gallery_cluster
-        _loops().pair_costs(trial.scores, slope, intercept, trial.mate, *clusters, costs, within)
-        of_probe = costs @ rows[trial.gallery_cluster]
-        of_probe += within[:, None]
-        non_mated_cost += np.einsum("pr,pr->r", of_probe, rows[trial.probe_cluster])
-    mated = np.concatenate([_mates_of(t.scores, t.mate) for t in trials])
-    mated_cost = np.bincount(
-        _mated_clusters(trials),
-        weights=np.logaddexp(0.0, -(slope * mated + intercept)),
-        minlength=rows.shape[0],
-    )
-    defined = (columns[:, 0] > 0) & (columns[:, 1] > 0)
-    both = (mated_cost @ rows)[defined] / columns[defined, 0]
-    both += non_mated_cost[defined] / columns[defined, 1]
-    values[defined] = both / (2.0 * math.log(2.0))
-    return values
-
-
-def _rank_estimates(
-    trials: Sequence[_Trial], clusters: Ints, chances: Floats, weights: Floats
-) -> dict[str, Estimate]:
-    mate = np.concatenate([trial.mate for trial in trials])
-    assigned = np.concatenate([trial.assigned for trial in trials])
-    n_clusters = weights.shape[1]
-
-    def mean(values: Floats, among: Bools, *, is_share: bool = True) -> Estimate:
-        cluster = clusters[among]
-        return ratio_estimate(
-            numerator=cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
-            denominator=cluster_sums(
-                values=np.ones(cluster.size), cluster=cluster, n_clusters=n_clusters
-            ),
-            weights=weights,
-            is_share=is_share,
-        )
-
-    mated = mate >= 0
-    hit = np.concatenate([trial.hit for trial in trials])[mated]
-    reciprocal = np.concatenate([trial.reciprocal for trial in trials])[mated]
-    success, control = mean(hit, mated), mean(chances, mated, is_share=False)
-    estimates = {
-        "rank1": success,
-        "rank1_assigned": mean((assigned == mate)[mated].astype(np.float64), mated),
-        "mrr": mean(reciprocal, mated),
-        "chance": control,
-        "residual_risk": _residual_risk_estimate(success, control),
-    }
-    if not mated.all():
-        linked = (assigned[~mated] >= 0).astype(np.float64)
-        estimates["false_link_rate"] = mean(linked, ~mated)
-    return estimates
-
-
-def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
-    value = residual_risk(success=success.value, control=control.value)
-    replicates = np.full(success.replicates.size, np.nan)
-    possible = control.replicates < 1.0
-    np.divide(
-        success.replicates - control.replicates,
-        1.0 - control.replicates,
-        out=replicates,
-        where=possible,
-    )
-    if success.value in {0.0, 1.0}:
-        # Wilson's ends for the share; guessing's chance is known.
-        low, high = (
-            residual_risk(success=end, control=control.value)
-            for end in (success.ci_low, success.ci_high)
-        )
-    elif success.n < 2 or math.isnan(value):  # noqa: PLR2004
-        low, high = math.nan, math.nan
-    else:
-        low, high = percentile_interval(replicates)
-    return Estimate(value, low, high, success.n, replicates)
-
-
-def _score_estimates(results: Sequence[_Scale], n_clusters: int) -> dict[str, Estimate]:
-    estimates = {}
-    n_non_mated = sum(result.n_non_mated for result in results)
-    for column, name in enumerate(_COLUMNS, start=2):
-        if name in _LEVELS and _is_refused(n_non_mated, _LEVELS[name]):
-            values = np.full(results[0].cllr.size, np.nan)
-        elif name:
-            values = _over_scales(results, [r.columns[:, column] for r in results])
-        else:
-            continue
-        estimates[name] = _estimate(name, values, n_clusters)
-    values = _over_scales(results, [result.cllr for result in results])
-    estimates["cllr"] = _estimate("cllr", values, n_clusters)
-
-    linked = estimates["d_sys"]
-    defined = [r for r in results if r.n_mated and r.n_non_mated]
-    n_mated = sum(r.n_mated for r in defined)
-    bias = (
-        sum(r.n_mated * float(r.null_d_sys.mean()) for r in defined) / n_mated
-        if defined
-        else math.nan
-    )
-    estimates["d_sys_corrected"] = Estimate(
-        value=linked.value - bias,
-        ci_low=linked.ci_low - bias,
-        ci_high=linked.ci_high - bias,
-        n=linked.n,
-        replicates=linked.replicates - bias,
-    )
-    return estimates
-
-
-def _estimate(name: str, values: Floats, n: int) -> Estimate:
-    """Return the estimate from the value of the data and, after it, those of replicates."""
-    value, replicates = float(values[0]), values[1:].copy()
-    if n < 2 or math.isnan(value):  # noqa: PLR2004
-        return Estimate(value, math.nan, math.nan, n, replicates)
-    spread = np.abs(replicates - value)
-    is_constant = not (spread[~np.isnan(spread)] > _NO_SPREAD).any()
-    is_extreme = name in _LEVELS and value in {0.0, 1.0}
-    if name != "cllr" and (is_constant or is_extreme):
-        low, high = wilson(hits=min(max(value, 0.0), 1.0) * n, n=n)
-        return Estimate(value, low, min(high, _FITTED.get(name, 1.0)), n, replicates)
-    low, high = percentile_interval(replicates)
-    if name in _FITTED:
-        low, high = max(0.0, 2 * value - high), min(_FITTED[name], 2 * value - low)
-    return Estimate(value, low, high, n, replicates)
-
-
-def _over_scales(results: Sequence[_Scale], values: Sequence[Floats]) -> Floats:
-    """Return the mean over scales, weighted by each replicate's mass of mated scores."""
-    total, mass = np.zeros(values[0].size), np.zeros(values[0].size)
-    for result, value in zip(results, values, strict=True):
-        weight = np.where(result.columns[:, 1] > 0, result.columns[:, 0], 0.0)
-        total += np.where(weight > 0, value, 0.0) * weight
-        mass += weight
-    mean: Floats = np.full(total.size, np.nan)
-    np.divide(total, mass, out=mean, where=mass > 0)
-    return mean
-
-
-def _realised(results: Sequence[_Scale], column: int, alpha: float) -> float:
-    if _is_refused(sum(result.n_non_mated for result in results), alpha):
-        return math.nan
-    return float(_over_scales(results, [r.columns[:, column] for r in results])[0])
-
-
-def _mates_of(table: Any, mate: Ints) -> Any:  # noqa: ANN401 - floats or ints, as they come
-    probes = np.flatnonzero(mate >= 0)
-    return table[probes, mate[probes]]
-
-
-def _mated_clusters(trials: Sequence[_Trial]) -> Ints:
-    return np.concatenate([t.probe_cluster[t.mate >= 0] for t in trials])
-
-
-def _ranks_and_cells(scores: Floats, breaks: Floats) -> tuple[Floats, Ints]:
-    """Return `log_rank` of every column were it the mate, and the cell of every score, (P, G)."""
-    ranks, cells = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int64)
-    order = np.argsort(scores, axis=1)
-    _loops().rank_rows(scores, order, breaks, _log_factorial(scores.shape[1]), ranks, cells)
-    return ranks, cells
-
-
-def _loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
+def import_loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
+    """Return the compiled loops; the first call imports numba."""
     return import_module("isac_track._linkability_loops")

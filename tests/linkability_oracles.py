@@ -108,6 +108,19 @@ def d_sys(mated, non_mated, edges):
     return total
 
 
+def shuffled_mates(mate, *, n_gallery, rng, n):
+    """Random distinct mates, n sets: Fisher and Yates, each starting where the last one ended."""
+    probes = np.flatnonzero(mate >= 0)
+    columns = list(range(n_gallery))
+    mates = np.full((n, mate.size), -1)
+    for row, uniform in zip(mates, rng.random((n, probes.size)), strict=True):
+        for k, u in enumerate(uniform):
+            other = k + int(u * (n_gallery - k))
+            columns[k], columns[other] = columns[other], columns[k]
+        row[probes] = columns[: probes.size]
+    return mates
+
+
 def poisson_binomial_tail(chances, hits):
     total = 0.0
     for outcome in product([0, 1], repeat=len(chances)):

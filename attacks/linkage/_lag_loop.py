@@ -125,7 +125,7 @@ def warp(
                 for g in range(n_gallery):
                     aside = min(left[g], up[g])
                     aside += penalty
-                    to[g] = cost[g] + (min(aside, on[g]))
+                    to[g] = cost[g] + min(on[g], aside)
                 if (i == n and j >= m - loose) or (j == m and i >= n - loose):
                     for g in range(n_gallery):
                         least[g] = min(least[g], to[g])
@@ -146,11 +146,40 @@ def _add(weights: Floats, begin: int, cells: Floats, first: int, last: int, row:
         for i in range(n):
             row[i] += (w0 * c0[i] + w1 * c1[i]) + (w2 * c2[i] + w3 * c3[i])
         j += 4
-    while j < last:
+    if j + 2 <= last:
+        at = begin + j - first
+        w0, w1 = weights[at], weights[at + 1]
+        c0, c1 = cells[j], cells[j + 1]
+        for i in range(n):
+            row[i] += w0 * c0[i] + w1 * c1[i]
+        j += 2
+    if j < last:
         w0, c0 = weights[begin + j - first], cells[j]
         for i in range(n):
             row[i] += w0 * c0[i]
-        j += 1
+
+
+@part_of_loop
+def _add_both(
+    along: Floats, across: Floats, cells: Floats, last: int, dot: Floats, cross: Floats
+) -> None:
+    """Add the first cells of (K, N), times either weights, to two rows of N: loaded once."""
+    n = dot.size
+    j = 0
+    while j + 4 <= last:
+        a0, a1, a2, a3 = along[j], along[j + 1], along[j + 2], along[j + 3]
+        b0, b1, b2, b3 = across[j], across[j + 1], across[j + 2], across[j + 3]
+        c0, c1, c2, c3 = cells[j], cells[j + 1], cells[j + 2], cells[j + 3]
+        for i in range(n):
+            dot[i] += (a0 * c0[i] + a1 * c1[i]) + (a2 * c2[i] + a3 * c3[i])
+            cross[i] += (b0 * c0[i] + b1 * c1[i]) + (b2 * c2[i] + b3 * c3[i])
+        j += 4
+    if j < last:
+        a0, a1, b0, b1 = along[j], along[j + 1], across[j], across[j + 1]
+        c0, c1 = cells[j], cells[j + 1]
+        for i in range(n):
+            dot[i] += a0 * c0[i] + a1 * c1[i]
+            cross[i] += b0 * c0[i] + b1 * c1[i]
 
 
 @part_of_loop
@@ -225,8 +254,7 @@ def least_costs(  # noqa: C901, PLR0917 - one loop, for speed
                 for k in range(rank):
                     along[k], along[rank + k] = p_parts[k, i], p_parts[rank + k, i]
                     across[k], across[rank + k] = p_parts[rank + k, i], -p_parts[k, i]
-                _add(along, 0, g_parts, 0, 2 * rank, dot)
-                _add(across, 0, g_parts, 0, 2 * rank, cross)
+                _add_both(along, across, g_parts, 2 * rank, dot, cross)
                 for j in range(n_gallery):
                     dot[j] = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
             else:
@@ -236,7 +264,7 @@ def least_costs(  # noqa: C901, PLR0917 - one loop, for speed
             own, scale = p_norm[i], factor / m
             for j in range(n_gallery):
                 left = own + g_norm[j] - 2.0 * dot[j]
-                gap[j] = (max(0.0, left)) * scale
+                gap[j] = max(left, 0.0) * scale
             for e in range(floors.size):
                 best, more = out[e, i], floors[e] * factor
                 for j in range(n_gallery):

@@ -15,7 +15,6 @@ from attacks.linkage.signals import (
     motion,
     on_grid,
     product,
-    rounded_s,
     teaches,
     widths_s,
 )
@@ -137,7 +136,7 @@ def _second_moments(x: Floats) -> Floats:
 def features(release: Release) -> Floats:
     """Return what describes each walk, (N, F) in the order of `FEATURES`."""
     walks = on_grid(release)
-    going = motion(walks, width_s=rounded_s(widths_s(release)))
+    going = motion(walks, width_s=widths_s(release)[0])
     cells = np.arange(walks.z.shape[1])
     live = cells[None, :] < walks.count[:, None]
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _EXPONENT = 3.0
 _RANK = 8
-_TAUGHT_BY = 64
+_TAUGHT_BY = 80
 """Mated pairs to learn from: three widths of smoothing on all would cost more than the attack."""
 
 

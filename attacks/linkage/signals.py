@@ -149,29 +149,25 @@ def motion(walks: Walks, *, width_s: Floats) -> Motion:
     return Motion(speed, turn, walks.count)
 
 
-def widths_s(release: Release) -> Floats:
-    """Return over how long to smooth each walk, (N,) s, unrounded: the noisier, the longer.
+def widths_s(release: Release, *, factors: Sequence[float] = (1.0,)) -> Floats:
+    """Return over how long to smooth each walk, (F, N) s for F factors: the noisier, the longer.
 
-    ``3 s * v^(1/4)`` of the error variance per axis v in m^2, as the innovations have it. Behind a
-    smoother there is nothing left to smooth and v is next to 0.
+    ``factor * 3 s * v^(1/4)`` of the error variance per axis v in m^2, as the innovations have it,
+    rounded to `WIDTHS_S`. Behind a smoother there is nothing left to smooth and v is next to 0.
     """
     variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    wanted: Floats = _WIDTH_S * variance_m2**0.25
-    return wanted
+    wanted = np.multiply.outer(np.array(factors), _WIDTH_S * variance_m2**0.25)
+    rounded: Floats = WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), wanted)]
+    return rounded
 
 
 def motions(release: Release, *, factors: Sequence[float] = (1.0,)) -> list[Motion]:
-    """Return how the walks of a release go, smoothed over `widths_s` times each factor.
+    """Return how the walks of a release go, smoothed over `widths_s`, for each factor.
 
-    The widths are rounded to `WIDTHS_S`. Several factors at once share the grid.
+    Grid and noise are those of the release, and found once for all factors.
     """
-    walks, wanted = on_grid(release), widths_s(release)
-    return [motion(walks, width_s=rounded_s(factor * wanted)) for factor in factors]
-
-
-def rounded_s(width_s: Floats) -> Floats:
-    """Return the nearest of `WIDTHS_S` for each width, (N,) s."""
-    return WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), width_s)]
+    walks = on_grid(release)
+    return [motion(walks, width_s=width_s) for width_s in widths_s(release, factors=factors)]
 
 
 _WIDTH_S = 3.0

@@ -15,7 +15,6 @@ from scipy.stats import binom, norm
 
 from isac_track.intervals import cluster_weights, wilson
 from isac_track.linkability import (
-    SCORE_REPLICATES,
     Calibration,
     Search,
     assign,
@@ -37,11 +36,10 @@ from isac_track.linkability import (
     reciprocal_rank,
     residual_risk,
     roc_hull,
-    scorecard,
-    shuffled_mates,
     tpr_at_fpr,
 )
 from isac_track.rng import stream
+from isac_track.scorecard import SCORE_REPLICATES, scorecard
 
 CALIBRATION = {0: Calibration(1.0, -0.3), 1: Calibration(0.5, 0.1)}
 
@@ -319,9 +317,9 @@ def test_residual_risk_by_hand():
 
 
 def test_shuffled_mates_are_distinct_and_uniform():
-    mate = np.array([2, -1, 0, 3])
-    mates = shuffled_mates(
-        search=search(np.zeros((4, 5)), mate=mate), rng=stream(6, "test"), n=20_000
+    # The very mates that the scorecard draws, as its p-value says below.
+    mates = oracles.shuffled_mates(
+        np.array([2, -1, 0, 3]), n_gallery=5, rng=stream(6, "test"), n=20_000
     )
     assert mates.shape == (20_000, 4)
     assert (mates[:, 1] == -1).all()
@@ -468,7 +466,7 @@ def test_the_scorecard_says_what_its_parts_say():
     mates = []
     for s in (one, two):
         assigned.append(assign(scores=s.scores, rng=rng) == s.mate)
-        mates.append(shuffled_mates(search=s, rng=rng, n=999))
+        mates.append(oracles.shuffled_mates(s.mate, n_gallery=s.scores.shape[1], rng=rng, n=999))
         hits.append(rank1(scores=s.scores, mate=s.mate))
     everything = np.concatenate([one.scores.ravel(), two.scores.ravel()])
     edges = np.linspace(everything.min(), everything.max(), 42 // 10 + 1)
@@ -506,6 +504,27 @@ def test_the_scorecard_says_what_its_parts_say():
     assert estimates["auc"].replicates.size == SCORE_REPLICATES
     assert "false_link_rate" not in estimates
     assert math.isnan(estimates["cllr"].value)
+
+
+def test_the_layout_of_a_search_does_not_matter():
+    searches = random_searches(stream(22, "test", "layout"), 0)
+    others = [
+        Search(
+            np.asfortranarray(s.scores.astype(np.float32)),
+            np.repeat(s.mate.astype(np.int32), 2)[::2],
+            s.probe_cluster.astype(np.uint8),
+            s.gallery_cluster.astype(np.int16),
+            s.scale,
+        )
+        for s in searches
+    ]
+    options = {"n_clusters": 6, "calibration": CALIBRATION, "no_match_score": {0: 0.0, 1: 0.5}}
+    one, two = card(searches, **options), card(others, **options)
+    assert (one.p_value, one.p_rank1) == (two.p_value, two.p_rank1)
+    for name, estimate in one.estimates.items():
+        other = two.estimates[name]
+        for field in ("value", "ci_low", "ci_high", "replicates"):
+            assert getattr(other, field) == pytest.approx(getattr(estimate, field), nan_ok=True)
 
 
 def test_open_set_counts_who_is_linked_though_absent():
@@ -746,6 +765,6 @@ def test_numbers_out_of_range_are_refused():
         permutation_p(searches=[search(np.eye(2))], rng=stream(0, "test"), n_shuffles=10)
 
 
-def test_importing_the_module_does_not_import_numba():
-    code = "import sys, isac_track.linkability; sys.exit('numba' in sys.modules)"
+def test_importing_the_modules_does_not_import_numba():
+    code = "import sys, isac_track.scorecard; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

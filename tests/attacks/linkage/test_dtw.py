@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from dtaidistance import dtw_ndim
 from linkage_walks import context, hits, training, two_releases
 
 from attacks.linkage.dtw import DTW, warped_costs
@@ -56,6 +57,29 @@ def test_it_is_a_plain_dynamic_programme(band, penalty):
                 probe[i, :n], gallery[j, :m], band=band, penalty=penalty, floor=0.01
             )
             assert costs[i, j] == pytest.approx(slow, rel=1e-9), (n, m)
+
+
+@pytest.mark.parametrize(("n", "m"), [(24, 24), (24, 21), (9, 20)])
+def test_it_is_dtaidistance(n, m):
+    rng = stream(0, "test", "dtw", n)
+    probe, gallery = rng.normal(size=(6, n, 2)), rng.normal(size=(5, m, 2))
+    costs = warped_costs(
+        probe=probe,
+        probe_count=np.full(6, n),
+        gallery=gallery,
+        gallery_count=np.full(5, m),
+        band=0.15,
+        penalty=0.2,
+        floor=0.01,
+    )
+    reach = round(0.15 * max(n, m))
+    for i in range(6):
+        for j in range(5):
+            distance = dtw_ndim.distance(
+                probe[i], gallery[j], window=reach + 1, psi=reach, penalty=0.2, use_c=True
+            )
+            known = (distance**2 / min(n, m) + 0.01) * (24 / min(n, m)) ** 3
+            assert costs[i, j] == pytest.approx(known, rel=1e-9)
 
 
 def test_warping_forgives_a_change_of_pace():

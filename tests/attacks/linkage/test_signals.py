@@ -20,6 +20,7 @@ from attacks.linkage.signals import (
     learn,
     log_rank,
     motion,
+    motions,
     on_grid,
     polynomials,
     product,
@@ -83,9 +84,20 @@ def test_motion_on_a_circle(radius_m, rad_s):
 def test_noise_asks_for_width():
     probe, _, _ = two_releases(6, noise_m=0.0)
     noisy, _, _ = two_releases(6, noise_m=1.0)
-    assert (widths_s(probe) == WIDTHS_S[0]).all()
-    assert (widths_s(noisy) > 2.0).all()
-    assert (widths_s(noisy, factor=0.5) < widths_s(noisy)).all()
+    assert np.array_equal(widths_s(probe), np.full((1, 6), WIDTHS_S[0]))
+    usual, half = widths_s(noisy, factors=(1.0, 0.5))
+    assert (usual > 2.0).all()
+    assert (half < usual).all()
+
+
+def test_motions_of_several_factors_are_those_of_each():
+    release = odd_release(1)
+    several = motions(release, factors=(1.0, 2.0))
+    for each, width_s in zip(several, widths_s(release, factors=(1.0, 2.0)), strict=True):
+        alone = motion(on_grid(release), width_s=width_s)
+        assert np.array_equal(each.speed, alone.speed)
+        assert np.array_equal(each.turn, alone.turn)
+    assert not np.array_equal(several[0].speed, several[1].speed)
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -193,18 +205,21 @@ def test_only_a_gain_moves_from_the_default():
     assert chosen([1.0, 1.5]) == 0
 
 
-def test_learning_takes_what_ranks_best():
-    probe, gallery, mate = two_releases(12)
+def test_learning_takes_one_parameter_after_the_other():
+    asked = []
 
-    def score(choice, probe, gallery):
-        known = np.zeros((len(probe), len(gallery)))
-        known[np.arange(choice), mate[:choice]] = 1.0
-        return known
+    def loss(choice):
+        asked.append(choice)
+        return abs(choice[0] - 5.0) + abs(choice[1] - 2.0)
 
-    train = training(probe, gallery, mate)
-    assert learn(train, candidates=(0, 5, 12, 7), score=score) == 12
-    nobody = training(probe, gallery, np.full(12, -1))
-    assert learn(nobody, candidates=(0, 5, 12, 7), score=score) == 0
+    assert learn(((1.0, 4.0, 9.0), (7.0,), (3.0, 8.0)), loss=lambda c: loss(c[::2])) == (4, 7, 3)
+    # What was found for the first is not asked for again.
+    assert asked == [(1.0, 3.0), (4.0, 3.0), (9.0, 3.0), (4.0, 8.0)]
+
+
+def test_learning_keeps_a_default_that_is_as_good():
+    assert learn(((1.0, 2.0), (3.0, 4.0)), loss=lambda choice: 1.0 - sum(choice) / 1e4) == (1, 3)
+    assert learn(((1.0,), (3.0,)), loss=lambda _: pytest.fail("nothing to choose")) == (1, 3)
 
 
 def test_few_mates_are_the_mates():
