@@ -255,7 +255,7 @@ class Axes:
         """Return the mechanisms of the linkage tasks: all, and the ceiling."""
         known = {plugin.spec for plugin in self.mechanisms}
         extra = () if self.ceiling is None or self.ceiling.spec in known else (self.ceiling,)
-        return (*self.mechanisms, *extra)
+        return (*extra, *self.mechanisms)
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -337,6 +337,8 @@ def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ..
     links: dict[str, Link] = {}
     for spec in specs:
         name, at, behind_spec = spec.partition("@")
+        if at and not (name.strip() and behind_spec.strip()):
+            raise SettingsError(f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts")
         for plugin in registry.parse("attacks", name):
             links_people = kind_of(plugin.instance) == "linkage"
             if not at:

@@ -16,7 +16,6 @@ import pandas as pd
 from attacks.controls import CONTROLS
 from attacks.linkage.task_list import TASKS
 from evaluation.linkage_cell import read_card
-from evaluation.linkage_scores import AUDIT_SHUFFLES
 from isac_track.linkability import LEVEL, outcome
 
 if TYPE_CHECKING:
@@ -161,9 +160,8 @@ def _leaks(
         task, _, name = entry["consumer"].partition("/control-")
         if entry["kind"] == "control" and CONTROLS[name].is_audit:
             # Two-sided: who scores mates low gives them away as well.
-            p_value = card.numbers["p_value"]
-            p_value = min(1.0, 2.0 * min(p_value, 1.0 + 1.0 / (1 + AUDIT_SHUFFLES) - p_value))
-            audits.setdefault((entry["spec"], task), {})[name] = p_value
+            tails = card.numbers["p_value"], card.numbers["p_value_low"]
+            audits.setdefault((entry["spec"], task), {})[name] = min(1.0, 2.0 * min(tails))
     leaks = {}
     for where, p_values in audits.items():
         in_order = sorted(p_values, key=p_values.__getitem__)

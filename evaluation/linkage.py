@@ -70,9 +70,9 @@ def link_level(
     PluginError
         If an attack raises or breaks its contract; the message names it.
     """
-    task = ground.sessions.task.name
+    task = ground.sessions.task
     shared = [
-        share(sensed, ("linkage", task, side))
+        share(sensed, ("linkage", task.family, side))
         for sensed, side in zip(ground.sensed, SIDES, strict=True)
     ]
     if ground.frames is not None:
@@ -120,13 +120,14 @@ def _linked(consumer: Consumer, level: _Level) -> Linked:
         known = calibrated(found)
         if known is not None:
             calibration[fold] = known
-            no_match[fold] = no_match_score(known, half)
+            for number, part in half.searches:
+                no_match[number] = no_match_score(known, part, mate_rate=half.mate_rate)
     rng = stream(level.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge)
     return read_off(
         scores,
         ground=ground,
         calibration=calibration,
-        no_match=no_match if ground.sessions.task.shows_scene else {},
+        no_match=no_match if ground.sessions.task.shows_scene else None,
         rng=rng,
         cohorts=True,
     )
@@ -160,7 +161,7 @@ def _controlled(consumer: Consumer, level: _Level) -> Linked:
         scores,
         ground=ground,
         calibration={},
-        no_match={},
+        no_match={} if ground.sessions.task.shows_scene else None,
         rng=rng,
         cohorts=False,
         n_shuffles=AUDIT_SHUFFLES if control.is_audit else SHUFFLES,

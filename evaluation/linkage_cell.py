@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _METADATA = b"isac_track.linkage"
 _NUMBERS = (
     "p_value",
+    "p_value_low",
     "p_rank1",
     "n_probes",
     "n_mated",

@@ -79,6 +79,8 @@ class Half:
     learns: Part
     calibrates: tuple[Part, ...]
     """Searches of the people on whose scores those of this fold are calibrated."""
+    mate_rate: float
+    """Share of those people's probes that have a mate, kept off 0 and 1."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -193,11 +195,14 @@ def _half(sessions: Sessions, fold: int) -> Half:
             mate=np.where(mate >= 0, place[mate], -1),
         )
 
-    calibrates = (part(np.array([number]), sessions.calibrates[fold]) for number in others)
+    calibrates = [part(np.array([number]), sessions.calibrates[fold]) for number in others]
+    n_probes = sum(one.mate.size for one in calibrates)
+    n_mated = sum(int((one.mate >= 0).sum()) for one in calibrates)
     return Half(
         searches=tuple((int(number), part(np.array([number]), None)) for number in mine),
         learns=part(others, sessions.learns[fold]),
         calibrates=tuple(one for one in calibrates if (one.mate >= 0).any()),
+        mate_rate=(n_mated + 0.5) / (n_probes + 1.0),
     )
 
 
@@ -235,11 +240,11 @@ def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) 
         np.diff(windows.offsets), windows.person, windows.search, strict=True
     ):
         # The number of a closed search is a half, which may change with who else is there.
-        key = ("linkage", task.name, side, sessions.source[person])
+        key = ("linkage", task.family, side, sessions.source[person])
         drawn.append(
             draw_channel(
                 n_samples=np.array([[size]]),
-                keys=[(*key, int(search)) if task.shows_scene else key],
+                keys=[(*key, sessions.searches[search]) if task.shows_scene else key],
                 settings=stages.sensing,
                 seed=seed,
             )
@@ -261,12 +266,14 @@ def _frames(sessions: Sessions, side: str, *, seed: int) -> Frames:
     windows = _side(sessions, side)
     drawn = np.empty((len(windows), 4))
     for row, person in enumerate(windows.person):
-        rng = stream(seed, "frames", "linkage", sessions.task.name, side, sessions.source[person])
+        rng = stream(seed, "frames", "linkage", sessions.task.family, side, sessions.source[person])
         drawn[row] = rng.random(4)
-    angle, *shift, clock = np.repeat(drawn, np.diff(windows.offsets), axis=0).T
+    sizes = np.diff(windows.offsets)
+    angle, *shift, clock = np.repeat(drawn, sizes, axis=0).T
     return Frames(
         cos=np.cos(2.0 * np.pi * angle),
         sin=np.sin(2.0 * np.pi * angle),
         shift_m=_FAR_M * (2.0 * np.column_stack(shift) - 1.0),
-        clock_s=_LONG_S * clock,
+        # From the start of each window: a recording may last longer than the draw reaches.
+        clock_s=_LONG_S * clock - np.repeat(windows.t[windows.offsets[:-1]], sizes),
     )

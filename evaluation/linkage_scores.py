@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.intervals import cluster_sums, ratio_estimate
+from isac_track.intervals import Estimate, cluster_sums, ratio_estimate
 from isac_track.linkability import (
     Calibration,
     Search,
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from evaluation.linkage_ground import Ground, Half, Part
-    from isac_track.intervals import Estimate
+    from evaluation.linkage_ground import Ground, Part
     from isac_track.types import Bools, Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
@@ -64,7 +63,7 @@ def read_off(
     *,
     ground: Ground,
     calibration: Mapping[int, Calibration],
-    no_match: Mapping[int, float],
+    no_match: Mapping[int, float] | None,
     rng: Generator,
     cohorts: bool,
     n_shuffles: int = SHUFFLES,
@@ -76,8 +75,11 @@ def read_off(
     scores : mapping
         (P, G) of every search, by its number.
     ground : Ground
-    calibration, no_match : mapping
-        By fold; none where there is nobody to calibrate on, or nobody may stay alone.
+    calibration : mapping
+        By fold; none where there is nobody to calibrate on.
+    no_match : mapping or None
+        By search: what a pair must score to be linked. None in a closed gallery, where everybody
+        is; a search that is not in it has no assignment.
     rng : Generator
     cohorts : bool
         Whether to leave confounders out as well.
@@ -99,14 +101,19 @@ def read_off(
         for number, probe, gallery in zip(numbers, probe_person, gallery_person, strict=True)
     ]
     scales = {search.scale for search in searches}
+    needed = None
+    if no_match is not None and set(numbers) <= set(no_match):
+        needed = [no_match[number] for number in numbers]
     card = scorecard(
         searches,
         weights=ground.weights,
         calibration=calibration if scales <= set(calibration) else None,
-        no_match_score=no_match if scales <= set(no_match) else None,
+        no_match_score=needed,
         rng=rng,
         n_shuffles=n_shuffles,
     )
+    if no_match is not None and needed is None:
+        card = _without_assignment(card)
     parts = {}
     if cohorts:
         parts = {
@@ -129,6 +136,16 @@ def read_off(
         card=card,
         parts=parts,
     )
+
+
+def _without_assignment(card: Scorecard) -> Scorecard:
+    """Return the card of an open gallery without a cost for leaving somebody alone."""
+    estimates = dict(card.estimates)
+    for name in ("rank1_assigned", "false_link_rate"):
+        if name in estimates:
+            unknown = np.full_like(estimates[name].replicates, np.nan)
+            estimates[name] = Estimate(np.nan, np.nan, np.nan, estimates[name].n, unknown)
+    return replace(card, estimates=estimates)
 
 
 def _cohort(
@@ -181,11 +198,23 @@ def calibrated(found: Sequence[tuple[Floats, Part]]) -> Calibration | None:
     return fit_calibration(mated=first, non_mated=second)
 
 
-def no_match_score(calibration: Calibration, half: Half) -> float:
-    """Return the score at which a pair is as likely mates as not, among so many candidates."""
-    n_mated = sum(int((part.mate >= 0).sum()) for part in half.calibrates)
-    n_pairs = sum(part.probe.size * part.gallery.size for part in half.calibrates)
-    needed = float(np.log((n_pairs - n_mated) / n_mated))
-    if calibration.slope <= 0.0:  # scores tell nothing, and mates are rare: nobody is linked
+def no_match_score(calibration: Calibration, part: Part, *, mate_rate: float) -> float:
+    """Return what a pair of a search must score to be linked rather than left alone.
+
+    Of the matchings of P probes with G candidates the most probable one is sought, where a probe
+    has a mate with probability r, anybody as likely as another. Linking one pair more then takes a
+    likelihood ratio of (1 - r) / r times the candidates that are nobody's mate, G - r P.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    part : Part
+        The search.
+    mate_rate : float
+        r, of other people.
+    """
+    if calibration.slope <= 0.0:  # scores tell nothing: nobody is linked
         return _NEVER
-    return min((needed - calibration.intercept) / calibration.slope, _NEVER)
+    nobodys = max(part.gallery.size - mate_rate * part.probe.size + 1.0, 1.0)
+    needed = float(np.log((1.0 - mate_rate) / mate_rate * nobodys))
+    return float(np.clip((needed - calibration.intercept) / calibration.slope, -_NEVER, _NEVER))

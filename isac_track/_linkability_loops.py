@@ -114,31 +114,57 @@ def rank_rows(
             counts[standing[i, 2]] -= 1
 
 
-@compiled(FLOATS2, FLOATS2, _BYTES2, OUT_FLOATS1, OUT_FLOATS2)
+@compiled(FLOATS2, INTS1, INTS1, INTS1, FLOATS2, _BYTES2, OUT_FLOATS1, OUT_FLOATS2)
 def shuffle(
     uniform: Floats,
+    sizes: Ints,
+    n_alike: Ints,
+    mate: Ints,
     log_rank: Floats,
     score_bin: Bytes,
     total: Floats,
     bins: Floats,
 ) -> None:
-    """Give probes random injective mates, once a row: Fisher and Yates, from uniforms.
+    """Give mated probes one another's mates, once a row, as `permutation_p` says.
 
-    Add the log-rank statistic, and the histogram of mated scores, of every set of mates.
+    Fisher and Yates, from uniforms. The probes come cluster by cluster: ``n_alike[a]`` clusters of
+    ``sizes[a]`` probes each, for every a. Add the log-rank statistic, and the histogram of mated
+    scores, of every set of mates.
     """
-    n_probes, n_gallery = log_rank.shape
     # Unsigned: no index from the end, which would have to be looked for.
-    columns = np.arange(n_gallery).astype(np.uint64)
+    columns = mate.astype(np.uint64)
+    one = np.uint64(1)
     # The order that one draw leaves behind is as good a start for the next as any.
     for row in range(uniform.shape[0]):
-        of_row = total[row]
-        for k in range(n_probes):
-            other = np.uint64(k + int(uniform[row, k] * (n_gallery - k)))
-            column = columns[other]
-            columns[other] = columns[k]
-            columns[k] = column
-            of_row += log_rank[k, column]
-            bins[row, score_bin[k, column]] += 1.0
+        of_row, uniforms, histogram = total[row], uniform[row], bins[row]
+        drawn = np.uint64(0)
+        base = 0
+        for a in range(sizes.size):
+            size, n_clusters = sizes[a], n_alike[a]
+            for c in range(n_clusters):
+                # The last cluster has no choice left, nor has the last member: no uniform.
+                start = far = base + c * size
+                if c < n_clusters - 1:
+                    far += size * int(uniforms[drawn] * (n_clusters - c))
+                    drawn += one
+                for k in range(size):
+                    here, other = np.uint64(start + k), np.uint64(far + k)
+                    column = columns[other]
+                    columns[other] = columns[here]
+                    columns[here] = column
+                for k in range(size - 1):
+                    here = np.uint64(start + k)
+                    other = np.uint64(start + k + int(uniforms[drawn] * (size - k)))
+                    drawn += one
+                    column = columns[other]
+                    columns[other] = columns[here]
+                    columns[here] = column
+            base += size * n_clusters
+        for k in range(columns.size):
+            here = np.uint64(k)
+            column = columns[here]
+            of_row += log_rank[here, column]
+            histogram[score_bin[here, column]] += 1.0
         total[row] = of_row
 
 

@@ -24,6 +24,7 @@ from isac_track.intervals import (
     wilson,
 )
 from isac_track.linkability import (
+    add_shuffles,
     assign,
     chances_of,
     check_searches,
@@ -39,6 +40,7 @@ from isac_track.linkability import (
     rank1_p,
     rank_rows,
     residual_risk,
+    shuffling_room,
 )
 
 if TYPE_CHECKING:
@@ -78,6 +80,8 @@ class Scorecard:
     """By metric; NaN where undefined or refused. See `scorecard`."""
     p_value: float
     """Of `permutation_p`."""
+    p_value_low: float
+    """Of the same shuffles' other tail, ties counted in both: mates score low. A link, inverted."""
     p_rank1: float
     """Of `rank1_p`."""
     n_probes: int
@@ -146,7 +150,7 @@ def scorecard(
     *,
     weights: Floats,
     calibration: Mapping[int, Calibration] | None,
-    no_match_score: Mapping[int, float] | None,
+    no_match_score: Sequence[float] | None,
     rng: np.random.Generator,
     n_shuffles: int = 999,
 ) -> Scorecard:
@@ -160,7 +164,7 @@ def scorecard(
     | chance, residual_risk | `chance`, and `residual_risk` of rank1 against it |
     | auc, eer, cllr, cllr_min | as the functions; cllr needs `calibration` |
     | tpr_at_fpr_1pct, tpr_at_fpr_01pct | `tpr_at_fpr`; refused on all non-mated pairs together |
-    | d_sys, d_sys_corrected | `d_sys`, and less its mean under shuffled mates |
+    | d_sys, d_sys_corrected | `d_sys`, and less its mean under `permutation_p`'s shuffles |
 
     Rank metrics pool the probes of all searches. Score metrics pool the scores within a scale, a
     non-mated pair being of one search; over scales they are averaged, weighted by mated probes.
@@ -192,28 +196,27 @@ def scorecard(
         From `cluster_weights`; the clusters of `searches` are its columns.
     calibration : mapping of scale to Calibration, or None
         Fitted on other people. Without it `cllr` is NaN.
-    no_match_score : mapping of scale to float, or None
-        As in `assign`. Without it every probe is assigned.
+    no_match_score : sequence of float, or None
+        As in `assign`, one a search. Without it every probe is assigned.
     rng : Generator
-        Draws, search by search, the order of columns for `assign`, then one uniform number a
-        shuffle and mated probe.
+        Draws, search by search, the order of columns for `assign`, then what `permutation_p` does.
     n_shuffles : int, optional
-        At least 999; for `permutation_p` and `d_sys_corrected`.
+        At least 999; for `p_value`, `p_value_low` and `d_sys_corrected`.
 
     Raises
     ------
     ValueError
-        Without a search, for too few shuffles, for clusters beyond `weights`, or if a mapping lacks
-        a scale.
+        Without a search, for too few shuffles, for clusters beyond `weights`, if `calibration`
+        lacks a scale, or if `no_match_score` is not as long as `searches`.
     """
     check_searches(searches, n_shuffles)
-    _check_scales(searches, calibration, no_match_score)
+    _check_options(searches, calibration, no_match_score)
     _check_weights(searches, weights)
     cells = {
         scale: _cut([search for search in searches if search.scale == scale], n_shuffles)
         for scale in sorted({search.scale for search in searches})
     }
-    trials, p_value = _trials(searches, cells, no_match_score, rng, n_shuffles)
+    trials, (p_value, p_value_low) = _trials(searches, cells, no_match_score, rng, n_shuffles)
     results = [
         _score_scale(
             [trial for trial in trials if trial.scale == scale],
@@ -249,6 +252,7 @@ def scorecard(
     return Scorecard(
         estimates=estimates,
         p_value=p_value,
+        p_value_low=p_value_low,
         p_rank1=rank1_p(hits=hits, chance=chances),
         n_probes=has_mate.size,
         n_mated=n_mated,
@@ -264,17 +268,19 @@ def scorecard(
     )
 
 
-def _check_scales(
+def _check_options(
     searches: Sequence[Search],
     calibration: Mapping[int, Calibration] | None,
-    no_match_score: Mapping[int, float] | None,
+    no_match_score: Sequence[float] | None,
 ) -> None:
-    for name, mapping in (("calibration", calibration), ("no_match_score", no_match_score)):
-        missing = {search.scale for search in searches}.difference(
-            mapping if mapping is not None else {search.scale for search in searches}
-        )
+    if calibration is not None:
+        missing = {search.scale for search in searches}.difference(calibration)
         if missing:
-            raise ValueError(f"{name} lacks the scales {sorted(missing)}")
+            raise ValueError(f"calibration lacks the scales {sorted(missing)}")
+    if no_match_score is not None and len(no_match_score) != len(searches):
+        raise ValueError(
+            f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
+        )
 
 
 def _check_weights(searches: Sequence[Search], weights: Floats) -> None:
@@ -305,27 +311,23 @@ def _cut(searches: Sequence[Search], n_shuffles: int) -> _Cells:
 def _trials(
     searches: Sequence[Search],
     cells: Mapping[int, _Cells],
-    no_match_score: Mapping[int, float] | None,
+    no_match_score: Sequence[float] | None,
     rng: np.random.Generator,
     n_shuffles: int,
-) -> tuple[list[_Trial], float]:
-    """Return what the searches give, and the p-value of `permutation_p`; fill `null_bins`."""
-    loops = import_loops()
+) -> tuple[list[_Trial], tuple[float, float]]:
+    """Return what the searches give, and the p-values of both tails; fill `null_bins`."""
     log_factorial = log_factorials(max(search.scores.shape[1] for search in searches))
-    room = np.empty(n_shuffles * max(search.mate.size for search in searches))
+    room = shuffling_room(searches, n_shuffles)
+    no_match: Sequence[float | None] = (
+        no_match_score if no_match_score is not None else [None] * len(searches)
+    )
     null, observed = np.zeros(n_shuffles), 0.0
     trials = []
-    for search in searches:
+    for search, least in zip(searches, no_match, strict=True):
         cut = cells[search.scale]
         ranks = rank_rows(search, cut.breaks, log_factorial)
-        no_match = no_match_score[search.scale] if no_match_score is not None else None
-        assigned = assign(scores=search.scores, rng=rng, no_match_score=no_match)
-        probes = np.flatnonzero(search.mate >= 0)
-        uniform = room[: n_shuffles * probes.size].reshape(n_shuffles, probes.size)
-        rng.random(out=uniform)
-        score_bin = cut.bins[ranks.cell[probes]]
-        loops.shuffle(uniform, ranks.log_rank[probes], score_bin, null, cut.null_bins)
-        observed += float(ranks.log_rank[probes, search.mate[probes]].sum())
+        assigned = assign(scores=search.scores, rng=rng, no_match_score=least)
+        observed += add_shuffles(search, ranks, cut.bins, rng, room, null, cut.null_bins)
         trials.append(
             _Trial(
                 scores=np.ascontiguousarray(search.scores, dtype=np.float64),
@@ -334,11 +336,11 @@ def _trials(
                 probe_cluster=np.searchsorted(cut.clusters, search.probe_cluster),
                 gallery_cluster=np.searchsorted(cut.clusters, search.gallery_cluster),
                 ranks=ranks,
-                probes=probes,
+                probes=np.flatnonzero(search.mate >= 0),
                 assigned=assigned,
             )
         )
-    return trials, p_value_among(observed, null)
+    return trials, (p_value_among(observed, null), p_value_among(-observed, -null))
 
 
 def _tables(weights: Floats) -> tuple[NDArray[np.float32], Floats]:

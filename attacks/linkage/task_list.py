@@ -35,6 +35,11 @@ class Task:
     """Whether it needs the two-session crowd instead of a recording."""
 
     @property
+    def family(self) -> str:
+        """Name without the gap: tasks that differ in that alone share their draws."""
+        return self.name.partition("-")[0]
+
+    @property
     def everyone(self) -> frozenset[Knowledge]:
         """What every adversary is granted."""
         from isac_track.types import Knowledge  # noqa: PLC0415 - a list of names needs no numpy

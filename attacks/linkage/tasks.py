@@ -16,7 +16,7 @@ import numpy as np
 
 from attacks.linkage.task_list import TASKS, Task
 from isac_track.datasets.summary import summarise
-from isac_track.errors import DataError
+from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
 from isac_track.types import read_only
@@ -123,7 +123,9 @@ def build(
         "split": _split,
         "new_traversal": _new_traversal,
     }
-    return make.get(task.name, _handover)(draft)
+    found = make.get(task.name, _handover)(draft)
+    _need_halves(found)
+    return found
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -144,7 +146,7 @@ class _Draft:
 
     def rng(self, *names: str | int) -> Generator:
         """Return a stream of the task; where everything but the gap is alike, so are the draws."""
-        return stream(self.seed, "linkage", self.task.name.partition("-")[0], *names)
+        return stream(self.seed, "linkage", self.task.family, *names)
 
     def lasting(self, duration_s: float) -> Ints:
         """Return the tracks that are long enough."""
@@ -158,6 +160,11 @@ class _Draft:
         DataError
             If they are too few; `what` says of whom.
         """
+        if self.settings.linkage.most_people < LEAST_PEOPLE:
+            raise SettingsError(
+                f"linkage.most_people must be at least {LEAST_PEOPLE}, "
+                f"got {self.settings.linkage.most_people}"
+            )
         _need_people(rows.size, self.task, what)
         drawn = self.rng("people").permutation(rows)[: self.settings.linkage.most_people]
         return np.sort(drawn)
@@ -169,6 +176,26 @@ def _need_people(found: int, task: Task, what: str) -> None:
             f"task {task.name}: {found} {what}, but it takes {LEAST_PEOPLE}; use a longer "
             "recording, shorter windows (--set linkage....) or leave the task out (--task)"
         )
+
+
+def _need_halves(sessions: Sessions) -> None:
+    """Refuse a task where a half has nobody to link, or nobody to learn from.
+
+    Raises
+    ------
+    DataError
+    """
+    mated = np.flatnonzero(sessions.mate >= 0)
+    fold = sessions.fold[sessions.probe.search[mated]]
+    person = sessions.probe.person[mated]
+    for half in range(_N_FOLDS):
+        mine, others = person[fold == half], person[fold != half]
+        if mine.size < 2 or not sessions.learns[half][others].any():  # noqa: PLR2004
+            raise DataError(
+                f"task {sessions.task.name}: half of the people has nobody to link, or nobody "
+                "else to learn from: too many belong to one walking group, or are there all the "
+                "time; use a recording of more people or leave the task out (--task)"
+            )
 
 
 def _rerelease(draft: _Draft) -> Sessions:
@@ -305,7 +332,8 @@ def _handover(draft: _Draft) -> Sessions:
     ]
     # Where nobody is to be linked there is nothing to search.
     used = [n for n in range(count) if np.intersect1d(before[n], after[n]).size]
-    rows = np.unique(np.concatenate([*before, *after, np.zeros(0, dtype=np.int64)]))
+    there = [present[n] for present in (before, after) for n in used]
+    rows = np.unique(np.concatenate([*there, np.zeros(0, dtype=np.int64)]))
     _need_people(rows.size, draft.task, "people are there when pseudonyms rotate")
     if len(used) < _N_FOLDS:
         raise DataError(
@@ -315,6 +343,7 @@ def _handover(draft: _Draft) -> Sessions:
     person_of = np.full(len(tracks), -1)
     person_of[rows] = np.arange(rows.size)
     fold = (np.arange(len(used)) * _N_FOLDS) // len(used)
+    labels = tuple(f"{instants[n]:g} s" for n in used)
     sides = []
     for side, present in (("probe", before), ("gallery", after)):
         order = [draft.rng("order", side, n).permutation(present[n]) for n in used]
@@ -337,6 +366,7 @@ def _handover(draft: _Draft) -> Sessions:
                 length_s=length_s,
                 person=person_of[row],
                 search=search,
+                keys=[labels[n] for n in search],
             )
         )
     probe, gallery = sides
@@ -368,7 +398,7 @@ def _handover(draft: _Draft) -> Sessions:
             ]
         ),
         fold=fold,
-        searches=tuple(f"{instants[n]:g} s" for n in used),
+        searches=labels,
         learns=learns,
         calibrates=calibrates,
         too_short=len(tracks) - rows.size,
@@ -386,15 +416,17 @@ def _windows(
     length_s: Floats | float,
     person: Ints,
     search: Ints,
+    keys: Sequence[str] | None = None,
 ) -> Windows:
     """Return stretches of walks, each at sampling instants of its own."""
     walks = {row: walk(tracks[row]) for row in np.unique(rows).tolist()}
     lengths = np.broadcast_to(np.asarray(length_s, dtype=np.float64), rows.shape)
     t_parts, xy_parts = [], []
-    for row, start, length, number in zip(rows.tolist(), start_s, lengths, search, strict=True):
-        # A closed search's number is a fold, which may change with who else is there.
-        key = (number,) if draft.task.shows_scene else ()
-        rng = draft.rng("sampling", side, tracks.source[row], *key)
+    # Where a walk is cut more than once its windows have a key each.
+    for row, start, length, key in zip(
+        rows.tolist(), start_s, lengths, keys or [""] * rows.size, strict=True
+    ):
+        rng = draft.rng("sampling", side, tracks.source[row], key)
         # A recorded duration carries the rounding of the frame clock, and so may the last window.
         end = min(start + length, float(tracks.t[tracks.offsets[row + 1] - 1]))
         t = sampling_times(start_s=start, end_s=end, settings=draft.settings.resample, rng=rng)

@@ -210,6 +210,15 @@ class TestWhatAnAdversarySees:
         _, probe, gallery = spy.seen[0]
         assert not set(probe.pseudonym) & set(gallery.pseudonym)
 
+    def test_the_clock_hides_the_day_as_well(self):
+        tracks = walkers()
+        days = np.repeat(86_400.0 * np.arange(len(tracks)), np.diff(tracks.offsets))
+        spy = Spy()
+        linked(link(spy), tracks=replace(tracks, t=tracks.t + days))
+        _, probe, _ = spy.seen[0]
+        starts = probe.t[probe.offsets[:-1]]
+        assert starts.max() <= 86_400.0
+
     def test_who_trains_is_somebody_else(self):
         spy = Spy(uses=frozenset({Knowledge.TRAIN}))
         _, known = linked(link(spy), mechanism="clean")
@@ -591,6 +600,26 @@ class TestRuns:
         ]
         pd.testing.assert_frame_equal(*frames, check_exact=True)
 
+    def test_an_earlier_attack_whose_ceiling_is_missing_is_left_out(self, settings):
+        evaluation.run(replace(settings, tasks=("rerelease",), attacks=("shape",)))
+        for path in (settings.out / "cells").glob("clean*shape*"):
+            path.unlink()
+        again = replace(settings, tasks=("rerelease",), attacks=("histogram",))
+        found = evaluation.run(again).linkability
+        attacks = set(found["consumer"])
+        assert "rerelease/histogram" in attacks
+        assert "rerelease/shape" not in attacks
+        assert "rerelease/shape" in set(
+            evaluation.run(replace(again, attacks=("histogram", "shape"))).linkability["consumer"]
+        )
+
+    def test_without_a_declared_noise_there_is_no_leak(self, settings):
+        results = evaluation.run(
+            replace(settings, mechanisms=("raw",), attacks=("kinematic",), tasks=("handover-2s",))
+        )
+        clean = results.linkability[results.linkability["mechanism"] == "clean"]
+        assert (clean["invalid"] == "").all()
+
     def test_the_manifest_says_who_is_linked(self, settings):
         manifest = evaluation.run(settings).manifest
         tasks = manifest["linkage"]["tasks"]
@@ -643,6 +672,8 @@ class TestAxes:
             ({"attacks": ("shape@dtw",)}, "left of @ stands a linkage attack"),
             ({"attacks": ("kalman_rts@radial_rts",)}, "left of @ stands a linkage attack"),
             ({"attacks": ("shape@kalman_rtss",)}, "did you mean 'kalman_rts'"),
+            ({"attacks": ("shape@",)}, "'shape@': expected LINKER@RECONSTRUCTION"),
+            ({"attacks": ("@radial_rts",)}, "expected LINKER@RECONSTRUCTION"),
             ({"attacks": ("kinematic",), "tasks": ("split",)}, "'kinematic' has no task"),
             ({"attacks": ("shape@averaging",)}, "has no task to run in.*requires REPEATS"),
             ({"attacks": ("identity",), "tasks": ("split",)}, "task split has no attack"),
@@ -674,7 +705,7 @@ class TestAxes:
 
 class TestOutcomes:
     @staticmethod
-    def entry(consumer, mechanism, p_value, *, kind="linkage"):
+    def entry(consumer, mechanism, p_value, *, low=1.0, kind="linkage"):
         card = type("Card", (), {})()
         estimate = type("E", (), {"value": 0.1, "ci_low": 0.0, "ci_high": 0.2, "n": 5})()
         card.estimates = {"rank1": estimate, "chance": estimate}
@@ -691,7 +722,7 @@ class TestOutcomes:
                 "minimum_detectable_rank1",
             ),
             1,
-        ) | {"p_value": p_value, "gallery_sizes": [5, 5, 5.0]}
+        ) | {"p_value": p_value, "p_value_low": low, "gallery_sizes": [5, 5, 5.0]}
         card.cohorts = {}
         level = None if mechanism in {"raw", "clean"} else 1.0
         return {
@@ -739,7 +770,7 @@ class TestOutcomes:
 
     def test_a_shortcut_that_scores_mates_low_is_a_leak_as_well(self):
         found = self.outcomes(
-            self.entry("split/control-duration", "raw", 1.0, kind="control"),
+            self.entry("split/control-duration", "raw", 1.0, low=0.0002, kind="control"),
             self.entry("split/x", "raw", 0.001),
             self.entry("split/x", "clean", 0.001),
         )

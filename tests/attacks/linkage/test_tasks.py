@@ -8,7 +8,7 @@ import pytest
 from attacks.linkage.task_list import TASKS
 from attacks.linkage.tasks import LEAST_PEOPLE, build
 from isac_track.config import StageSettings
-from isac_track.errors import DataError
+from isac_track.errors import DataError, SettingsError
 from isac_track.rng import stream
 from isac_track.types import Tracks
 
@@ -281,14 +281,16 @@ def test_leaving_one_person_out_changes_no_other_window(name):
         ("linkage.handover_period_s", 15.0, "handover-2s"),
         ("linkage.handover_window_s", 3.0, "handover-2s"),
         ("linkage.handover_least_s", 2.0, "handover-2s"),
-        ("linkage.handover_instants", 2, "handover-2s"),
+        ("linkage.handover_instants", 3, "handover-2s"),
         ("linkage.most_people", 26, "new_traversal"),
         ("linkage.most_people", 26, "rerelease"),
         ("resample.rate_max_hz", 12.0, "split"),
     ],
 )
 def test_every_setting_changes_what_is_linked(setting, value, name):
-    plain, changed = sessions(name), sessions(name, stages=STAGES.changed({setting: value}))
+    tracks = crowd(n=200)
+    plain = sessions(name, tracks=tracks)
+    changed = sessions(name, tracks=tracks, stages=STAGES.changed({setting: value}))
     assert plain.probe.t.size != changed.probe.t.size or not np.array_equal(
         plain.probe.t, changed.probe.t
     )
@@ -328,6 +330,49 @@ def test_too_few_people_are_refused_with_the_way_out(name):
     few = crowd(n=10)
     with pytest.raises(DataError, match=rf"task {name}: \d+ .*takes {LEAST_PEOPLE}.*--task"):
         sessions(name, tracks=few)
+
+
+def test_one_walking_group_is_refused():
+    tracks = crowd()
+    with pytest.raises(DataError, match="too many belong to one walking group"):
+        sessions("rerelease", tracks=replace(tracks, group=("all",) * len(tracks)))
+
+
+def test_people_who_are_there_all_the_time_teach_nobody_and_are_refused():
+    t = np.arange(0.0, 100.0, 0.4)
+    rng = stream(0, "test", "always")
+    n = 40
+    always = Tracks(
+        t=np.tile(t, n),
+        xy=rng.normal(0, 0.2, (n * t.size, 2)).cumsum(axis=0),
+        offsets=np.arange(n + 1) * t.size,
+        source=tuple(f"p{row}" for row in range(n)),
+        group=tuple(f"p{row}" for row in range(n)),
+    )
+    with pytest.raises(DataError, match="are there all the time"):
+        sessions("handover-1s", tracks=always)
+
+
+def test_too_small_a_draw_is_refused():
+    with pytest.raises(SettingsError, match=f"most_people must be at least {LEAST_PEOPLE}"):
+        sessions("rerelease", stages=STAGES.changed({"linkage.most_people": 3}))
+
+
+def test_windows_before_the_gap_are_the_same_whatever_the_gap():
+    short, long = sessions("handover-1s"), sessions("handover-5s")
+
+    def starts(found):
+        return {
+            (found.source[who], found.searches[search]): tuple(found.probe.t[lo : lo + 3])
+            for who, search, lo in zip(
+                found.probe.person, found.probe.search, found.probe.offsets, strict=False
+            )
+        }
+
+    ours, others = starts(short), starts(long)
+    both = ours.keys() & others.keys()
+    assert both
+    assert all(ours[key] == others[key] for key in both)
 
 
 def test_other_seeds_are_other_windows():
