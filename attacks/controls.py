@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from isac_track.sensing import intervals_before
 
@@ -21,10 +22,11 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from attacks.linkage.task_list import Task
-    from isac_track.types import Floats, Release
+    from isac_track.types import Floats, Ints, Release
 
 Score: TypeAlias = "Callable[[Release, Release, Generator], Floats]"
 _NO_SIGMA_M = 1e-9
+_NEIGHBOURS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,20 +90,26 @@ def _noise_level(probe: Release, gallery: Release, rng: Generator) -> Floats:  #
 
 
 def _noise_beyond_place(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
-    """Score by the part of the noise level that the place does not explain.
+    """Score by the noise level over that of whoever is near, on either side by itself.
 
     Where the true frame shows, so does the place, and noise grows with the distance from the base
-    station: that is no shortcut but the place once more. A parabola takes it away.
+    station: that is no shortcut but the place once more.
     """
-    described = np.concatenate([_noise(one) for one in (probe, gallery)])
-    middle_m = np.concatenate([_middles(one) for one in (probe, gallery)])
-    x, y = (middle_m - middle_m.mean(axis=0)).T
-    if np.ptp(described) < _NO_SIGMA_M:  # of a residual of nothing only rounding is left, by place
-        return np.zeros((len(probe), len(gallery)))
-    terms = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-    fitted = np.linalg.lstsq(terms, described, rcond=None)[0]
-    beyond = described - terms @ fitted
-    return _closeness(beyond[: len(probe)], beyond[len(probe) :])
+    return _closeness(*(_over_neighbours(one) for one in (probe, gallery)))
+
+
+def _over_neighbours(release: Release) -> Floats:
+    """Return each track's noise level less the mean of its nearest few, (N, 1)."""
+    level = _noise(release)
+    few = min(_NEIGHBOURS, len(release) - 1)
+    # Of levels that are all alike only rounding would be left, which goes by the place.
+    if few == 0 or np.ptp(level) < _NO_SIGMA_M:
+        return np.zeros_like(level)
+    middle_m = _middles(release)
+    nearest: Ints = np.asarray(cKDTree(middle_m).query(middle_m, k=few + 1)[1])
+    # The first is the track itself, or somebody in the very same place.
+    over: Floats = level - level[nearest[:, 1:], 0].mean(axis=1)[:, None]
+    return over
 
 
 def _noise(release: Release) -> Floats:

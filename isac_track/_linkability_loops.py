@@ -143,15 +143,15 @@ def shuffle(
             size, n_clusters = sizes[a], n_alike[a]
             for c in range(n_clusters):
                 # The last cluster has no choice left, nor has the last member: no uniform.
-                start = far = base + c * size
+                start = base + c * size
                 if c < n_clusters - 1:
-                    far += size * int(uniforms[drawn] * (n_clusters - c))
+                    far = start + size * int(uniforms[drawn] * (n_clusters - c))
                     drawn += one
-                for k in range(size):
-                    here, other = np.uint64(start + k), np.uint64(far + k)
-                    column = columns[other]
-                    columns[other] = columns[here]
-                    columns[here] = column
+                    for k in range(size):
+                        here, other = np.uint64(start + k), np.uint64(far + k)
+                        column = columns[other]
+                        columns[other] = columns[here]
+                        columns[here] = column
                 for k in range(size - 1):
                     here = np.uint64(start + k)
                     other = np.uint64(start + k + int(uniforms[drawn] * (size - k)))

@@ -545,7 +545,7 @@ def permutation_p(
     The test has its level where, under the null, equally large clusters of one release may be
     exchanged, and so may the members of each, without a change in the law of the scores; nothing
     is asked of the resemblance within a cluster. Rare sizes cost power, not validity. Searches are
-    shuffled independently of each other.
+    shuffled independently of each other: no two may be of the same two releases.
 
     Parameters
     ----------
@@ -755,14 +755,16 @@ def add_shuffles(
     mate = search.mate[probes].astype(np.int64)
     n_of_size = np.bincount(counts)
     sizes = np.flatnonzero(n_of_size)
+    n_alike = n_of_size[sizes]
 
     n_shuffles, n_drawn = null.size, probes.size - sizes.size
     uniform = room[: n_shuffles * n_drawn].reshape(n_shuffles, n_drawn)
     rng.random(out=uniform)
+    if sizes.size and sizes[0] == 1:
+        # Permuting clusters of one is permuting the members of one cluster, which is faster.
+        sizes[0], n_alike[0] = n_alike[0], 1
     log_rank_of, score_bin = ranks.log_rank[probes], bins[ranks.cell[probes]]
-    import_loops().shuffle(
-        uniform, sizes, n_of_size[sizes], mate, log_rank_of, score_bin, null, null_bins
-    )
+    import_loops().shuffle(uniform, sizes, n_alike, mate, log_rank_of, score_bin, null, null_bins)
     return float(log_rank_of[np.arange(mate.size), mate].sum())
 
 

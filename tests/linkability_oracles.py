@@ -27,17 +27,21 @@ def over_mates(scores, mate, value):
     )
 
 
-def assignment_value(scores, no_match_score=None):
-    """The best sum over all ways to assign; with a no-match score by columns of it, one a probe."""
+def best_assignment(scores, no_match_score=None):
+    """The best sum of all ways to assign, and the columns; no-match columns are -1, one a probe."""
     n_probes, n_gallery = scores.shape
     if no_match_score is not None:
         scores = np.hstack([scores, np.full((n_probes, n_probes), no_match_score)])
     elif n_probes > n_gallery:
-        scores = scores.T
-    return max(
-        sum(scores[i, j] for i, j in enumerate(columns))
-        for columns in permutations(range(scores.shape[1]), scores.shape[0])
+        value, rows = best_assignment(scores.T)
+        columns = np.full(n_probes, -1)
+        columns[rows] = np.arange(n_gallery)
+        return value, columns
+    value, columns = max(
+        (sum(scores[i, j] for i, j in enumerate(columns)), columns)
+        for columns in permutations(range(scores.shape[1]), n_probes)
     )
+    return value, np.array([j if j < n_gallery else -1 for j in columns])
 
 
 def auc(mated, non_mated):
@@ -108,17 +112,64 @@ def d_sys(mated, non_mated, edges):
     return total
 
 
-def shuffled_mates(mate, *, n_gallery, rng, n):
-    """Random distinct mates, n sets: Fisher and Yates, each starting where the last one ended."""
-    probes = np.flatnonzero(mate >= 0)
-    columns = list(range(n_gallery))
-    mates = np.full((n, mate.size), -1)
-    for row, uniform in zip(mates, rng.random((n, probes.size)), strict=True):
-        for k, u in enumerate(uniform):
-            other = k + int(u * (n_gallery - k))
-            columns[k], columns[other] = columns[other], columns[k]
-        row[probes] = columns[: probes.size]
+def mated_by_size(search):
+    """Lists of mated probes, cluster by cluster, by the size of the cluster."""
+    members = {}
+    for cluster, probe in sorted(zip(search.probe_cluster, range(search.mate.size), strict=True)):
+        if search.mate[probe] >= 0:
+            members.setdefault(cluster, []).append(probe)
+    by_size = {}
+    for probes in members.values():
+        by_size.setdefault(len(probes), []).append(probes)
+    return by_size
+
+
+def swap_from(sequence, k, draws):
+    """One step of Fisher and Yates; the last place has no choice."""
+    if k < len(sequence) - 1:
+        other = k + int(next(draws) * (len(sequence) - k))
+        sequence[k], sequence[other] = sequence[other], sequence[k]
+
+
+def shuffled_mates(search, *, rng, n):
+    """Mates of n shuffles, each starting where the last one ended.
+
+    Size by size, each cluster changes place with one that is not yet placed, then its members do.
+    Clusters of one are members of one cluster.
+    """
+    by_size = mated_by_size(search)
+    n_drawn = sum(size * len(clusters) - 1 for size, clusters in by_size.items())
+    if 1 in by_size:
+        by_size[1] = [[probe for (probe,) in by_size[1]]]
+    columns = {
+        size: [search.mate[probes].tolist() for probes in clusters]
+        for size, clusters in by_size.items()
+    }
+    mates = np.full((n, search.mate.size), -1)
+    for row, uniform in zip(mates, rng.random((n, n_drawn)), strict=True):
+        draws = iter(uniform)
+        for size in sorted(columns):
+            for c in range(len(columns[size])):
+                swap_from(columns[size], c, draws)
+                for k in range(len(columns[size][c])):
+                    swap_from(columns[size][c], k, draws)
+            for probes, drawn in zip(by_size[size], columns[size], strict=True):
+                row[probes] = drawn
     return mates
+
+
+def possible_mates(search):
+    """All mates that the null allows: of all permutations those that keep clusters together."""
+    probes = np.flatnonzero(search.mate >= 0)
+    cluster = search.probe_cluster[probes]
+    together = cluster[:, None] == cluster
+    mates = []
+    for order in map(list, permutations(range(probes.size))):
+        if (together[order][:, order] == together).all():
+            row = np.full(search.mate.size, -1)
+            row[probes] = search.mate[probes[order]]
+            mates.append(row)
+    return np.array(mates)
 
 
 def poisson_binomial_tail(chances, hits):

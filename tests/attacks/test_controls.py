@@ -85,14 +85,34 @@ def test_an_audit_sees_nothing_but_its_own(name, leak):
 
 
 def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
-    rng = np.random.default_rng(3)
-    place = rng.uniform(-50, 50, (N, 2))
-    by_place = 0.3 * np.exp(0.02 * place[:, 0] + 3e-4 * place[:, 1] ** 2)
-    shared = {"place": place, "level": by_place}
-    assert scored_p("noise_level", "rerelease", **shared) < ALPHA
-    assert scored_p("noise_level", "handover-1s", **shared) > ALPHA
-    own = {"place": place, "level": by_place * rng.uniform(0.3, 3, N)}
-    assert scored_p("noise_level", "handover-1s", **own) < ALPHA
+    def p_value_of(task, level_of):
+        p_values = []
+        for seed in range(5):
+            rng = np.random.default_rng(seed)
+            place = rng.uniform(-50, 50, (N, 2))
+            own = rng.uniform(0.2, 5, N)
+            sides = [
+                release(rng, place=place, level=level_of(place, own, rng))
+                for _ in ("probe", "gallery")
+            ]
+            scores = CONTROLS["noise_level"].scorer(TASKS[task])(*sides, rng)
+            people = np.arange(N)
+            search = Search(
+                scores=scores, mate=people, probe_cluster=people, gallery_cluster=people
+            )
+            p_values.append(permutation_p(searches=[search], rng=rng, n_shuffles=9999))
+        return np.array(p_values)
+
+    def by_place(place, own, rng):
+        del own
+        return np.exp(0.02 * place[:, 0]) * rng.uniform(0.5, 2, N)
+
+    def by_person(place, own, rng):
+        return by_place(place, own, rng) * own
+
+    assert (p_value_of("rerelease", by_place) < ALPHA).any()
+    assert (p_value_of("handover-1s", by_place) > ALPHA).all()
+    assert (p_value_of("handover-1s", by_person) < ALPHA).any()
 
 
 def test_where_all_noise_is_alike_the_place_is_not_seen_through_rounding():

@@ -17,6 +17,7 @@ from isac_track.intervals import cluster_weights, wilson
 from isac_track.linkability import (
     Calibration,
     Search,
+    add_shuffles,
     assign,
     auc,
     chance,
@@ -26,6 +27,7 @@ from isac_track.linkability import (
     d_sys,
     eer,
     fit_calibration,
+    log_factorials,
     log_rank,
     mean_log_rank,
     minimum_detectable_rank1,
@@ -33,6 +35,7 @@ from isac_track.linkability import (
     permutation_p,
     rank1,
     rank1_p,
+    rank_rows,
     reciprocal_rank,
     residual_risk,
     roc_hull,
@@ -136,7 +139,7 @@ def test_assignments_are_the_best_of_all(shape, no_match_score):
         else:
             assert (scores[probes, assigned[probes]] > no_match_score).all()
             value += no_match_score * (shape[0] - probes.size)
-        assert value == pytest.approx(oracles.assignment_value(scores, no_match_score))
+        assert value == pytest.approx(oracles.best_assignment(scores, no_match_score)[0])
 
 
 def test_assignments_of_ties_are_at_chance():
@@ -316,19 +319,70 @@ def test_residual_risk_by_hand():
 # ------------------------------------------------------------------------------------ tests
 
 
-def test_shuffled_mates_are_distinct_and_uniform():
+def clustered(rng, sizes):
+    """A search with clusters of these sizes in a random order, and two probes without a mate."""
+    n = sum(sizes)
+    cluster = 3 * np.repeat(np.arange(len(sizes)), sizes)
+    mate, probes = np.full(n + 2, -1), rng.permutation(n + 2)[:n]
+    mate[probes] = rng.permutation(n + 1)[:n]
+    # Whoever has no mate belongs to somebody's cluster all the same.
+    probe_cluster, gallery_cluster = np.zeros(n + 2, dtype=int), np.zeros(n + 1, dtype=int)
+    probe_cluster[probes] = cluster
+    gallery_cluster[mate[probes]] = cluster
+    return Search(rng.standard_normal((n + 2, n + 1)), mate, probe_cluster, gallery_cluster)
+
+
+CLUSTERED = {
+    (1, 1, 1, 1, 1): 120,
+    (2, 2, 2): 3 * 2 * 2**3,
+    (3, 1, 3, 1): 2 * 2 * 6**2,
+    (2, 3, 1, 2): 2 * 2**2 * 6,
+    (1, 2, 4): 2 * 24,
+    (): 1,
+}
+"""How many sets of mates the null allows: products of factorials."""
+
+
+@pytest.mark.parametrize("sizes", CLUSTERED)
+def test_shuffled_mates_keep_clusters_together_and_are_uniform(sizes):
     # The very mates that the scorecard draws, as its p-value says below.
-    mates = oracles.shuffled_mates(
-        np.array([2, -1, 0, 3]), n_gallery=5, rng=stream(6, "test"), n=20_000
+    one = clustered(stream(6, "test", "clusters"), sizes)
+    possible = oracles.possible_mates(one)
+    assert len(possible) == CLUSTERED[sizes]
+    n = 300 * len(possible)
+    mates = oracles.shuffled_mates(one, rng=stream(6, "test"), n=n)
+    drawn, counts = np.unique(mates, axis=0, return_counts=True)
+    assert np.array_equal(drawn, np.unique(possible, axis=0))
+    assert np.abs(counts - 300).max() < 5 * math.sqrt(300)
+
+
+@pytest.mark.parametrize("sizes", CLUSTERED)
+def test_the_null_is_the_law_over_all_possible_mates(sizes):
+    one = clustered(stream(16, "test", "law"), sizes)
+    values = np.array(
+        [np.nansum(log_rank(scores=one.scores, mate=mate)) for mate in oracles.possible_mates(one)]
     )
-    assert mates.shape == (20_000, 4)
-    assert (mates[:, 1] == -1).all()
-    drawn = mates[:, [0, 2, 3]]
-    code = drawn @ [25, 5, 1]
-    sets, counts = np.unique(code, return_counts=True)
-    # All 5 * 4 * 3 triples of distinct columns, each 333 times: five standard deviations are 91.
-    assert sets.size == 60
-    assert np.abs(counts - 20_000 / 60).max() < 91
+    n = 300 * values.size
+    null, null_bins = np.zeros(n), np.zeros((n, 1))
+    ranks = rank_rows(one, np.empty(0), log_factorials(one.scores.shape[1]))
+    observed = add_shuffles(
+        one,
+        ranks,
+        np.zeros(1, dtype=np.uint8),
+        stream(17, "test", "law"),
+        np.empty(n * one.mate.size),
+        null,
+        null_bins,
+    )
+    assert observed == pytest.approx(np.nansum(log_rank(scores=one.scores, mate=one.mate)))
+    assert (null_bins == sum(sizes)).all()
+    expected, weight = np.unique(values.round(9), return_counts=True)
+    actual, counts = np.unique(null.round(9), return_counts=True)
+    assert actual == pytest.approx(expected)
+    assert (np.abs(counts - 300 * weight) < 5 * np.sqrt(300 * weight)).all()
+    # And so says the test.
+    p = permutation_p(searches=[one], rng=stream(18, "test", "law"), n_shuffles=20_000)
+    assert p == pytest.approx((values >= observed - 1e-9).mean(), abs=0.018)
 
 
 @pytest.mark.parametrize("decimals", [0, 6])
@@ -345,6 +399,78 @@ def test_the_permutation_test_has_its_size_on_null_data(decimals):
     # 3 standard deviations are 2.1 points at 5 %, 3.8 at 20 %.
     assert 0.029 <= (p <= 0.05).mean() <= 0.071
     assert 0.162 <= (p <= 0.2).mean() <= 0.238
+
+
+def alike(rng, sizes):
+    """Scores of people who resemble their group within a session, and nobody across sessions."""
+    group = np.repeat(np.arange(len(sizes)), sizes)
+    probes, gallery = (
+        rng.standard_normal((len(sizes), 3))[group] + 0.5 * rng.standard_normal((group.size, 3))
+        for _ in range(2)
+    )
+    return search(-np.linalg.norm(probes[:, None] - gallery, axis=2), cluster=group)
+
+
+GROUPS = {
+    "pairs": [2] * 20,
+    "fours": [4] * 10,
+    "mixed": [1] * 30 + [2] * 15 + [3] * 5 + [4] * 3,
+    "hardly exchangeable": [1] * 20 + [2, 3, 4, 5],
+}
+
+
+def rejected(groups, n_repetitions, *, is_grouped=True):
+    """The share of null data that the test rejects at 5 %."""
+    rng = stream(19, "test", "groups", groups)
+    p = []
+    for _ in range(n_repetitions):
+        one = alike(rng, GROUPS[groups])
+        if not is_grouped:
+            one = search(one.scores)
+        p.append(permutation_p(searches=[one], rng=rng))
+    return np.mean(np.array(p) <= 0.05)
+
+
+@pytest.mark.parametrize("groups", GROUPS)
+def test_the_permutation_test_has_its_size_where_groups_are_alike(groups):
+    # Three standard deviations are 2 points.
+    assert 0.03 <= rejected(groups, 1_000) <= 0.07
+
+
+@pytest.mark.parametrize("groups", ["pairs", "fours"])
+def test_shuffling_one_by_one_would_reject_too_often(groups):
+    assert rejected(groups, 1_000, is_grouped=False) > 0.08
+
+
+def test_the_permutation_test_keeps_its_power_for_singles():
+    rng = stream(20, "test", "power")
+    found, expected = [], []
+    for _ in range(400):
+        one = gaussian(rng, 30, 0.6)
+        found.append(permutation_p(searches=[one], rng=rng) <= 0.05)
+        value = np.stack(
+            [log_rank(scores=one.scores, mate=(np.arange(30) + k) % 30) for k in range(30)]
+        )
+        # Row k: what column i + k is worth to probe i.
+        columns = rng.permuted(np.tile(np.arange(30), (999, 1)), axis=1)
+        null = value[(columns - np.arange(30)) % 30, np.arange(30)].sum(axis=1)
+        expected.append(1 + (null >= value[0].sum()).sum() <= 50)
+    assert np.mean(found) == pytest.approx(np.mean(expected), abs=0.02)
+    assert 0.5 < np.mean(found) < 1
+
+
+def test_a_link_is_found_between_clusters_and_among_members_but_not_without_choice():
+    rng = stream(21, "test", "found")
+    pairs, own = np.repeat(np.arange(15), 2), np.eye(30)
+    of_pair = (pairs[:, None] == pairs).astype(float)
+    noise = 0.1 * rng.standard_normal((30, 30))
+    for scores, cluster in ((of_pair, pairs), (own, pairs), (own, np.zeros(30, dtype=int))):
+        one = search(scores + noise, cluster=cluster)
+        assert permutation_p(searches=[one], rng=rng) == 1 / 1000
+    # Two clusters of different sizes cannot be mistaken for each other: only members count.
+    sizes = np.repeat([0, 1], [10, 20])
+    one = search((sizes[:, None] == sizes) + noise, cluster=sizes)
+    assert permutation_p(searches=[one], rng=rng) > 0.05
 
 
 def test_the_permutation_test_finds_a_link_and_no_reversed_one():
@@ -456,9 +582,12 @@ def test_refusal_counts_the_pairs_of_all_scales(n_gallery, is_refused):
     assert math.isnan(result.estimates["tpr_at_fpr_01pct"].value)
 
 
-def test_the_scorecard_says_what_its_parts_say():
+@pytest.mark.parametrize("is_grouped", [False, True])
+def test_the_scorecard_says_what_its_parts_say(is_grouped):
     rng = stream(12, "test", "parts")
     one, two = gaussian(rng, 30, 1.5, decimals=1), gaussian(rng, 12, 1.5, decimals=1)
+    if is_grouped:
+        one, two = (search(s.scores, cluster=rng.integers(0, 18, s.mate.size)) for s in (one, two))
     rng = stream(13, "test", "draws")
     result = card([one, two], n_clusters=30, n_replicates=SCORE_REPLICATES + 5, rng=rng)
     rng = stream(13, "test", "draws")
@@ -466,7 +595,7 @@ def test_the_scorecard_says_what_its_parts_say():
     mates = []
     for s in (one, two):
         assigned.append(assign(scores=s.scores, rng=rng) == s.mate)
-        mates.append(oracles.shuffled_mates(s.mate, n_gallery=s.scores.shape[1], rng=rng, n=999))
+        mates.append(oracles.shuffled_mates(s, rng=rng, n=999))
         hits.append(rank1(scores=s.scores, mate=s.mate))
     everything = np.concatenate([one.scores.ravel(), two.scores.ravel()])
     edges = np.linspace(everything.min(), everything.max(), 42 // 10 + 1)
@@ -484,8 +613,9 @@ def test_the_scorecard_says_what_its_parts_say():
         null.append(oracles.d_sys(mated, np.concatenate(rest), edges))
     observed = mean_log_rank([one, two])
     p = (1 + (np.array(statistic) >= observed - 1e-12).sum()) / 1000
+    p_low = (1 + (np.array(statistic) <= observed + 1e-12).sum()) / 1000
     estimates = result.estimates
-    assert result.p_value == p
+    assert (result.p_value, result.p_value_low) == (p, p_low)
     assert estimates["rank1_assigned"].value == pytest.approx(np.concatenate(assigned).mean())
     difference = estimates["d_sys"].value - estimates["d_sys_corrected"].value
     assert difference == pytest.approx(np.mean(null), abs=1e-9)
@@ -495,7 +625,9 @@ def test_the_scorecard_says_what_its_parts_say():
     assert estimates["residual_risk"].value == pytest.approx(
         residual_risk(success=np.concatenate(hits).mean(), control=chances.mean())
     )
-    assert (result.n_probes, result.n_mated, result.n_clusters) == (42, 42, 30)
+    n_clusters = np.unique(np.concatenate([one.probe_cluster, two.probe_cluster])).size
+    assert (result.n_probes, result.n_mated, result.n_clusters) == (42, 42, n_clusters)
+    assert is_grouped == (n_clusters < 30)
     assert result.gallery_sizes == (12, 30, 21.0)
     assert result.d_sys_bins == 4
     least = minimum_detectable_rank1(n=42, chance=float(chances.mean()))
@@ -518,9 +650,10 @@ def test_the_layout_of_a_search_does_not_matter():
         )
         for s in searches
     ]
-    options = {"n_clusters": 6, "calibration": CALIBRATION, "no_match_score": {0: 0.0, 1: 0.5}}
+    options = {"n_clusters": 6, "calibration": CALIBRATION, "no_match_score": [0.0, 0.5, 1.0]}
     one, two = card(searches, **options), card(others, **options)
-    assert (one.p_value, one.p_rank1) == (two.p_value, two.p_rank1)
+    for name in ("p_value", "p_value_low", "p_rank1"):
+        assert getattr(one, name) == getattr(two, name)
     for name, estimate in one.estimates.items():
         other = two.estimates[name]
         for field in ("value", "ci_low", "ci_high", "replicates"):
@@ -530,13 +663,34 @@ def test_the_layout_of_a_search_does_not_matter():
 def test_open_set_counts_who_is_linked_though_absent():
     scores = np.array([[9.0, 0.0, 0.0], [0.0, 0.0, 8.0], [0.0, 1.0, 0.0]])
     one = search(scores, mate=[0, -1, -1])
-    estimates = card([one], n_clusters=3, no_match_score={0: 2.0}).estimates
+    estimates = card([one], n_clusters=3, no_match_score=[2.0]).estimates
     assert estimates["rank1_assigned"].value == 1.0
     assert estimates["rank1"].value == 1.0
     assert estimates["false_link_rate"].value == 0.5
     assert estimates["false_link_rate"].n == 2
     without = card([one], n_clusters=3).estimates
     assert without["false_link_rate"].value == 1.0
+
+
+def test_every_search_has_its_own_no_match_score():
+    rng = stream(23, "test", "thresholds")
+    linked = []
+    for _ in range(20):
+        searches = [
+            search(rng.standard_normal((4, 4)) + np.eye(4), mate=[0, 1, -1, -1], scale=scale)
+            for scale in (0, 0, 1)
+        ]
+        least = rng.permutation([-1.0, 0.5, 1.2])
+        estimates = card(searches, n_clusters=4, no_match_score=least.tolist()).estimates
+        assigned = [
+            oracles.best_assignment(s.scores, x)[1] for s, x in zip(searches, least, strict=True)
+        ]
+        hits = np.mean([columns[:2] == [0, 1] for columns in assigned])
+        false = np.mean([columns[2:] >= 0 for columns in assigned])
+        assert estimates["rank1_assigned"].value == pytest.approx(hits)
+        assert estimates["false_link_rate"].value == pytest.approx(false)
+        linked.append(false)
+    assert 0 < np.mean(linked) < 1
 
 
 def test_perfect_separation():
@@ -551,7 +705,7 @@ def test_perfect_separation():
         if name == "residual_risk":
             ends = residual_risk(success=low, control=1 / 40), 1.0
         assert (estimate.ci_low, estimate.ci_high) == pytest.approx(ends, abs=1e-12)
-    assert result.p_value == 1 / 1000
+    assert (result.p_value, result.p_value_low) == (1 / 1000, 1.0)
     assert not result.is_inverted
 
 
@@ -562,7 +716,7 @@ def test_equal_scores_say_nothing():
     expected |= {"d_sys": 0, "d_sys_corrected": 0, "tpr_at_fpr_1pct": 0, "residual_risk": 0}
     for name, value in expected.items():
         assert result.estimates[name].value == pytest.approx(value, abs=1e-12), name
-    assert (result.p_value, result.realised_fpr_1pct) == (1.0, 0.0)
+    assert (result.p_value, result.p_value_low, result.realised_fpr_1pct) == (1.0, 1.0, 0.0)
     # One fractional hit is one hit of the 40 guesses.
     assert result.p_rank1 == pytest.approx(1 - (39 / 40) ** 40)
     area = result.estimates["auc"]
@@ -576,7 +730,7 @@ def test_inverted_scores_are_flagged_since_d_sys_cannot_see_it():
     assert result.estimates["d_sys"].value == pytest.approx(1)
     for name, value in {"auc": 0, "rank1": 0, "eer": 0.5, "cllr_min": 1}.items():
         assert result.estimates[name].value == pytest.approx(value, abs=1e-12)
-    assert result.p_value == 1.0
+    assert (result.p_value, result.p_value_low) == (1.0, 1 / 1000)
     assert result.p_rank1 == 1.0
 
 
@@ -586,7 +740,7 @@ def test_one_candidate_is_found_and_shows_nothing():
     assert (estimates["rank1"].value, estimates["chance"].value) == (1.0, 1.0)
     for name in ("residual_risk", "auc", "eer", "cllr", "cllr_min", "d_sys", "d_sys_corrected"):
         assert math.isnan(estimates[name].value), name
-    assert (result.p_value, result.p_rank1) == (1.0, 1.0)
+    assert (result.p_value, result.p_value_low, result.p_rank1) == (1.0, 1.0, 1.0)
     assert result.minimum_detectable_rank1 == math.inf
     assert not result.is_inverted
 
@@ -608,7 +762,7 @@ def test_nobody_has_a_mate():
     for name, estimate in result.estimates.items():
         assert math.isnan(estimate.value) == (name != "false_link_rate")
     assert (result.n_mated, result.n_clusters) == (0, 0)
-    assert (result.p_value, result.p_rank1) == (1.0, 1.0)
+    assert (result.p_value, result.p_value_low, result.p_rank1) == (1.0, 1.0, 1.0)
 
 
 def people(rng, n_groups):
@@ -728,7 +882,8 @@ def test_a_search_refuses(changes, message):
         ({"weights": np.ones((5, 2))}, "weights must be"),
         ({"weights": np.ones(3)}, "weights must be"),
         ({"calibration": {1: Calibration(1.0, 0.0)}}, r"calibration lacks the scales \[0\]"),
-        ({"no_match_score": {}}, r"no_match_score lacks the scales \[0\]"),
+        ({"no_match_score": []}, "no_match_score must be one a search, 1, got 0"),
+        ({"no_match_score": [0.0, 1.0]}, "no_match_score must be one a search, 1, got 2"),
     ],
 )
 def test_a_scorecard_refuses(options, message):
