@@ -5,9 +5,10 @@ A level is shared once; every consumer of the block reads the same release.
 
 from __future__ import annotations
 
+import gc
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -63,6 +64,33 @@ class LinkWork:
     """Clusters of the run's scenes."""
     levels: tuple[tuple[Plugin, tuple[Consumer, ...]], ...]
     """Mechanism and its consumers."""
+
+
+def cells(
+    work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
+) -> Iterator[tuple[int, Plugin, Consumer, Rows | bytes]]:
+    """Yield every cell of a piece of work: its block, mechanism, consumer, and rows or file.
+
+    Raises
+    ------
+    PluginError
+        If a plug-in raises or breaks its contract; the message names it.
+    """
+    if isinstance(work, LinkWork):
+        for mechanism, consumer, content in compute_links(work, stages=stages, seed=seed):
+            yield 0, mechanism, consumer, content
+        return
+    for mechanism, consumer, rows in compute_block(work, tracks=tracks, stages=stages, seed=seed):
+        yield work.number, mechanism, consumer, rows
+
+
+def all_cells(
+    work: Block | LinkWork,
+    **context: Any,  # noqa: ANN401 - handed on to cells
+) -> list[tuple[int, Plugin, Consumer, Rows | bytes]]:
+    """Return `cells`, for a worker: this module imports less than the runner."""
+    gc.freeze()  # what was imported stays: looking through it again and again takes long
+    return list(cells(work, **context))
 
 
 def compute_links(

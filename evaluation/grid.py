@@ -57,11 +57,10 @@ _RECONSTRUCTIONS = (
     "radial_rts",
     "averaging",
 )
-# Every linker as it is, and behind the stronger smoother where that gains more than it costs;
-# behind the other one the strongest. All else runs when named: dtw@radial_rts.
+# Every linker as it is, and behind the stronger smoother where that gains more than it costs. All
+# else runs when named: shape@kalman_rts, dtw@radial_rts.
 _LINKS = (
     "shape",
-    "shape@kalman_rts",
     "shape@radial_rts",
     "profile",
     "profile@radial_rts",

@@ -83,7 +83,7 @@ def link_level(
         ground=ground,
         epsilon_m=epsilon_m,
         seed=seed,
-        smoothed={},
+        sides={},
     )
     for consumer in consumers:
         if consumer.kind == "control":
@@ -100,8 +100,23 @@ class _Level:
     ground: Ground
     epsilon_m: float
     seed: int
-    smoothed: dict[tuple[str, frozenset[Knowledge], int], tuple[Release, Release]]
-    """By reconstruction, what it was granted, and fold: many linkers stand behind one."""
+    sides: dict[tuple[object, ...], _Sides]
+    """By the reconstruction in front, what it was granted, fold, and whether SIGMA shows."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Sides:
+    """Both releases as some linkers get them, and what was taken of them already."""
+
+    probe: Release
+    gallery: Release
+    known: dict[int, tuple[Release, Release]]
+
+    def taken(self, part: Part) -> tuple[Release, Release]:
+        """Return the windows of a part; those of a part of the ground are taken once."""
+        if id(part) not in self.known:
+            self.known[id(part)] = taken(self.probe, part.probe), taken(self.gallery, part.gallery)
+        return self.known[id(part)]
 
 
 def _linked(consumer: Consumer, level: _Level) -> Linked:
@@ -174,21 +189,23 @@ def _controlled(consumer: Consumer, level: _Level) -> Linked:
 # What an attack is given
 
 
-def _seen(consumer: Consumer, level: _Level, *, fold: int) -> tuple[Release, Release]:
+def _seen(consumer: Consumer, level: _Level, *, fold: int) -> _Sides:
     """Return both releases as a linker gets them: smoothed first, where it stands behind that."""
     assert consumer.plugin is not None
     knows_sigma = Knowledge.SIGMA in consumer.granted & _declared(consumer.plugin)
     behind = consumer.behind
-    released = level.released
+    key: tuple[object, ...] = (knows_sigma,)
     if behind is not None:
         granted = consumer.granted & _declared(behind)
-        key = (behind.spec, granted, fold)
-        if key not in level.smoothed:
-            level.smoothed[key] = _smoothed(consumer, behind, level, granted=granted, fold=fold)
-        released = level.smoothed[key]
-    if knows_sigma:
-        return released
-    return released[0].without_sigma(), released[1].without_sigma()
+        key = (knows_sigma, behind.spec, granted, fold)
+    if key not in level.sides:
+        probe, gallery = level.released
+        if behind is not None:
+            probe, gallery = _smoothed(consumer, behind, level, granted=granted, fold=fold)
+        if not knows_sigma:
+            probe, gallery = probe.without_sigma(), gallery.without_sigma()
+        level.sides[key] = _Sides(probe, gallery, {})
+    return level.sides[key]
 
 
 def _smoothed(
@@ -229,9 +246,7 @@ def _smoothed(
     return smoothed[0], smoothed[1]
 
 
-def _fitted(
-    consumer: Consumer, level: _Level, *, sides: tuple[Release, Release], fold: int
-) -> Linker:
+def _fitted(consumer: Consumer, level: _Level, *, sides: _Sides, fold: int) -> Linker:
     assert consumer.plugin is not None
     granted = consumer.granted & _declared(consumer.plugin)
     granted = _without_undeclared(granted, consumer.plugin, level)
@@ -244,11 +259,8 @@ def _fitted(
                 f"from in {level.ground.sessions.task.name}; use a recording of more people or "
                 "leave the attack out"
             )
-        train = LinkageTrainingSet(
-            copied(taken(sides[0], learns.probe)),
-            copied(taken(sides[1], learns.gallery)),
-            learns.mate.copy(),
-        )
+        probe, gallery = sides.taken(learns)
+        train = LinkageTrainingSet(copied(probe), copied(gallery), learns.mate.copy())
     context = AttackContext(
         rng=stream(
             level.seed, "attacks", consumer.spec, consumer.knowledge, level.mechanism.spec, fold
@@ -263,11 +275,9 @@ def _fitted(
     return fitted
 
 
-def _scored(
-    consumer: Consumer, fitted: Linker, sides: tuple[Release, Release], part: Part
-) -> Floats:
+def _scored(consumer: Consumer, fitted: Linker, sides: _Sides, part: Part) -> Floats:
     """Return what a linker makes of a search, (p, g); as single floats, as they are stored."""
-    probe, gallery = taken(sides[0], part.probe), taken(sides[1], part.gallery)
+    probe, gallery = sides.taken(part)
     if not consumer.is_built_in:  # a stranger may unlock arrays: what it writes to is its own
         probe, gallery = copied(probe), copied(gallery)
     found = guarded(f"attack {consumer.label}", lambda: fitted(probe, gallery))

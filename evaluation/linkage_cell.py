@@ -103,17 +103,20 @@ def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
             for name, one in linked.parts.items()
         },
     }
-    table = table.replace_schema_metadata({_METADATA: json.dumps(about, default=_plain).encode()})
     sink = pa.BufferOutputStream()
-    # The leading bytes of like numbers are alike: apart from the others they compress.
-    pq.write_table(
-        table,
+    # The leading bytes of like numbers are alike: apart from the others they compress. The schema
+    # would hold the metadata once more.
+    with pq.ParquetWriter(
         sink,
+        table.schema,
         write_statistics=False,
-        compression="zstd",
+        compression="lz4",
+        store_schema=False,
         use_dictionary=["search", "source", "group"],
         column_encoding={"scores.list.element": "BYTE_STREAM_SPLIT"},
-    )
+    ) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({_METADATA: json.dumps(about, default=_plain).encode()})
     content: bytes = sink.getvalue().to_pybytes()
     return content
 
@@ -127,7 +130,7 @@ def read_card(path: Path) -> Card:
         If the cell is missing or broken; the message names it.
     """
     try:
-        about = json.loads(pq.read_schema(path).metadata[_METADATA])
+        about = json.loads(pq.read_metadata(path).metadata[_METADATA])
         return Card(
             estimates={name: _unpacked(one) for name, one in about["estimates"].items()},
             numbers=about["numbers"],

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
 """Without people who walk in a group, and move alike; without nearly frozen annotations."""
-SHUFFLES, AUDIT_SHUFFLES = 999, 4999
+SHUFFLES, AUDIT_SHUFFLES = 999, 1999
 """Of the permutation tests; the audit's must be able to reject at a hundredth over six of them."""
 _NEVER = 1e300
 """A score that no pair reaches."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import os
 import time
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation import store
-from evaluation.cell import Block, LinkWork, compute_block, compute_links
+from evaluation.cell import Block, LinkWork, all_cells, cells
 from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
 from evaluation.linkage_ground import sessions_of
 from evaluation.report import Results, build
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from attacks.linkage.tasks import Sessions
     from evaluation.grid import Consumer
     from evaluation.reconstruction import Rows
-    from isac_track.config import StageSettings
     from isac_track.datasets import Dataset
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
@@ -44,7 +42,7 @@ WORTH_WORKERS_LINKED = 400
 MOST_DEFAULT_JOBS = 8
 """Unless more are asked for: each takes a few hundred MB."""
 _TASKS_PER_WORKER = 2
-_LEVELS_PER_TASK = 6
+_LEVELS_PER_TASK = 12
 """Of what is linked."""
 
 
@@ -318,32 +316,15 @@ def _computed(
     context: dict[str, Any] = {"stages": ready.settings.stages, "seed": ready.settings.seed}
     if ready.jobs == 1 or len(works) < 2:  # noqa: PLR2004 - nothing to share out
         for work in works:
-            yield from _cells(work, tracks=ready.tracks, **context)
+            yield from cells(work, tracks=ready.tracks, **context)
         return
     from joblib import Parallel, delayed  # noqa: PLC0415 - only where there are workers
 
     workers = Parallel(n_jobs=ready.jobs, return_as="generator_unordered")
-    for cells in workers(delayed(_whole)(work, tracks=ready.tracks, **context) for work in works):
-        yield from cells
-
-
-def _whole(
-    work: Block | LinkWork,
-    **context: Any,  # noqa: ANN401 - handed on to _cells
-) -> list[tuple[int, Plugin, Consumer, Rows | bytes]]:
-    gc.freeze()  # what was imported stays: looking through it again and again takes long
-    return list(_cells(work, **context))
-
-
-def _cells(
-    work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[tuple[int, Plugin, Consumer, Rows | bytes]]:
-    if isinstance(work, LinkWork):
-        for mechanism, consumer, content in compute_links(work, stages=stages, seed=seed):
-            yield 0, mechanism, consumer, content
-        return
-    for mechanism, consumer, rows in compute_block(work, tracks=tracks, stages=stages, seed=seed):
-        yield work.number, mechanism, consumer, rows
+    for finished in workers(
+        delayed(all_cells)(work, tracks=ready.tracks, **context) for work in works
+    ):
+        yield from finished
 
 
 def _describe(ready: Plan) -> dict[str, Any]:

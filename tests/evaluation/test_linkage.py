@@ -480,7 +480,7 @@ class TestCells:
         path = tmp_path / "cell.parquet"
         path.write_bytes(to_parquet(result, known.sessions))
         table = pq.read_table(path).to_pandas()
-        about = json.loads(pq.read_schema(path).metadata[b"isac_track.linkage"])
+        about = json.loads(pq.read_metadata(path).metadata[b"isac_track.linkage"])
         first = 0
         for number, search in enumerate(result.searches):
             rows = table.iloc[first : first + len(search.mate)]
