@@ -238,7 +238,8 @@ def _new_traversal(draft: _Draft) -> Sessions:
     both = [
         row
         for row in draft.lasting(length_s)
-        if lasts_s[row_later[draft.tracks.source[row]]] >= length_s - _CLOCK_S
+        if draft.tracks.source[row] in row_later  # who stays at home on the second day is left out
+        and lasts_s[row_later[draft.tracks.source[row]]] >= length_s - _CLOCK_S
     ]
     rows = draft.chosen(
         np.array(both, dtype=np.int64), f"people walk for {length_s:g} s in both sessions"

@@ -281,7 +281,7 @@ def test_leaving_one_person_out_changes_no_other_window(name):
         ("linkage.handover_period_s", 15.0, "handover-2s"),
         ("linkage.handover_window_s", 3.0, "handover-2s"),
         ("linkage.handover_least_s", 2.0, "handover-2s"),
-        ("linkage.handover_instants", 3, "handover-2s"),
+        ("linkage.handover_instants", 4, "handover-2s"),
         ("linkage.most_people", 26, "new_traversal"),
         ("linkage.most_people", 26, "rerelease"),
         ("resample.rate_max_hz", 12.0, "split"),

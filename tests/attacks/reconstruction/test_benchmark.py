@@ -122,7 +122,7 @@ def over_benchmark(square, expected):
 ROWS = [
     pytest.param(plugin.instance, adversary, granted, id=f"{name}-{adversary}")
     for name, origin in registry.names("attacks").items()
-    if origin.startswith("attacks.")
+    if origin.startswith("attacks.reconstruction.")
     for plugin in registry.parse("attacks", name)
     for adversary, granted in grants(plugin.instance).items()
 ]
