@@ -64,8 +64,9 @@ def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
     """
     rows = [len(search.mate) for search in linked.searches]
     persons = np.concatenate(linked.probe_person)
-    lists = [one for search in linked.searches for one in search.scores.astype(np.float32)]
-    offsets = np.concatenate([[0], np.cumsum([one.size for one in lists])])
+    sizes = np.repeat([search.scores.shape[1] for search in linked.searches], rows)
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    scores = np.concatenate([search.scores.ravel() for search in linked.searches])
     table = pa.table(
         {
             "search": pa.DictionaryArray.from_arrays(
@@ -81,7 +82,7 @@ def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
             ),
             "mate": np.concatenate([search.mate for search in linked.searches]).astype(np.int32),
             "scores": pa.ListArray.from_arrays(
-                pa.array(offsets, type=pa.int32()), pa.array(np.concatenate(lists))
+                pa.array(offsets, type=pa.int32()), pa.array(scores.astype(np.float32))
             ),
         }
     )

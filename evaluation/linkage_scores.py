@@ -158,15 +158,16 @@ def _cohort(
     """Return rank 1 where only some people are probes and candidates."""
     hits, chances, clusters = [], [], []
     for search, probe, gallery in zip(searches, probes, galleries, strict=True):
-        place = np.cumsum(gallery) - 1
-        mate = np.where((search.mate >= 0) & gallery[search.mate], place[search.mate], -1)[probe]
-        if not (mate >= 0).any():
+        has = np.flatnonzero(probe & (search.mate >= 0) & gallery[search.mate])
+        if not has.size:
             continue
-        hit = rank1(scores=search.scores[probe][:, gallery], mate=mate)
-        has = mate >= 0
-        hits.append(hit[has])
-        chances.append(np.full(int(has.sum()), 1.0 / gallery.sum()))
-        clusters.append(search.probe_cluster[probe][has])
+        place = np.cumsum(gallery) - 1
+        columns = np.flatnonzero(gallery)
+        hits.append(
+            rank1(scores=search.scores[has[:, None], columns], mate=place[search.mate[has]])
+        )
+        chances.append(np.full(has.size, 1.0 / columns.size))
+        clusters.append(search.probe_cluster[has])
     hit, chance = (np.concatenate([*parts, np.zeros(0)]) for parts in (hits, chances))
     cluster = np.concatenate([*clusters, np.zeros(0, dtype=np.int64)])
     sums = [

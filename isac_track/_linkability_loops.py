@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     Bytes = NDArray[np.uint8]
     Weights = NDArray[np.float32]
 
-LANES = 128
-"""Replicates side by side: so many that their latencies overlap and a pair's overhead vanishes."""
+LANES = 104
+"""Replicates side by side: so many that their latencies overlap and a pair's overhead vanishes.
+Twice as many hold the 201 of a scorecard, and hardly more."""
 
 _FEW = 8
 """Replicates whose numbers share a line of the cache."""

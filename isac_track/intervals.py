@@ -116,7 +116,8 @@ def percentile_interval(
 ) -> tuple[float, float]:
     """Return the percentile interval of bootstrap replicates; empty ones (NaN) are left out."""
     tail = (1.0 - confidence) / 2.0
-    if np.isnan(replicates).all():
+    there = replicates[~np.isnan(replicates)]
+    if not there.size:
         return float("nan"), float("nan")
-    low, high = np.nanquantile(replicates, [tail, 1.0 - tail])
+    low, high = np.quantile(there, [tail, 1.0 - tail])
     return float(low), float(high)

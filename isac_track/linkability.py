@@ -110,7 +110,7 @@ def _check_scores(scores: Floats, mate: Ints) -> None:
     mated = mate[mate != -1]
     if mated.size and not 0 <= mated.min() <= mated.max() < n_gallery:
         raise ValueError(f"mates must be columns, 0..{n_gallery - 1}, or -1 for none")
-    if np.unique(mated).size != mated.size:
+    if np.bincount(mated.astype(np.int64, copy=False)).max(initial=0) > 1:
         raise ValueError("two probes must not share a mate")
 
 
@@ -387,14 +387,19 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
     sign = np.repeat([1.0, -1.0], [mated.size, non_mated.size])
     mass = np.repeat([1.0 / mated.size, 1.0 / non_mated.size], [mated.size, non_mated.size])
 
-    def loss(parameters: Floats) -> float:
-        cost = mass @ np.logaddexp(0.0, -sign * (parameters @ design))
+    def against(parameters: Floats) -> Floats:
+        nats: Floats = -sign * (parameters @ design)
+        return nats
+
+    def loss(parameters: Floats, nats: Floats) -> float:
+        cost = mass @ np.logaddexp(0.0, nats)
         return float(cost + SLOPE_PENALTY / 2 * parameters[0] ** 2)
 
     parameters = np.zeros(2)
-    current = loss(parameters)
+    nats = against(parameters)
+    current = loss(parameters, nats)
     for _ in range(100):
-        wrong = expit(-sign * (parameters @ design))
+        wrong = expit(nats)
         gradient = -design @ (mass * sign * wrong)
         gradient[0] += SLOPE_PENALTY * parameters[0]
         curvature = (design * (mass * wrong * (1 - wrong))) @ design.T
@@ -402,11 +407,16 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
         curvature += np.diag([SLOPE_PENALTY, 1e-12])
         step = np.linalg.solve(curvature, gradient)
         length = 1.0
-        while (new := loss(parameters - length * step)) > current and length > 1e-6:  # noqa: PLR2004
+        while True:
+            tried = parameters - length * step
+            nats = against(tried)
+            new = loss(tried, nats)
+            if new <= current or length <= 1e-6:  # noqa: PLR2004
+                break
             length /= 2
         if new > current:
             break
-        parameters -= length * step
+        parameters = tried
         converged = current - new < 1e-14  # noqa: PLR2004
         current = new
         if converged:
