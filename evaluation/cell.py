@@ -12,17 +12,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from evaluation.kept import kept, reduced
 from evaluation.linkage import link_level
 from evaluation.linkage_cell import to_parquet
 from evaluation.linkage_ground import ground as link_ground
+from evaluation.linkage_scores import Linked
 from evaluation.plugin_calls import guarded
 from evaluation.reconstruction import (
     attack_rows,
     descriptors,
     ground,
+    ground_without,
     level,
     track_columns,
 )
+from evaluation.window_cell import to_parquet as windows_to_parquet
 from isac_track.conflict import is_conflict
 from isac_track.encounter import conflict_probability
 from isac_track.errors import PluginError, SettingsError
@@ -113,7 +117,10 @@ def compute_links(
             epsilon_m=stages.privacy.epsilon_m,
             seed=seed,
         ):
-            yield mechanism, consumer, to_parquet(linked, work.sessions)
+            if isinstance(linked, Linked):
+                yield mechanism, consumer, to_parquet(linked, work.sessions)
+            else:
+                yield mechanism, consumer, windows_to_parquet(linked, work.sessions)
 
 
 def compute_block(
@@ -146,20 +153,25 @@ def compute_block(
         )
     for mechanism, consumers in block.levels:
         release = _share(mechanism, sensed, ("block", block.number), seed=seed)
+        left = kept(release, sensed)
+        known = scenes if left is None else reduced(scenes, left)
+        attacked_ground = attacked
+        if attacked is not None and left is not None:
+            attacked_ground = ground_without(attacked, left)
         attacked_level = None
         for consumer in consumers:
             if consumer.kind == "shared":
-                rows = _descriptors(release, scenes, stages=stages)
+                rows = _descriptors(release, known, stages=stages)
             elif consumer.kind == "predictor":
                 assert consumer.plugin is not None
-                rows = _forecast(consumer.plugin, release, scenes, stages=stages)
+                rows = _forecast(consumer.plugin, release, known, stages=stages)
             else:
-                assert attacked is not None
+                assert attacked_ground is not None
                 attacked_level = attacked_level or level(
                     mechanism=mechanism,
                     release=release,
                     share=partial(_share, mechanism, seed=seed),
-                    ground=attacked,
+                    ground=attacked_ground,
                     consumers=[one for one in consumers if one.kind == "attack"],
                     stages=stages,
                     seed=seed,
@@ -167,7 +179,7 @@ def compute_block(
                 rows = attack_rows(
                     consumer,
                     level=attacked_level,
-                    ground=attacked,
+                    ground=attacked_ground,
                     epsilon_m=stages.privacy.epsilon_m,
                     seed=seed,
                 )
@@ -184,10 +196,12 @@ def _share(mechanism: Plugin, sensed: Sensed, key: tuple[str | int, ...], *, see
         raise PluginError(
             f"mechanism {mechanism.spec!r} must return a Release, got {type(release).__name__}"
         )
-    if not (
-        np.array_equal(release.offsets, sensed.offsets) and np.array_equal(release.t, sensed.t)
-    ):
-        raise PluginError(f"mechanism {mechanism.spec!r} changed the tracks or their times")
+    try:
+        kept(release, sensed)
+    except ValueError as error:
+        raise PluginError(
+            f"mechanism {mechanism.spec!r} changed the tracks or their times: {error}"
+        ) from None
     if release.sigma is not None and not (release.sigma >= 0).all():
         raise PluginError(f"mechanism {mechanism.spec!r} declared a sigma below 0 or NaN")
     # Fresh for every release: the common stream gives every mechanism the same ones.

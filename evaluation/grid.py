@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 SHARED = "shared"
 """Consumer of the descriptors as shared."""
+WINDOWS = "windows"
+"""Consumer of the same of a linkage task, window by window, after the task."""
 BLOCK_SCENES = 250
 """Scenes of a cell. Part of the keys of the sharing streams: a change changes the draws."""
 
@@ -47,6 +49,18 @@ _SWEEP = (
         for axis in ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
     ),
 )
+# What moves the descriptors and what can be linked apart from each other. The levels were chosen by
+# PLR, AEL and MEL as shared alone, before anything was linked: those of correlated and offset lie
+# within the range from raw to fixed:1 (offset:0.4 does not). Thinned, a sample stands for longer.
+DISSOCIATION = (
+    "correlated:0.75",
+    "correlated:0.75,adding=independent",
+    "offset:0.3",
+    "thin:4",
+    "thin:4,d_sigma=0.75",
+    "thin:4,d_sigma=0.75,adding=independent",
+)
+"""Controls of the question whether a descriptor tells how linkable people are."""
 _PREDICTORS = ("least_squares", "kalman_cv", "kalman_ca", "kalman_imm")
 # All built-in ones but the slow: imm_rts and gaussian_process run when named.
 _RECONSTRUCTIONS = (
@@ -66,9 +80,7 @@ _LINKS = (
     "profile@radial_rts",
     "dtw",
     "behaviour",
-    "behaviour@radial_rts",
     "histogram",
-    "histogram@radial_rts",
     "kinematic",
     "kinematic@radial_rts",
 )
@@ -85,15 +97,15 @@ PRESETS = {
     ),
     "paper": Preset(
         scenes=500,
-        mechanisms=_SWEEP,
+        mechanisms=(*_SWEEP, *DISSOCIATION),
         predictors=_PREDICTORS,
         attacks=_ATTACKS,
         tasks=_TASKS,
-        summary="500 scenes, raw, 13 eta, 10 fixed errors, both adding rules",
+        summary="500 scenes, raw, 13 eta, 10 fixed errors, both adding rules, 6 controls",
     ),
     "full": Preset(
         scenes=5000,
-        mechanisms=_SWEEP,
+        mechanisms=(*_SWEEP, *DISSOCIATION),
         predictors=_PREDICTORS,
         attacks=_ATTACKS,
         tasks=_TASKS,
@@ -181,13 +193,13 @@ class Link:
 class Consumer:
     """Who reads a release: a predictor, an adversary, or nobody (the descriptors as shared)."""
 
-    kind: Literal["shared", "predictor", "attack", "linkage", "control"]
+    kind: Literal["shared", "predictor", "attack", "linkage", "control", "windows"]
     plugin: Plugin | None = None
     knowledge: str = ""
     """Adversary that the row is named after: blind, informed or oracle."""
     granted: frozenset[Knowledge] = frozenset()
     task: str = ""
-    """Of a linkage attack or a control."""
+    """Of a linkage attack, a control, or the descriptors of what is linked."""
     behind: Plugin | None = None
     """Reconstruction that a linkage attack runs behind."""
     control: str = ""
@@ -197,6 +209,8 @@ class Consumer:
         """As in the column `consumer`."""
         if self.kind == "control":
             return f"{self.task}/control-{self.control}"
+        if self.kind == "windows":
+            return f"{self.task}/{WINDOWS}"
         if self.plugin is None:
             return SHARED
         if self.kind == "linkage":
@@ -261,8 +275,12 @@ class Axes:
         """Tasks in which somebody links."""
         return tuple(dict.fromkeys(task for task, _ in self.links))
 
+    def readers(self, task: Task) -> tuple[Consumer, ...]:
+        """Return all consumers of a task: the descriptors of its windows, then who links."""
+        return (Consumer("windows", task=task.name), *self.linkers(task))
+
     def linkers(self, task: Task) -> tuple[Consumer, ...]:
-        """Return all consumers of a task: the controls, then the attacks by adversary."""
+        """Return who links in a task: the controls, then the attacks by adversary."""
         from attacks.controls import CONTROLS  # noqa: PLC0415 - as above
         from isac_track.protocols import grants  # noqa: PLC0415
 

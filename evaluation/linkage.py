@@ -15,7 +15,7 @@ import numpy as np
 from attacks.controls import CONTROLS
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.shape import Shape
-from evaluation.linkage_ground import SIDES, samples_of, taken
+from evaluation.linkage_ground import SIDES, ground_without, samples_of, taken
 from evaluation.linkage_scores import (
     AUDIT_SHUFFLES,
     SHUFFLES,
@@ -24,6 +24,7 @@ from evaluation.linkage_scores import (
     read_off,
 )
 from evaluation.plugin_calls import copied, guarded
+from evaluation.window_cell import window_rows
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from evaluation.grid import Consumer
     from evaluation.linkage_ground import Ground, Part
     from evaluation.linkage_scores import Linked
+    from evaluation.reconstruction import Rows
     from isac_track.linkability import Calibration
     from isac_track.registry import Plugin
     from isac_track.types import Floats, Ints, Sensed
@@ -51,14 +53,14 @@ def link_level(
     share: Share,
     epsilon_m: float,
     seed: int,
-) -> Iterator[tuple[Consumer, Linked]]:
-    """Yield what each consumer links at one mechanism level.
+) -> Iterator[tuple[Consumer, Linked | Rows]]:
+    """Yield what each consumer links at one mechanism level, or the rows of the windows.
 
     Parameters
     ----------
     mechanism : Plugin
     consumers : sequence of Consumer
-        Linkage attacks and controls of the task.
+        Linkage attacks and controls of the task, and its windows.
     ground : Ground
     share : callable
         From what was sensed and the name of a stream to a release of the mechanism.
@@ -75,18 +77,25 @@ def link_level(
         share(sensed, ("linkage", task.family, side))
         for sensed, side in zip(ground.sensed, SIDES, strict=True)
     ]
+    sessions, ground = ground.sessions, ground_without(ground, shared)
+    in_frame = shared
     if ground.frames is not None:
-        shared = [frames.release(one) for frames, one in zip(ground.frames, shared, strict=True)]
+        in_frame = [frames.release(one) for frames, one in zip(ground.frames, shared, strict=True)]
     level = _Level(
         mechanism=mechanism,
-        released=(shared[0], shared[1]),
+        released=(in_frame[0], in_frame[1]),
         ground=ground,
         epsilon_m=epsilon_m,
         seed=seed,
         sides={},
     )
     for consumer in consumers:
-        if consumer.kind == "control":
+        if consumer.kind == "windows":
+            yield (
+                consumer,
+                window_rows(shared, ground=ground, sessions=sessions, epsilon_m=epsilon_m),
+            )
+        elif consumer.kind == "control":
             yield consumer, _controlled(consumer, level)
         else:
             yield consumer, _linked(consumer, level)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from attacks.linkage.tasks import build
+from evaluation.kept import kept, reduced
 from isac_track.datasets import load
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
@@ -56,6 +57,10 @@ class Frames:
     def release(self, release: Release) -> Release:
         """Return a release, every walk in its frame and on its clock."""
         return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)
+
+    def of(self, samples: Ints) -> Frames:
+        """Return the frames of some of the samples."""
+        return Frames(*(getattr(self, item.name)[samples] for item in fields(self)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -155,6 +160,36 @@ def ground(
         weights=weights,
         cluster=cluster,
         controlled={},
+    )
+
+
+def ground_without(ground: Ground, released: Sequence[Release]) -> Ground:
+    """Return a ground as it is for these releases: without the samples that they left out.
+
+    Parameters
+    ----------
+    ground : Ground
+    released : sequence of Release
+        Of the probe and of the gallery side, at the instants of the windows.
+    """
+    sessions, sensed, frames = ground.sessions, list(ground.sensed), ground.frames
+    windows, turned = [sessions.probe, sessions.gallery], [] if frames is None else list(frames)
+    lefts = [kept(one, whole) for one, whole in zip(released, sensed, strict=True)]
+    for side, left in enumerate(lefts):
+        if left is None:
+            continue
+        sensed[side] = reduced(sensed[side], left)
+        windows[side] = reduced(windows[side], left)
+        if turned:
+            turned[side] = turned[side].of(left.samples)
+    if all(left is None for left in lefts):
+        return ground
+    return replace(
+        ground,
+        sessions=replace(sessions, probe=windows[0], gallery=windows[1]),
+        sensed=(sensed[0], sensed[1]),
+        frames=(turned[0], turned[1]) if turned else None,
+        controlled={},  # what only the times tell is no longer what it is at other levels
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from attacks.reconstruction.kalman_rts import KalmanRTS, smooth
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.grid import MOST_SCENES
+from evaluation.kept import kept, reduced
 from evaluation.plugin_calls import copied, guarded
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
@@ -29,10 +30,11 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from evaluation.grid import Consumer
+    from evaluation.kept import Kept
     from isac_track.config import StageSettings
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
-    from isac_track.types import Bools, Floats, Ints, Scenes, Sensed
+    from isac_track.types import Floats, Ints, Scenes, Sensed
 
 N_REPEATS = 2
 """Further releases of the same walks, for who is granted REPEATS."""
@@ -80,9 +82,9 @@ class Ground:
     passes: tuple[tuple[Part, ...], tuple[Part, ...]]
     """The same, cut by the passes over the recording: in none does a walk occur twice."""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
-    """For each part people of the other half, each once; None if there are none."""
+    """For each part people of the other half, each once; None if there are none. All samples."""
     again: tuple[Sensed, ...]
-    """The walks of the block sensed anew, for REPEATS."""
+    """The walks of the block sensed anew, for REPEATS. All samples."""
 
 
 def folds(groups: tuple[str, ...], *, seed: int) -> Ints:
@@ -150,17 +152,17 @@ def ground(
         sense_scenes(scenes, settings=stages.sensing, seed=seed, names=("again", number))
         for number in range(N_REPEATS if repeats else 0)
     )
-    first, second = (_part(scenes, victims_half == fold) for fold in _FOLDS)
+    first, second = (_part(scenes, np.flatnonzero(victims_half == fold)) for fold in _FOLDS)
     passes = tuple(
         tuple(
-            _part(scenes, (victims_half == fold) & (number == one))
+            _part(scenes, np.flatnonzero((victims_half == fold) & (number == one)))
             for one in np.unique(number[victims_half == fold])
         )
         for fold in _FOLDS
     )
     _assert_distinct(passes, scenes=scenes)
     first_once, second_once = (
-        _part(scenes, (victims_half == fold) & (number == 0)) for fold in _FOLDS
+        _part(scenes, np.flatnonzero((victims_half == fold) & (number == 0))) for fold in _FOLDS
     )
     return Ground(
         scenes=scenes,
@@ -170,6 +172,23 @@ def ground(
         passes=(passes[0], passes[1]),
         training=tuple(training),
         again=again,
+    )
+
+
+def ground_without(ground: Ground, left: Kept) -> Ground:
+    """Return a block as it is for a release that left samples out: the same tracks, the rest."""
+    scenes = reduced(ground.scenes, left)
+
+    def part(whole: Part) -> Part:
+        return _part(scenes, whole.rows)
+
+    return replace(
+        ground,
+        scenes=scenes,
+        sensed=reduced(ground.sensed, left),
+        parts=(part(ground.parts[0]), part(ground.parts[1])),
+        first_parts=(part(ground.first_parts[0]), part(ground.first_parts[1])),
+        passes=(tuple(map(part, ground.passes[0])), tuple(map(part, ground.passes[1]))),
     )
 
 
@@ -242,9 +261,11 @@ def level(
             continue
         scenes, sensed = others
         released = share(sensed, ("training", fold))
+        left = kept(released, sensed)
+        truth_m = (scenes if left is None else reduced(scenes, left)).xy
         for what in shows:
             view = seen(released, granted=what, rng=_frame(key, fold, "training", seed=seed))
-            truth = _turned(scenes.xy, angle=view.angle, shift=view.shift)
+            truth = _turned(truth_m, angle=view.angle, shift=view.shift)
             training[fold, what] = TrainingSet(view.release, truth)
     mse_m2, plr = benchmark(
         release, sensed=ground.sensed, mechanism=mechanism, epsilon_m=stages.privacy.epsilon_m
@@ -262,7 +283,9 @@ def level(
         },
         training=training,
         again=tuple(
-            share(sensed, ("scenes", first_scene, "again", number))
+            _repeat(
+                share(sensed, ("scenes", first_scene, "again", number)), of=release, by=mechanism
+            )
             for number, sensed in enumerate(ground.again)
             if Knowledge.REPEATS in granted
         ),
@@ -355,10 +378,12 @@ def benchmark(
     every sample: no linear estimator has a smaller expected squared error, and none at all if the
     errors are Gaussian. Its posterior covariance P per axis depends on no position: the expected
     squared error is 2 P, and a Gaussian error of that size leaks with probability
-    1 - exp(-epsilon^2 / 2P). NaN for a mechanism that declares no sigma.
+    1 - exp(-epsilon^2 / 2P). NaN for a mechanism that declares no sigma, and for one that says
+    (`errors_are_independent`) that its errors depend on each other from sample to sample.
     """
     n_samples = np.diff(release.offsets)
-    if release.sigma is None:
+    independent = getattr(mechanism.instance, "errors_are_independent", True)
+    if release.sigma is None or not independent:
         return np.full(n_samples.size, np.nan), np.full(n_samples.size, np.nan)
     law = getattr(mechanism.instance, "law", None) or sensed.law
     shared_m2, raw_m2 = release.sigma**2, sensed.sigma_raw**2
@@ -530,8 +555,7 @@ def _turned(
     return turned
 
 
-def _part(scenes: Scenes, chosen: Bools) -> Part:
-    rows = np.flatnonzero(chosen)
+def _part(scenes: Scenes, rows: Ints) -> Part:
     sizes = np.diff(scenes.offsets)[rows]
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     samples = np.repeat(scenes.offsets[rows] - offsets[:-1], sizes) + np.arange(offsets[-1])
@@ -542,6 +566,22 @@ def _part(scenes: Scenes, chosen: Bools) -> Part:
         t=scenes.t[samples],
         truth=scenes.xy.take(samples, axis=0),
     )
+
+
+def _repeat(again: Release, *, of: Release, by: Plugin) -> Release:
+    """Return a further release of the same walks; it has to be at the same instants.
+
+    Raises
+    ------
+    PluginError
+    """
+    if not (np.array_equal(again.offsets, of.offsets) and np.array_equal(again.t, of.t)):
+        raise PluginError(
+            f"mechanism {by.spec!r} leaves out other samples when the same walks are shared again; "
+            "an attack that is granted REPEATS gets them at the same instants: leave samples out "
+            "by their times, or leave out the attacks that use repeats"
+        )
+    return again
 
 
 def _taken(release: Release, part: Part) -> Release:

@@ -108,7 +108,7 @@ def plan(settings: Settings) -> Plan:
         (mechanism, consumer, files(mechanism, consumer, count))
         for mechanisms, consumers, count in (
             (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
-            *((crossed.linked_mechanisms, crossed.linkers(task), 1) for task in crossed.tasks),
+            *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
         )
         for mechanism in mechanisms
         for consumer in consumers

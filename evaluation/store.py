@@ -42,9 +42,11 @@ _TABLES = (
     "curves.csv",
     "flags.json",
     "linkability.csv",
+    "verdict.json",
+    "report.html",
 )
 _FIGURES = ("fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability")
-_TEX = ("sweep.tex", "attacks.tex", "paper.tex", "linkability.tex")
+_TEX = ("sweep.tex", "attacks.tex", "paper.tex", "linkability.tex", "verdict.tex")
 _CELL = re.compile(r"_\d{5}_[0-9a-f]{16}\.parquet$")
 _ENTRY = {"mechanism", "level", "spec", "kind", "consumer", "knowledge", "files"}
 _SHOWN_DIFFERENCES = 3
@@ -52,12 +54,14 @@ _COMPUTING = ("isac_track", "predictors", "attacks")
 _CELL_SOURCES = (
     "cell.py",
     "grid.py",
+    "kept.py",
     "linkage.py",
     "linkage_cell.py",
     "linkage_ground.py",
     "linkage_scores.py",
     "plugin_calls.py",
     "reconstruction.py",
+    "window_cell.py",
 )
 _LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
 

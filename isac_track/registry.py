@@ -40,6 +40,9 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "fixed": "isac_track.sharing:Fixed",
         "fid": "isac_track.sharing:Fid",
         "clean": "isac_track.sharing:Clean",
+        "correlated": "isac_track.dissociation:Correlated",
+        "offset": "isac_track.dissociation:Offset",
+        "thin": "isac_track.dissociation:Thin",
     },
     "predictors": {
         "least_squares": "predictors.least_squares:LeastSquares",

@@ -31,12 +31,14 @@ def perturb(
     *,
     adding: Adding = "linear",
     law: ErrorLaw | None = None,
+    unit_error: Floats | None = None,
 ) -> Release:
     """Add an error of standard deviation `d_sigma` to the raw estimates.
 
     `linear` (eq. shared_sigma): the standard deviations add, sigma_raw + d_sigma; the true
     error is scaled, which only somebody who knows the truth can do. `independent`
-    (eq. swarm_shared): a fresh error is added and the variances add.
+    (eq. swarm_shared): a fresh error is added and the variances add. The fresh error has a
+    direction of its own: under the law `fixed_direction` one for each track of the release.
 
     Parameters
     ----------
@@ -46,8 +48,10 @@ def perturb(
     rng : Generator
         Source of the fresh error (`independent` only) and of the pseudonyms.
     adding : {"linear", "independent"}
-    law : {"radial", "isotropic"}, optional
+    law : {"radial", "isotropic", "fixed_direction"}, optional
         Law of the fresh error; by default that of the raw error.
+    unit_error : (M, 2), optional
+        The fresh standardised error itself, instead of a draw (`independent` only).
 
     Returns
     -------
@@ -66,10 +70,16 @@ def perturb(
     if adding == "linear":
         if law not in (None, sensed.law):
             raise ValueError("linear adding scales the raw error and so keeps its law")
+        if unit_error is not None:
+            raise ValueError("linear adding scales the raw error and takes no other")
         error = sensed.unit_error * extra[:, None]
         sigma = sensed.sigma_raw + extra
     elif adding == "independent":
-        unit = unit_errors(n_samples=sensed.t.size, law=law or sensed.law, rng=rng)
+        unit = unit_error
+        if unit is None:
+            unit = unit_errors(
+                n_samples=sensed.t.size, law=law or sensed.law, rng=rng, offsets=sensed.offsets
+            )
         error = unit * extra[:, None]
         sigma = np.hypot(sensed.sigma_raw, extra)
     else:
@@ -106,6 +116,18 @@ def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floa
     return np.where(above, extra, 0.0)
 
 
+def check_d_sigma(d_sigma: float) -> None:
+    """Check the parameter of a mechanism.
+
+    Raises
+    ------
+    ValueError
+        If it is negative or not finite.
+    """
+    if not (np.isfinite(d_sigma) and d_sigma >= 0):
+        raise ValueError(f"d_sigma must be 0 m or more, got {d_sigma}")
+
+
 @dataclass(frozen=True, slots=True)
 class Raw:
     """Share the raw sensing estimates."""
@@ -131,8 +153,7 @@ class Fixed:
     sweep: ClassVar[str] = "linear"
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.d_sigma) and self.d_sigma >= 0):
-            raise ValueError(f"d_sigma must be 0 m or more, got {self.d_sigma}")
+        check_d_sigma(self.d_sigma)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the estimates with `d_sigma` more error."""

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from evaluation import matrix, report
-from evaluation.grid import PRESETS, Settings, axes
+from evaluation.grid import DISSOCIATION, PRESETS, Settings, axes
 from isac_track import registry
 
 
@@ -185,7 +185,7 @@ def test_the_presets_are_those_of_the_design():
     assert len(axes(Settings(preset="smoke")).mechanisms) == 5
     assert PRESETS["paper"].scenes == 500
     paper = axes(Settings()).mechanisms
-    assert len(paper) == 1 + 2 * (13 + 10)
+    assert len(paper) == 1 + 2 * (13 + 10) + len(DISSOCIATION)
     etas = [plugin.level for plugin in paper if plugin.name == "fid"]
     assert etas[0] == 1.0
     assert etas[9:] == [1e3, 1e4, 1e5, 1e6]

@@ -119,7 +119,10 @@ def test_a_class_by_its_path(here):
     ("spec", "message"),
     [
         ("fdi:1", "unknown mechanism 'fdi'; did you mean 'fid'?"),
-        ("zzzzz", "unknown mechanism 'zzzzz'; known: clean, fid, fixed, raw"),
+        (
+            "zzzzz",
+            "unknown mechanism 'zzzzz'; known: clean, correlated, fid, fixed, offset, raw, thin",
+        ),
         ("fixed", "fixed needs a value for d_sigma, as in fixed:VALUE"),
         ("raw:3", "raw takes no value"),
         ("raw:eta=3", "raw has no parameter 'eta'; it has none"),

@@ -1,0 +1,201 @@
+"""Controls: sharing that moves the descriptors and what can be linked apart from each other.
+
+None is meant as a protection. `correlated` hides each sample as well as `fixed` does, but leaves
+neighbouring errors alike; `offset` moves a walk as a whole and keeps its shape; `thin` shares
+fewer samples. A descriptor that tells how linkable people are must tell under these as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from isac_track.sensing import track_directions
+from isac_track.sharing import check_d_sigma, perturb
+from isac_track.types import Adding, ErrorLaw, Release
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from isac_track.types import Floats, Ints, Sensed
+
+
+def correlated_errors(
+    *, t: Floats, offsets: Ints, law: ErrorLaw, tau_s: float, rng: Generator
+) -> Floats:
+    """Draw standardised errors that change slowly along each track, (M, 2).
+
+    Every sample has the law of `isac_track.sensing.unit_errors`; two samples c, d of one track
+    have E[c . d] = exp(-|t_c - t_d| / tau_s) E[|c|^2], tracks are independent of each other.
+    `isotropic`: two Ornstein-Uhlenbeck processes. `radial`: one of time constant 2 tau_s times a
+    direction that moves on the circle as Brownian motion, with E[cos turn] = exp(-dt / 2 tau_s).
+    `fixed_direction`: one of time constant tau_s times a direction that is drawn once a track.
+    All are exact at any instants and use the same draws, three a sample.
+
+    Parameters
+    ----------
+    t : (M,) s
+        Strictly increasing within a track.
+    offsets : (N + 1,) int
+    law : {"radial", "isotropic", "fixed_direction"}
+    tau_s : float
+        Time constant, s, positive.
+    rng : Generator
+
+    Raises
+    ------
+    ValueError
+        For an unknown law.
+    """
+    draws = rng.standard_normal((t.size, 3))
+    first = offsets[:-1]
+    dt_s = np.diff(t, prepend=t[:1])
+    if law == "isotropic":
+        decay, noise = _ornstein_uhlenbeck(dt_s / tau_s, first)
+        return _recursion(decay, noise[:, None] * draws[:, 1:], offsets)
+    if law == "radial":
+        decay, noise = _ornstein_uhlenbeck(dt_s / (2.0 * tau_s), first)
+        amplitude = _recursion(decay, noise * draws[:, 0], offsets)
+        turn = np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]  # |...|: from one track to the next
+        turn[first] = np.arctan2(draws[first, 2], draws[first, 1])
+        remembers = np.ones(t.size)
+        remembers[first] = 0.0
+        angle = _recursion(remembers, turn, offsets)
+        direction: Floats = np.column_stack([np.cos(angle), np.sin(angle)])
+        return amplitude[:, None] * direction
+    if law == "fixed_direction":
+        decay, noise = _ornstein_uhlenbeck(dt_s / tau_s, first)
+        amplitude = _recursion(decay, noise * draws[:, 0], offsets)
+        return amplitude[:, None] * track_directions(draws[:, 1:], offsets=offsets)
+    raise ValueError(f"unknown error law {law!r}; known: radial, isotropic, fixed_direction")
+
+
+def _ornstein_uhlenbeck(elapsed: Floats, first: Ints) -> tuple[Floats, Floats]:
+    """Return decay and noise of every step, (M,) each: stationary from the first sample on."""
+    elapsed = elapsed.copy()
+    elapsed[first] = np.inf
+    decay: Floats = np.exp(-elapsed)
+    noise: Floats = np.sqrt(-np.expm1(-2.0 * elapsed))
+    return decay, noise
+
+
+def _recursion(decay: Floats, step: Floats, offsets: Ints) -> Floats:
+    """Return x_k = decay_k x_(k-1) + step_k along each track, (M, ...); decay 0 starts anew.
+
+    A prefix scan: steps are joined in pairs, fours, eights, ..., all of them at once.
+    """
+    found, passes = step.copy(), decay.copy()
+    reach, longest = 1, int(np.diff(offsets).max(initial=0))
+    while reach < longest:
+        weight = passes[reach:] if found.ndim == 1 else passes[reach:, None]
+        found[reach:] += weight * found[:-reach]  # the product is computed before anything moves
+        passes[reach:] = passes[reach:] * passes[:-reach]
+        reach *= 2
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Correlated:
+    """Add errors as large as those of `fixed`, but alike from sample to sample.
+
+    By itself each sample is as far off as under `fixed` with the same `d_sigma` and adding rule.
+    With linear adding the whole error is redrawn, sigma_raw + d_sigma times the slow error, which
+    only somebody who knows the truth can do, like linear adding itself.
+    """
+
+    d_sigma: float
+    """m"""
+    tau_s: float = 2.0
+    """Time over which the error's correlation falls to 1/e, s."""
+    adding: Adding = "linear"
+
+    family: ClassVar[str] = "correlated"
+    sweep: ClassVar[str] = "linear"
+    errors_are_independent: ClassVar[bool] = False
+    """From sample to sample: without that the linear benchmark does not hold."""
+
+    def __post_init__(self) -> None:
+        check_d_sigma(self.d_sigma)
+        if not (np.isfinite(self.tau_s) and self.tau_s > 0):
+            raise ValueError(f"tau_s must be positive, got {self.tau_s}")
+
+    def share(self, sensed: Sensed, rng: Generator) -> Release:
+        """Return the estimates with an error that changes slowly."""
+        unit = correlated_errors(
+            t=sensed.t, offsets=sensed.offsets, law=sensed.law, tau_s=self.tau_s, rng=rng
+        )
+        if self.adding == "independent":
+            return perturb(sensed, self.d_sigma, rng, adding=self.adding, unit_error=unit)
+        changed = sensed.sigma_raw[:, None] * (unit - sensed.unit_error)
+        redrawn = replace(sensed, xy=sensed.xy + changed, unit_error=unit)
+        return perturb(redrawn, self.d_sigma, rng, adding=self.adding)
+
+
+@dataclass(frozen=True, slots=True)
+class Offset:
+    """Move every track as a whole: the same way for all of its samples, in a random direction.
+
+    The declared standard deviation stays that of the raw estimates. The displacement is constant
+    along a track and says nothing of how far its samples scatter; a network that declared it would
+    undo the control, since whoever smooths weighs samples by what is declared. No adding rule:
+    there is no standard deviation to add.
+    """
+
+    distance: float
+    """m"""
+
+    family: ClassVar[str] = "offset"
+    sweep: ClassVar[str] = "linear"
+    errors_are_independent: ClassVar[bool] = False
+    """From sample to sample: without that the linear benchmark does not hold."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.distance) and self.distance >= 0):
+            raise ValueError(f"distance must be 0 m or more, got {self.distance}")
+
+    def share(self, sensed: Sensed, rng: Generator) -> Release:
+        """Return the raw estimates, each track displaced."""
+        angle = rng.uniform(0.0, 2.0 * np.pi, len(sensed))
+        shift_m = self.distance * np.column_stack([np.cos(angle), np.sin(angle)])
+        raw = perturb(sensed, 0.0, rng)
+        return replace(raw, xy=raw.xy + np.repeat(shift_m, np.diff(sensed.offsets), axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class Thin:
+    """Share every n-th sample only, as `fixed` would; the last of a track is always one of them.
+
+    The error is drawn for all samples first: at any `every` those that are shared lie where
+    ``fixed`` puts them.
+    """
+
+    every: int
+    """One sample in so many is shared."""
+    adding: Adding = "linear"
+    d_sigma: float = 0.0
+    """m"""
+
+    family: ClassVar[str] = "thin"
+    sweep: ClassVar[str] = "linear"
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise ValueError(f"every must be 1 or more, got {self.every}")
+        check_d_sigma(self.d_sigma)
+
+    def share(self, sensed: Sensed, rng: Generator) -> Release:
+        """Return the thinned release."""
+        whole = perturb(sensed, self.d_sigma, rng, adding=self.adding)
+        sizes = np.diff(whole.offsets)
+        to_the_last = np.repeat(whole.offsets[1:] - 1, sizes) - np.arange(whole.t.size)
+        kept = to_the_last % self.every == 0
+        assert whole.sigma is not None
+        return Release(
+            t=whole.t[kept],
+            xy=whole.xy[kept],
+            sigma=whole.sigma[kept],
+            offsets=np.concatenate([[0], np.cumsum(-(-sizes // self.every))]),
+            pseudonym=whole.pseudonym,
+        )

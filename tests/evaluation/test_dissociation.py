@@ -1,0 +1,595 @@
+"""Mechanisms that share fewer samples, and the descriptors of what is linked, window by window."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import evaluation
+from attacks.linkage.task_list import TASKS
+from attacks.linkage.tasks import Windows, build
+from evaluation.cell import Block, LinkWork, _share, cells, compute_block
+from evaluation.grid import DISSOCIATION, Axes, Consumer, Link, Settings, axes
+from evaluation.kept import kept, reduced
+from evaluation.linkage import link_level
+from evaluation.linkage_ground import ground
+from evaluation.window_cell import read_windows
+from isac_track import privacy, registry
+from isac_track.config import StageSettings
+from isac_track.errors import DataError, PluginError
+from isac_track.protocols import grants
+from isac_track.registry import Plugin
+from isac_track.rng import stream
+from isac_track.scenes import cut, make_scenes, predicted_separation, track_order
+from isac_track.sensing import sense_scenes
+from isac_track.sharing import Clean, Fixed, Raw
+from isac_track.types import Knowledge, Reconstruction, Release, Sensed, Tracks
+
+STAGES = StageSettings()
+EPSILON_M = STAGES.privacy.epsilon_m
+N_SCENES = 6  # two passes over the 12 tracks
+
+
+def taken(release, chosen):
+    """The release without the samples that were not chosen, (M,) bool."""
+    sizes = np.add.reduceat(chosen, release.offsets[:-1])
+    return Release(
+        t=release.t[chosen],
+        xy=release.xy[chosen],
+        sigma=None if release.sigma is None else release.sigma[chosen],
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        pseudonym=release.pseudonym,
+    )
+
+
+def is_odd(sensed):
+    """Whether a sample's own time in ms is odd, or it is the last: a rule of somebody else's."""
+    odd = np.rint(1e3 * sensed.t).astype(int) % 2 == 1
+    odd[sensed.offsets[1:] - 1] = True
+    return odd
+
+
+@dataclass(frozen=True)
+class Sieve:
+    """A mechanism of one's own that shares what `chooses` and `base` say."""
+
+    base: object
+    choose: object = is_odd
+
+    def share(self, sensed, rng):
+        return taken(self.base.share(sensed, rng), self.choose(sensed))
+
+
+@dataclass(frozen=True)
+class Makes:
+    """Shares what a function makes of the raw release."""
+
+    make: object
+
+    def share(self, sensed, rng):
+        return self.make(Raw().share(sensed, rng))
+
+
+@dataclass(frozen=True)
+class Spy:
+    """Leaves positions as they are and keeps what it was given."""
+
+    requires: frozenset = frozenset()
+    uses: frozenset = frozenset()
+    seen: list = None
+
+    def fit(self, context):
+        def reconstruct(release):
+            self.seen.append((context, release))
+            return Reconstruction(release.xy)
+
+        return reconstruct
+
+
+def plugin(instance, spec="mine"):
+    return Plugin(name=spec, level=None, spec=spec, origin=f"here:{spec}", instance=instance)
+
+
+def mechanism(spec):
+    return registry.parse("mechanisms", spec)[0] if isinstance(spec, str) else plugin(spec)
+
+
+class World:
+    """A block of scenes and what is computed of it."""
+
+    def __init__(self, tracks):
+        self.tracks = cut(tracks, settings=STAGES, seed=0)
+        self.order = track_order(n_tracks=len(self.tracks), n_scenes=N_SCENES, agents=4, seed=0)
+        self.scenes = make_scenes(self.tracks, order=self.order, first=0, settings=STAGES, seed=0)
+        self.sensed = sense_scenes(self.scenes, settings=STAGES.sensing, seed=0)
+
+    def share(self, by):
+        return _share(mechanism(by), self.sensed, ("block", 0), seed=0)
+
+    def rows(self, by, *consumers):
+        levels = ((mechanism(by), consumers),)
+        block = Block(number=0, first_scene=0, order=self.order, levels=levels)
+        return [
+            rows for *_, rows in compute_block(block, tracks=self.tracks, stages=STAGES, seed=0)
+        ]
+
+
+def attack(instance):
+    one = plugin(instance, "spy")
+    return [
+        Consumer("attack", one, knowledge=name, granted=granted)
+        for name, granted in grants(instance).items()
+    ]
+
+
+@pytest.fixture
+def world(tracks):
+    return World(tracks)
+
+
+class TestWhatIsKept:
+    SENSED = Sensed(
+        t=np.array([0.0, 0.1, 0.2, 5.0, 5.1, 0.1, 0.2]),
+        xy=np.arange(14.0).reshape(7, 2),
+        unit_error=np.zeros((7, 2)),
+        sigma_raw=np.arange(7.0),
+        information=10.0 + np.arange(7.0),
+        fid=20.0 + np.arange(7.0),
+        offsets=np.array([0, 3, 5, 7]),
+    )
+
+    def released(self, t, offsets):
+        t = np.array(t)
+        names = tuple("abcdefg"[: len(offsets) - 1])
+        return Release(t, np.zeros((t.size, 2)), None, np.array(offsets), names)
+
+    def test_everything(self):
+        assert kept(self.released(self.SENSED.t, [0, 3, 5, 7]), self.SENSED) is None
+
+    def test_some_of_each_track(self):
+        left = kept(self.released([0.0, 0.2, 5.1, 0.1, 0.2], [0, 2, 3, 5]), self.SENSED)
+        assert left.samples.tolist() == [0, 2, 4, 5, 6]
+        assert left.offsets.tolist() == [0, 2, 3, 5]
+        known = reduced(self.SENSED, left)
+        assert known.t.tolist() == [0.0, 0.2, 5.1, 0.1, 0.2]
+        assert known.xy[:, 0].tolist() == [0, 4, 8, 10, 12]
+        assert known.sigma_raw.tolist() == [0, 2, 4, 5, 6]
+        assert known.information.tolist() == [10, 12, 14, 15, 16]
+        assert known.fid.tolist() == [20, 22, 24, 25, 26]
+
+    def test_as_many_but_of_other_tracks(self):
+        # The times of all samples are those that were sensed; whose they are is not.
+        with pytest.raises(ValueError, match=r"in track 0 nothing was sensed at 5 s"):
+            kept(self.released(self.SENSED.t, [0, 4, 5, 7]), self.SENSED)
+
+    @pytest.mark.parametrize("at", [-1.0, 0.15, 0.2 + 1e-12, 9.0])
+    def test_nothing_at_another_instant(self, at):
+        with pytest.raises(ValueError, match=r"in track 2 nothing was sensed at .* left out, not"):
+            kept(self.released([0.0, 5.0, at], [0, 1, 2, 3]), self.SENSED)
+
+    def test_no_track_is_dropped(self):
+        with pytest.raises(ValueError, match="of 3 tracks it returned 2"):
+            kept(self.released([0.0, 5.0], [0, 1, 2]), self.SENSED)
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (
+                lambda release: replace(release, t=release.t + 1e-6),
+                r"^mechanism 'mine' changed .* times: in track 0 nothing was sensed at \S+ s; ",
+            ),
+            (
+                lambda release: release[0],
+                r"^mechanism 'mine' changed the tracks or their times: of 24 tracks it returned 1$",
+            ),
+            (
+                lambda release: taken(release, np.arange(release.t.size) >= release.offsets[1]),
+                r"^mechanism 'mine' failed: ValueError: every track needs at least one sample",
+            ),
+        ],
+    )
+    def test_what_moves_times_drops_tracks_or_leaves_nothing(self, world, make, message):
+        with pytest.raises(PluginError, match=message):
+            world.rows(Makes(make), Consumer("shared"))
+
+    def test_what_leaves_out_other_samples_when_a_walk_is_shared_again(self, world):
+        def by_chance(sensed):
+            chosen = sensed.unit_error[:, 0] > 0
+            chosen[sensed.offsets[1:] - 1] = True
+            return chosen
+
+        sieve = Sieve(Raw(), by_chance)
+        needs = frozenset({Knowledge.REPEATS})
+        with pytest.raises(PluginError, match="'mine' leaves out other samples when the same"):
+            world.rows(sieve, *attack(Spy(requires=needs, seen=[])))
+        (rows,) = world.rows(sieve, Consumer("shared"))  # but it may be shared once
+        assert (rows["n_samples"] < np.diff(world.scenes.offsets)).all()
+
+
+class TestScenes:
+    def test_the_descriptors_are_those_of_the_samples_that_were_shared(self, world):
+        (rows,) = world.rows(Sieve(Fixed(0.3)), Consumer("shared"))
+        whole = world.share("fixed:0.3")
+        chosen = is_odd(world.sensed)
+        for row, (lo, hi) in enumerate(pairwise(whole.offsets)):
+            mine = np.flatnonzero(chosen[lo:hi]) + lo
+            leaked = privacy.leakage_indicator(
+                shared_xy=whole.xy[mine], true_xy=world.scenes.xy[mine], epsilon_m=EPSILON_M
+            )
+            expected = privacy.exposure(
+                leaked=leaked, t=whole.t[mine], offsets=np.array([0, mine.size])
+            )
+            assert rows["n_samples"][row] == mine.size
+            assert rows["plr"][row] == expected.plr[0]
+            assert rows["ael_s"][row] == expected.ael_s[0]
+            assert rows["mel_s"][row] == expected.mel_s[0]
+            square = ((whole.xy[mine] - world.scenes.xy[mine]) ** 2).sum(axis=1)
+            assert rows["mse_m2"][row] == pytest.approx(square.mean(), rel=1e-12)
+
+    @pytest.mark.parametrize("name", ["least_squares", "kalman_cv"])
+    def test_a_predictor_gets_the_thinned_release_and_the_whole_future(self, world, name):
+        (forecaster,) = registry.parse("predictors", name)
+        consumer = Consumer("predictor", forecaster)
+        (thinned,), (whole,) = (world.rows(by, consumer) for by in (Sieve(Clean()), Clean()))
+        for same in ("scene", "track", "conflict", "separation_m"):
+            np.testing.assert_array_equal(thinned[same], whole[same])
+        release = world.share(Sieve(Clean())).without_sigma()
+        mean = forecaster.instance.predict(release, world.scenes.t_future).mean
+        expected = predicted_separation(world.scenes, mean=mean, settings=STAGES.conflict)
+        np.testing.assert_array_equal(thinned["predicted_separation_m"], expected)
+        assert not np.array_equal(
+            thinned["predicted_separation_m"], whole["predicted_separation_m"]
+        )
+
+    @pytest.mark.parametrize("granted", [(), tuple(Knowledge)])
+    def test_an_attack_is_given_and_measured_on_what_was_shared(self, world, granted):
+        spy = Spy(uses=frozenset(granted), requires=frozenset(granted), seen=[])
+        (rows,) = world.rows(Sieve(Clean()), *attack(spy))
+        # The truth was shared: whatever is compared with it must be the same to the last sample.
+        assert np.abs(rows["mse_m2"]).max() < 1e-12
+        assert (rows["plr"] == 1).all()
+        assert len(rows["plr"]) == 24
+        np.testing.assert_array_equal(
+            rows["n_samples"], np.add.reduceat(is_odd(world.sensed), world.scenes.offsets[:-1])
+        )
+        assert sum(release.t.size for _, release in spy.seen) == is_odd(world.sensed).sum()
+        for context, release in spy.seen:
+            if not granted:
+                continue
+            train = context.train
+            np.testing.assert_allclose(train.release.xy, train.truth, rtol=0, atol=1e-9)
+            assert len(context.repeats) == 2
+            for again in context.repeats:
+                np.testing.assert_array_equal(again.t, release.t)
+                np.testing.assert_allclose(again.xy, release.xy, rtol=0, atol=1e-9)
+
+    @pytest.mark.parametrize("name", ["identity", "kalman_rts", "radial_rts", "averaging"])
+    def test_thinning_to_every_sample_is_fixed(self, world, name):
+        (one,) = registry.parse("attacks", name)
+        crossed = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers
+        for thinned, fixed in zip(
+            world.rows("thin:1,d_sigma=0.7", *crossed),
+            world.rows("fixed:0.7", *crossed),
+            strict=True,
+        ):
+            for column in fixed:
+                # Frames are drawn for each mechanism: up to rounding, what is found is the same.
+                np.testing.assert_allclose(thinned[column], fixed[column], rtol=1e-6, atol=1e-9)
+
+    def test_one_sample_a_track_is_enough(self, world):
+        consumers = axes(Settings(tasks=())).consumers
+        for rows in world.rows("thin:100000", *consumers):
+            if "n_samples" in rows:
+                assert (rows["n_samples"] == 1).all()
+                assert np.isin(rows["plr"], [0, 1]).all()
+
+    def test_the_smoother_of_what_is_left_has_a_benchmark_of_its_own(self, world):
+        (one,) = registry.parse("attacks", "identity")
+        consumer = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers[1]
+        (few,), (all_of_them,) = (world.rows(f"thin:{n}", consumer) for n in (4, 1))
+        assert (few["benchmark_mse_m2"] > all_of_them["benchmark_mse_m2"]).all()
+
+    @pytest.mark.parametrize("spec", ["correlated:0.5", "offset:0.3"])
+    def test_without_independent_errors_there_is_no_linear_benchmark(self, world, spec):
+        (one,) = registry.parse("attacks", "identity")
+        consumer = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers[1]
+        (rows,) = world.rows(spec, consumer)
+        assert np.isnan(rows["benchmark_mse_m2"]).all()
+        assert np.isnan(rows["benchmark_plr"]).all()
+        assert np.isfinite(rows["mse_m2"]).all()
+
+
+def walkers(n=40):
+    """People who cross a place within 60 s of each other, at speeds of their own."""
+    t_parts, xy_parts = [], []
+    for row in range(n):
+        rng = stream(0, "test", "walkers", row)
+        t = rng.uniform(0, 30) + np.arange(0.0, rng.uniform(16, 30), 0.4)
+        turn = np.cumsum(rng.normal(0, 0.15, t.size)) + rng.uniform(0, 2 * np.pi)
+        step = 0.4 * rng.uniform(0.5, 1.8) * np.column_stack([np.cos(turn), np.sin(turn)])
+        t_parts.append(np.round(t, 2))
+        xy_parts.append(rng.uniform(-5, 5, 2) + np.cumsum(step, axis=0))
+    names = tuple(f"w{row}" for row in range(n))
+    return Tracks(
+        t=np.concatenate(t_parts),
+        xy=np.concatenate(xy_parts),
+        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
+        source=names,
+        group=tuple(f"g{row // 2}" if row < 8 else name for row, name in enumerate(names)),
+    )
+
+
+@pytest.fixture(scope="module")
+def sessions():
+    return {
+        task: build(TASKS[task], tracks=walkers(), later=None, settings=STAGES, seed=0)
+        for task in ("rerelease", "handover-1s")
+    }
+
+
+def linked(sessions, by, *links, controls=False):
+    """What a level's consumers make of a task, by consumer and adversary, and its ground."""
+    known = ground(sessions, groups=(), stages=STAGES, seed=0)
+    task = sessions.task
+    crossed = Axes(
+        mechanisms=(), predictors=(), attacks=(), links=tuple((task, one) for one in links)
+    )
+    readers = [one for one in crossed.readers(task) if controls or one.kind != "control"]
+    by = mechanism(by)
+    found = link_level(
+        by,
+        readers,
+        ground=known,
+        share=partial(_share, by, seed=0),
+        epsilon_m=EPSILON_M,
+        seed=0,
+    )
+    return {(one.spec, one.knowledge): result for one, result in found}, known
+
+
+@dataclass(frozen=True)
+class Watching:
+    """A reconstruction that learns, leaves positions as they are and keeps what it saw."""
+
+    requires: frozenset = frozenset({Knowledge.TRAIN})
+    uses: frozenset = frozenset()
+    seen: list = None
+
+    def fit(self, context):
+        self.seen.append(context.train)
+        return lambda release: Reconstruction(release.xy)
+
+
+class TestLinkage:
+    @pytest.mark.parametrize("task", ["rerelease", "handover-1s"])
+    def test_who_smooths_first_learns_on_what_was_shared(self, sessions, task):
+        watching = Watching(seen=[])
+        linker = "shape" if task == "rerelease" else "kinematic"
+        (first,) = registry.parse("attacks", linker)
+        linked(sessions[task], Sieve(Clean()), Link(first, plugin(watching, "watching")))
+        assert watching.seen
+        for train in watching.seen:
+            assert train.release.t.size < sessions[task].probe.t.size
+            np.testing.assert_allclose(train.release.xy, train.truth, rtol=0, atol=1e-6)
+
+    def test_thinning_to_every_sample_is_fixed(self, sessions):
+        (shape,) = registry.parse("attacks", "shape")
+        (rts,) = registry.parse("attacks", "kalman_rts")
+        links = (Link(shape), Link(shape, rts))
+        (one, _), (other, _) = (
+            linked(sessions["rerelease"], by, *links) for by in ("thin:1,d_sigma=0.7", "fixed:0.7")
+        )
+        for key in other:
+            if key[0] == "rerelease/windows":
+                continue
+            for first, second in zip(one[key].searches, other[key].searches, strict=True):
+                np.testing.assert_array_equal(first.scores, second.scores)
+
+    def test_what_only_times_tell_is_asked_anew(self, sessions):
+        (shape,) = registry.parse("attacks", "shape")
+        whole, ground_of_all = linked(sessions["rerelease"], "raw", Link(shape), controls=True)
+        few, _ = linked(sessions["rerelease"], "thin:4", Link(shape), controls=True)
+        key = "rerelease/control-sample_count", ""
+        assert ground_of_all.controlled["sample_count"] is whole[key]
+        assert not np.array_equal(whole[key].searches[0].scores, few[key].searches[0].scores)
+
+    @pytest.mark.parametrize("task", ["rerelease", "handover-1s"])
+    def test_one_sample_a_window_is_enough(self, sessions, task):
+        (one,) = registry.parse("attacks", "shape" if task == "rerelease" else "kinematic")
+        (rts,) = registry.parse("attacks", "radial_rts")
+        found, _ = linked(sessions[task], "thin:100000", Link(one), Link(one, rts), controls=True)
+        assert (found[f"{task}/windows", ""]["n_samples"] == 1).all()
+
+
+class TestWindows:
+    def frame(self, sessions, by, tmp_path):
+        consumer = Consumer("windows", task=sessions.task.name)
+        work = LinkWork(sessions=sessions, groups=(), levels=((mechanism(by), (consumer,)),))
+        ((_, _, one, content),) = cells(work, tracks=None, stages=STAGES, seed=0)
+        assert one.spec == f"{sessions.task.name}/windows"
+        (tmp_path / "cell.parquet").write_bytes(content)
+        return read_windows(tmp_path / "cell.parquet")
+
+    @pytest.mark.parametrize("by", ["fixed:0.3,adding=independent", "thin:3,d_sigma=0.3"])
+    @pytest.mark.parametrize(("side", "row"), [("probe", 0), ("gallery", 17)])
+    def test_a_window_by_hand(self, sessions, tmp_path, by, side, row):
+        task = sessions["rerelease"]
+        found = self.frame(task, by, tmp_path)
+        known = ground(task, groups=(), stages=STAGES, seed=0)
+        number = ("probe", "gallery").index(side)
+        windows, sensed = getattr(task, side), known.sensed[number]
+        release = _share(mechanism(by), sensed, ("linkage", "rerelease", side), seed=0)[row]
+        window = slice(windows.offsets[row], windows.offsets[row + 1])
+        t, xy = windows.t[window], windows.xy[window]
+        held = np.isin(t, release.t)
+        mine = found[found["side"] == side].iloc[row]
+        assert mine["source"] == task.source[windows.person[row]]
+        assert mine["group"] == task.group[windows.person[row]]
+        assert mine["search"] == task.searches[windows.search[row]]
+        assert mine["n_samples"] == held.sum() == release.t.size
+        assert mine["duration_s"] == t[-1] - t[0]
+        length_m = sum(np.hypot(*(b - a)) for a, b in pairwise(xy))
+        assert mine["path_m"] == pytest.approx(length_m, rel=1e-12)
+        assert mine["speed_mps"] == pytest.approx(length_m / (t[-1] - t[0]), rel=1e-12)
+        assert mine["sigma_raw_m"] == pytest.approx(sensed.sigma_raw[window][held].mean())
+        assert mine["sigma_m"] == pytest.approx(release.sigma.mean())
+        leaked = privacy.leakage_indicator(
+            shared_xy=release.xy, true_xy=xy[held], epsilon_m=EPSILON_M
+        )
+        expected = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
+        assert mine["plr"] == expected.plr[0]
+        assert mine["ael_s"] == expected.ael_s[0]
+        assert mine["mel_s"] == expected.mel_s[0]
+
+    def test_epsilon_is_the_setting(self, sessions, tmp_path):
+        consumer = Consumer("windows", task="rerelease")
+        stages = StageSettings().changed({"privacy.epsilon_m": 0.6})
+        work = LinkWork(
+            sessions=sessions["rerelease"],
+            groups=(),
+            levels=((mechanism("fixed:0.7"), (consumer,)),),
+        )
+        ((*_, content),) = cells(work, tracks=None, stages=stages, seed=0)
+        (tmp_path / "wide.parquet").write_bytes(content)
+        wide = read_windows(tmp_path / "wide.parquet")
+        usual = self.frame(sessions["rerelease"], "fixed:0.7", tmp_path)
+        assert wide["plr"].mean() > usual["plr"].mean()
+
+    @pytest.mark.parametrize("task", ["rerelease", "handover-1s"])
+    def test_there_is_one_row_for_each_window_of_either_side(self, sessions, tmp_path, task):
+        found = self.frame(sessions[task], "raw", tmp_path)
+        sides = [sessions[task].probe, sessions[task].gallery]
+        assert found["side"].tolist() == ["probe"] * len(sides[0]) + ["gallery"] * len(sides[1])
+        assert list(found.columns) == [
+            "side",
+            "search",
+            "source",
+            "group",
+            "n_samples",
+            "duration_s",
+            "path_m",
+            "speed_mps",
+            "sigma_m",
+            "sigma_raw_m",
+            "plr",
+            "ael_s",
+            "mel_s",
+        ]
+
+    def test_the_walk_is_the_same_at_every_level(self, sessions, tmp_path):
+        raw, thin, clean = (
+            self.frame(sessions["rerelease"], by, tmp_path) for by in ("raw", "thin:4", "clean")
+        )
+        for name in ("source", "search", "duration_s", "path_m", "speed_mps"):
+            assert raw[name].tolist() == thin[name].tolist() == clean[name].tolist()
+        assert (clean["plr"] == 1).all()
+        assert (clean["sigma_m"] == 0).all()
+        assert (thin["n_samples"] < raw["n_samples"]).all()
+
+    def test_nothing_declared_is_no_number(self, sessions, tmp_path):
+        silent = Makes(lambda release: release.without_sigma())
+        found = self.frame(sessions["rerelease"], silent, tmp_path)
+        assert found["sigma_m"].isna().all()
+        assert (found["sigma_raw_m"] > 0).all()
+
+    def test_a_walk_of_one_sample_has_no_speed(self, sessions):
+        task = sessions["rerelease"]
+        known = ground(task, groups=(), stages=STAGES, seed=0)
+        short = replace(
+            task,
+            **{
+                side: Windows(
+                    t=windows.t[windows.offsets[:-1]],
+                    xy=windows.xy[windows.offsets[:-1]],
+                    offsets=np.arange(len(windows) + 1),
+                    person=windows.person,
+                    search=windows.search,
+                )
+                for side, windows in (("probe", task.probe), ("gallery", task.gallery))
+            },
+        )
+        found, _ = linked(short, "raw")
+        assert known.sessions is task
+        rows = found["rerelease/windows", ""]
+        assert np.isnan(rows["speed_mps"]).all()
+        assert (rows["path_m"] == 0).all()
+
+    def test_a_missing_or_broken_file_is_named(self, tmp_path):
+        with pytest.raises(DataError, match=r"gone\.parquet is missing; run the matrix again"):
+            read_windows(tmp_path / "gone.parquet")
+        (tmp_path / "bad.parquet").write_bytes(b"not parquet")
+        with pytest.raises(DataError, match=r"bad\.parquet cannot be read .*; delete it"):
+            read_windows(tmp_path / "bad.parquet")
+
+
+EVERY_OTHER = """
+from dataclasses import dataclass, replace
+import numpy as np
+from isac_track.sharing import perturb
+from isac_track.types import Release
+
+@dataclass(frozen=True)
+class EveryOther:
+    def share(self, sensed, rng):
+        whole = perturb(sensed, 0.2, rng)
+        parts = [np.arange(lo, hi)[::2] for lo, hi in zip(whole.offsets[:-1], whole.offsets[1:])]
+        kept = np.concatenate(parts)
+        return Release(
+            t=whole.t[kept], xy=whole.xy[kept], sigma=whole.sigma[kept],
+            offsets=np.concatenate([[0], np.cumsum([part.size for part in parts])]),
+            pseudonym=whole.pseudonym,
+        )
+"""
+
+
+def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
+    (tmp_path / "sieves.py").write_text(EVERY_OTHER, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    rows = ["t,id,x,y"]
+    for walk in walkers():
+        rows += [
+            f"{t:.2f},{walk.source[0]},{x:.4f},{y:.4f}"
+            for t, (x, y) in zip(walk.t, walk.xy, strict=True)
+        ]
+    (tmp_path / "walks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    settings = Settings(
+        preset="smoke",
+        dataset=str(tmp_path / "walks.csv"),
+        scenes=8,
+        mechanisms=("raw", "sieves:EveryOther", "thin:3"),
+        attacks=("shape", "kalman_rts"),
+        tasks=("rerelease",),
+        stages=StageSettings().changed({"resample.min_duration_s": 10.0}),
+        out=tmp_path / "run",
+    )
+    results = evaluation.run(settings)
+    entries = [one for one in results.manifest["cells"] if one["kind"] == "windows"]
+    assert [(one["spec"], one["consumer"], one["knowledge"]) for one in entries] == [
+        (spec, "rerelease/windows", "") for spec in ("clean", "raw", "sieves:EveryOther", "thin:3")
+    ]
+    frames = [read_windows(settings.out / "cells" / one["files"][0]) for one in entries]
+    mean = [frame["n_samples"].mean() for frame in frames]
+    assert mean[0] == mean[1]
+    assert mean[2] / mean[1] == pytest.approx(1 / 2, rel=0.05)
+    assert mean[3] / mean[1] == pytest.approx(1 / 3, rel=0.05)
+    assert not results.summary["consumer"].str.contains("windows").any()
+    assert set(results.summary["mechanism"]) >= {"raw", "sieves:EveryOther", "thin"}
+    table = results.summary.set_index(["mechanism", "consumer", "metric"])["value"]
+    assert table["thin", "kalman_rts", "plr"].min() > 0
+    before = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
+    evaluation.run(settings)
+    assert before == {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
+
+
+def test_the_presets_but_smoke_hold_the_controls():
+    for preset in ("paper", "full"):
+        specs = [one.spec for one in axes(Settings(preset=preset)).mechanisms]
+        controls = [one.spec for one in registry.parse_all("mechanisms", DISSOCIATION)]
+        assert specs[-len(controls) :] == controls
+        assert len(set(specs)) == len(specs)
+    names = {one.name for one in axes(Settings(preset="smoke")).mechanisms}
+    assert names == {"raw", "fid", "fixed"}

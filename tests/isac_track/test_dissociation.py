@@ -1,0 +1,336 @@
+"""Mechanisms that move the descriptors and what can be linked apart from each other."""
+
+import re
+from itertools import pairwise
+from math import exp, sqrt
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from isac_track import registry
+from isac_track.dissociation import Correlated, Offset, Thin, correlated_errors
+from isac_track.errors import SettingsError
+from isac_track.protocols import Mechanism
+from isac_track.rng import stream
+from isac_track.sensing import unit_errors
+from isac_track.sharing import Fixed, perturb
+from isac_track.types import Sensed
+
+LAWS = ["radial", "isotropic"]
+ADDING = ["linear", "independent"]
+TAU_S = 2.0
+INSTANTS_S = np.array([10.0, 10.1, 10.9, 11.0, 13.5, 16.0])
+"""Of every track: irregular, and some far apart."""
+N_TRACKS = 20_000
+SQUARE = {"radial": 1.0, "isotropic": 2.0}
+"""E[|c|^2] of a standardised error."""
+
+
+def rng(*names):
+    return stream(0, "test", *(names or ("share",)))
+
+
+def sensed(*, sizes=(5, 1, 7), law="radial", sigma_raw=None, t=None):
+    n_samples = int(np.sum(sizes))
+    draw = stream(0, "test", "sensed")
+    sigma = (
+        draw.uniform(0.05, 2.0, n_samples) if sigma_raw is None else np.full(n_samples, sigma_raw)
+    )
+    unit = unit_errors(n_samples=n_samples, law=law, rng=draw)
+    truth = stream(0, "test", "truth").uniform(-20.0, 20.0, (n_samples, 2))
+    return Sensed(
+        t=np.arange(n_samples) / 12.0 if t is None else t,
+        xy=truth + sigma[:, None] * unit,
+        unit_error=unit,
+        sigma_raw=sigma,
+        information=24.0 / sigma**2,
+        fid=288.0 / sigma**2,
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        law=law,
+    )
+
+
+def error_of(release, batch):
+    """Whole error of every sample, (M, 2) m."""
+    return release.xy - (batch.xy - batch.sigma_raw[:, None] * batch.unit_error)
+
+
+def many_tracks(law, *, tau_s=TAU_S):
+    """Errors at the same instants of many tracks, (N, K, 2)."""
+    found = correlated_errors(
+        t=np.tile(INSTANTS_S, N_TRACKS),
+        offsets=np.arange(N_TRACKS + 1) * INSTANTS_S.size,
+        law=law,
+        tau_s=tau_s,
+        rng=rng("errors", law),
+    )
+    return found.reshape(N_TRACKS, INSTANTS_S.size, 2)
+
+
+@pytest.mark.parametrize("law", LAWS)
+class TestSlowErrors:
+    def test_fall_off_exponentially_at_any_instants(self, law):
+        errors = many_tracks(law)
+        for k in range(INSTANTS_S.size):
+            for later in range(k, INSTANTS_S.size):
+                product = (errors[:, k] * errors[:, later]).sum(axis=1) / SQUARE[law]
+                expected = exp(-(INSTANTS_S[later] - INSTANTS_S[k]) / TAU_S)
+                assert abs(product.mean() - expected) < 5 * product.std() / sqrt(N_TRACKS)
+
+    def test_are_unrelated_from_track_to_track(self, law):
+        errors = many_tracks(law)
+        product = (errors[:-1, -1] * errors[1:, 0]).sum(axis=1)
+        assert abs(product.mean()) < 5 * product.std() / sqrt(N_TRACKS)
+
+    def test_have_the_law_of_the_sensing_error_from_the_first_sample_to_the_last(self, law):
+        errors = many_tracks(law)
+        white = unit_errors(n_samples=N_TRACKS, law=law, rng=rng("white"))
+        for k in (0, 2, -1):
+            norms = [np.hypot(*one.T) for one in (errors[:, k], white)]
+            assert stats.ks_2samp(*norms).pvalue > 1e-3
+            angle = np.arctan2(errors[:, k, 1], errors[:, k, 0])
+            assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
+            assert abs(np.corrcoef(norms[0], np.cos(angle))[0, 1]) < 5 / sqrt(N_TRACKS)
+
+    def test_stand_still_where_they_are_slow_and_forget_at_once_where_they_are_fast(self, law):
+        slow, fast = (many_tracks(law, tau_s=tau_s) for tau_s in (1e9, 1e-3))
+        assert np.abs(slow - slow[:, :1]).max() < 1e-2
+        product = (fast[:, 0] * fast[:, 1]).sum(axis=1)
+        assert abs(product.mean()) < 5 * product.std() / sqrt(N_TRACKS)
+
+    def test_are_a_step_by_step_recursion_on_tracks_of_any_length(self, law):
+        sizes = [1, 700, 2, 1, 33, 64, 65]
+        t = np.concatenate([np.cumsum(rng("t", n).uniform(0.05, 3.0, n)) for n in sizes])
+        offsets = np.concatenate([[0], np.cumsum(sizes)])
+        found = correlated_errors(t=t, offsets=offsets, law=law, tau_s=TAU_S, rng=rng("one"))
+        draws = rng("one").standard_normal((t.size, 3))
+        tau_s = TAU_S if law == "isotropic" else 2 * TAU_S
+        for lo, hi in pairwise(offsets):
+            level, angle = draws[lo], np.arctan2(draws[lo, 2], draws[lo, 1])
+            for k in range(lo, hi):
+                if k > lo:
+                    dt_s = t[k] - t[k - 1]
+                    kept = exp(-dt_s / tau_s)
+                    level = kept * level + sqrt(1 - kept**2) * draws[k]
+                    angle += sqrt(dt_s / TAU_S) * draws[k, 1]
+                if law == "isotropic":
+                    expected = level[1:]
+                else:
+                    expected = level[0] * np.array([np.cos(angle), np.sin(angle)])
+                np.testing.assert_allclose(found[k], expected, rtol=0, atol=1e-9)
+
+    def test_of_fewer_tracks_are_the_first_of_more(self, law):
+        batch = sensed(sizes=(40, 30, 20))
+        whole, part = (
+            correlated_errors(
+                t=batch.t[:n], offsets=offsets, law=law, tau_s=TAU_S, rng=rng("prefix")
+            )
+            for n, offsets in ((90, batch.offsets), (70, batch.offsets[:3]))
+        )
+        np.testing.assert_array_equal(whole[:70], part)
+
+    def test_there_may_be_none(self, law):
+        nothing = correlated_errors(
+            t=np.zeros(0), offsets=np.zeros(1, dtype=np.int64), law=law, tau_s=1.0, rng=rng()
+        )
+        assert nothing.shape == (0, 2)
+
+
+def test_an_unknown_law_is_refused():
+    with pytest.raises(ValueError, match="unknown error law 'square'; known: radial, isotropic"):
+        correlated_errors(
+            t=np.zeros(1), offsets=np.array([0, 1]), law="square", tau_s=1.0, rng=rng()
+        )
+
+
+class TestCorrelated:
+    @pytest.mark.parametrize("law", LAWS)
+    @pytest.mark.parametrize("adding", ADDING)
+    def test_every_sample_is_as_far_off_as_under_fixed(self, law, adding):
+        t = np.tile(INSTANTS_S, N_TRACKS)
+        batch = sensed(sizes=(INSTANTS_S.size,) * N_TRACKS, law=law, sigma_raw=0.4, t=t)
+        of_each = slice(3, None, INSTANTS_S.size)  # one sample a track: they are independent
+        slow, fixed = (
+            error_of(one.share(batch, rng(law, adding, str(number))), batch)[of_each]
+            for number, one in enumerate((Correlated(0.75, adding=adding), Fixed(0.75, adding)))
+        )
+        if adding == "linear":  # compared on errors that neither of them shares with the other
+            fixed = fixed[::2]
+            slow = slow[1::2]
+        for measure in (lambda e: np.hypot(*e.T), lambda e: e[:, 0], lambda e: e[:, 1]):
+            assert stats.ks_2samp(measure(slow), measure(fixed)).pvalue > 1e-3
+
+    @pytest.mark.parametrize("adding", ADDING)
+    def test_declares_what_fixed_declares(self, adding):
+        batch = sensed()
+        slow = Correlated(0.75, adding=adding).share(batch, rng())
+        np.testing.assert_array_equal(slow.sigma, Fixed(0.75, adding).share(batch, rng()).sigma)
+        np.testing.assert_array_equal(slow.t, batch.t)
+        np.testing.assert_array_equal(slow.offsets, batch.offsets)
+
+    def test_linear_redraws_the_whole_error(self):
+        batch = sensed(sizes=(INSTANTS_S.size,) * 4000, t=np.tile(INSTANTS_S, 4000), sigma_raw=0.4)
+        release = Correlated(0.75).share(batch, rng())
+        unit = error_of(release, batch) / 1.15
+        expected = correlated_errors(
+            t=batch.t, offsets=batch.offsets, law="radial", tau_s=2.0, rng=rng()
+        )
+        np.testing.assert_allclose(unit, expected, rtol=0, atol=1e-12)
+
+    def test_independent_leaves_the_raw_error_and_adds_to_it(self):
+        batch = sensed()
+        one, five = (
+            Correlated(level, adding="independent").share(batch, rng()).xy - batch.xy
+            for level in (0.2, 1.0)
+        )
+        np.testing.assert_allclose(5 * one, five, rtol=0, atol=1e-12)
+        unit = correlated_errors(
+            t=batch.t, offsets=batch.offsets, law="radial", tau_s=2.0, rng=rng()
+        )
+        np.testing.assert_allclose(five, unit, rtol=0, atol=1e-12)
+
+    def test_the_time_constant_matters(self):
+        batch = sensed(sizes=(200,), sigma_raw=0.4)
+        steps = [
+            np.abs(np.diff(Correlated(1.0, tau_s).share(batch, rng()).xy - batch.xy, axis=0)).mean()
+            for tau_s in (0.1, 50.0)
+        ]
+        assert steps[0] > steps[1]
+
+
+class TestOffset:
+    SIZES = (7, 1, 30)
+
+    def test_moves_each_track_as_a_whole(self):
+        batch = sensed(sizes=self.SIZES)
+        moved = Offset(0.4).share(batch, rng()).xy - batch.xy
+        for lo, hi in pairwise(batch.offsets):
+            np.testing.assert_allclose(moved[lo:hi], moved[[lo] * (hi - lo)], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(np.hypot(*moved.T), 0.4, rtol=0, atol=1e-12)
+        assert len(np.unique(moved[batch.offsets[:-1]].round(6), axis=0)) == len(self.SIZES)
+
+    def test_in_any_direction_alike(self):
+        batch = sensed(sizes=(1,) * 4000)
+        moved = Offset(2.0).share(batch, rng()).xy - batch.xy
+        angle = np.arctan2(moved[:, 1], moved[:, 0])
+        assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
+
+    def test_declares_the_raw_uncertainty(self):
+        batch = sensed()
+        np.testing.assert_array_equal(Offset(0.4).share(batch, rng()).sigma, batch.sigma_raw)
+
+    def test_levels_share_their_directions(self):
+        batch = sensed()
+        near, far = (Offset(level).share(batch, rng()).xy - batch.xy for level in (0.1, 1.0))
+        np.testing.assert_allclose(10 * near, far, rtol=0, atol=1e-12)
+
+
+class TestThin:
+    @pytest.mark.parametrize("adding", ADDING)
+    @pytest.mark.parametrize("d_sigma", [0.0, 0.75])
+    def test_of_every_sample_is_fixed_sample_by_sample(self, adding, d_sigma):
+        batch = sensed()
+        one = Thin(1, adding, d_sigma).share(batch, rng())
+        fixed = Fixed(d_sigma, adding).share(batch, rng())
+        for name in ("t", "xy", "sigma", "offsets"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(fixed, name))
+
+    @pytest.mark.parametrize("adding", ADDING)
+    def test_keeps_every_third_counted_back_from_the_last(self, adding):
+        batch = sensed(sizes=(5, 1, 7, 3))
+        by_hand = [1, 4, 5, 6, 9, 12, 15]
+        thin = Thin(3, adding, 0.75).share(batch, rng())
+        fixed = Fixed(0.75, adding).share(batch, rng())
+        assert thin.offsets.tolist() == [0, 2, 3, 6, 7]
+        for name in ("t", "xy", "sigma"):
+            np.testing.assert_array_equal(getattr(thin, name), getattr(fixed, name)[by_hand])
+
+    def test_leaves_the_last_sample_of_each_track_at_least(self):
+        batch = sensed(sizes=(5, 1, 7))
+        thin = Thin(1000).share(batch, rng())
+        np.testing.assert_array_equal(thin.t, batch.t[[4, 5, 12]])
+        np.testing.assert_array_equal(thin.xy, batch.xy[[4, 5, 12]])
+        assert len(set(thin.pseudonym)) == 3
+
+
+class TestByName:
+    @pytest.mark.parametrize(
+        ("spec", "name", "level", "instance"),
+        [
+            ("correlated:0.75", "correlated", 0.75, Correlated(0.75)),
+            (
+                "correlated:0.75,tau_s=5,adding=independent",
+                "correlated:tau_s=5,adding=independent",
+                0.75,
+                Correlated(0.75, 5.0, "independent"),
+            ),
+            ("offset:0.4", "offset", 0.4, Offset(0.4)),
+            ("thin:4", "thin", 4.0, Thin(4)),
+            ("thin:4,d_sigma=0.75", "thin:d_sigma=0.75", 4.0, Thin(4, d_sigma=0.75)),
+            (
+                "thin:4,adding=independent,d_sigma=0.75",
+                "thin:adding=independent,d_sigma=0.75",
+                4.0,
+                Thin(4, "independent", 0.75),
+            ),
+        ],
+    )
+    def test_a_spec_gives_the_mechanism_its_column_and_level(self, spec, name, level, instance):
+        (plugin,) = registry.parse("mechanisms", spec)
+        assert (plugin.name, plugin.level, plugin.spec) == (name, level, spec)
+        assert plugin.instance == instance
+        assert isinstance(plugin.instance, Mechanism)
+
+    def test_the_order_of_the_parameters_does_not_matter(self):
+        one, other = (
+            registry.parse("mechanisms", f"thin:4,{parameters}")
+            for parameters in ("d_sigma=0.75,adding=independent", "adding=independent,d_sigma=0.75")
+        )
+        assert one == other
+
+    def test_they_sweep(self):
+        levels = [one.level for one in registry.parse("mechanisms", "thin:1..8/8")]
+        assert levels == [1, 2, 3, 4, 5, 6, 7, 8]
+
+    @pytest.mark.parametrize(
+        ("spec", "message"),
+        [
+            ("correlatd:1", "unknown mechanism 'correlatd'; did you mean 'correlated'?"),
+            ("ofset:1", "unknown mechanism 'ofset'; did you mean 'offset'?"),
+            ("thn:1", "unknown mechanism 'thn'; did you mean 'thin'?"),
+            ("correlated:-1", "'correlated:-1': d_sigma must be 0 m or more, got -1.0"),
+            ("correlated:1,tau_s=0", "'correlated:1,tau_s=0': tau_s must be positive, got 0.0"),
+            ("correlated", "'correlated': correlated needs a value for d_sigma"),
+            ("offset:-0.1", "'offset:-0.1': distance must be 0 m or more, got -0.1"),
+            ("offset:1,adding=linear", "offset has no parameter 'adding'"),
+            ("thin:0", "'thin:0': every must be 1 or more, got 0"),
+            ("thin:2.5", "'thin:2.5': every must be a whole number, got '2.5'"),
+            ("thin:2,d_sigma=-1", "d_sigma must be 0 m or more, got -1.0"),
+        ],
+    )
+    def test_a_wrong_one_is_refused_in_words(self, spec, message):
+        with pytest.raises(SettingsError, match=re.escape(message)):
+            registry.parse("mechanisms", spec)
+
+    @pytest.mark.parametrize("instance", [Correlated, Offset])
+    @pytest.mark.parametrize("value", [np.inf, np.nan])
+    def test_levels_must_be_finite(self, instance, value):
+        with pytest.raises(ValueError, match="must be 0 m or more"):
+            instance(value)
+
+
+class TestAGivenError:
+    def test_is_added_as_it_is(self):
+        batch = sensed(sigma_raw=0.3)
+        unit = np.tile([0.6, -0.8], (13, 1))
+        release = perturb(batch, 0.4, rng(), adding="independent", unit_error=unit)
+        np.testing.assert_allclose(release.xy - batch.xy, 0.4 * unit, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(release.sigma, 0.5, rtol=1e-15)
+
+    def test_linear_adding_takes_none(self):
+        batch = sensed()
+        with pytest.raises(
+            ValueError, match=r"^linear adding scales the raw error and takes no other$"
+        ):
+            perturb(batch, 0.4, rng(), unit_error=batch.unit_error)
