@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 
 from evaluation.curves import Curve, curve
+from evaluation.matching import EQUAL_ALARMS
 from evaluation.summary import Key, weights_of
-from isac_track.intervals import percentile_interval
+from isac_track.intervals import Estimate, percentile_interval
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from evaluation.summary import Scored
-    from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
 N_POINTS = 51
@@ -51,14 +51,18 @@ _SEPARATION = "separation"
 
 def decisions(
     scored: Sequence[Scored], manifest: Mapping[str, Any], found: Mapping[Key, Estimate]
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the curves of every predictor, and a row on each of them.
+) -> tuple[pd.DataFrame, pd.DataFrame, dict[Key, Estimate]]:
+    """Return the curves of every predictor, a row on each, and misses at raw's false alarms.
 
     A robot may act on the predicted separation or, where there is a covariance, on the
     probability of a conflict: two scores, two curves. The row gives the area under the curve
     and the missed-conflict rate at the false-alarm rate that the reference, the first predictor
     of the run, has at its operating point under the same mechanism, with the paired difference
     from what the reference's own curve by separation reaches there.
+
+    The last are what is missed at the false-alarm rate that the predictor has at its operating
+    point where nothing is added (`EQUAL_ALARMS`, by separation): noise costs misses, alarms or
+    both, and at equal alarms the misses alone tell.
     """
     dataset = manifest["dataset"]["name"]
     reference = next(iter(manifest["settings"]["predictors"]), None)
@@ -66,6 +70,7 @@ def decisions(
     at_reference: dict[tuple[str, float | None], tuple[Floats, Floats]] = {}
     curve_rows: list[pd.DataFrame] = []
     rows: dict[int, list[dict[str, object]]] = {}
+    at_raw_alarms: dict[Key, Estimate] = {}
     # The reference first: the others are compared with its curve.
     for place in sorted(range(len(scored)), key=lambda place: scored[place].consumer != reference):
         entry = scored[place]
@@ -81,13 +86,23 @@ def decisions(
                 alarm = found[Key(*where, entry.consumer, "false_alarm_rate")]
                 at = np.concatenate([[alarm.value], alarm.replicates])
                 at_reference[where] = at, drawn.missed_at(at)
+            raw_alarm = found.get(Key("raw", None, entry.consumer, "false_alarm_rate"))
+            if name == _SEPARATION and raw_alarm is not None:
+                missed = drawn.missed_at(np.concatenate([[raw_alarm.value], raw_alarm.replicates]))
+                at_raw_alarms[Key(*where, entry.consumer, EQUAL_ALARMS)] = Estimate(
+                    float(missed[0]), *percentile_interval(missed[1:]), raw_alarm.n, missed[1:]
+                )
             curve_rows.append(pd.DataFrame({**names, "score": name, **_points(drawn)}))
             rows.setdefault(place, []).append(
                 {**names, "score": name, **_row(drawn, at_reference.get(where), reference)}
             )
     curves = pd.concat(curve_rows) if curve_rows else pd.DataFrame(columns=CURVE_COLUMNS)
     in_order = [row for place in sorted(rows) for row in rows[place]]
-    return curves[CURVE_COLUMNS], pd.DataFrame(in_order, columns=DECISION_COLUMNS)
+    return (
+        curves[CURVE_COLUMNS],
+        pd.DataFrame(in_order, columns=DECISION_COLUMNS),
+        at_raw_alarms,
+    )
 
 
 def _curves(entry: Scored, *, weights: Floats) -> dict[str, Curve]:

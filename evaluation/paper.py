@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.grid import SHARED
-from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS, MIN_DEFINED
+from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS, MIN_DEFINED, MISSED
 from evaluation.summary import Key
 from isac_track.intervals import percentile_interval
 
@@ -233,7 +233,9 @@ def _better_at_every_rate(
     matched: pd.DataFrame, *, adding: str, metric: str, n: int
 ) -> list[dict[str, object]]:
     every = matched[
-        (matched["adding"] == adding)
+        (matched["criterion"] == MISSED)
+        & (matched["adding"] == adding)
+        & (matched["consumer"] == SHARED)
         & (matched["metric"] == metric)
         & (matched["predictor"] == PREDICTOR)
     ]

@@ -66,9 +66,9 @@ def make_attacked(attacks, *, suffixes=SUFFIXES, dataset="students03"):
 
 
 def make_matched(*, dataset="students03", predictors=("least_squares",)):
-    curves = [0.2, 0.1, 0.3, 0.4, 0.3, 0.5, -0.2, -0.3, -0.1, 1.0]
+    curves = [0.2, 0.1, 0.3, 0.4, 0.3, 0.5, -0.2, -0.3, -0.1, 1.0, 50]
     rows = [
-        [dataset, adding, predictor, "shared", "", metric, rate - 0.1, rate, *curves]
+        [dataset, "missed", adding, predictor, "shared", "", metric, rate - 0.1, rate, *curves]
         for predictor in predictors
         for adding in ("linear", "independent")
         for metric in ("plr", "ael", "mel")

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation import paper
-from evaluation.matching import matched
+from evaluation import matching, paper
 from evaluation.summary import Key
 from isac_track.intervals import Estimate
 
@@ -15,6 +14,14 @@ N = 200
 SHARED, PREDICTOR = "shared", "least_squares"
 ETAS = (1.0, 10.0, 100.0, 1000.0)
 ERRORS = (0.1, 0.2, 0.5, 1.0)
+
+
+def matched(found, *, dataset, predictors):
+    """Return the matched points at equal missed rate, descriptors as shared."""
+    table = matching.matched(
+        tuple(matching.comparisons(found, predictors=predictors)), dataset=dataset
+    )
+    return table[(table["criterion"] == matching.MISSED) & (table["consumer"] == "shared")]
 
 
 def estimate(value, spread=0.0, n=50):
@@ -65,7 +72,7 @@ def test_equal_curves_differ_by_nothing_and_a_lower_one_by_its_advantage():
     assert np.allclose(inside["fid"] / inside["fixed"], np.exp(-0.05))
     plr = inside[inside["metric"] == "plr"]
     assert np.allclose(plr["fixed"], np.exp(-4.0 * plr["missed_conflict_rate"]))
-    assert np.allclose(plr["rise"], plr["missed_conflict_rate"] - 0.10)
+    assert np.allclose(plr["at"], plr["missed_conflict_rate"] - 0.10)
 
 
 def test_each_replicate_is_read_at_its_own_raw_rate():
@@ -245,6 +252,6 @@ def test_what_attacks_get_changes_no_match_and_no_claim():
 
 def test_a_match_says_whose_positions_its_descriptors_are_of():
     table = matched(results(), dataset="d", predictors=[PREDICTOR])
-    assert list(table.columns[2:5]) == ["predictor", "consumer", "knowledge"]
+    assert list(table.columns[3:6]) == ["predictor", "consumer", "knowledge"]
     assert set(table["consumer"]) == {SHARED}
     assert set(table["knowledge"]) == {""}
