@@ -203,6 +203,7 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
         linkability=results.linkability,
     )
     tables.show_flags(results.flags)
+    tables.show_verdict(results.verdict)
     files = "summary.csv, linkability.csv, paper_table.csv, figures/, tables/"
     _say(f"\nresults in {results.out}: {files}")
     return 0

@@ -11,9 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation import figures, flags, linkability, paper, store, summary, tables
+from evaluation import figures, flags, linkability, paper, store, summary, tables, verdict
 from evaluation.decisions import decisions
-from evaluation.matching import matched
+from evaluation.grid import SHARED
+from evaluation.matching import MISSED, comparisons, matched
+from evaluation.strongest import strongest_linkers
+from evaluation.within_level import read_levels
 from isac_track.errors import IsacTrackError
 
 if TYPE_CHECKING:
@@ -36,6 +39,8 @@ class Results:
     curves: pd.DataFrame
     flags: pd.DataFrame
     linkability: pd.DataFrame
+    verdict: dict[str, Any]
+    """As in `verdict.json`."""
 
 
 def build(out: Path) -> Results:
@@ -50,31 +55,41 @@ def build(out: Path) -> Results:
     dataset = manifest["dataset"]["name"]
     found, scored = summary.estimates(out, manifest)
     predictors = manifest["settings"]["predictors"]
-    at_equal_rate = matched(found, dataset=dataset, predictors=predictors)
-    curves, decided = decisions(scored, manifest, found)
+    curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     flagged = flags.flags(
         found,
         slow=flags.slow_attacks(manifest),
         once=flags.on_first_releases(out, manifest),
     )
     read = linkability.cards(out, manifest)
+    linked = summary.linkage_estimates(read)
+    everything = {**found, **at_raw_alarms, **linked}
+    compared = tuple(comparisons(everything, predictors=predictors))
+    at_equal = matched(compared, dataset=dataset)
+    said = verdict.verdict(
+        everything,
+        compared,
+        read_levels(out, manifest, success=strongest_linkers(everything)),
+        manifest=manifest,
+    )
     results = Results(
         out=out,
         manifest=manifest,
-        summary=summary.to_frame({**found, **summary.linkage_estimates(read)}, dataset=dataset),
+        summary=summary.to_frame({**found, **linked}, dataset=dataset),
         paper_table=paper.paper_table(found, dataset=dataset),
         claims=paper.claims(
             found,
-            at_equal_rate,
+            at_equal,
             dataset=dataset,
             history_points=manifest["history"]["points"],
             history_interval_s=manifest["history"]["interval_s"],
         ),
-        matched=at_equal_rate,
+        matched=at_equal,
         decisions=decided,
         curves=curves,
         flags=flagged.rows,
         linkability=linkability.linkability(read, dataset=dataset),
+        verdict=said,
     )
     for frame, name in (
         (results.summary, "summary.csv"),
@@ -87,15 +102,17 @@ def build(out: Path) -> Results:
     ):
         store.write_whole(out / name, frame.to_csv(index=False).encode())
     store.write_whole(out / "flags.json", flags.to_json(flagged))
+    store.write_whole(out / "verdict.json", verdict.to_bytes(said))
     tables.write_tex(
         results.summary,
         results.paper_table,
         folder=out / "tables",
         linkability=results.linkability,
+        said=said,
     )
     figures.draw_all(
         results.summary,
-        results.matched,
+        at_equal[(at_equal["criterion"] == MISSED) & (at_equal["consumer"] == SHARED)],
         folder=out / "figures",
         dataset=dataset,
         linkability=results.linkability,
@@ -126,6 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         manifest=results.manifest,
         linkability=results.linkability,
     )
+    tables.show_verdict(results.verdict)
     tables.show_flags(results.flags)
     return 0
 

@@ -9,7 +9,7 @@ import pandas as pd
 from rich.table import Table
 from rich.text import Text
 
-from evaluation import flags
+from evaluation import flags, verdict_tables
 from evaluation.attack_tables import show_attacks
 from evaluation.linkage_tables import show_linkage
 from evaluation.matching import ADDING_SUFFIX
@@ -94,6 +94,11 @@ def show(
         _show_claims(claims, console=console)
 
 
+def show_verdict(said: Mapping[str, Any], *, console: Console | None = None) -> None:
+    """Print the verdict, in three sentences and a table for each section."""
+    verdict_tables.show_verdict(said, console=standard_output() if console is None else console)
+
+
 def show_flags(rows: pd.DataFrame, *, console: Console | None = None) -> None:
     """Print the flags of weak attacks, in short; nothing without any."""
     console = standard_output() if console is None else console
@@ -116,10 +121,11 @@ def write_tex(
     *,
     folder: Path,
     linkability: pd.DataFrame | None = None,
+    said: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write `sweep.tex`, `attacks.tex`, `paper.tex` and `linkability.tex`: booktabs tabulars.
+    """Write sweep, attacks, paper, linkability and verdict as `.tex`: booktabs tabulars.
 
-    The last one is left out without `linkability`.
+    The last two are left out without `linkability` and `said` (as in `verdict.json`).
 
     Raises
     ------
@@ -133,6 +139,8 @@ def write_tex(
     write_whole(folder / "paper.tex", paper_tex(paper_table).encode())
     if linkability is not None:
         write_whole(folder / "linkability.tex", linkability_tex(linkability).encode())
+    if said is not None:
+        write_whole(folder / "verdict.tex", verdict_tables.verdict_tex(said).encode())
 
 
 def headline_markdown(summary: pd.DataFrame) -> str:

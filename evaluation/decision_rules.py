@@ -1,0 +1,162 @@
+"""What counts as decided: tests, adjustment and the names of decisions, set before looking.
+
+Every effect has a standard error from replicates that draw whole people (clusters), and is tested
+against a bound by t with one degree of freedom less than there are clusters. A decision may have
+several conditions; its p-value is then the largest of theirs. Items of one section are adjusted by
+Holm; each section may err in `SECTION_ALPHA`, so that the whole verdict errs in 5 % of studies in
+which there is nothing to find. docs/verdict.md says the same in words.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.stats import t as student
+
+from isac_track.intervals import percentile_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from isac_track.types import Floats
+
+TRACKS, WEAKLY, DOES_NOT = "tracks", "tracks weakly", "does not track"
+HOLDS, REVERSED = "holds", "reversed"
+INFLATED, DEFLATED = "inflated", "deflated"
+UNDECIDED = "undecided"
+SIGN: Final = {
+    TRACKS: 1,
+    WEAKLY: 1,
+    HOLDS: 1,
+    INFLATED: 1,
+    UNDECIDED: 0,
+    DOES_NOT: -1,
+    REVERSED: -1,
+    DEFLATED: -1,
+}
+"""Of a decision."""
+
+ALPHA: Final = 0.05
+"""Of the whole verdict."""
+SECTIONS: Final = ("validity", "within", "claim", "inflation")
+SECTION_ALPHA: Final = ALPHA / len(SECTIONS)
+SUCCESS_MARGIN: Final = 0.05
+"""Difference in rank 1 that counts as none: five people in a hundred."""
+WEAK_MARGIN: Final = 0.10
+"""Difference in rank 1 up to which a descriptor tracks weakly."""
+LEAST_SPAN: Final = 1.25
+"""Ratio of a descriptor at raw to that at the strongest fixed error below which it says nothing."""
+LEAST_CORRELATION: Final = 0.10
+"""Partial rank correlation below which a descriptor tells nothing of a single track."""
+LEAST_CLUSTERS: Final = 8
+REACH: Final = 0.02
+"""Share of a descriptor's span by which a point may lie beyond the end of the fixed sweep."""
+_LEAST_SE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A number with its interval and standard error."""
+
+    value: float
+    low: float
+    high: float
+    standard_error: float
+    n: int
+    """Clusters."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is a number, a spread, and enough people."""
+        known = np.isfinite([self.value, self.standard_error]).all()
+        return bool(known) and self.n >= LEAST_CLUSTERS
+
+
+def effect(values: Floats, *, n: int) -> Effect:
+    """Return the effect that an estimate and its replicates, (1 + B,), show."""
+    drawn = values[1:][np.isfinite(values[1:])]
+    few = 2
+    if drawn.size < few:
+        return Effect(float(values[0]), np.nan, np.nan, np.nan, n)
+    low, high = percentile_interval(drawn)
+    return Effect(float(values[0]), low, high, float(drawn.std(ddof=1)), n)
+
+
+def p_above(one: Effect, bound: float) -> float:
+    """Return the p-value of 'no more than the bound': small if the effect is surely above."""
+    if not one.is_known:
+        return 1.0
+    scale = max(one.standard_error, _LEAST_SE)
+    return float(student.sf((one.value - bound) / scale, one.n - 1))
+
+
+def p_below(one: Effect, bound: float) -> float:
+    """Return the p-value of 'no less than the bound'."""
+    if not one.is_known:
+        return 1.0
+    scale = max(one.standard_error, _LEAST_SE)
+    return float(student.cdf((one.value - bound) / scale, one.n - 1))
+
+
+def p_within(one: Effect, margin: float) -> float:
+    """Return the p-value of two one-sided tests: small if surely within the margin of zero."""
+    return max(p_below(one, margin), p_above(one, -margin))
+
+
+def p_beyond(one: Effect, margin: float) -> float:
+    """Return the p-value of 'within the margin': small if surely beyond it, on either side."""
+    if not one.is_known:
+        return 1.0
+    scale = max(one.standard_error, _LEAST_SE)
+    size = abs(one.value)
+    tails = student.sf([(size - margin) / scale, (size + margin) / scale], one.n - 1)
+    return min(1.0, float(tails.sum()))
+
+
+def p_differs(one: Effect) -> float:
+    """Return the two-sided p-value of 'nothing'."""
+    return p_beyond(one, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """A decision that an item may come to, and the p-value of all its conditions."""
+
+    decision: str
+    p_value: float
+
+
+def decide(
+    items: Sequence[Sequence[Option]], *, alpha: float = SECTION_ALPHA
+) -> list[tuple[str, float, float]]:
+    """Return decision, p-value and adjusted p-value of every item of a section (Holm).
+
+    An item is tested by its likeliest option, its p-value doubled: two of its decisions contradict
+    each other, and neither may be come to by chance. Of the options that pass at the item's place
+    the first one named is the decision. Without one the item is undecided.
+
+    Parameters
+    ----------
+    items : sequence of sequence of Option
+        Of each item, in the order of precedence.
+    alpha : float
+        Share of studies in which the section may err.
+    """
+    p_values = np.array([min(1.0, 2.0 * min(one.p_value for one in options)) for options in items])
+    order = np.argsort(p_values, kind="stable")
+    adjusted = np.ones(p_values.size)
+    running = 0.0
+    for place, item in enumerate(order):
+        running = max(running, min(1.0, p_values[item] * (p_values.size - place)))
+        adjusted[item] = running
+    found = []
+    for options, p_value, final in zip(items, p_values, adjusted, strict=True):
+        decision = UNDECIDED
+        if final <= alpha:
+            # At its place in Holm's order an option passes if the item would with it alone.
+            factor = final / p_value if p_value > 0 else 1.0
+            decision = next(one.decision for one in options if 2.0 * one.p_value * factor <= alpha)
+        found.append((decision, float(p_value), float(final)))
+    return found

@@ -1,0 +1,141 @@
+"""Simulated runs in which it is known whether a descriptor measures linkability.
+
+No tracks and no attack: people, mechanism levels, and for each level how much of a person shows
+(the descriptor) and how often the person is linked. A world is *valid* if success is one function
+of the descriptor whatever the mechanism, *fooled* if the dissociation controls lower the descriptor
+and leave success as it is, *flat* if nothing lowers success, *empty* if nothing has any effect.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from evaluation.grid import SHARED
+from evaluation.matching import EQUAL_ALARMS, comparisons
+from evaluation.summary import Key
+from evaluation.verdict import verdict
+from evaluation.within_level import LevelTracks
+from isac_track.intervals import cluster_sums, ratio_estimate
+
+KINDS = ("valid", "fooled", "flat", "empty")
+RULES = ("", ":adding=independent")
+FIXED, FID = (0.2, 0.5, 0.8, 1.0), (1.0, 100.0, 1e4)
+CONTROLS = ("correlated", "offset", "thin")
+LINKER, TASK, CHANCE = "rerelease/shape", "rerelease", 0.01
+SMOOTHER = "kalman_rts"
+PREDICTOR = "least_squares"
+
+
+@dataclass(frozen=True)
+class World:
+    kind: str
+    n_people: int = 240
+    n_replicates: int = 200
+
+    def noise(self, family, level):
+        """How strong a level is, 0 (raw) to 1."""
+        strength = {"raw": 0.0, "fixed": level, "correlated": 0.8, "offset": 0.5, "thin": 0.3}
+        if family == "fid":
+            return {1.0: 0.75, 100.0: 0.6, 1e4: 0.3}[level]
+        return strength[family]
+
+    def shows(self, family, level):
+        """Mean descriptor."""
+        return 0.5 if self.kind == "empty" else 0.55 - 0.4 * self.noise(family, level)
+
+    def links(self, family, level):
+        """Probability that a person is linked."""
+        if self.kind == "empty":
+            return CHANCE
+        if self.kind == "flat" or (self.kind == "fooled" and family in CONTROLS):
+            return 0.75
+        return 0.75 - (0.55 - self.shows(family, level)) * 1.2
+
+    def misses(self, family, level):
+        if self.kind == "empty":
+            return 0.2
+        # FID costs less for what it hides.
+        return 0.1 + (0.2 if family == "fid" else 0.3) * self.noise(family, level)
+
+
+def run(world, *, seed):
+    """Return the verdict of a world."""
+    found, levels = simulated(world, rng=np.random.default_rng([seed, KINDS.index(world.kind)]))
+    manifest = {
+        "dataset": {"name": world.kind, "simulated": True},
+        "identity": {"seed": seed},
+        "settings": {"preset": "paper", "scenes": 500},
+    }
+    compared = tuple(comparisons(found, predictors=[PREDICTOR]))
+    return verdict(found, compared, {TASK: levels}, manifest=manifest)
+
+
+def simulated(world, *, rng):
+    """Return every metric of a run and the tracks of its levels."""
+    n = world.n_people
+    cluster = np.arange(n) // 2  # people walk in pairs
+    n_clusters = cluster.max() + 1
+    weights = rng.multinomial(
+        n_clusters, np.full(n_clusters, 1 / n_clusters), world.n_replicates
+    ).astype(float)
+    own, habit = rng.normal(size=n), rng.normal(size=n)
+    habit = 0.7 * habit + 0.7 * np.repeat(rng.normal(size=n // 2), 2)
+    nuisance = rng.normal(size=(n, 2))
+    found, levels = {}, []
+
+    def put(key, values, *, share=True):
+        found[key] = ratio_estimate(
+            numerator=cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
+            denominator=cluster_sums(values=np.ones(n), cluster=cluster, n_clusters=n_clusters),
+            weights=weights,
+            is_share=share,
+        )
+
+    def one_level(family, level, mechanism):
+        mean, linked = world.shows(family, level), world.links(family, level)
+        luck = rng.normal(size=n)
+        plr = np.clip(mean * np.exp(0.25 * own + 0.25 * luck - 0.06), 0, 1)
+        drawn = 0.6 * habit + 0.8 * rng.normal(size=n)
+        if world.kind == "valid":  # what shows of a track is what links it
+            drawn = 0.6 * drawn + 0.8 * luck
+        hit = (
+            (drawn < norm.ppf(linked)) if world.kind != "valid" else (drawn > norm.ppf(1 - linked))
+        )
+        hit = hit.astype(float)
+        for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 5.0)):
+            noisy = scale * plr * np.exp(0.05 * rng.normal(size=n))
+            put(Key(mechanism, level, SHARED, metric), noisy, share=False)
+            rebuilt = noisy * (1.0 if world.kind == "empty" else 1.5)
+            after = rebuilt * np.exp(0.05 * rng.normal(size=n))
+            put(Key(mechanism, level, SMOOTHER, metric, "informed"), after, share=False)
+        put(Key(mechanism, level, LINKER, "rank1", "informed"), hit)
+        put(Key(mechanism, level, LINKER, "chance", "informed"), np.full(n, CHANCE), share=False)
+        for metric in ("missed_conflict_rate", EQUAL_ALARMS):
+            missed = rng.random(n) < world.misses(family, level)
+            put(Key(mechanism, level, PREDICTOR, metric), missed.astype(float))
+        if family in {"raw", "fixed", "fid"}:
+            seen = np.column_stack([plr, plr * np.exp(0.02 * rng.normal(size=n))])
+            levels.append(
+                LevelTracks(
+                    mechanism=mechanism,
+                    hit=hit,
+                    chance=np.full(n, CHANCE),
+                    cluster=cluster,
+                    descriptors={
+                        name: seen * scale for name, scale in (("plr", 1), ("ael", 2), ("mel", 5))
+                    },
+                    covariates=nuisance,
+                )
+            )
+
+    one_level("raw", None, "raw")
+    for rule in RULES:
+        for level in FIXED:
+            one_level("fixed", level, f"fixed{rule}")
+        for level in FID:
+            one_level("fid", level, f"fid{rule}")
+        one_level("correlated", 0.75, f"correlated{rule}")
+    one_level("offset", 0.4, "offset")
+    one_level("thin", 4.0, "thin")
+    return found, levels
