@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 COMMANDS = {
     "matrix": ("evaluation.matrix", "run the evaluation matrix"),
     "report": ("evaluation.report", "redraw tables and figures of a run"),
+    "compare": ("evaluation.compare", "put two runs side by side"),
+    "design": ("evaluation.design", "choose a level that meets a target, with yes or no"),
     "calibrate": ("evaluation.calibrate", "refit the constants of the sensing model"),
     "datasets": ("isac_track.datasets.__main__", "list and fetch data sets"),
     "attacks": ("attacks.__main__", "list, check and begin attacks"),

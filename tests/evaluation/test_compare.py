@@ -1,0 +1,722 @@
+"""Two runs side by side: what changed, which numbers differ, and how sure that is."""
+
+import io
+import itertools
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+from scipy.stats import norm, ttest_rel
+from scipy.stats import t as student
+
+import evaluation
+from evaluation import __main__ as command
+from evaluation import compare, summary
+from evaluation.difference_tables import show
+from evaluation.differences import COLUMNS, HEADLINE, difference, holm
+from evaluation.differences import compare as compared
+from evaluation.store import read_manifest
+from isac_track.config import StageSettings
+from isac_track.errors import DataError, SettingsError
+from isac_track.intervals import Estimate, cluster_weights, ratio_estimate, wilson
+from isac_track.rng import stream
+
+KEY = ["mechanism", "level", "consumer", "knowledge", "metric"]
+MECHANISMS = (
+    "raw",
+    "fid:1",
+    *(f"fixed:{level}{rule}" for rule in ("", ",adding=independent") for level in ("0.7", "1")),
+)
+
+
+def write_recording(path, *, n_people=30, seed=0):
+    """Smooth walks at 0.4 s steps, everybody at a pace of their own; a third lasts but 26 s."""
+    rows = ["t,id,x,y"]
+    for person in range(n_people):
+        t = np.arange(0.0, 26.0 if person % 3 == 0 else 32.0, 0.4)
+        rng = stream(seed, "test", "walk", person)
+        turn = 0.08 * rng.standard_normal(t.size).cumsum() + rng.uniform(0, 2 * np.pi)
+        steps = 0.4 * rng.uniform(0.4, 1.4) * np.column_stack([np.cos(turn), np.sin(turn)])
+        xy = rng.uniform(-3, 3, 2) + steps.cumsum(axis=0)
+        rows += [f"{a:.2f},w{person},{x:.4f},{y:.4f}" for a, (x, y) in zip(t, xy, strict=True)]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("compare")
+
+
+@pytest.fixture(scope="module")
+def settings(folder):
+    return evaluation.Settings(
+        preset="smoke",
+        dataset=str(write_recording(folder / "walks.csv")),
+        scenes=20,
+        mechanisms=MECHANISMS,
+        predictors=("least_squares",),
+        attacks=("kalman_rts", "shape"),
+        tasks=("rerelease",),
+        out=folder / "base",
+        jobs=1,
+    )
+
+
+def run(settings, name, **changes):
+    return evaluation.run(replace(settings, out=settings.out.with_name(name), **changes)).out
+
+
+@pytest.fixture(scope="module")
+def base(settings):
+    return run(settings, "base")
+
+
+@pytest.fixture(scope="module")
+def again(settings):
+    return run(settings, "again")
+
+
+@pytest.fixture(scope="module")
+def wide(settings):
+    return run(settings, "wide", stages=StageSettings().changed({"privacy.epsilon_m": 0.5}))
+
+
+@pytest.fixture(scope="module")
+def reseeded(settings):
+    return run(settings, "reseeded", seed=1)
+
+
+@pytest.fixture(scope="module")
+def others(settings, folder):
+    path = write_recording(folder / "others.csv", n_people=24, seed=7)
+    return run(settings, "others", dataset=str(path))
+
+
+@pytest.fixture(scope="module")
+def narrow(settings):
+    return run(settings, "narrow", mechanisms=("raw",), predictors=(), attacks=(), tasks=())
+
+
+def numbers(out):
+    """The rows of a run's summary that have a value, by key."""
+    frame = pd.read_csv(out / "summary.csv", keep_default_na=True)
+    frame["knowledge"] = frame["knowledge"].fillna("")
+    return frame.dropna(subset=["value"]).set_index(KEY)
+
+
+def by_key(comparison):
+    names = {"mechanism_a": "mechanism", "level_a": "level"}
+    return comparison.rows.rename(columns=names).set_index(KEY)
+
+
+def row_of(comparison, *, metric="plr", mechanism="fixed", level=0.7, consumer="shared"):
+    rows = comparison.rows
+    (found,) = rows[
+        (rows["mechanism_a"] == mechanism)
+        & (rows["level_a"] == level)
+        & (rows["consumer"] == consumer)
+        & (rows["metric"] == metric)
+    ].to_dict("records")
+    return found
+
+
+def plr_replicates(out, *, weights, groups=None, spec="fixed:0.7"):
+    """PLR as shared and its replicates, straight from the cells."""
+    manifest = read_manifest(out)
+    files = [
+        name
+        for entry in manifest["cells"]
+        if entry["kind"] == "shared" and entry["spec"] == spec
+        for name in entry["files"]
+    ]
+    rows = pd.concat([pd.read_parquet(out / "cells" / name) for name in files])
+    by_group = rows.groupby("group", observed=True)["plr"].agg(["sum", "count"])
+    by_group = by_group.reindex(groups or manifest["groups"]).fillna(0.0)
+    value = by_group["sum"].sum() / by_group["count"].sum()
+    return value, (weights @ by_group["sum"]) / (weights @ by_group["count"])
+
+
+def tree(out):
+    return {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+def shown(comparison, *, width=116, every=False):
+    raw = io.StringIO()
+    show(comparison, every=every, console=Console(file=raw, width=width, highlight=False))
+    return raw.getvalue()
+
+
+class TestTheSameSettings:
+    def test_every_number_is_identical(self, base, again):
+        found = compared(base, again)
+        assert set(found.rows["finding"]) == {"identical"}
+        assert (found.rows["pairing"] == "people and draws").all()
+        assert (found.rows[["difference", "ci_low", "ci_high"]] == 0.0).all(axis=None)
+
+    def test_every_number_of_the_summary_is_there_once(self, base, again):
+        found = by_key(compared(base, again))
+        assert not found.index.duplicated().any()
+        assert set(map(str, found.index)) == set(map(str, numbers(base).index))
+
+    def test_nothing_changed_and_the_text_says_so(self, base, again):
+        found = compared(base, again)
+        assert not any(found.changed.values())
+        assert found.only == {}
+        text = shown(found)
+        assert "Nothing changed in data, settings, code and libraries." in text
+        assert f"{len(found.rows)} of {len(found.rows)} numbers are identical" in text
+
+    def test_the_gate_is_open(self, base, again, capsys):
+        assert compare.main([str(base), str(again), "--fail-on-change"]) == 0
+        assert capsys.readouterr().err == ""
+
+
+class TestAnotherRadius:
+    def test_the_setting_is_all_that_changed(self, base, wide):
+        found = compared(base, wide)
+        assert found.changed == {
+            "data": {},
+            "settings": {"privacy.epsilon_m": (0.3, 0.5)},
+            "code": {},
+        }
+        assert "privacy.epsilon_m  0.3 -> 0.5" in shown(found)
+
+    def test_differences_are_those_of_the_summaries(self, base, wide):
+        found, a, b = by_key(compared(base, wide)), numbers(base), numbers(wide)
+        assert len(found) == len(a)
+        for name, column in (("a", a), ("b", b)):
+            pd.testing.assert_series_equal(
+                found[name].sort_index(), column["value"].sort_index(), check_names=False
+            )
+        pd.testing.assert_series_equal(
+            found["difference"].sort_index(),
+            (b["value"] - a["value"]).sort_index(),
+            check_names=False,
+        )
+
+    def test_only_what_the_radius_defines_moves(self, base, wide):
+        rows = compared(base, wide).rows
+        moved = rows[rows["finding"] != "identical"]
+        assert set(moved["metric"]) <= {"plr", "ael", "mel", "plr_over_benchmark"}
+        assert {"plr", "ael", "mel"} <= set(moved["metric"])
+        assert (rows["pairing"] == "people and draws").all()
+
+    def test_the_interval_is_that_of_paired_replicates(self, base, wide):
+        weights = summary.weights_of(read_manifest(base))
+        (a, drawn_a), (b, drawn_b) = (plr_replicates(out, weights=weights) for out in (base, wide))
+        row = row_of(compared(base, wide))
+        assert row["difference"] == pytest.approx(b - a, abs=1e-12)
+        ends = np.quantile(drawn_b - drawn_a, [0.025, 0.975])
+        assert [row["ci_low"], row["ci_high"]] == pytest.approx(ends, abs=1e-12)
+        error = (drawn_b - drawn_a).std(ddof=1)
+        assert row["t"] == pytest.approx((b - a) / error)
+        assert row["p_value"] == pytest.approx(2 * student.sf(abs(b - a) / error, df=row["n"] - 1))
+
+    def test_holm_runs_over_either_family(self, base, wide):
+        rows = compared(base, wide).rows
+        assert set(rows.loc[rows["headline"], "metric"]) <= set(HEADLINE)
+        for _, family in rows.groupby("headline"):
+            adjusted = holm(family["p_value"].to_numpy())
+            assert family["p_holm"].to_numpy() == pytest.approx(adjusted, nan_ok=True)
+        tested = rows[(rows["finding"] != "identical") & rows["p_holm"].notna()]
+        assert ((tested["finding"] == "differs") == (tested["p_holm"] <= 0.05)).all()
+        assert (rows["finding"] == "differs").any()
+
+    def test_the_surest_come_first(self, base, wide):
+        p_values = compared(base, wide).rows["p_value"].dropna()
+        assert p_values.is_monotonic_increasing
+
+    def test_a_control_is_not_of_the_headline(self, base, wide):
+        rows = compared(base, wide).rows
+        controls = rows["consumer"].str.contains("/control-")
+        assert controls.any()
+        assert not rows.loc[controls, "headline"].any()
+        assert rows.loc[~controls & (rows["metric"] == "rank1"), "headline"].all()
+
+    def test_the_gate_is_shut(self, base, wide, capsys):
+        assert compare.main([str(base), str(wide), "--fail-on-change"]) == 1
+        assert compare.main([str(base), str(wide)]) == 0
+        assert "PLR %" in capsys.readouterr().out
+
+
+class TestAnotherSeed:
+    def test_scenes_are_paired_over_people_and_linkage_is_not(self, base, reseeded):
+        rows = compared(base, reseeded).rows
+        linked = rows["consumer"].str.startswith("rerelease/")
+        assert set(rows.loc[linked, "pairing"]) == {"none"}
+        assert set(rows.loc[~linked, "pairing"]) == {"people"}
+
+    def test_the_same_people_are_drawn_for_both(self, base, reseeded):
+        weights = summary.weights_of(read_manifest(base))
+        (a, drawn_a), (b, drawn_b) = (
+            plr_replicates(out, weights=weights) for out in (base, reseeded)
+        )
+        row = row_of(compared(base, reseeded))
+        ends = np.quantile(drawn_b - drawn_a, [0.025, 0.975])
+        assert row["difference"] == pytest.approx(b - a, abs=1e-12)
+        assert [row["ci_low"], row["ci_high"]] == pytest.approx(ends, abs=1e-12)
+
+    def test_no_headline_number_differs(self, base, reseeded):
+        # Of one population: a false "differs" has a chance of at most 5 %, and the seeds are fixed.
+        rows = compared(base, reseeded).rows
+        assert not (rows.loc[rows["headline"], "finding"] == "differs").any()
+
+    def test_the_text_says_what_is_paired(self, base, reseeded):
+        text = shown(compared(base, reseeded), width=300)
+        assert re.search(r"seed +0 -> 1", text)
+        assert "paired over people, not over draws" in text
+        assert "not paired: intervals as of independent estimates" in text
+
+
+class TestDraws:
+    @pytest.mark.parametrize(
+        ("name", "value", "pairing"),
+        [
+            ("privacy.epsilon_m", 0.1, "people and draws"),
+            ("sensing.power_dbm", 20.0, "people and draws"),
+            ("conflict.decision", "probability", "people and draws"),
+            ("linkage.window_s", 9.0, "people and draws"),
+            ("sensing.n_paths", 9, "people"),
+            ("sensing.law", "isotropic", "people"),
+            ("conflict.safety_radius_m", 0.5, "people"),
+            ("scenes.agents", 3, "people"),
+            ("scenes", 19, "people"),
+            ("resample.rate_max_hz", 20.0, "people"),
+            ("seed", 9, "people"),
+            ("sha256", "0", "none"),
+        ],
+    )
+    def test_scenes(self, narrow, tmp_path, name, value, pairing):
+        assert set(self.pairings(narrow, tmp_path, {name: value})) == {pairing}
+
+    @pytest.mark.parametrize(
+        ("name", "value", "pairing"),
+        [
+            ("privacy.epsilon_m", 0.1, "people and draws"),
+            ("scenes.agents", 3, "people and draws"),
+            ("scenes", 19, "people and draws"),
+            ("conflict.safety_radius_m", 0.5, "people and draws"),
+            ("sensing.n_paths", 9, "people"),
+            ("resample.rate_max_hz", 20.0, "people"),
+            ("linkage.window_s", 9.0, "none"),
+            ("crowd", "0", "none"),
+            ("seed", 9, "none"),
+            ("sha256", "0", "none"),
+        ],
+    )
+    def test_linkage(self, base, tmp_path, name, value, pairing):
+        found = self.pairings(base, tmp_path, {name: value})
+        assert set(found[found.index.str.startswith("rerelease/")]) == {pairing}
+
+    def test_other_people_in_a_task_are_not_paired(self, base, tmp_path):
+        # An earlier version of the code may have chosen others.
+        shutil.copytree(base, tmp_path / "b")
+        manifest = read_manifest(base)
+        manifest["linkage"]["tasks"]["rerelease"]["people"] -= 1
+        (tmp_path / "b" / "manifest.json").write_text(json.dumps(manifest))
+        rows = compared(base, tmp_path / "b").rows
+        linked = rows["consumer"].str.startswith("rerelease/")
+        assert set(rows.loc[linked, "pairing"]) == {"none"}
+        assert set(rows.loc[~linked, "pairing"]) == {"people and draws"}
+
+    def pairings(self, out, tmp_path, changes):
+        """Pairing by consumer of a run and its copy whose manifest says otherwise."""
+        shutil.copytree(out, tmp_path / "b")
+        manifest = read_manifest(out)
+        assert changes.keys() <= manifest["identity"].keys()
+        manifest["identity"] |= changes
+        (tmp_path / "b" / "manifest.json").write_text(json.dumps(manifest))
+        return compared(out, tmp_path / "b").rows.set_index("consumer")["pairing"]
+
+
+class TestOtherPeople:
+    def test_nothing_is_paired_and_the_data_changed(self, base, others):
+        found = compared(base, others)
+        assert set(found.rows["pairing"]) == {"none"}
+        assert {"sha256", "tracks", "tracks_used"} <= found.changed["data"].keys()
+        assert re.search(r"tracks_used +30 -> 24", shown(found))
+
+    def test_intervals_combine_those_of_either_run(self, base, others):
+        found, a, b = by_key(compared(base, others)), numbers(base), numbers(others)
+        row = found.loc[("fixed", 0.7, "shared", "", "plr")]
+        one, two = (frame.loc[("fixed", 0.7, "shared", "", "plr")] for frame in (a, b))
+        value = two["value"] - one["value"]
+        low = value - np.hypot(two["value"] - two["ci_low"], one["ci_high"] - one["value"])
+        high = value + np.hypot(two["ci_high"] - two["value"], one["value"] - one["ci_low"])
+        assert [row["difference"], row["ci_low"], row["ci_high"]] == pytest.approx(
+            [value, low, high], abs=1e-12
+        )
+
+    def test_who_is_in_both_runs_is_drawn_alike(self, settings, base):
+        stages = StageSettings().changed({"resample.min_duration_s": 28.0})
+        axes = {"mechanisms": ("fixed:0.7",), "predictors": (), "attacks": (), "tasks": ()}
+        longer = run(settings, "longer", stages=stages, **axes)
+        everybody = read_manifest(base)["groups"]
+        assert len(everybody) == 30
+        assert len(read_manifest(longer)["groups"]) == 20
+        weights = summary.weights_of(read_manifest(base))
+        (a, drawn_a), (b, drawn_b) = (
+            plr_replicates(out, weights=weights, groups=everybody) for out in (base, longer)
+        )
+        for first, second, sign in ((base, longer, 1), (longer, base, -1)):
+            row = row_of(compared(first, second))
+            assert row["pairing"] == "people"
+            ends = sign * np.quantile(drawn_b - drawn_a, [0.025, 0.975])[::sign]
+            assert row["difference"] == pytest.approx(sign * (b - a), abs=1e-12)
+            assert [row["ci_low"], row["ci_high"]] == pytest.approx(ends, abs=1e-12)
+
+
+class TestMechanisms:
+    def test_two_rules_of_one_run_meet_at_every_level(self, base):
+        found = compared(base, base, mechanism_a="fixed", mechanism_b="fixed:adding=independent")
+        assert set(found.rows["mechanism_b"]) == {"fixed:adding=independent"}
+        assert (found.rows["level_a"] == found.rows["level_b"]).all()
+        assert set(found.rows["level_a"]) == {0.7, 1.0}
+        of = numbers(base)["value"]
+        for row in found.rows.to_dict("records"):
+            where = row["level_a"], row["consumer"], row["knowledge"], row["metric"]
+            assert row["a"] == pytest.approx(of[("fixed", *where)])
+            assert row["b"] == pytest.approx(of[("fixed:adding=independent", *where)])
+        assert (found.rows["pairing"] == "people and draws").all()
+
+    def test_single_levels_meet_whatever_they_are(self, base):
+        found = compared(base, base, mechanism_a="raw", mechanism_b="fixed:1")
+        of = numbers(base)["value"]
+        (plr,) = found.rows[
+            (found.rows["consumer"] == "shared") & (found.rows["metric"] == "plr")
+        ].to_dict("records")
+        fixed = of[("fixed", 1.0, "shared", "", "plr")]
+        assert plr["b"] == pytest.approx(fixed)
+        assert plr["difference"] < 0  # noise hides
+        assert "raw -> fixed 1" in shown(found)
+
+    def test_runs_of_other_people_may_be_crossed_too(self, base, others):
+        found = compared(base, others, mechanism_a="fixed:1", mechanism_b="fixed:0.7")
+        assert set(found.rows["pairing"]) == {"none"}
+        assert set(found.rows["level_b"]) == {0.7}
+
+    def test_the_command_takes_one_folder(self, base, capsys):
+        words = ["--mechanism-a", "fixed", "--mechanism-b", "fixed:adding=independent"]
+        assert compare.main([str(base), *words]) == 0
+        assert "fixed -> fixed:adding=independent" in capsys.readouterr().out
+
+    @pytest.mark.parametrize(
+        ("a", "b", "error", "message"),
+        [
+            ("fixde", "fixed", SettingsError, r"--mechanism-a fixde: .*it has .*fixed"),
+            ("fixed", "fixed:0.3", SettingsError, r"--mechanism-b fixed:0\.3: .*no such mechanism"),
+            ("fixed", None, SettingsError, r"--mechanism-a and --mechanism-b are named together"),
+            ("raw", "fixed", DataError, r"no level and consumer in common"),
+            ("fixed", "fid", SettingsError, r"fixed and fid are not the same quantity"),
+        ],
+    )
+    def test_what_does_not_fit_is_refused_with_the_way_out(self, base, a, b, error, message):
+        with pytest.raises(error, match=message):
+            compared(base, base, mechanism_a=a, mechanism_b=b)
+
+
+class TestOtherAxes:
+    def test_what_only_one_run_has_is_named_and_counted(self, base, narrow):
+        found = compared(base, narrow)
+        assert found.only == {
+            "mechanisms": ([*MECHANISMS[1:], "clean"], []),
+            "predictors": (["least_squares"], []),
+            "attacks": (["kalman_rts", "shape"], []),
+            "tasks": (["rerelease"], []),
+        }
+        assert set(found.rows["finding"]) == {"identical"}
+        n_a, n_b = (len(pd.read_csv(out / "summary.csv")) for out in (base, narrow))
+        assert found.only_numbers == (n_a - n_b, 0)
+        assert "predictors only in A: least_squares" in shown(found)
+
+    def test_runs_that_share_nothing_are_refused(self, settings, narrow, capsys):
+        apart = run(
+            settings, "apart", mechanisms=("fixed:0.3",), predictors=(), attacks=(), tasks=()
+        )
+        assert compare.main([str(narrow), str(apart)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "share no number: A has raw, B has fixed" in line
+
+
+class TestHolm:
+    def test_a_hand_example(self):
+        assert holm(np.array([0.01, 0.04, 0.03, 0.005])) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+
+    def test_it_is_the_closed_test_by_bonferroni(self):
+        # A number differs if every set that it belongs to holds a difference, by Bonferroni.
+        p_values = np.random.default_rng(0).uniform(0, 0.4, 6)
+        sets = [list(one) for size in range(1, 7) for one in itertools.combinations(range(6), size)]
+        closed = [
+            max(min(1.0, len(of) * p_values[of].min()) for of in sets if n in of) for n in range(6)
+        ]
+        assert holm(p_values) == pytest.approx(closed)
+
+    def test_what_is_unknown_stays_so_and_does_not_count(self):
+        found = holm(np.array([0.02, np.nan, 0.01]))
+        assert found == pytest.approx([0.02, np.nan, 0.02], nan_ok=True)
+
+
+def estimate(values, *, weights, is_share=False):
+    return ratio_estimate(
+        numerator=values, denominator=np.ones_like(values), weights=weights, is_share=is_share
+    )
+
+
+class TestDifference:
+    weights = cluster_weights(n_clusters=40, n_replicates=1000, seed=3)
+
+    def test_it_is_a_paired_t_test_where_everybody_weighs_the_same(self):
+        rng = np.random.default_rng(1)
+        person = rng.normal(0, 3, 40)
+        a, b = person + rng.normal(0, 1, 40), person + 0.5 + rng.normal(0, 1, 40)
+        found = difference(
+            estimate(a, weights=self.weights),
+            estimate(b, weights=self.weights),
+            paired=True,
+            metric="ael",
+        )
+        expected = ttest_rel(b, a)
+        assert found.value == pytest.approx((b - a).mean())
+        assert found.t == pytest.approx(expected.statistic, rel=0.08)
+        interval = expected.confidence_interval()
+        assert [found.ci_low, found.ci_high] == pytest.approx(list(interval), abs=0.08)
+
+    def test_pairing_makes_the_interval_narrower(self):
+        rng = np.random.default_rng(2)
+        person = rng.normal(0, 3, 40)
+        a, b = (estimate(person + rng.normal(0, 0.3, 40), weights=self.weights) for _ in range(2))
+        paired, apart = (difference(a, b, paired=paired, metric="ael") for paired in (True, False))
+        assert paired.ci_high - paired.ci_low < 0.3 * (apart.ci_high - apart.ci_low)
+        assert abs(paired.t) > abs(apart.t)
+
+    def test_not_paired_the_ends_agree_with_the_p_value(self):
+        rng = np.random.default_rng(4)
+        a, b = (estimate(rng.normal(mean, 1, 40), weights=self.weights) for mean in (0.0, 0.4))
+        found = difference(a, b, paired=False, metric="ael")
+        assert found.value / (found.value - found.ci_low) * norm.ppf(0.975) == pytest.approx(
+            found.t
+        )
+        back = difference(b, a, paired=False, metric="ael")
+        assert back.t == pytest.approx(-found.t)
+        assert [back.ci_low, back.ci_high] == pytest.approx([-found.ci_high, -found.ci_low])
+
+    def test_a_share_of_zero_is_not_taken_for_certain(self):
+        never = estimate(np.zeros(40), weights=self.weights, is_share=True)
+        seldom = estimate(np.eye(40)[0], weights=self.weights, is_share=True)
+        found = difference(never, seldom, paired=True, metric="missed_conflict_rate")
+        assert found.value == pytest.approx(1 / 40)
+        up = wilson(hits=0, n=40)[1]
+        assert found.ci_low == pytest.approx(1 / 40 - np.hypot(1 / 40 - seldom.ci_low, up))
+        assert found.p_value > 0.3
+
+    def test_score_metrics_have_fewer_replicates(self):
+        rng = np.random.default_rng(5)
+        a, b = (estimate(rng.normal(size=40), weights=self.weights) for _ in range(2))
+        short = replace(b, replicates=b.replicates[:200])
+        found = difference(a, short, paired=True, metric="auc")
+        drawn = b.replicates[:200] - a.replicates[:200]
+        ends = np.quantile(drawn, [0.025, 0.975])
+        assert [found.ci_low, found.ci_high] == pytest.approx(ends)
+        mirrored = difference(a, short, paired=True, metric="eer")
+        assert [mirrored.ci_low, mirrored.ci_high] == pytest.approx(2 * found.value - ends[::-1])
+
+    @pytest.mark.parametrize("n", [0, 1])
+    def test_one_person_gives_no_interval(self, n):
+        lonely = Estimate(0.5, np.nan, np.nan, n, np.full(1000, 0.5))
+        crowd = estimate(np.arange(40) / 40, weights=self.weights)
+        found = difference(lonely, crowd, paired=True, metric="plr")
+        assert found.value == pytest.approx(crowd.value - 0.5)
+        assert np.isnan([found.ci_low, found.ci_high, found.t, found.p_value]).all()
+
+    def test_no_replicates_give_no_interval(self):
+        crowd = estimate(np.arange(40) / 40, weights=self.weights)
+        found = difference(
+            replace(crowd, replicates=np.zeros(0)), crowd, paired=True, metric="chance"
+        )
+        assert np.isnan(found.p_value)
+
+    def test_the_same_step_for_everybody_is_certain(self):
+        values = np.arange(40) / 8
+        a, b = (estimate(values + step, weights=self.weights) for step in (0.0, 0.25))
+        found = difference(a, b, paired=True, metric="ael")
+        assert found.value == pytest.approx(0.25)
+        assert found.p_value < 1e-12
+
+
+class TestCommand:
+    def test_it_is_a_command(self, base, again, capsys):
+        assert command.main(["compare", str(base), str(again)]) == 0
+        assert "numbers are identical" in capsys.readouterr().out
+
+    def test_nothing_is_written_into_the_runs(self, base, wide, tmp_path, capsys):
+        before = [tree(out) for out in (base, wide)]
+        words = ["--all", "--json", "--csv", str(tmp_path / "table.csv")]
+        assert compare.main([str(base), str(wide), *words]) == 0
+        assert [tree(out) for out in (base, wide)] == before
+        assert capsys.readouterr().out
+
+    def test_the_table_is_tidy(self, base, wide, tmp_path, capsys):
+        path = tmp_path / "table.csv"
+        assert compare.main([str(base), str(wide), "--csv", str(path)]) == 0
+        table = pd.read_csv(path)
+        assert list(table.columns) == COLUMNS
+        rows = compared(base, wide).rows
+        assert len(table) == len(rows)
+        assert table["difference"].to_numpy() == pytest.approx(rows["difference"], nan_ok=True)
+        assert "identical" in capsys.readouterr().out
+
+    def test_json_is_one_object(self, base, wide, capsys):
+        assert compare.main([str(base), str(wide), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["changed"]["settings"] == {"privacy.epsilon_m": {"a": 0.3, "b": 0.5}}
+        rows = compared(base, wide).rows
+        headline = rows[rows["headline"]]
+        assert len(found["differences"]) == len(headline)
+        assert found["numbers"]["in_both"] == len(rows)
+        counts = found["numbers"]["headline"]
+        assert counts["differs"] == (headline["finding"] == "differs").sum()
+        assert sum(counts.values()) == len(headline)
+        assert compare.main([str(base), str(wide), "--json", "--all"]) == 0
+        assert len(json.loads(capsys.readouterr().out)["differences"]) == len(rows)
+
+    def test_a_heading_that_is_too_long_loses_its_middle(self, base, wide):
+        found = compared(base, wide)
+        found.rows["consumer"] = found.rows["consumer"] + "@" + "x" * 90
+        lines = shown(found, width=80, every=True).splitlines()
+        assert max(map(len, lines)) <= 80
+        assert any("..." in line and line.endswith("fixed:adding=independent") for line in lines)
+
+    @pytest.mark.parametrize("width", [80, 116])
+    @pytest.mark.parametrize("other", ["wide", "reseeded", "others"])
+    def test_lines_fit_and_line_up(self, base, other, width, request):
+        text = shown(compared(base, request.getfixturevalue(other)), width=width, every=True)
+        lines = text.splitlines()
+        assert max(map(len, lines)) <= width
+        (head,) = [line for line in lines if line.lstrip().startswith("level ")]
+        end = head.index("B - A") + len("B - A")
+        numbered = [line for line in lines if re.search(r" \[[+-]\d", line)]
+        assert numbered
+        assert all(line[end - 1].isdigit() and line[end] == " " for line in numbered)
+
+    def test_the_default_shows_the_surest_of_the_headline(self, base, reseeded):
+        found = compared(base, reseeded)
+        some, every = shown(found), shown(found, every=True)
+        assert "The 20 surest of" in some
+        assert "auc" not in some
+        assert "auc" in every
+
+    @pytest.mark.parametrize(
+        "words",
+        [["--nonsense"], [], ["{base}"], ["{base}", "/nowhere/at/all"], ["{base}", "{csv}"]],
+    )
+    def test_wrong_usage_ends_in_one_line(self, base, settings, words, capsys):
+        words = [word.format(base=base, csv=settings.dataset) for word in words]
+        assert compare.main(words) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("error: ")
+
+    def test_a_reader_who_leaves_early_sees_no_traceback(self, base, wide):
+        words = [sys.executable, "-m", "evaluation.compare", base, wide, "--json", "--all"]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            process.stdout.read(10)
+            process.stdout.close()
+            assert process.stderr.read() == b""
+        assert process.returncode == 141
+
+    def test_a_missing_run_is_named(self, base, capsys):
+        assert compare.main([str(base), "/nowhere/at/all"]) == 2
+        assert "/nowhere/at/all holds no run" in capsys.readouterr().err
+
+    def test_a_broken_cell_is_named(self, base, narrow, tmp_path, capsys):
+        shutil.copytree(narrow, tmp_path / "broken")
+        (cell,) = (tmp_path / "broken" / "cells").glob("*.parquet")
+        cell.write_bytes(b"PAR1")
+        assert compare.main([str(base), str(tmp_path / "broken")]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert cell.name in line
+
+    @pytest.mark.parametrize("missing", ["groups", "settings", "environment"])
+    def test_a_manifest_of_another_version_is_named(self, base, narrow, missing, tmp_path, capsys):
+        shutil.copytree(narrow, tmp_path / "old")
+        manifest = json.loads((tmp_path / "old" / "manifest.json").read_text())
+        del manifest[missing]
+        (tmp_path / "old" / "manifest.json").write_text(json.dumps(manifest))
+        assert compare.main([str(base), str(tmp_path / "old")]) == 2
+        assert f"{tmp_path / 'old'} was written by another version" in capsys.readouterr().err
+
+    def test_a_table_that_cannot_be_written_is_named(self, base, again, tmp_path, capsys):
+        path = tmp_path / "no" / "table.csv"
+        assert compare.main([str(base), str(again), "--csv", str(path)]) == 2
+        assert f"cannot write {path}" in capsys.readouterr().err
+
+    def test_a_gate_that_nothing_can_fail_is_refused(self, settings, folder, capsys):
+        # The group column makes one cluster of everybody: no number has an interval.
+        path = write_recording(folder / "one.csv", n_people=12)
+        frame = pd.read_csv(path)
+        frame["group"] = "all"
+        frame.to_csv(path, index=False)
+        small = {"dataset": str(path), "mechanisms": ("raw",), "attacks": (), "tasks": ()}
+        outs = [
+            run(settings, f"one{radius}", **small, stages=StageSettings().changed(values))
+            for radius in (0.3, 0.5)
+            for values in ({"privacy.epsilon_m": radius},)
+        ]
+        assert len(read_manifest(outs[0])["groups"]) == 1
+        assert compare.main([str(outs[0]), str(outs[1]), "--fail-on-change"]) == 2
+        assert "no headline number" in capsys.readouterr().err
+
+
+def write_verdict(out, decisions):
+    items = [{"id": name, "decision": one, "section": "validity"} for name, one in decisions]
+    (out / "verdict.json").write_text(json.dumps({"items": items}))
+
+
+class TestVerdicts:
+    @pytest.fixture
+    def pair(self, narrow, tmp_path):
+        copies = [shutil.copytree(narrow, tmp_path / name) for name in ("a", "b")]
+        for copy in copies:
+            (copy / "verdict.json").unlink(missing_ok=True)
+        return copies
+
+    def test_decisions_that_changed_are_listed(self, pair, capsys):
+        write_verdict(pair[0], [("x", "tracks"), ("y", "undecided"), ("z", "holds")])
+        write_verdict(pair[1], [("x", "does not track"), ("y", "undecided"), ("w", "holds")])
+        assert compared(*pair).verdicts == {
+            "in_both": 2,
+            "only_a": ["z"],
+            "only_b": ["w"],
+            "changed": [{"id": "x", "a": "tracks", "b": "does not track"}],
+        }
+        assert compare.main([str(one) for one in pair]) == 0
+        text = capsys.readouterr().out
+        assert "1 of 2 decisions changed (1 only in A, 1 only in B)" in text
+        assert "x: tracks -> does not track" in text
+
+    def test_one_alone_says_nothing(self, pair):
+        write_verdict(pair[0], [("x", "tracks")])
+        found = compared(*pair)
+        assert found.verdicts is None
+        assert "Verdict" not in shown(found)
+
+    def test_two_mechanisms_have_no_verdict_of_their_own(self, pair):
+        for one in pair:
+            write_verdict(one, [("x", "tracks")])
+        assert compared(*pair).verdicts is not None
+        assert compared(*pair, mechanism_a="raw", mechanism_b="raw").verdicts is None
+
+    @pytest.mark.parametrize("content", ["{", "[]", '{"items": [1]}', '{"items": [{"id": "x"}]}'])
+    def test_a_broken_verdict_is_named(self, pair, content, capsys):
+        write_verdict(pair[0], [("x", "tracks")])
+        (pair[1] / "verdict.json").write_text(content)
+        assert compare.main([str(one) for one in pair]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert str(pair[1] / "verdict.json") in line
