@@ -112,7 +112,7 @@ class SensingSettings:
     """fitted: sigma_raw over sqrt(CRB), in 20 log10"""
     sigma_cap_m: float = 2.0
     """reading, fixed before the fit: sigma_raw is capped here"""
-    law: Literal["radial", "isotropic"] = "radial"
+    law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
 
     def __post_init__(self) -> None:

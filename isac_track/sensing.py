@@ -188,17 +188,30 @@ def _gap(settings: SensingSettings) -> float:
     return float(10.0 ** (settings.crb_gap_db / 20.0))
 
 
-def unit_errors(*, n_samples: int, law: ErrorLaw, rng: Generator) -> Floats:
+def unit_errors(
+    *, n_samples: int, law: ErrorLaw, rng: Generator, offsets: Ints | None = None
+) -> Floats:
     """Draw standardised errors, (M, 2).
 
     `radial`: the norm is |N(0, 1)| and the direction uniform (variance 1/2 per axis); the
-    reading that fits the paper's PLR. `isotropic`: N(0, 1) per axis. Both use the same draws,
-    sample by sample, so that a shorter batch is a prefix of a longer one.
+    reading that fits the paper's PLR. `isotropic`: N(0, 1) per axis. `fixed_direction`: as
+    `radial` with the direction of the track's first sample throughout, so that a track's errors
+    lie on a line through the truth. All use the same draws, sample by sample, so that a shorter
+    batch is a prefix of a longer one.
+
+    Parameters
+    ----------
+    n_samples : int
+        M.
+    law : {"radial", "isotropic", "fixed_direction"}
+    rng : Generator
+    offsets : (N + 1,) int, optional
+        Tracks of the samples; `fixed_direction` needs them.
 
     Raises
     ------
     ValueError
-        For an unknown law.
+        For an unknown law, or `fixed_direction` without the tracks.
     """
     draws = rng.standard_normal((n_samples, 3))
     if law == "isotropic":
@@ -206,7 +219,24 @@ def unit_errors(*, n_samples: int, law: ErrorLaw, rng: Generator) -> Floats:
     if law == "radial":
         direction: Floats = draws[:, 1:] / np.hypot(draws[:, 1], draws[:, 2])[:, None]
         return draws[:, :1] * direction
-    raise ValueError(f"unknown error law {law!r}; known: radial, isotropic")
+    if law == "fixed_direction":
+        if offsets is None:
+            raise ValueError("the law fixed_direction needs the offsets of the tracks")
+        return draws[:, :1] * track_directions(draws[:, 1:], offsets=offsets)
+    raise ValueError(f"unknown error law {law!r}; known: radial, isotropic, fixed_direction")
+
+
+def track_directions(draws: Floats, *, offsets: Ints) -> Floats:
+    """Return a unit vector a track, repeated for its samples, (M, 2): that of its first draw.
+
+    Parameters
+    ----------
+    draws : (M, 2) standard normal
+    offsets : (N + 1,) int
+    """
+    first = draws[offsets[:-1]]
+    direction: Floats = first / np.hypot(first[:, 0], first[:, 1])[:, None]
+    return np.repeat(direction, np.diff(offsets), axis=0)
 
 
 def draw_channel(
@@ -240,7 +270,14 @@ def draw_channel(
         path_delay.append(paths.random((n_tracks, settings.n_paths)))
         beam.append(stream(seed, "sensing", "beam", *key).standard_normal(total))
         rng = stream(seed, "sensing", "error", *key)
-        unit_error.append(unit_errors(n_samples=total, law=settings.law, rng=rng))
+        unit_error.append(
+            unit_errors(
+                n_samples=total,
+                law=settings.law,
+                rng=rng,
+                offsets=np.concatenate([[0], np.cumsum(sizes)]),
+            )
+        )
     delays = np.concatenate(path_delay)
     delays[:, 0] = 0.0  # the direct path
     return Channel(

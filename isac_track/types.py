@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
-ErrorLaw: TypeAlias = Literal["radial", "isotropic"]
+ErrorLaw: TypeAlias = Literal["radial", "isotropic", "fixed_direction"]
 Adding: TypeAlias = Literal["linear", "independent"]
 
 
@@ -154,7 +154,8 @@ class Sensed:
     offsets: Ints
     """(N + 1,)"""
     law: ErrorLaw = "radial"
-    """Law of the raw error: `radial` (the norm is |N(0, sigma)|) or `isotropic` (per axis)."""
+    """Law of the raw error: `radial` (the norm is |N(0, sigma)|), `isotropic` (N(0, sigma) per
+    axis) or `fixed_direction` (as `radial`, on one line through the truth along a track)."""
 
     def __post_init__(self) -> None:
         _check_batch(self)

@@ -1,9 +1,11 @@
 """The link budget, the information and the raw error, against closed forms and plain loops."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from isac_track.config import SensingSettings
 from isac_track.rng import stream
@@ -17,6 +19,7 @@ from isac_track.sensing import (
     range_information_per_snr,
     sense,
     sigma_from_information,
+    unit_errors,
 )
 
 
@@ -228,3 +231,26 @@ def test_sensing_adds_the_unit_error_scaled():
             channel=channel,
             settings=settings,
         )
+
+
+def test_errors_of_a_fixed_direction_lie_on_one_line_for_each_track():
+    offsets = np.array([0, 40, 41, 100])
+    drawn = [
+        unit_errors(n_samples=100, law=law, rng=np.random.default_rng(5), offsets=offsets)
+        for law in ("fixed_direction", "radial")
+    ]
+    assert np.allclose(*(np.hypot(*errors.T) for errors in drawn))
+    for start, end in pairwise(offsets):
+        x, y = drawn[0][start:end].T
+        assert np.allclose(x * y[0], y * x[0])
+    with pytest.raises(ValueError, match="needs the offsets"):
+        unit_errors(n_samples=3, law="fixed_direction", rng=np.random.default_rng(0))
+
+
+def test_fixed_directions_are_uniform_over_tracks():
+    offsets = np.arange(4001)
+    errors = unit_errors(
+        n_samples=4000, law="fixed_direction", rng=np.random.default_rng(6), offsets=offsets
+    )
+    angle = np.arctan2(errors[:, 1], errors[:, 0])
+    assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
