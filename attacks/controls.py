@@ -43,7 +43,7 @@ class Control:
     hides_in_scene: bool = False
     """Whether it sees what a task in the true frame shows on purpose."""
     sees_times_only: bool = False
-    """Whether it scores alike at every mechanism level: no mechanism changes a time."""
+    """Whether it scores alike at every level of a mechanism that shares every sample."""
 
     def applies(self, task: Task) -> bool:
         """Whether a task has this control."""

@@ -111,8 +111,8 @@ def p_beyond(one: Effect, margin: float) -> float:
         return 1.0
     scale = max(one.standard_error, _LEAST_SE)
     size = abs(one.value)
-    tails = student.sf([(size - margin) / scale, (size + margin) / scale], one.n - 1)
-    return min(1.0, float(tails.sum()))
+    tails = [float(student.sf((size + end) / scale, one.n - 1)) for end in (-margin, margin)]
+    return min(1.0, sum(tails))
 
 
 def p_differs(one: Effect) -> float:

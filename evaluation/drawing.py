@@ -10,7 +10,7 @@ import numpy as np
 from evaluation import figure_style
 from evaluation.figure_style import LOOKS, Look, band, number
 from evaluation.grid import SHARED
-from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS
+from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS, MISSED
 from evaluation.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.sweeps import is_attack
 
@@ -142,7 +142,11 @@ def operating_figure(
     addings = [adding for adding in ADDING_SUFFIX if any(key[0] == adding for key in points)]
     raw = {metric: _points(ours, "raw", predictors[0], metric) for metric in DESCRIPTORS}
     curves = _of(matched, dataset)
-    curves = curves[curves["predictor"] == predictors[0]]
+    curves = curves[
+        (curves["predictor"] == predictors[0])
+        & (curves["criterion"] == MISSED)
+        & (curves["consumer"] == SHARED)
+    ]
 
     figure = figure_style.empty_figure(
         width_in=figure_style.DOUBLE_COLUMN_IN, height_in=1.75 * len(addings) + 0.8

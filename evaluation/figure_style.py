@@ -11,7 +11,7 @@ import contextlib
 import io
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib import style as styles
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+    from numpy.typing import NDArray
 
     from isac_track.types import Floats
 
@@ -42,6 +43,7 @@ LOG_RATIO = 5.0
 NAME_LENGTH = 40
 
 _BAND_ALPHA = 0.18
+_IMAGE_DPI = 200
 _HANDLE_CHARACTERS = 10
 _RC = {
     "axes.axisbelow": True,
@@ -105,6 +107,47 @@ def style() -> Iterator[None]:
 def empty_figure(*, width_in: float, height_in: float) -> Figure:
     """Return a figure that makes room for its labels, legend and title."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def placed_figure(*, width_in: float, height_in: float) -> Figure:
+    """Return a figure whose panels are placed by hand."""
+    return Figure(figsize=(width_in, height_in), dpi=_IMAGE_DPI)
+
+
+def placed(
+    figure: Figure,
+    *,
+    rows: int,
+    columns: int,
+    left_in: float,
+    right_in: float,
+    top_in: float,
+    bottom_in: float,
+    gap_in: float,
+    between_in: float = 0.0,
+    sharex: bool | Literal["col"] = False,
+    sharey: bool = False,
+) -> NDArray[Any]:
+    """Return a grid of panels, (rows, columns), within margins and with gaps in inches."""
+    width_in, height_in = figure.get_size_inches()
+    panel_width_in = (width_in - left_in - right_in - gap_in * (columns - 1)) / columns
+    panel_height_in = (height_in - top_in - bottom_in - between_in * (rows - 1)) / rows
+    panels: NDArray[Any] = figure.subplots(
+        rows,
+        columns,
+        squeeze=False,
+        sharex=sharex,
+        sharey=sharey,
+        gridspec_kw={
+            "left": left_in / width_in,
+            "right": 1.0 - right_in / width_in,
+            "top": 1.0 - top_in / height_in,
+            "bottom": bottom_in / height_in,
+            "wspace": gap_in / panel_width_in,
+            "hspace": between_in / panel_height_in,
+        },
+    )
+    return panels
 
 
 def rendered(figure: Figure) -> dict[str, bytes]:
@@ -198,13 +241,31 @@ def legend(figure: Figure, handles: Sequence[Artist]) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns)
 
 
-def title(figure: Figure, *, dataset: str, what: str) -> None:
+def legend_in_rows(figure: Figure, handles: Sequence[Artist], *, columns: int) -> None:
+    """Put a legend along the lower edge of a figure that is placed by hand."""
+    figure.legend(
+        handles=handles,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.0),
+        ncols=columns,
+        borderaxespad=0.2,
+        columnspacing=1.4,
+    )
+
+
+def title(figure: Figure, *, dataset: str, what: str, one_line: bool = False) -> None:
     """Write the data set's name and what is shown above the panels."""
     name = "".join(character if character.isprintable() else " " for character in dataset)
     if len(name) > NAME_LENGTH:
         name = name[: NAME_LENGTH - 1] + "…"
-    separator = ": " if figure.get_figwidth() > SINGLE_COLUMN_IN else "\n"
-    figure.suptitle(f"{name}{separator}{what}", x=0.01, horizontalalignment="left")
+    separator = ": " if one_line or figure.get_figwidth() > SINGLE_COLUMN_IN else "\n"
+    top = 1.0 - 0.05 / figure.get_figheight() if figure.get_layout_engine() is None else None
+    figure.suptitle(
+        f"{name}{separator}{what}",
+        x=0.01,
+        horizontalalignment="left",
+        **({} if top is None else {"y": top, "verticalalignment": "top"}),
+    )
 
 
 def _plain_ticks(axis: Axis, locator: LogLocator) -> None:

@@ -1,16 +1,35 @@
-"""The figures of the paper's results section, as SVG and PDF."""
+"""All figures of a run, as SVG and PDF."""
 
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 from typing import TYPE_CHECKING
 
+from attacks.linkage.task_list import TASKS
 from evaluation.store import write_whole
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     import pandas as pd
+    from matplotlib.figure import Figure
+
+HEAT_MAP, DISSOCIATION = "heat_map", "dissociation"
+NAMES = (
+    "headline",
+    "fid_threshold",
+    "fixed_error",
+    "operating_points",
+    "after_attack",
+    "linkability",
+    "false_alarms",
+    "track_gallery",
+    *(f"{kind}-{task}" for task in TASKS for kind in (HEAT_MAP, DISSOCIATION)),
+)
+"""Of all figures that there can be: the names of their files."""
+_DISSOCIATED = ("rerelease", "handover")
 
 
 def draw_all(
@@ -20,6 +39,8 @@ def draw_all(
     folder: Path,
     dataset: str,
     linkability: pd.DataFrame | None = None,
+    curves: pd.DataFrame | None = None,
+    gallery: pd.DataFrame | None = None,
 ) -> list[Path]:
     """Draw every figure that the results allow and return the files written.
 
@@ -31,8 +52,10 @@ def draw_all(
         Made if it is missing.
     dataset : str
         Rows of other data sets are left out, except those of tasks that have their own.
-    linkability : DataFrame, optional
-        As in `linkability.csv`.
+    linkability, curves : DataFrame, optional
+        As in `linkability.csv` and `curves.csv`.
+    gallery : DataFrame, optional
+        As `page_gallery.read_gallery` returns it.
 
     Raises
     ------
@@ -40,28 +63,67 @@ def draw_all(
         If the folder cannot be written.
     """
     # matplotlib is slow to import, and only needed to draw.
-    from evaluation.attack_figure import attack_figure  # noqa: PLC0415
-    from evaluation.drawing import FID, FIXED, operating_figure, sweep_figure  # noqa: PLC0415
     from evaluation.figure_style import rendered, style  # noqa: PLC0415
-    from evaluation.linkage_figure import linkage_figure  # noqa: PLC0415
 
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
     paths = []
     with style():
-        for name, figure in (
-            ("fid_threshold", sweep_figure(summary, scheme=FID, dataset=dataset)),
-            ("fixed_error", sweep_figure(summary, scheme=FIXED, dataset=dataset)),
-            ("operating_points", operating_figure(summary, matched, dataset=dataset)),
-            ("after_attack", attack_figure(summary, dataset=dataset)),
-            (
-                "linkability",
-                None if linkability is None else linkage_figure(linkability, dataset=dataset),
-            ),
-        ):
+        for name, draw in _figures(
+            summary,
+            matched,
+            dataset=dataset,
+            linkability=linkability,
+            curves=curves,
+            gallery=gallery,
+        ).items():
+            figure = draw()
             if figure is None:
                 continue
             for kind, content in rendered(figure).items():
                 paths.append(folder / f"{name}.{kind}")
                 write_whole(paths[-1], content)
     return paths
+
+
+def _figures(
+    summary: pd.DataFrame,
+    matched: pd.DataFrame,
+    *,
+    dataset: str,
+    linkability: pd.DataFrame | None,
+    curves: pd.DataFrame | None,
+    gallery: pd.DataFrame | None,
+) -> Mapping[str, Callable[[], Figure | None]]:
+    """Return how to draw each figure, in the order of `NAMES`; one at a time is in memory."""
+    from evaluation import page_figures  # noqa: PLC0415 - as above
+    from evaluation.attack_figure import attack_figure  # noqa: PLC0415
+    from evaluation.drawing import FID, FIXED, operating_figure, sweep_figure  # noqa: PLC0415
+    from evaluation.linkage_figure import linkage_figure  # noqa: PLC0415
+    from evaluation.page_gallery import gallery_figure  # noqa: PLC0415
+    from evaluation.page_heat import heat_figure  # noqa: PLC0415
+
+    found: dict[str, Callable[[], Figure | None]] = {
+        "fid_threshold": lambda: sweep_figure(summary, scheme=FID, dataset=dataset),
+        "fixed_error": lambda: sweep_figure(summary, scheme=FIXED, dataset=dataset),
+        "operating_points": lambda: operating_figure(summary, matched, dataset=dataset),
+        "after_attack": lambda: attack_figure(summary, dataset=dataset),
+    }
+    if curves is not None:
+        found["false_alarms"] = lambda: page_figures.curves_figure(curves, summary, dataset=dataset)
+    if gallery is not None:
+        found["track_gallery"] = lambda: gallery_figure(gallery)
+    if linkability is None:
+        return found
+    tasks = {task.name: task for task in page_figures.tasks_of(linkability, dataset=dataset)}
+    found["headline"] = lambda: page_figures.headline_figure(
+        summary, list(tasks.values()), dataset=dataset
+    )
+    found["linkability"] = lambda: linkage_figure(linkability, dataset=dataset)
+    for name, task in tasks.items():
+        found[f"{HEAT_MAP}-{name}"] = partial(heat_figure, task)
+        if name.startswith(_DISSOCIATED):
+            found[f"{DISSOCIATION}-{name}"] = partial(
+                page_figures.dissociation_figure, summary, task, dataset=dataset
+            )
+    return found

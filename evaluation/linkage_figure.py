@@ -89,8 +89,7 @@ def linkage_figure(linkability: pd.DataFrame, *, dataset: str) -> Figure | None:
     strongest of each task by mean rank 1 over all levels, then the second strongest of each, and
     so on. An attack looks the same in every task.
     """
-    expected = linkability["consumer"].map(lambda name: dataset_of(name, dataset=dataset))
-    tasks = linked_tasks(linkability[linkability["dataset"] == expected])
+    tasks = linked_tasks(ours(linkability, dataset=dataset))
     drawn = _strongest(tasks)
     rows = [row for task in tasks if (row := _row(task, drawn)).series]
     if not rows:
@@ -123,6 +122,12 @@ def linkage_figure(linkability: pd.DataFrame, *, dataset: str) -> Figure | None:
     _legend(figure, rows, looks)
     _title(figure, [row.task for row in rows], dataset=dataset)
     return figure
+
+
+def ours(linkability: pd.DataFrame, *, dataset: str) -> pd.DataFrame:
+    """Return the rows of a run's data set and of the tasks that have their own."""
+    expected = linkability["consumer"].map(lambda name: dataset_of(name, dataset=dataset))
+    return linkability[linkability["dataset"] == expected]
 
 
 def _panels() -> list[_Panel]:

@@ -204,8 +204,7 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
     )
     tables.show_flags(results.flags)
     tables.show_verdict(results.verdict)
-    files = "summary.csv, linkability.csv, paper_table.csv, figures/, tables/"
-    _say(f"\nresults in {results.out}: {files}")
+    _say(f"\nresults in {results.out}; read {results.out / 'report.html'} first")
     return 0
 
 

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation import figures, flags, linkability, paper, store, summary, tables, verdict
+from evaluation import figures, flags, linkability, page, paper, store, summary, tables, verdict
 from evaluation.decisions import decisions
 from evaluation.grid import SHARED
 from evaluation.matching import MISSED, comparisons, matched
+from evaluation.page_gallery import read_gallery
 from evaluation.strongest import strongest_linkers
 from evaluation.within_level import read_levels
 from isac_track.errors import IsacTrackError
@@ -110,13 +111,16 @@ def build(out: Path) -> Results:
         linkability=results.linkability,
         said=said,
     )
-    figures.draw_all(
+    drawn = figures.draw_all(
         results.summary,
         at_equal[(at_equal["criterion"] == MISSED) & (at_equal["consumer"] == SHARED)],
         folder=out / "figures",
         dataset=dataset,
         linkability=results.linkability,
+        curves=results.curves,
+        gallery=read_gallery(out),
     )
+    page.write(results, drawn=drawn, verdict=said)
     return results
 
 

@@ -16,6 +16,7 @@ from evaluation import store
 from evaluation.cell import Block, LinkWork, all_cells, cells
 from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
 from evaluation.linkage_ground import sessions_of
+from evaluation.page_gallery import gallery_rows, write_gallery
 from evaluation.report import Results, build
 from isac_track import datasets, kernels
 from isac_track.datasets import crowd
@@ -204,7 +205,17 @@ def run(
     manifest["cells"] = _merged(manifest["cells"], ready)
     store.write_manifest(ready.out, manifest | {"state": "running"})
     _compute_missing(ready, tell)
-    tell(ready.n_cells, ready.n_cells, "intervals, tables and figures")
+    tell(ready.n_cells, ready.n_cells, "intervals, verdict, figures and report")
+    write_gallery(
+        gallery_rows(
+            tracks=ready.tracks,
+            mechanisms=ready.axes.mechanisms,
+            attacks=ready.axes.attacks,
+            stages=ready.settings.stages,
+            seed=ready.settings.seed,
+        ),
+        out=ready.out,
+    )
     manifest["exhausted_redraws"] = _exhausted_redraws(ready)
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     store.write_manifest(ready.out, manifest | {"state": "finished"})

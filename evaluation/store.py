@@ -44,8 +44,8 @@ _TABLES = (
     "linkability.csv",
     "verdict.json",
     "report.html",
+    "gallery.parquet",
 )
-_FIGURES = ("fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability")
 _TEX = ("sweep.tex", "attacks.tex", "paper.tex", "linkability.tex", "verdict.tex")
 _CELL = re.compile(r"_\d{5}_[0-9a-f]{16}\.parquet$")
 _ENTRY = {"mechanism", "level", "spec", "kind", "consumer", "knowledge", "files"}
@@ -281,10 +281,12 @@ def _names(rows: Any, names: tuple[str, ...]) -> pa.DictionaryArray:  # noqa: AN
 
 def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
     """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
+    from evaluation.figures import NAMES  # noqa: PLC0415 - drawing imports this module
+
     cells = [Path(name).name for entry in manifest["cells"] for name in entry["files"]]
     ours = [out / "cells" / name for name in cells]
     ours += [path for path in (out / "cells").glob("*.parquet") if _CELL.search(path.name)]
-    ours += [out / "figures" / f"{name}.{kind}" for name in _FIGURES for kind in ("svg", "pdf")]
+    ours += [out / "figures" / f"{name}.{kind}" for name in NAMES for kind in ("svg", "pdf")]
     ours += [out / "tables" / name for name in _TEX]
     ours += [out / name for name in _TABLES]
     try:

@@ -147,7 +147,7 @@ def _fares(items: Items) -> str:
     parts = []
     for ones, word in ((better, "better"), (worse, "worse")):
         if ones:
-            names = [NAME.get(one["descriptor"], one["task"]) for one in ones]
+            names = [str(NAME.get(one["descriptor"], one["task"])) for one in ones]
             all_of = "" if len(ones) < len(items) or len(ones) == 1 else "all of "
             parts.append(f"{word} in {all_of}{_listed(names)}")
     return " but ".join(parts)

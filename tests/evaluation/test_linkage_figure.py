@@ -253,7 +253,11 @@ def test_odd_names_are_drawn_as_they_are(tmp_path, name):
     empty = pd.DataFrame({column: np.zeros(0) for column in columns})
     paths = draw_all(empty, empty, folder=tmp_path / "a", dataset=name, linkability=frame)
     again = draw_all(empty, empty, folder=tmp_path / "b", dataset=name, linkability=frame)
-    assert [path.name for path in paths] == ["linkability.svg", "linkability.pdf"]
+    assert [path.name for path in paths] == [
+        f"{figure}.{kind}"
+        for figure in ("linkability", "heat_map-rerelease")
+        for kind in ("svg", "pdf")
+    ]
     assert [path.read_bytes() for path in paths] == [path.read_bytes() for path in again]
     ET.parse(paths[0])
     (attack, *_) = named(drawn_from(frame, dataset=name))

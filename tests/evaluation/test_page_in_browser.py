@@ -1,0 +1,237 @@
+"""The page in a real browser: a real run, opened from its file as its reader would."""
+
+import csv
+import io
+import shutil
+from dataclasses import replace
+
+import pytest
+
+import evaluation
+from evaluation import page
+from isac_track.config import StageSettings
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+
+ARGUMENTS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PHONE, DESK = {"width": 390, "height": 844}, {"width": 1440, "height": 900}
+BOXES = """
+() => [...document.querySelectorAll('svg[role=img]')].map((svg) => {
+  const [own, box] = [svg.getBoundingClientRect(), svg.closest('.scroll').getBoundingClientRect()];
+  return {name: svg.closest('figure').id, width: own.width, height: own.height, left: box.left,
+          right: box.right, ink: svg.querySelectorAll('path, use').length};
+})
+"""
+VALUES = "(table) => [...table.tBodies[0].rows].map((row) => row.cells[%d].textContent.trim())"
+SIDEWAYS = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The page of a small run with everything in it."""
+    stages = StageSettings()
+    settings = evaluation.Settings(
+        preset="smoke",
+        dataset="plaza",
+        scenes=8,
+        mechanisms=("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1", "offset:0.4"),
+        predictors=("least_squares", "kalman_cv"),
+        attacks=("radial_rts", "shape"),
+        tasks=("rerelease",),
+        stages=replace(stages, linkage=replace(stages.linkage, most_people=40)),
+        jobs=1,
+        out=tmp_path_factory.mktemp("page") / "run",
+    )
+    return evaluation.run(settings).out / page.PAGE
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def opened(browser, made):
+    """How to open the page; at the end nothing may have gone wrong or been asked for."""
+    contexts, trouble, requests = [], [], []
+
+    def to_open(viewport=DESK, **options):
+        context = browser.new_context(viewport=viewport, **options)
+        contexts.append(context)
+        tab = context.new_page()
+        tab.on("console", lambda message: trouble.append(f"{message.type}: {message.text}"))
+        tab.on("pageerror", lambda error: trouble.append(str(error)))
+        tab.on("request", lambda request: requests.append(request.url))
+        tab.goto(made.as_uri())
+        return tab
+
+    yield to_open
+    for context in contexts:
+        context.close()
+    assert trouble == []
+    asked = [url for url in requests if not url.startswith("data:")]
+    assert asked == [made.as_uri()] * len(contexts)
+
+
+@pytest.mark.parametrize("viewport", [PHONE, DESK], ids=["phone", "desk"])
+class TestOnEitherScreen:
+    def test_every_figure_is_seen_and_lies_within_the_page(self, opened, viewport):
+        tab = opened(viewport)
+        boxes = tab.evaluate(BOXES)
+        assert {box["name"] for box in boxes} == {
+            f"fig-{name}"
+            for name in (
+                "headline",
+                "fid_threshold",
+                "fixed_error",
+                "operating_points",
+                "after_attack",
+                "linkability",
+                "heat_map-rerelease",
+                "dissociation-rerelease",
+                "false_alarms",
+                "track_gallery",
+            )
+        }
+        for box in boxes:
+            assert min(box["width"], box["height"]) > 100, box
+            assert box["left"] >= 0, box
+            assert box["right"] <= viewport["width"], box
+            assert box["ink"] > 50, box
+
+    def test_the_page_does_not_scroll_sideways(self, opened, viewport):
+        tab = opened(viewport)
+        assert tab.evaluate(SIDEWAYS) <= 0
+        tab.evaluate("() => document.querySelectorAll('details').forEach((d) => d.open = true)")
+        assert tab.evaluate(SIDEWAYS) <= 0
+
+    def test_the_answer_is_on_the_first_screen_and_its_figure_begins_there(self, opened, viewport):
+        tab = opened(viewport)
+        sentences = [one.bounding_box() for one in tab.locator(".answer p:not(.more)").all()]
+        assert len(sentences) == 3
+        assert all(box["y"] + box["height"] < viewport["height"] for box in sentences)
+        assert tab.locator("#fig-headline").bounding_box()["y"] < 0.8 * viewport["height"]
+
+
+def test_light_and_dark_are_two_pages(opened):
+    grounds, inks = {}, {}
+    for scheme in ("light", "dark"):
+        tab = opened(color_scheme=scheme)
+        grounds[scheme] = tab.evaluate("() => getComputedStyle(document.body).backgroundColor")
+        inks[scheme] = tab.evaluate(
+            "() => getComputedStyle(document.querySelector('#fig-headline svg')).fill"
+        )
+    assert grounds == {"light": "rgb(255, 255, 255)", "dark": "rgb(23, 25, 28)"}
+    assert inks == {"light": "rgb(0, 0, 0)", "dark": "rgb(232, 232, 230)"}
+
+
+def test_in_print_it_is_light_whatever_the_screen_is_and_has_no_buttons(opened):
+    tab = opened(color_scheme="dark")
+    tab.emulate_media(media="print", color_scheme="dark")
+    assert (
+        tab.evaluate("() => getComputedStyle(document.body).backgroundColor")
+        == "rgb(255, 255, 255)"
+    )
+    assert not tab.locator(".copy").first.is_visible()
+    assert tab.locator("#table-paper table").is_visible()
+
+
+class TestTables:
+    PAPER = "#table-paper table"
+    OURS = 5
+
+    def values(self, tab, column):
+        return tab.locator(self.PAPER).evaluate(VALUES % column)
+
+    def test_a_click_sorts_by_number_and_another_the_other_way(self, opened):
+        tab = opened()
+        head = tab.locator(f"{self.PAPER} th").nth(self.OURS)
+        before = self.values(tab, self.OURS)
+        numbers = [float(text.split()[0]) for text in before]
+        # As words they would be in another order.
+        assert sorted(before) != sorted(before, key=lambda text: float(text.split()[0]))
+        assert head.get_attribute("aria-sort") is None
+        head.locator("button").click()
+        assert head.get_attribute("aria-sort") == "ascending"
+        after = [float(text.split()[0]) for text in self.values(tab, self.OURS)]
+        assert after == sorted(numbers)
+        head.locator("button").click()
+        assert head.get_attribute("aria-sort") == "descending"
+        after = [float(text.split()[0]) for text in self.values(tab, self.OURS)]
+        assert after == sorted(numbers, reverse=True)
+
+    def test_the_keyboard_does_the_same_and_words_sort_as_words(self, opened):
+        tab = opened()
+        before = self.values(tab, 0)
+        assert before != sorted(before)
+        tab.locator(f"{self.PAPER} th button").first.focus()
+        tab.keyboard.press("Enter")
+        assert self.values(tab, 0) == sorted(before)
+
+    def test_what_is_empty_comes_last_either_way(self, opened):
+        tab = opened()
+        head = tab.locator(f"{self.PAPER} th button").nth(2)
+        for _ in range(2):
+            head.click()
+            levels = self.values(tab, 2)
+            n_empty = levels.count("")
+            assert n_empty > 0
+            assert levels[-n_empty:] == [""] * n_empty
+
+    def test_only_one_column_claims_to_be_sorted(self, opened):
+        tab = opened()
+        for place in (0, 4):
+            tab.locator(f"{self.PAPER} th button").nth(place).click()
+        assert tab.locator(f"{self.PAPER} th[aria-sort]").count() == 1
+
+    def copied(self, tab):
+        tab.evaluate(
+            "() => document.addEventListener('copy', () => {"
+            " window.copied = document.activeElement.value ?? String(getSelection()); })"
+        )
+        tab.locator("#table-claims .copy").click()
+        tab.wait_for_function("() => document.getElementById('said').textContent !== ''")
+        assert tab.locator("#said").text_content() == "Copied"
+
+    def shown(self, tab):
+        return tab.locator("#table-claims table").evaluate(
+            "(table) => [...table.rows].map("
+            "(row) => [...row.cells].map((cell) => cell.textContent.trim()))"
+        )
+
+    def test_copy_gives_the_table_as_csv(self, opened):
+        tab = opened(permissions=["clipboard-read", "clipboard-write"])
+        self.copied(tab)
+        text = tab.evaluate("() => navigator.clipboard.readText()")
+        assert any("," in cell for row in self.shown(tab) for cell in row)  # to be quoted
+        assert list(csv.reader(io.StringIO(text))) == self.shown(tab)
+
+    def test_without_a_clipboard_it_is_copied_the_old_way(self, opened):
+        tab = opened()
+        tab.evaluate("() => { navigator.clipboard.writeText = () => Promise.reject(new Error()) }")
+        self.copied(tab)
+        text = tab.evaluate("() => window.copied")
+        assert list(csv.reader(io.StringIO(text))) == self.shown(tab)
+
+
+def test_every_link_leads_to_a_section(opened):
+    tab = opened()
+    links = tab.locator("nav a")
+    assert links.count() == 12
+    for link in links.all():
+        target = link.get_attribute("href")
+        assert tab.locator(f"section{target} h2").count() == 1
