@@ -11,15 +11,14 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
+from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-USAGE_ERROR = 2
-INTERRUPTED = 130
 TEMPLATES = {
     "test_{name}.py": "test_attack.py.tmpl",
     "pyproject.toml": "pyproject.toml.tmpl",
@@ -54,34 +53,24 @@ examples:
 """
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        # One line, not the whole usage: the way out is what counts.
-        raise SettingsError(f"{message} (see --help)")
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    try:
-        options = parser().parse_args(arguments)
-        if options.command == "check":
-            return _check(options.spec)
-        if options.command == "new":
-            _new(options.name, kind=options.kind, into=options.into)
-        else:
-            _list()
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return USAGE_ERROR
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED
-    return 0
+    return exit_code(lambda: _run(parser().parse_args(arguments)))
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.command == "check":
+        return _check(options.spec)
+    if options.command == "new":
+        _new(options.name, kind=options.kind, into=options.into)
+    else:
+        _list()
+    return DONE
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command line."""
-    command = _Parser(
+    command = Parser(
         prog="python -m attacks",
         description="List the attacks, check one against the attack kit, or begin your own.",
         epilog=_EPILOG,

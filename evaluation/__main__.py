@@ -21,6 +21,7 @@ COMMANDS = {
     "report": ("evaluation.report", "redraw tables and figures of a run"),
     "compare": ("evaluation.compare", "put two runs side by side"),
     "design": ("evaluation.design", "choose a level that meets a target, with yes or no"),
+    "sensitivity": ("evaluation.sensitivity", "repeat a run's verdict under other assumptions"),
     "calibrate": ("evaluation.calibrate", "refit the constants of the sensing model"),
     "datasets": ("isac_track.datasets.__main__", "list and fetch data sets"),
     "attacks": ("attacks.__main__", "list, check and begin attacks"),
@@ -33,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not words or words[0] in ("-h", "--help"):
         print("usage: isac-track COMMAND [OPTIONS]\n")
         for name, (_, about) in COMMANDS.items():
-            print(f"  {name:<10} {about}")
+            print(f"  {name:<11} {about}")
         print("\nisac-track COMMAND --help describes one; isac-track --version")
         return 0 if words else 2
     if words[0] == "--version":

@@ -12,7 +12,6 @@ the predictions with them, when what was fixed beforehand is fixed elsewhere.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from dataclasses import asdict, dataclass, fields, replace
@@ -25,11 +24,13 @@ from evaluation.cell import Block, compute_block
 from evaluation.grid import BLOCK_SCENES, Consumer, n_blocks
 from evaluation.paper import PREDICTOR, PUBLISHED
 from isac_track import datasets, privacy, registry, sensing, sharing
+from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import SensingSettings, StageSettings
-from isac_track.errors import DataError, IsacTrackError
+from isac_track.errors import DataError, SettingsError
 from isac_track.scenes import cut, make_scenes, track_order
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Iterator, Sequence
 
     from isac_track.scenes import Cut
@@ -251,7 +252,7 @@ def _root(function: Callable[[float], float], bounds: tuple[float, float], *, wh
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m evaluation.calibrate",
         description="Refit the free constants of the sensing model to the paper's numbers.",
     )
@@ -263,24 +264,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="also fit with other caps and beam fluctuations, and predict with each (minutes)",
     )
-    options = parser.parse_args(arguments)
-    if options.scenes < 2 or options.seed < 0:  # noqa: PLR2004 - one scene of each label
-        parser.error("--scenes must be at least 2 and --seed not negative")
-    try:
-        _calibrate(options)
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
-    return 0
+    return exit_code(lambda: _calibrate(parser.parse_args(arguments)))
 
 
-def _calibrate(options: argparse.Namespace) -> None:
+def _calibrate(options: argparse.Namespace) -> int:
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
+    if options.scenes < 2 or options.seed < 0:  # noqa: PLR2004 - one scene of each label
+        raise SettingsError("--scenes must be at least 2 and --seed not negative")
     recorded = datasets.load(options.dataset).tracks
     cases: dict[str, dict[str, float]] = {"as\ncommitted": {}}
     if options.ridge:
@@ -317,6 +309,7 @@ def _calibrate(options: argparse.Namespace) -> None:
             *(_number(ours[spec, metric], metric=metric) for ours in numbers),
         )
     Console(width=None if sys.stdout.isatty() else 120).print(table)
+    return DONE
 
 
 _CAPTION = (

@@ -9,14 +9,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from evaluation.difference_tables import show
 from evaluation.differences import DIFFERS, IDENTICAL, UNTESTED, compare, counts
-from isac_track.errors import DataError, IsacTrackError, SettingsError
+from isac_track.command_line import Parser, exit_code
+from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -63,7 +63,7 @@ def to_json(comparison: Comparison, *, every: bool = False) -> dict[str, Any]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    command = _Parser(
+    command = Parser(
         prog="python -m evaluation.compare",
         description="Put two runs side by side: what changed, and which numbers differ.",
         epilog=_EXIT,
@@ -99,23 +99,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: Iterable[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    try:
-        return _run(_parser().parse_args(None if arguments is None else list(arguments)))
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)  # noqa: T201
-        return 2
-    except BrokenPipeError:  # whoever read along, `head` say, has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)  # noqa: T201
-        return 130
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        # One line, not the whole usage: the way out is what counts.
-        raise SettingsError(f"{message} (see --help)")
+    return exit_code(
+        lambda: _run(_parser().parse_args(None if arguments is None else list(arguments)))
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -134,7 +120,7 @@ def _run(options: argparse.Namespace) -> int:
             raise DataError(f"cannot write {options.csv}: {error.strerror or error}") from None
     if options.json:
         text = json.dumps(to_json(comparison, every=options.all), indent=1, allow_nan=False)
-        print(text, flush=True)  # noqa: T201 - a command speaks
+        print(text, flush=True)
     else:
         show(comparison, every=options.all)
     findings = comparison.rows.loc[comparison.rows["headline"], "finding"]

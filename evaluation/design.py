@@ -12,7 +12,7 @@ import math
 import sys
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from evaluation.design_levels import (
     METRIC_OF,
@@ -28,7 +28,8 @@ from evaluation.design_words import chance, choice, closer, notes, sentence, spe
 from evaluation.matching import ADDING_SUFFIX
 from evaluation.store import code_hash, read_manifest
 from evaluation.sweeps import DESCRIPTORS, SHOWN, number
-from isac_track.errors import DataError, IsacTrackError, SettingsError
+from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
+from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -382,15 +383,9 @@ def _scheme(levels: Sequence[Level], *, family: str, adding: str, limits: Limits
     )
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        # One line, not the whole usage: the way out is what counts.
-        raise SettingsError(f"{message} (see --help)")
-
-
 def parser() -> argparse.ArgumentParser:
     """Return the command line."""
-    command = _Parser(
+    command = Parser(
         prog="python -m evaluation.design",
         description="Choose a level for a site: the smallest eta of a run that meets a target of "
         "utility, what is left of privacy there, and a plain yes or no.",
@@ -423,26 +418,22 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    try:
-        options = parser().parse_args(arguments)
-        given = {name: getattr(options, f"max_{name}") for name in _LIMITS}
-        answer = design(
-            options.out,
-            limits=Limits(**given, after_attack=options.after_attack),
-            adding=tuple(ADDING_SUFFIX) if options.adding == "both" else (options.adding,),
-            predictor=options.predictor,
-        )
-    except IsacTrackError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return 2
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        return 130
+    return exit_code(lambda: _run(parser().parse_args(arguments)))
+
+
+def _run(options: argparse.Namespace) -> int:
+    given = {name: getattr(options, f"max_{name}") for name in _LIMITS}
+    answer = design(
+        options.out,
+        limits=Limits(**given, after_attack=options.after_attack),
+        adding=tuple(ADDING_SUFFIX) if options.adding == "both" else (options.adding,),
+        predictor=options.predictor,
+    )
     if options.json:
         sys.stdout.write(f"{to_json(answer)}\n")
     else:
         show(answer)
-    return 0 if answer.met else 1
+    return DONE if answer.met else LIMIT_NOT_MET
 
 
 if __name__ == "__main__":

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from joblib import Parallel, delayed
 
 from attacks.linkage.task_list import TASKS
 from evaluation.store import write_whole
@@ -41,6 +43,7 @@ def draw_all(
     linkability: pd.DataFrame | None = None,
     curves: pd.DataFrame | None = None,
     gallery: pd.DataFrame | None = None,
+    jobs: int = 1,
 ) -> list[Path]:
     """Draw every figure that the results allow and return the files written.
 
@@ -56,40 +59,55 @@ def draw_all(
         As in `linkability.csv` and `curves.csv`.
     gallery : DataFrame, optional
         As `page_gallery.read_gallery` returns it.
+    jobs : int
+        Worker processes; what they draw does not depend on their number.
 
     Raises
     ------
     DataError
         If the folder cannot be written.
     """
-    # matplotlib is slow to import, and only needed to draw.
-    from evaluation.figure_style import rendered, style  # noqa: PLC0415
-
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
+    results = {
+        "summary": summary,
+        "matched": matched,
+        "dataset": dataset,
+        "linkability": linkability,
+        "curves": curves,
+        "gallery": gallery,
+    }
+    drawn: dict[str, dict[str, bytes]] = {}
+    for part in Parallel(n_jobs=jobs)(
+        delayed(_drawn)(first, jobs, **results) for first in range(jobs)
+    ):
+        drawn |= part
     paths = []
-    with style():
-        for name, draw in _figures(
-            summary,
-            matched,
-            dataset=dataset,
-            linkability=linkability,
-            curves=curves,
-            gallery=gallery,
-        ).items():
-            figure = draw()
-            if figure is None:
-                continue
-            for kind, content in rendered(figure).items():
-                paths.append(folder / f"{name}.{kind}")
-                write_whole(paths[-1], content)
+    for name in sorted(drawn, key=NAMES.index):
+        for kind, content in drawn[name].items():
+            paths.append(folder / f"{name}.{kind}")
+            write_whole(paths[-1], content)
     return paths
 
 
+def _drawn(first: int, step: int, **results: Any) -> dict[str, dict[str, bytes]]:  # noqa: ANN401
+    """Return the files of every so many-th figure by name and kind; one that is empty has none."""
+    # matplotlib is slow to import, and only needed to draw.
+    from evaluation.figure_style import rendered, style  # noqa: PLC0415
+
+    drawn = {}
+    with style():
+        for name, draw in list(_figures(**results).items())[first::step]:
+            figure = draw()
+            if figure is not None:
+                drawn[name] = rendered(figure)
+    return drawn
+
+
 def _figures(
+    *,
     summary: pd.DataFrame,
     matched: pd.DataFrame,
-    *,
     dataset: str,
     linkability: pd.DataFrame | None,
     curves: pd.DataFrame | None,

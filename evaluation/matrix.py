@@ -8,11 +8,12 @@ import math
 import sys
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from evaluation.grid import PRESETS, Settings
+from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import StageSettings, setting_types
-from isac_track.errors import IsacTrackError, SettingsError
+from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,16 +45,10 @@ _CONFIG_KEYS = {
 }
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        # One line, not the whole usage: the way out is what counts.
-        raise SettingsError(f"{message} (see --help)")
-
-
 def parser() -> argparse.ArgumentParser:
     """Return the command line of the matrix."""
     presets = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
-    command = _Parser(
+    command = Parser(
         prog="python -m evaluation.matrix",
         description="Evaluate sharing mechanisms: what a robot can still foresee, what leaks.",
         epilog=_EXIT,
@@ -161,21 +156,19 @@ def settings_from(options: argparse.Namespace) -> Settings:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    try:
-        options = parser().parse_args(arguments)
-        if options.list:
-            _list()
-            return 0
-        return _run(settings_from(options), dry_run=options.dry_run)
-    except IsacTrackError as error:
-        _say(f"error: {error}", stream=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        _say(
-            "interrupted; finished cells are kept, the same command continues (without --fresh)",
-            stream=sys.stderr,
-        )
-        return 130
+    return exit_code(
+        lambda: _command(arguments),
+        interrupted="interrupted; finished cells are kept, the same command continues "
+        "(without --fresh)",
+    )
+
+
+def _command(arguments: Sequence[str] | None) -> int:
+    options = parser().parse_args(arguments)
+    if options.list:
+        _list()
+        return DONE
+    return _run(settings_from(options), dry_run=options.dry_run)
 
 
 def _run(settings: Settings, *, dry_run: bool) -> int:

@@ -5,7 +5,6 @@ Nothing is computed anew; summary, tables and figures follow from the finished c
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from evaluation.matching import MISSED, comparisons, matched
 from evaluation.page_gallery import read_gallery
 from evaluation.strongest import strongest_linkers
 from evaluation.within_level import read_levels
-from isac_track.errors import IsacTrackError
+from isac_track.command_line import DONE, Parser, exit_code
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,8 +43,16 @@ class Results:
     """As in `verdict.json`."""
 
 
-def build(out: Path) -> Results:
+def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
     """Write summary, tables and figures of a run folder and return them.
+
+    Parameters
+    ----------
+    out : Path
+    pictures : bool
+        Without them there are neither figures nor `report.html`.
+    jobs : int
+        Worker processes that draw.
 
     Raises
     ------
@@ -111,35 +118,37 @@ def build(out: Path) -> Results:
         linkability=results.linkability,
         said=said,
     )
+    if pictures:
+        _draw(results, jobs=jobs)
+    return results
+
+
+def _draw(results: Results, *, jobs: int) -> None:
+    at_equal = results.matched
     drawn = figures.draw_all(
         results.summary,
         at_equal[(at_equal["criterion"] == MISSED) & (at_equal["consumer"] == SHARED)],
-        folder=out / "figures",
-        dataset=dataset,
+        folder=results.out / "figures",
+        dataset=results.manifest["dataset"]["name"],
         linkability=results.linkability,
         curves=results.curves,
-        gallery=read_gallery(out),
+        gallery=read_gallery(results.out),
+        jobs=jobs,
     )
-    page.write(results, drawn=drawn, verdict=said)
-    return results
+    page.write(results, drawn=drawn, verdict=results.verdict)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m evaluation.report",
         description="Redraw summary, tables and figures of a run folder from its finished cells.",
     )
     parser.add_argument("out", type=Path, help="folder of a run, as given to the matrix by --out")
-    options = parser.parse_args(arguments)
-    try:
-        results = build(options.out)
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+    return exit_code(lambda: _show(build(parser.parse_args(arguments).out)))
+
+
+def _show(results: Results) -> int:
     tables.show(
         results.summary,
         results.paper_table,
@@ -149,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     tables.show_verdict(results.verdict)
     tables.show_flags(results.flags)
-    return 0
+    return DONE
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import time
 from dataclasses import dataclass
 from importlib import import_module
@@ -18,7 +17,9 @@ from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
 from evaluation.linkage_ground import sessions_of
 from evaluation.page_gallery import gallery_rows, write_gallery
 from evaluation.report import Results, build
+from evaluation.workers import default_jobs
 from isac_track import datasets, kernels
+from isac_track.command_line import check_interrupt
 from isac_track.datasets import crowd
 from isac_track.errors import DataError
 from isac_track.privacy import mean_interval_s
@@ -40,8 +41,6 @@ WORTH_WORKERS = 5000
 """Scenes times levels: below, workers take longer to start than they save."""
 WORTH_WORKERS_LINKED = 400
 """Linkage cells: the same."""
-MOST_DEFAULT_JOBS = 8
-"""Unless more are asked for: each takes a few hundred MB."""
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12
 """Of what is linked."""
@@ -167,8 +166,7 @@ def _jobs(settings: Settings, *, n_levels: int, n_links: int) -> int:
         return settings.jobs
     if settings.n_scenes * n_levels < WORTH_WORKERS and n_levels * n_links < WORTH_WORKERS_LINKED:
         return 1
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return min(cores or 1, MOST_DEFAULT_JOBS)
+    return default_jobs()
 
 
 def run(
@@ -176,6 +174,7 @@ def run(
     *,
     progress: Callable[[int, int, str], None] | None = None,
     ready: Plan | None = None,
+    pictures: bool = True,
 ) -> Results:
     """Run the matrix and return its results as data frames.
 
@@ -187,6 +186,8 @@ def run(
         Called with cells finished, cells to do, and what is under way.
     ready : Plan, optional
         A plan of `plan`, instead of settings.
+    pictures : bool
+        Without them there are neither figures nor `report.html`; `evaluation.report` draws them.
 
     Raises
     ------
@@ -219,7 +220,7 @@ def run(
     manifest["exhausted_redraws"] = _exhausted_redraws(ready)
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     store.write_manifest(ready.out, manifest | {"state": "finished"})
-    return build(ready.out)
+    return build(ready.out, pictures=pictures, jobs=ready.jobs)
 
 
 def _compute_missing(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
@@ -243,6 +244,7 @@ def _compute_missing(ready: Plan, tell: Callable[[int, int, str], None]) -> None
             store.write_whole(path, rows)
         else:
             store.write_cell(path, rows, tracks=ready.tracks)
+        check_interrupt()
         done += 1
         tell(done, total, f"{mechanism.spec} > {consumer.label}")
 

@@ -7,7 +7,6 @@ people are linked says as much about how different they were made as about the a
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +17,11 @@ import pandas as pd
 from evaluation.grid import Settings
 from evaluation.store import write_whole
 from evaluation.terminal import aligned, say, standard_output
-from isac_track.errors import IsacTrackError, SettingsError
+from isac_track.command_line import DONE, Parser, exit_code
+from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Sequence
 
 TASK = "new_traversal"
@@ -95,7 +96,7 @@ def sweep(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m evaluation.trait_sweep",
         description="Link the simulated crowd of new_traversal at several trait strengths.",
     )
@@ -109,23 +110,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--jobs", type=int, metavar="N", help="worker processes")
-    options = parser.parse_args(arguments)
-    try:
-        if options.seed < 0:
-            raise SettingsError(f"--seed must not be negative, got {options.seed}")
-        settings = Settings(
-            mechanisms=MECHANISMS, attacks=ATTACKS, seed=options.seed, jobs=options.jobs
-        )
-        found = sweep(options.out, strengths=options.strength or STRENGTHS, settings=settings)
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; finished cells are kept", file=sys.stderr)
-        return 130
+    return exit_code(
+        lambda: _run(parser.parse_args(arguments)),
+        interrupted="interrupted; finished cells are kept",
+    )
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.seed < 0:
+        raise SettingsError(f"--seed must not be negative, got {options.seed}")
+    settings = Settings(
+        mechanisms=MECHANISMS, attacks=ATTACKS, seed=options.seed, jobs=options.jobs
+    )
+    found = sweep(options.out, strengths=options.strength or STRENGTHS, settings=settings)
     _show(found)
     print(f"\nresults in {options.out}: {FILE}")
-    return 0
+    return DONE
 
 
 def _show(found: pd.DataFrame) -> None:

@@ -7,7 +7,6 @@ shown beside it for comparison.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -16,14 +15,16 @@ import numpy as np
 from scipy.optimize import minimize
 
 from isac_track import datasets, registry
+from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import StageSettings
-from isac_track.errors import DataError, IsacTrackError
+from isac_track.errors import DataError, SettingsError
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
 from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Sequence
 
     from isac_track.types import Release
@@ -85,24 +86,20 @@ def tune(tracker: Tracker, names: tuple[str, ...], *, shared: tuple[Release, ...
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m evaluation.tune",
         description="Choose the trackers' process noise by likelihood on shared histories.",
     )
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(arguments)
+    return exit_code(lambda: _run(parser.parse_args(arguments)))
+
+
+def _run(options: argparse.Namespace) -> int:
     if options.scenes < 1 or options.seed < 0:
-        parser.error("--scenes must be at least 1 and --seed not negative")
-    try:
-        _show(n_scenes=options.scenes, seed=options.seed)
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
-    return 0
+        raise SettingsError("--scenes must be at least 1 and --seed not negative")
+    _show(n_scenes=options.scenes, seed=options.seed)
+    return DONE
 
 
 def _show(*, n_scenes: int, seed: int) -> None:

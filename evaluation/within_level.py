@@ -116,25 +116,28 @@ def _level(scores: Path, windows: Path, *, mechanism: str) -> LevelTracks:
         block = values[ends[rows[0]] : ends[rows[-1] + 1]].reshape(rows.size, sizes[0])
         hit[rows] = rank1(scores=block.astype(np.float64), mate=mate[rows])
         chance[rows] = 1.0 / sizes[0]
-    seen = read_windows(windows).set_index(["side", "search", "source"])
+    seen = read_windows(windows)
+    # Looked up by hand: thousands of labels in a MultiIndex take most of a report's time.
+    place = {
+        key: row
+        for row, key in enumerate(zip(seen["side"], seen["search"], seen["source"], strict=True))
+    }
     has = np.flatnonzero(mate >= 0)
-    sides = [
-        seen.loc[[(side, search[row], source[row]) for row in has]].reset_index() for side in _SIDES
-    ]
+    sides = np.array([[place[side, search[row], source[row]] for row in has] for side in _SIDES])
     groups, cluster = np.unique(np.asarray(table["group"].to_pylist())[has], return_inverse=True)
     assert groups.size
+
+    def both(column: str) -> Floats:
+        values: Floats = seen[column].to_numpy(dtype=np.float64)[sides].T
+        return values
+
     return LevelTracks(
         mechanism=mechanism,
         hit=hit[has],
         chance=chance[has],
         cluster=cluster.astype(np.int64),
-        descriptors={
-            name: np.column_stack([side[column].to_numpy(dtype=np.float64) for side in sides])
-            for name, column in COLUMNS.items()
-        },
-        covariates=np.column_stack(
-            [side[column].to_numpy(dtype=np.float64) for side in sides for column in COVARIATES]
-        ),
+        descriptors={name: both(column) for name, column in COLUMNS.items()},
+        covariates=np.column_stack([both(column) for column in COVARIATES]),
     )
 
 

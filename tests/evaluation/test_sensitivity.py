@@ -1,0 +1,626 @@
+"""Variants of a finished run: what is changed, what is run, and what becomes of every item."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import evaluation
+from evaluation import __main__ as command
+from evaluation.sensitivity import attacks_of, main, settings_of
+from evaluation.sensitivity_table import (
+    COLUMNS,
+    changes,
+    collect,
+    counts,
+    folder_of,
+    read_verdict,
+    turned,
+)
+from evaluation.sensitivity_variants import BASE, RIDGE, Variant, parse, variants
+from evaluation.store import read_manifest
+from isac_track.config import StageSettings
+from isac_track.errors import DataError, SettingsError
+
+ROOT = Path(evaluation.__file__).parent.parent
+MECHANISMS = ("raw", "fixed:0.2", "fixed:1", "fid:1", "fid:1e5", "correlated:0.75")
+
+
+def write_walks(path, *, n=30, seed=0):
+    """A recording of one's own: smooth walks of 30 s, each alone."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 30.01, 0.4)
+    rows = []
+    for person in range(n):
+        turn = np.cumsum(rng.normal(0, 0.05, t.size))
+        speed = rng.uniform(0.6, 1.4)
+        step = 0.4 * speed * np.column_stack([np.cos(turn), np.sin(turn)])
+        xy = rng.uniform(-3, 3, 2) + np.cumsum(step, axis=0)
+        rows += [f"{a:.1f},{person},{x:.4f},{y:.4f}" for a, (x, y) in zip(t, xy, strict=True)]
+    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A small run with every section of the verdict; kept as it is."""
+    folder = tmp_path_factory.mktemp("finished")
+    write_walks(folder / "walks.csv")
+    out = folder / "run"
+    evaluation.run(
+        evaluation.Settings(
+            dataset=str(folder / "walks.csv"),
+            scenes=60,
+            seed=0,
+            mechanisms=MECHANISMS,
+            predictors=("least_squares", "kalman_cv"),
+            attacks=("identity", "kalman_rts", "shape", "histogram"),
+            tasks=("rerelease",),
+            jobs=1,
+            out=out,
+        ),
+        pictures=False,
+    )
+    return out
+
+
+@pytest.fixture
+def out(finished, tmp_path):
+    """A copy to write into, without any variant."""
+    shutil.copytree(finished, tmp_path / "run")
+    return tmp_path / "run"
+
+
+@pytest.fixture(scope="module")
+def tried(finished, tmp_path_factory):
+    """The run after some of its variants."""
+    folder = tmp_path_factory.mktemp("tried") / "run"
+    shutil.copytree(finished, folder)
+    names = ("epsilon=1", "law=fixed_direction", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
+    assert main([str(folder), "--jobs", "1", *(f"--variant={one}" for one in names)]) == 0
+    return folder
+
+
+def item(name, decision, sign, **more):
+    return {
+        "id": name,
+        "section": name.partition("/")[0],
+        "adding": "linear",
+        "descriptor": "plr",
+        "task": "",
+        "subject": "",
+        "decision": decision,
+        "effect": 0.5,
+        "ci_low": 0.25,
+        "ci_high": 0.75,
+        "unit": "fraction",
+        "n": 40,
+        "sign": sign,
+        **more,
+    }
+
+
+class TestNames:
+    def test_every_listed_variant_is_its_own_name(self):
+        for one in variants():
+            assert parse(one.name) == one
+
+    def test_the_list_is_the_one_that_is_promised(self):
+        assert [one.name for one in variants()] == [
+            "base",
+            "law=isotropic",
+            "law=fixed_direction",
+            "epsilon=0.1",
+            "epsilon=0.2",
+            "epsilon=0.5",
+            "epsilon=1",
+            "ridge cap=1.5",
+            "ridge cap=3",
+            "ridge beam=4",
+            "ridge exponent=2",
+            "ridge exponent=3.5",
+            "recording=students03",
+            "recording=zara01",
+            "recording=plaza",
+            "predictor=kalman_cv",
+            "predictor=least_squares",
+        ]
+
+    def test_any_setting_makes_a_variant(self):
+        assert parse("privacy.epsilon_m = 0.4").stages == {"privacy.epsilon_m": 0.4}
+        assert parse("epsilon=0.4").stages == {"privacy.epsilon_m": 0.4}
+        assert parse("scenes.agents=3").stages == {"scenes.agents": 3}
+
+    @pytest.mark.parametrize(
+        ("name", "said"),
+        [
+            ("ridge cap=15", "did you mean 'ridge cap=1.5'?"),
+            ("isotropic", "did you mean 'law=isotropic'?"),
+            ("qqqqqq", "--list names them"),
+            ("law=isotropc", "sensing.law must be one of radial, isotropic, fixed_direction"),
+            ("privacy.epsilon=1", "did you mean privacy.epsilon_m?"),
+            ("epsilon=-1", "privacy.epsilon_m must be positive"),
+            ("epsilon=wide", "privacy.epsilon_m must be a number"),
+            ("epsilon=", "has no value"),
+            ("predictor=kalman_cw", "did you mean"),
+            ("recording=zara1", "did you mean zara01?"),
+        ],
+    )
+    def test_a_wrong_name_says_what_was_meant(self, name, said):
+        with pytest.raises((SettingsError, DataError), match=re.escape(said)):
+            parse(name)
+
+    def test_the_ridge_is_the_documented_one(self):
+        text = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
+        rows = {
+            cells[1].strip(): [one.strip() for one in cells[2:-1]]
+            for line in text[text.index("**ridge**") :].splitlines()
+            if (cells := line.split("|"))[1:] and len(cells) > 5
+        }
+        head = rows[""]
+        places = {
+            "cap=1.5": "cap 1.5 m",
+            "cap=3": "cap 3 m",
+            "beam=4": "beam 4 dB",
+            "exponent=2": "exponent 2",
+            "exponent=3.5": "exponent 3.5",
+        }
+        assert set(places) == set(RIDGE)
+        for point, column in places.items():
+            for key, row in (
+                ("processing_gain_db", "processing gain (dB)"),
+                ("large_scale_db", "large-scale spread (dB)"),
+                ("crb_gap_db", "CRB gap (dB)"),
+            ):
+                assert RIDGE[point][key] == float(rows[row][head.index(column)]), (point, key)
+
+    def test_what_the_run_did_itself_is_left_out(self, finished):
+        manifest = read_manifest(finished)
+        names = {one.name for one in variants(manifest)}
+        assert {"recording=students03", "recording=zara01", "recording=plaza"} <= names
+        assert "predictor=kalman_cv" in names
+        assert "predictor=least_squares" not in names
+        manifest["dataset"]["name"] = "zara01"
+        manifest["settings"]["stages"] |= {"sensing.law": "isotropic", "privacy.epsilon_m": 0.5}
+        manifest["settings"]["predictors"] = ["kalman_cv"]
+        names = {one.name for one in variants(manifest)}
+        assert names.isdisjoint({"recording=zara01", "law=isotropic", "epsilon=0.5"})
+        assert {"base", "recording=students03", "predictor=least_squares"} <= names
+        assert "predictor=kalman_cv" not in names
+        manifest["settings"]["predictors"] = []
+        assert not any(one.predictor for one in variants(manifest))
+
+
+class TestChanges:
+    @pytest.mark.parametrize(
+        ("before", "after", "change"),
+        [
+            (("holds", 1), ("holds", 1), "same"),
+            (("tracks", 1), ("tracks weakly", 1), "same"),
+            (("undecided", 0), ("undecided", 0), "same"),
+            (("holds", 1), ("reversed", -1), "changed sign"),
+            (("does not track", -1), ("tracks", 1), "changed sign"),
+            (("reversed", -1), ("undecided", 0), "lost"),
+            (("undecided", 0), ("inflated", 1), "gained"),
+        ],
+    )
+    def test_of_one_item(self, before, after, change):
+        (row,) = changes(
+            "v",
+            base={"items": [item("claim/a", *before)]},
+            said={"items": [item("claim/a", *after, effect=-0.5)]},
+        )
+        assert row["changed"] == change
+        assert (row["sign_base"], row["sign"]) == (before[1], after[1])
+        assert (row["effect_base"], row["effect"]) == (0.5, -0.5)
+
+    def test_an_item_that_is_not_there_is_missing(self):
+        base = {"items": [item("within/a", "tracks", 1), item("within/b", "undecided", 0)]}
+        rows = changes("v", base=base, said={"items": [item("within/new", "tracks", 1)]})
+        assert [(row["id"], row["changed"]) for row in rows] == [
+            ("within/a", "missing"),
+            ("within/b", "missing"),
+        ]
+        assert rows[0]["decision"] is None
+
+    def test_are_counted_and_told_in_words(self):
+        base = {
+            "items": [
+                item("claim/a", "holds", 1),
+                item("claim/b", "holds", 1),
+                item("claim/c", "undecided", 0, effect=None, ci_low=None, ci_high=None),
+                item("inflation/a", "inflated", 1, unit="s"),
+            ]
+        }
+        said = {
+            "items": [
+                item("claim/a", "reversed", -1, effect=-0.25, ci_low=-0.5, ci_high=-0.125),
+                item("claim/b", "undecided", 0),
+                item("claim/c", "undecided", 0, effect=None, ci_low=None, ci_high=None),
+                item("inflation/a", "inflated", 1, unit="s"),
+            ]
+        }
+        rows = pd.DataFrame(changes("law=x", base=base, said=said), columns=list(COLUMNS))
+        assert counts(rows) == {
+            "law=x": {"claim": {"same": 1, "changed sign": 1, "lost": 1}, "inflation": {"same": 1}}
+        }
+        assert turned(rows) == [
+            "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])",
+        ]
+
+
+class TestAttacks:
+    def test_are_those_that_items_and_differing_contrasts_are_about(self):
+        contrasts = [
+            {"reading": "differs", "subject": "shape (informed)"},
+            {"reading": "equal", "subject": "dtw (blind)"},
+        ]
+        items = [
+            item("validity/a", "tracks", 1, subject="shape@x (blind)", task="split"),
+            item("within/a", "tracks", 1, subject="p.q:R:2@x (informed)", task="rerelease"),
+            item("claim/a", "holds", 1),
+            item("claim/b", "holds", 1, subject="x (blind)"),
+            item(
+                "validity/b",
+                "tracks",
+                1,
+                subject="shape@x (blind)",
+                task="rerelease",
+                contrasts=contrasts,
+            ),
+        ]
+        assert attacks_of(items) == {
+            "shape@x": {"split", "rerelease"},
+            "p.q:R:2@x": {"rerelease"},
+            "x": {""},
+            "shape": {"rerelease"},
+        }
+
+    def test_a_variant_runs_those_alone(self, finished, tried):
+        run, variant = read_manifest(finished), read_manifest(folder_of(tried, "epsilon=1"))
+        wanted = set(attacks_of(read_verdict(finished)["items"]))
+        assert set(variant["settings"]["attacks"]) == wanted < set(run["settings"]["attacks"])
+        assert variant["settings"]["predictors"] == ["least_squares"]
+        for key in ("mechanisms", "tasks", "scenes", "seed"):
+            assert variant["settings"][key] == run["settings"][key]
+
+
+class TestSettings:
+    def one(self, finished, name, **more):
+        found, left_out = settings_of(
+            parse(name),
+            manifest=read_manifest(finished),
+            verdict=read_verdict(finished),
+            out=finished / "nowhere",
+            **more,
+        )
+        return found, left_out
+
+    def test_one_thing_is_changed(self, finished):
+        manifest = read_manifest(finished)
+        base, _ = self.one(finished, BASE)
+        assert base.stages.flat() == manifest["settings"]["stages"]
+        for name in ("law=isotropic", "epsilon=0.2", "ridge beam=4"):
+            found, _ = self.one(finished, name)
+            after = found.stages.flat()
+            changed = {key for key, value in base.stages.flat().items() if after[key] != value}
+            assert changed == set(parse(name).stages)
+            assert found.dataset == base.dataset
+
+    def test_a_setting_of_the_run_stays(self, finished):
+        manifest = read_manifest(finished)
+        manifest["settings"]["stages"]["sensing.power_dbm"] = 20.0
+        found, _ = settings_of(
+            parse("epsilon=0.2"),
+            manifest=manifest,
+            verdict=read_verdict(finished),
+            out=finished / "nowhere",
+        )
+        assert found.stages.sensing.power_dbm == 20.0
+        assert found.stages.privacy.epsilon_m == 0.2
+
+    def test_scenes_and_jobs_may_be_others(self, finished):
+        found, _ = self.one(finished, BASE, scenes=8, jobs=2)
+        assert (found.scenes, found.jobs) == (8, 2)
+
+    def test_another_recording_brings_its_own_format(self, finished):
+        found, left_out = self.one(finished, "recording=plaza")
+        assert (found.dataset, found.format, found.fps) == ("plaza", None, None)
+        assert left_out == ()
+
+    def test_a_task_without_enough_people_is_left_out_with_its_attacks(self, finished, tmp_path):
+        write_walks(tmp_path / "few.csv", n=2)
+        found, left_out = self.one(finished, f"recording={tmp_path / 'few.csv'}")
+        assert found.tasks == ()
+        assert found.attacks == ("kalman_rts",)
+        assert len(left_out) == 1
+        assert "rerelease" in left_out[0]
+
+    def test_a_recording_that_has_changed_is_refused(self, finished):
+        manifest = read_manifest(finished)
+        manifest["dataset"]["sha256"] = "0" * 64
+        with pytest.raises(DataError, match="no longer the recording"):
+            settings_of(
+                Variant(BASE),
+                manifest=manifest,
+                verdict=read_verdict(finished),
+                out=finished / "nowhere",
+            )
+
+
+class TestRun:
+    def test_the_base_says_what_the_run_says(self, finished, tried):
+        rows = pd.read_csv(tried / "sensitivity.csv")
+        base = rows[rows["variant"] == BASE]
+        assert len(base) == len(read_verdict(finished)["items"]) > 10
+        assert set(base["section"]) == {"validity", "within", "claim", "inflation"}
+        assert set(base["changed"]) == {"same"}
+        assert np.array_equal(base["effect"], base["effect_base"], equal_nan=True)
+
+    def test_the_table_holds_every_item_of_every_variant(self, tried):
+        rows = pd.read_csv(tried / "sensitivity.csv")
+        assert tuple(rows.columns) == COLUMNS
+        assert list(dict.fromkeys(rows["variant"])) == [
+            BASE,
+            "law=fixed_direction",
+            "epsilon=1",
+            "predictor=kalman_cv",
+            "privacy.epsilon_m=0.4",
+        ]
+        assert not rows.duplicated(["variant", "id"]).any()
+        assert len(set(rows["variant"].value_counts())) == 1
+
+    def test_a_variant_is_the_run_that_its_settings_make(self, finished, tried, tmp_path):
+        asked, _ = settings_of(
+            parse("epsilon=1"),
+            manifest=read_manifest(finished),
+            verdict=read_verdict(finished),
+            out=tmp_path / "alone",
+            jobs=1,
+        )
+        assert asked.stages == StageSettings().changed({"privacy.epsilon_m": 1.0})
+        evaluation.run(asked, pictures=False)
+        for name in ("summary.csv", "verdict.json"):
+            of_variant = folder_of(tried, "epsilon=1") / name
+            assert of_variant.read_bytes() == (tmp_path / "alone" / name).read_bytes()
+
+    def test_another_assumption_gives_other_numbers(self, tried):
+        rows = pd.read_csv(tried / "sensitivity.csv").set_index(["variant", "id"])
+        plr = "inflation/linear/fixed/plr"
+        assert rows.loc[(BASE, plr), "effect"] != rows.loc[("epsilon=1", plr), "effect"]
+        # With 1 m nearly everything shows as shared: less is left for an attack to add.
+        assert rows.loc[("epsilon=1", plr), "effect"] < rows.loc[(BASE, plr), "effect"]
+        # Another predictor moves no descriptor, only what is matched by its missed rate.
+        predicted = rows.loc["predictor=kalman_cv"]
+        is_claim = predicted["section"] == "claim"
+        before, after = predicted["effect_base"], predicted["effect"]
+        same = after.eq(before) | (after.isna() & before.isna())
+        assert same[~is_claim].all()
+        assert not same[is_claim].any()
+
+    def test_cells_that_the_run_has_are_not_computed_again(self, tried):
+        borrowed = {path.name for path in (tried / "cells").iterdir()}
+        for name in (BASE, "predictor=kalman_cv"):
+            cells = {path.name for path in (folder_of(tried, name) / "cells").iterdir()}
+            assert cells < borrowed
+            inodes = {(folder_of(tried, name) / "cells" / cell).stat().st_nlink for cell in cells}
+            assert min(inodes) > 1
+        others = {path.name for path in (folder_of(tried, "epsilon=1") / "cells").iterdir()}
+        assert others.isdisjoint(borrowed)
+
+    def test_the_same_command_computes_nothing_again(self, tried):
+        cells = folder_of(tried, "epsilon=1") / "cells"
+        before = {path.name: path.stat().st_mtime_ns for path in cells.iterdir()}
+        table = (tried / "sensitivity.csv").read_bytes()
+        assert main([str(tried), "--jobs", "1", "--variant", "epsilon=1"]) == 0
+        assert {path.name: path.stat().st_mtime_ns for path in cells.iterdir()} == before
+        # ... and what was run before stays in the table.
+        assert (tried / "sensitivity.csv").read_bytes() == table
+
+    def test_the_run_itself_is_left_alone(self, finished, tried):
+        def content(folder):
+            return {
+                path.relative_to(folder): path.read_bytes()
+                for path in folder.rglob("*")
+                if path.is_file() and path.relative_to(folder).parts[0] != "sensitivity"
+            }
+
+        after = content(tried)
+        del after[Path("sensitivity.csv")]
+        assert after == content(finished)
+
+    def test_set_adds_to_what_runs(self, out, capsys):
+        words = [str(out), "--jobs", "1", "--variant", "epsilon=1"]
+        assert main([*words, "--set", "privacy.epsilon_m=0.2", "--json"]) == 0
+        said = json.loads(capsys.readouterr().out)
+        assert [one["name"] for one in said["variants"]] == [
+            BASE,
+            "epsilon=1",
+            "privacy.epsilon_m=0.2",
+        ]
+        assert set(said["counts"]) == {BASE, "epsilon=1", "privacy.epsilon_m=0.2"}
+        assert all(one["state"] == "finished" for one in said["variants"])
+        assert len(said["items"]) == 3 * len(read_verdict(out)["items"])
+
+
+class TestTable:
+    def test_variants_of_other_scenes_or_code_are_left_out_and_told(self, tried, tmp_path):
+        out = tmp_path / "run"
+        shutil.copytree(tried, out)
+        for name, change in (
+            ("epsilon=1", {"code": "0"}),
+            ("law=fixed_direction", {"state": "running"}),
+        ):
+            path = folder_of(out, name) / "manifest.json"
+            path.write_text(json.dumps(json.loads(path.read_text()) | change))
+        path = folder_of(out, "predictor=kalman_cv") / "manifest.json"
+        manifest = json.loads(path.read_text())
+        manifest["identity"]["scenes"] = 8
+        path.write_text(json.dumps(manifest))
+        rows, left_out = collect(out)
+        assert set(rows["variant"]) == {BASE, "privacy.epsilon_m=0.4"}
+        assert left_out == {
+            "epsilon=1": "it is of another version of the code",
+            "law=fixed_direction": "it is not finished",
+            "predictor=kalman_cv": "it has another seed or number of scenes",
+        }
+
+    def test_all_but_the_base_are_held_against_the_base(self, tried, tmp_path):
+        out = tmp_path / "run"
+        shutil.copytree(tried, out)
+        path = folder_of(out, BASE) / "verdict.json"
+        said = json.loads(path.read_text())
+        for one in said["items"]:
+            if one["section"] == "inflation":
+                assert one["sign"] == 1
+                one["sign"], one["decision"] = -1, "deflated"
+        path.write_text(json.dumps(said))
+        rows, _ = collect(out)
+        inflation = rows[rows["section"] == "inflation"].set_index("variant")
+        assert set(inflation.loc[[BASE], "sign_base"]) == {1}
+        assert set(inflation.loc[[BASE], "changed"]) == {"changed sign"}
+        assert set(inflation.loc[["predictor=kalman_cv"], "sign_base"]) == {-1}
+        assert set(inflation.loc[["predictor=kalman_cv"], "changed"]) == {"changed sign"}
+        assert len(turned(rows)) >= 2 * len(inflation.loc[[BASE]])
+
+    def test_is_printed_with_a_row_for_each_variant(self, tried, capsys):
+        assert main([str(tried), "--jobs", "1", "--variant", "epsilon=1"]) == 0
+        shown = capsys.readouterr().out
+        head, *lines = [line for line in shown.splitlines() if line]
+        assert head.split() == ["variant", "validity", "within", "claim", "inflation"]
+        for name in (BASE, "law=fixed_direction", "epsilon=1", "privacy.epsilon_m=0.4"):
+            (line,) = [line for line in lines if line.startswith(f"{name} ")]
+            assert re.search(r"\d+ same", line)
+        assert "No item changed sign." in shown or "Changed sign:" in shown
+
+
+class TestErrors:
+    def said(self, capsys, *words):
+        code = main([str(one) for one in words])
+        return code, capsys.readouterr().err
+
+    def test_a_folder_without_a_verdict(self, out, capsys):
+        (out / "verdict.json").unlink()
+        code, said = self.said(capsys, out)
+        assert code == 2
+        assert said == (
+            f"error: {out} has no verdict.json; run python -m evaluation.report {out} first\n"
+        )
+
+    def test_a_verdict_without_items(self, out, capsys):
+        (out / "verdict.json").write_text('{"items": []}')
+        code, said = self.said(capsys, out)
+        assert code == 2
+        assert "has no items" in said
+
+    @pytest.mark.parametrize("text", ["{", "[]", '{"items": [1]}'])
+    def test_a_broken_verdict(self, out, capsys, text):
+        (out / "verdict.json").write_text(text)
+        code, said = self.said(capsys, out)
+        assert code == 2
+        assert "verdict.json cannot be read" in said
+
+    def test_no_run(self, tmp_path, capsys):
+        code, said = self.said(capsys, tmp_path)
+        assert code == 2
+        assert "holds no run" in said
+
+    def test_a_run_that_is_not_finished(self, out, capsys):
+        manifest = json.loads((out / "manifest.json").read_text()) | {"state": "running"}
+        (out / "manifest.json").write_text(json.dumps(manifest))
+        code, said = self.said(capsys, out)
+        assert code == 2
+        assert "not finished" in said
+
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            (["--variant", "law=isotrpic"], "must be one of"),
+            (["--variant", "ridge cap=2"], "did you mean 'ridge cap="),
+            (["--variant", "epsilon=0.3"], "changes nothing"),
+            (["--set", "predictor=kalman_cv"], "--set takes STAGE.KEY=VALUE"),
+            (["--scenes", "1"], "at least 2 scenes"),
+            (["--jobs", "0"], "jobs must be at least 1"),
+            (["--scenes", "many"], "invalid int value"),
+            (["--wrong"], "unrecognized arguments"),
+        ],
+    )
+    def test_wrong_usage_is_one_line_and_nothing_is_run(self, out, capsys, words, said):
+        code, shown = self.said(capsys, out, *words)
+        assert code == 2
+        assert said in shown
+        assert [line for line in shown.splitlines() if line.startswith("error:")]
+        assert "Traceback" not in shown
+        assert not (out / "sensitivity.csv").exists()
+
+    def test_without_a_folder(self, capsys):
+        assert main([]) == 2
+        assert "name the folder" in capsys.readouterr().err
+
+    def test_a_variant_that_fails_is_told_and_the_rest_goes_on(self, out, capsys, monkeypatch):
+        monkeypatch.setenv("ISAC_TRACK_DATA", str(out / "nothing"))
+        monkeypatch.setenv("ISAC_TRACK_CACHE", str(out / "nothing"))
+        words = ["--variant", "recording=zara01", "--variant", "predictor=kalman_cv"]
+        code, said = self.said(capsys, out, "--jobs", "1", *words)
+        assert code == 3
+        assert "failed: recording=zara01: zara01: obsmat.txt not found" in said
+        assert "datasets fetch zara01" in said
+        rows = pd.read_csv(out / "sensitivity.csv")
+        assert set(rows["variant"]) == {BASE, "predictor=kalman_cv"}
+
+    def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(self, out, capsys):
+        words = [out, "--jobs", "1", "--variant", "predictor=kalman_cv"]
+        assert self.said(capsys, *words, "--scenes", "20")[0] == 0
+        code, said = self.said(capsys, *words)
+        assert code == 2
+        assert "holds another run (scenes 20 -> 60)" in said
+        assert self.said(capsys, *words, "--fresh")[0] == 0
+        assert read_manifest(folder_of(out, BASE))["settings"]["scenes"] == 60
+
+    def test_list_runs_nothing(self, out, capsys):
+        assert main([str(out), "--list", "--set", "privacy.epsilon_m=0.45"]) == 0
+        shown = capsys.readouterr().out
+        assert re.search(r"(?m)^ridge exponent=3.5 +sensing.path_loss_exponent = 3.5,", shown)
+        assert "privacy.epsilon_m=0.45" in shown
+        assert not (out / "sensitivity").exists()
+        assert main(["--list"]) == 0
+        assert "recording=students03" in capsys.readouterr().out
+
+    def test_an_interrupted_run_continues(self, out):
+        words = [sys.executable, "-m", "evaluation.sensitivity", str(out), "--jobs", "1"]
+        words += ["--variant", "epsilon=0.5", "--variant", "epsilon=0.2"]
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
+            seen = []
+            for line in process.stderr:
+                seen.append(line)
+                if line.startswith("2 of 3"):
+                    process.send_signal(signal.SIGINT)
+        assert process.returncode == 130
+        assert "the same command continues" in seen[-1]
+        assert main([str(one) for one in words[3:]]) == 0
+        rows = pd.read_csv(out / "sensitivity.csv")
+        assert set(rows["variant"]) == {BASE, "epsilon=0.5", "epsilon=0.2"}
+
+    def test_the_console_script_knows_it(self, out, capsys):
+        assert command.main(["sensitivity", str(out), "--list"]) == 0
+        assert "law=fixed_direction" in capsys.readouterr().out
+
+
+def test_no_variant_is_downloaded(finished, monkeypatch):
+    monkeypatch.setenv("ISAC_TRACK_DATA", str(finished / "nothing"))
+    monkeypatch.setenv("ISAC_TRACK_CACHE", str(finished / "nothing"))
+    with pytest.raises(DataError, match="not found"):
+        settings_of(
+            parse("recording=students03"),
+            manifest=read_manifest(finished),
+            verdict=read_verdict(finished),
+            out=finished / "nowhere",
+        )
