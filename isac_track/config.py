@@ -2,7 +2,8 @@
 
 A field marked *paper* is a value of the paper's table or text, *reading* settles what the
 paper leaves open (``docs/reproduction.md``), *fitted* is output of ``python -m
-evaluation.calibrate``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file change them.
+evaluation.calibrate``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file change them,
+within `RANGES`.
 """
 
 from __future__ import annotations
@@ -10,14 +11,68 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from functools import cache
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-from typing import Literal
+RANGES: Mapping[str, tuple[float, float]] = {
+    "resample.rate_min_hz": (0.01, 1e3),
+    "resample.rate_max_hz": (0.01, 1e3),
+    "resample.rate_hold_s": (1e-3, 1e6),
+    "resample.min_duration_s": (0.1, 1e6),
+    "scenes.agents": (1, 100),
+    "scenes.history_ratio": (0, 1),
+    "scenes.robot_x_m": (-1e6, 1e6),
+    "scenes.robot_y_m": (-1e6, 1e6),
+    "scenes.robot_spread_m": (0, 1e4),
+    "scenes.near_miss_max_m": (1e-3, 1e4),
+    "scenes.ring_min_m": (0, 1e4),
+    "scenes.ring_max_m": (1e-3, 1e4),
+    "scenes.clearance_m": (0, 1e4),
+    "scenes.max_redraws": (1, 10_000),
+    "sensing.bs_x_m": (-1e6, 1e6),
+    "sensing.bs_y_m": (-1e6, 1e6),
+    "sensing.carrier_ghz": (1e-3, 1e4),
+    "sensing.bandwidth_mhz": (1e-3, 1e6),
+    "sensing.n_paths": (1, 1000),
+    "sensing.delay_spread_s": (0, 1e-3),
+    "sensing.power_dbm": (-200, 200),
+    "sensing.noise_dbm": (-300, 100),
+    "sensing.path_loss_exponent": (0.1, 10),
+    "sensing.beam_fluctuation_db": (0, 50),
+    "sensing.rcs_m2": (1e-6, 1e6),
+    "sensing.resource_share": (1e-6, 1e6),
+    "sensing.large_scale_db": (0, 100),
+    "sensing.processing_gain_db": (-200, 200),
+    "sensing.crb_gap_db": (-200, 200),
+    "sensing.sigma_cap_m": (1e-6, 1e6),
+    "conflict.robot_speed_mps": (1e-3, 100),
+    "conflict.horizon_steps": (1, 1000),
+    "conflict.window": (2, 100_000),
+    "conflict.safety_radius_m": (1e-3, 1e3),
+    "conflict.probability_threshold": (0, 1),
+    "privacy.epsilon_m": (1e-6, 1e4),
+    "linkage.window_s": (0.1, 1e6),
+    "linkage.rerelease_shift_s": (0, 1e6),
+    "linkage.split_window_s": (0.1, 1e6),
+    "linkage.split_gap_s": (0, 1e6),
+    "linkage.handover_period_s": (0.1, 1e6),
+    "linkage.handover_window_s": (0.1, 1e6),
+    "linkage.handover_least_s": (0.01, 1e6),
+    "linkage.handover_instants": (1, 10_000),
+    "linkage.most_people": (1, 10_000),
+    "linkage.trait_strength": (0, 10),
+}
+"""Smallest and largest value of every number: far beyond what is physical or of use, but within
+what the arithmetic and the memory of a computer can take."""
+_MOST_SHOWN = 60
+_OPEN = {"scenes.history_ratio", "conflict.probability_threshold"}
+"""Shares that may be neither end of their range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +89,7 @@ class ResampleSettings:
     """reading: shorter tracks are left out (gives the paper's 366 history points)"""
 
     def __post_init__(self) -> None:
-        _positive(self, "resample", "rate_min_hz", "rate_max_hz", "rate_hold_s", "min_duration_s")
+        _check(self, "resample")
         if self.rate_max_hz < self.rate_min_hz:
             raise SettingsError(
                 f"resample.rate_max_hz ({self.rate_max_hz:g}) is below "
@@ -68,10 +123,7 @@ class SceneSettings:
     """reading: draws of a place before the last one is kept and counted"""
 
     def __post_init__(self) -> None:
-        _positive(self, "scenes", "agents", "near_miss_max_m", "ring_max_m", "max_redraws")
-        _not_negative(self, "scenes", "robot_spread_m", "ring_min_m", "clearance_m")
-        if not 0 < self.history_ratio < 1:
-            raise SettingsError("scenes.history_ratio must lie between 0 and 1")
+        _check(self, "scenes")
         if self.ring_max_m < self.ring_min_m:
             raise SettingsError("scenes.ring_max_m is below scenes.ring_min_m")
 
@@ -116,18 +168,7 @@ class SensingSettings:
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
 
     def __post_init__(self) -> None:
-        _positive(
-            self,
-            "sensing",
-            "carrier_ghz",
-            "bandwidth_mhz",
-            "n_paths",
-            "path_loss_exponent",
-            "rcs_m2",
-            "resource_share",
-            "sigma_cap_m",
-        )
-        _not_negative(self, "sensing", "delay_spread_s", "beam_fluctuation_db", "large_scale_db")
+        _check(self, "sensing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,11 +190,7 @@ class ConflictSettings:
     """with `probability`: a conflict is declared at or above it"""
 
     def __post_init__(self) -> None:
-        if not 0 < self.probability_threshold < 1:
-            raise SettingsError("conflict.probability_threshold must lie between 0 and 1")
-        _positive(self, "conflict", "robot_speed_mps", "horizon_steps", "safety_radius_m")
-        if self.window < 2:  # noqa: PLR2004 - an interval needs two samples
-            raise SettingsError("conflict.window must be at least 2")
+        _check(self, "conflict")
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +201,7 @@ class PrivacySettings:
     """paper: a sample leaks when it lies closer than this to the truth"""
 
     def __post_init__(self) -> None:
-        _positive(self, "privacy", "epsilon_m")
+        _check(self, "privacy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,18 +230,7 @@ class LinkageSettings:
     """spread of the crowd's planted traits; 1 is the bundled one, another is simulated anew"""
 
     def __post_init__(self) -> None:
-        _positive(
-            self,
-            "linkage",
-            "window_s",
-            "split_window_s",
-            "handover_period_s",
-            "handover_window_s",
-            "handover_least_s",
-            "handover_instants",
-            "most_people",
-        )
-        _not_negative(self, "linkage", "rerelease_shift_s", "split_gap_s", "trait_strength")
+        _check(self, "linkage")
         if self.handover_least_s > self.handover_window_s:
             raise SettingsError("linkage.handover_least_s is above linkage.handover_window_s")
 
@@ -221,6 +247,12 @@ class StageSettings:
     linkage: LinkageSettings = field(default_factory=LinkageSettings)
 
     def __post_init__(self) -> None:
+        for item in fields(self):
+            wanted, given = get_type_hints(StageSettings)[item.name], getattr(self, item.name)
+            if not isinstance(given, wanted):
+                raise SettingsError(
+                    f"{item.name} must be {wanted.__name__}, got {type(given).__name__}"
+                )
         if self.scenes.near_miss_max_m <= self.conflict.safety_radius_m:
             raise SettingsError(
                 f"scenes.near_miss_max_m ({self.scenes.near_miss_max_m:g}) must exceed "
@@ -259,7 +291,8 @@ class StageSettings:
         }
 
 
-def setting_types() -> dict[str, Any]:
+@cache
+def setting_types() -> Mapping[str, Any]:
     """Return ``{"stage.key": type}`` for every setting."""
     return {
         f"{stage}.{key}": annotation
@@ -270,33 +303,61 @@ def setting_types() -> dict[str, Any]:
 
 
 def _parse(name: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
-    choices = get_args(annotation)
-    if choices:
-        if value not in choices:
-            raise SettingsError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+    """Return what text or another type of number stands for; `_check` looks at the rest."""
+    if get_args(annotation):
         return value
     try:
         number = float(value)
+    except OverflowError:
+        number = math.inf
     except (TypeError, ValueError):
-        raise SettingsError(f"{name} must be a number, got {value!r}") from None
+        raise SettingsError(f"{name} must be a number, got {_shown(value)}") from None
     if isinstance(value, bool) or not math.isfinite(number):
-        raise SettingsError(f"{name} must be a finite number, got {value!r}")
+        raise SettingsError(f"{name} must be a finite number, got {_shown(value)}")
     if annotation is int:
         if number != int(number):
-            raise SettingsError(f"{name} must be a whole number, got {value!r}")
+            raise SettingsError(f"{name} must be a whole number, got {_shown(value)}")
         return int(number)
     return number
 
 
-def _positive(settings: object, stage: str, *names: str) -> None:
-    for name in names:
-        if not getattr(settings, name) > 0:
-            raise SettingsError(f"{stage}.{name} must be positive, got {getattr(settings, name)}")
+def _check(settings: object, stage: str) -> None:
+    """Check the type and the range of every field, however the settings were made."""
+    for key in type(settings).__dataclass_fields__:  # type: ignore[attr-defined]  # all are
+        name, value = f"{stage}.{key}", getattr(settings, key)
+        annotation = setting_types()[name]
+        choices = get_args(annotation)
+        if choices:
+            if value not in choices:
+                raise SettingsError(
+                    f"{name} must be one of {', '.join(choices)}, got {_shown(value)}"
+                )
+            continue
+        kind, noun = (Integral, "whole number") if annotation is int else (Real, "number")
+        fits = isinstance(value, kind) and not isinstance(value, bool)
+        if not fits:
+            raise SettingsError(f"{name} must be a {noun}, got {_shown(value)}")
+        low, high = RANGES[name]
+        inside = low < value < high if name in _OPEN else low <= value <= high  # False for NaN
+        if not inside:
+            raise SettingsError(f"{name} must {_wanted(name, value)}, got {_shown(value)}")
 
 
-def _not_negative(settings: object, stage: str, *names: str) -> None:
-    for name in names:
-        if not getattr(settings, name) >= 0:
-            raise SettingsError(
-                f"{stage}.{name} must not be negative, got {getattr(settings, name)}"
-            )
+def _wanted(name: str, value: Any) -> str:  # noqa: ANN401 - any real number
+    low, high = RANGES[name]
+    if name in _OPEN:
+        return f"lie between {low:g} and {high:g}"
+    bounds = f"{low:g} to {high:g}"
+    if low > 0 >= value:
+        return f"be positive ({bounds})"
+    if low == 0 > value:
+        return f"not be negative ({bounds})"
+    return f"lie within {bounds}"
+
+
+def _shown(value: object) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to write very long whole numbers
+        return "a number with thousands of digits"
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."

@@ -11,25 +11,35 @@ from __future__ import annotations
 
 import argparse
 import json
+import zipfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isac_track.datasets.crowd_model import simulate
 from isac_track.datasets.crowd_plan import CrowdSettings, draw_traits, person_id, plan_session
+from isac_track.datasets.registry import shown
+from isac_track.datasets.rows import brief
 from isac_track.errors import DataError
 from isac_track.types import Tracks
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from isac_track.types import Ints
 
 BUNDLED_SEED = 1
 SESSIONS = (1, 2)
 _FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}
 _FORMAT = 1
 _MM = np.iinfo(np.int16)
+_MOST_BYTES = 16_000_000
+"""A bundled session is a tenth of this when unpacked; an archive can claim anything."""
+_LONGEST_FRAME_S = 3600.0
 
 
 def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
@@ -156,24 +166,50 @@ def read_npz(path: Path) -> Tracks:
         If the file is missing or not of this format.
     """
     try:
+        _check_size(path)
         with np.load(path, allow_pickle=False) as file:
-            if int(file["format"]) != _FORMAT:
-                raise DataError(f"{path}: format {int(file['format'])} is not known")
-            samples = file["samples"].astype(np.int64)
-            xy_mm = np.cumsum(file["steps_mm"], axis=1, dtype=np.int16).T
-            first_frame, frame_s = file["first_frame"].astype(np.int64), float(file["frame_s"])
-            source, group = file["source"].tolist(), file["group"].tolist()
-    except (OSError, KeyError, ValueError) as error:
-        raise DataError(f"{path}: not a readable crowd file ({error})") from error
+            return _unpacked(file)
+    except Exception as error:  # noqa: BLE001 - a damaged archive makes numpy raise nearly anything
+        raise DataError(f"{shown(path)}: not a readable crowd file ({brief(error)})") from None
+
+
+def _check_size(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive:
+        unpacked_bytes = sum(member.file_size for member in archive.infolist())
+    if unpacked_bytes > _MOST_BYTES:
+        raise ValueError(f"{unpacked_bytes} bytes when unpacked, more than {_MOST_BYTES}")
+
+
+def _unpacked(file: Mapping[str, NDArray[Any]]) -> Tracks:
+    version = file["format"].item()
+    if version != _FORMAT:
+        raise ValueError(f"format {version} is not known")
+    first_frame, samples, steps_mm = (
+        _whole(file[name], name=name, n_dimensions=n_dimensions)
+        for name, n_dimensions in (("first_frame", 1), ("samples", 1), ("steps_mm", 2))
+    )
+    frame_s = float(file["frame_s"].item())
+    if not 0 < frame_s < _LONGEST_FRAME_S:
+        raise ValueError(f"frame_s is {frame_s:g}")
     offsets = np.concatenate([[0], np.cumsum(samples)])
+    # Before anything of that length is made: the numbers in a damaged file may claim any.
+    if (samples < 1).any() or steps_mm.shape != (2, offsets[-1]):
+        raise ValueError("samples and steps_mm do not fit together")
+    xy_mm = np.cumsum(steps_mm, axis=1, dtype=np.int16).T
     frame = np.arange(offsets[-1]) + np.repeat(first_frame - offsets[:-1], samples)
     return Tracks(
         t=frame * frame_s,
         xy=xy_mm / 1e3,
         offsets=offsets,
-        source=tuple(source),
-        group=tuple(group),
+        source=tuple(map(str, file["source"].tolist())),
+        group=tuple(map(str, file["group"].tolist())),
     )
+
+
+def _whole(values: NDArray[Any], *, name: str, n_dimensions: int) -> Ints:
+    if values.dtype.kind != "i" or values.ndim != n_dimensions:
+        raise ValueError(f"{name} must hold whole numbers in {n_dimensions} dimension(s)")
+    return values.astype(np.int64)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -24,6 +24,8 @@ _OPENTRAJ = (
 CONNECT_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 30.0
 _CHUNK_BYTES = 16_384
+_MOST_BYTES = 100_000_000
+"""Far more than any known file: what goes on for longer is not one of them."""
 
 
 def url_of(data_set: Known, file_name: str) -> str:
@@ -108,8 +110,11 @@ def _download(data_set: Known, *, file_name: str, target: Path, sha256: str) -> 
         raise DataError(f"{url}: the connection broke off. {way_out}") from None
     except requests.Timeout:
         raise DataError(f"{url}: no answer in time. {way_out}") from None
-    except requests.ConnectionError:
-        raise DataError(f"{url}: no connection, or it broke off (offline?). {way_out}") from None
+    except requests.ConnectionError as error:
+        # A server that falls silent in the middle is no Timeout to requests.
+        reason = "no connection, or it broke off (offline?)"
+        reason = "no answer in time" if "timed out" in str(error) else reason
+        raise DataError(f"{url}: {reason}. {way_out}") from None
     except requests.RequestException as error:
         raise DataError(
             f"{url}: cannot be downloaded ({type(error).__name__}). {way_out}"
@@ -152,4 +157,6 @@ def _stream(url: str, output_file: str, title: str) -> None:
             task = bar.add_task(title, total=int(announced) if announced.isdigit() else None)
             for chunk in response.iter_content(_CHUNK_BYTES):
                 file.write(chunk)
+                if file.tell() > _MOST_BYTES:
+                    raise ValueError(f"over {_MOST_BYTES} bytes")
                 bar.advance(task, len(chunk))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 from isac_track.datasets.read_ndjson import read_trajnet
 from isac_track.datasets.read_table import read_csv, read_parquet
 from isac_track.datasets.read_text import read_obsmat, read_pedpy, read_social_gan
+from isac_track.datasets.registry import shown
 from isac_track.datasets.repair import to_tracks
 from isac_track.datasets.rows import checked_fps
 from isac_track.errors import DataError
@@ -49,7 +50,7 @@ def format_of(path: Path, *, format: str | None) -> str:  # noqa: A002 - the nam
         implied = _EXTENSIONS.get(path.suffix.lower())
         if implied is None:
             raise DataError(
-                f"{path}: the format is not known from the name; give --format "
+                f"{shown(path)}: the format is not known from the name; give --format "
                 f"({', '.join(FORMATS)})"
             )
         return implied

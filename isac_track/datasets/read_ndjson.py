@@ -15,9 +15,10 @@ from isac_track.datasets.rows import (
     Repair,
     Rows,
     check_numbers,
+    check_text,
     checked_fps,
-    decode,
     fault,
+    lines_of,
     number_ids,
 )
 from isac_track.errors import DataError
@@ -45,7 +46,8 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     lines: array[int] = array("q")
     scene_lines: array[int] = array("q")
     row_rates: dict[float, int] = {}
-    for number, line in enumerate(decode(data=data, path=path).split("\n"), start=1):
+    check_text(data=data, path=path)
+    for number, line in enumerate(lines_of(data), start=1):
         if not line.strip():
             continue
         try:

@@ -14,11 +14,15 @@ from isac_track.datasets.rows import (
     Place,
     Repair,
     Rows,
+    brief,
     check_numbers,
+    check_text,
+    checked_name,
     clean_id,
-    decode,
     fault,
+    lines_of,
     listed,
+    printable,
     sort_ids,
 )
 from isac_track.errors import DataError
@@ -31,6 +35,11 @@ if TYPE_CHECKING:
 _NEEDED = ("t", "id", "x", "y")
 _USED = (*_NEEDED, "group")
 _NUMBERS = ("t", "x", "y")
+_FREE_ROWS = 500_000
+"""A parquet file above this needs a byte a row: equal rows pack a thousandfold, walks do not."""
+_FREE_BYTES = 50_000_000
+_MOST_UNPACKING = 100
+"""A parquet file above `_FREE_BYTES` when unpacked may be this many times its size."""
 
 
 def read_csv(*, data: bytes, path: str, fps: float | None) -> Rows:
@@ -42,9 +51,9 @@ def read_csv(*, data: bytes, path: str, fps: float | None) -> Rows:
         For anything that is not this format, naming file and line, or if `fps` is given.
     """
     _refuse_fps(fps=fps, path=path, format_name="csv")
-    text = decode(data=data, path=path)
-    header, _, body = text.partition("\n")
-    names = _csv_header(header=header, path=path)
+    check_text(data=data, path=path)
+    names = _csv_header(header=next(lines_of(data), ""), path=path)
+    _, _, body = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").partition(b"\n")
     place = Place(path=path, lines=lambda: _csv_line_numbers(body))
     return _rows(columns=_csv_columns(body=body, names=names, path=path), names=names, place=place)
 
@@ -65,22 +74,43 @@ def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
         raise DataError(f"{path}: the file is empty")
     try:
         file = parquet.ParquetFile(pa.BufferReader(data))
-        names = tuple(file.schema_arrow.names)
+        schema = file.schema_arrow
+        names = tuple(schema.names)
+        n_rows, unpacked_bytes = _claimed(file.metadata)
     except Exception as error:  # noqa: BLE001 - a damaged file makes pyarrow raise nearly anything
-        raise DataError(f"{path}: not a parquet file ({_brief(error)})") from None
+        raise DataError(f"{path}: not a parquet file ({brief(error)})") from None
     _check_header(names=names, where=path)
+    if n_rows > max(_FREE_ROWS, len(data)):
+        raise DataError(f"{path}: claims {n_rows} rows in {len(data)} bytes; not a recording")
+    if unpacked_bytes > max(_FREE_BYTES, _MOST_UNPACKING * len(data)):
+        raise DataError(
+            f"{path}: {unpacked_bytes} bytes when unpacked, over {_MOST_UNPACKING} times its size"
+        )
     try:
+        # Each text once: a long one that stands in every row would not fit into the memory.
+        file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=_texts(schema))
         table = file.read(columns=[name for name in names if name in _USED], use_threads=False)
         columns = {name: table[name].combine_chunks() for name in table.column_names}
+        for column in columns.values():
+            column.validate(full=True)  # pyarrow reads codes beyond the dictionary as they are
     except Exception as error:  # noqa: BLE001 - as above
-        raise DataError(f"{path}: the parquet file is damaged ({_brief(error)})") from None
-    n_rows = table.num_rows
-    place = Place(path=path, lines=lambda: np.arange(1, n_rows + 1), unit="row")
+        raise DataError(f"{path}: the parquet file is damaged ({brief(error)})") from None
+    place = Place(path=path, lines=lambda: np.arange(1, table.num_rows + 1), unit="row")
     return _rows(columns=columns, names=names, place=place)
 
 
-def _brief(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:160]
+def _texts(schema: Any) -> list[str]:  # noqa: ANN401 - pyarrow has no types
+    import pyarrow as pa  # noqa: PLC0415
+
+    kinds = (pa.string(), pa.large_string())
+    return [field.name for field in schema if field.name in _USED and field.type in kinds]
+
+
+def _claimed(metadata: Any) -> tuple[int, int]:  # noqa: ANN401 - pyarrow has no types
+    """Return how many rows a parquet file says it has, and its bytes when unpacked."""
+    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+    n_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
+    return n_rows, sum(group.total_byte_size for group in groups)
 
 
 def _refuse_fps(*, fps: float | None, path: str, format_name: str) -> None:
@@ -118,7 +148,7 @@ def _check_header(*, names: Sequence[str], where: str) -> None:
             raise DataError(f"{where}: two columns are called {name}")
 
 
-def _csv_columns(*, body: str, names: tuple[str, ...], path: str) -> dict[str, Any]:
+def _csv_columns(*, body: bytes, names: tuple[str, ...], path: str) -> dict[str, Any]:
     """Return the arrow columns in use: in one go if all is well, else with the first bad line."""
     import pyarrow as pa  # noqa: PLC0415
     from pyarrow import csv as arrow_csv  # noqa: PLC0415
@@ -131,7 +161,7 @@ def _csv_columns(*, body: str, names: tuple[str, ...], path: str) -> dict[str, A
     }
     try:
         table = arrow_csv.read_csv(
-            pa.py_buffer(body.encode()),
+            pa.py_buffer(body),
             read_options=arrow_csv.ReadOptions(
                 use_threads=False, column_names=[f"c{index}" for index in range(len(names))]
             ),
@@ -142,16 +172,16 @@ def _csv_columns(*, body: str, names: tuple[str, ...], path: str) -> dict[str, A
         return {name: table[column].combine_chunks() for name, column in used.items()}
     except (pa.ArrowException, MemoryError, UnicodeError) as error:
         _raise_first_csv_fault(body=body, names=names, path=path)
-        raise DataError(f"{path}: cannot be read as csv ({_brief(error)})") from None
+        raise DataError(f"{path}: cannot be read as csv ({brief(error)})") from None
 
 
-def _csv_line_numbers(body: str) -> Ints:
+def _csv_line_numbers(body: bytes) -> Ints:
     """Return the line number of every row; pyarrow leaves out empty lines alone."""
-    return np.array([n for n, line in enumerate(body.split("\n"), start=2) if line])
+    return np.array([n for n, line in enumerate(body.split(b"\n"), start=2) if line])
 
 
-def _raise_first_csv_fault(*, body: str, names: tuple[str, ...], path: str) -> None:
-    for number, line in enumerate(body.split("\n"), start=2):
+def _raise_first_csv_fault(*, body: bytes, names: tuple[str, ...], path: str) -> None:
+    for number, line in enumerate(body.decode().split("\n"), start=2):
         if not line:
             continue
         try:
@@ -185,6 +215,7 @@ def _rows(*, columns: dict[str, Any], names: Sequence[str], place: Place) -> Row
         kind = column.type
         if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
             unit = "seconds" if name == "t" else "metres"
+            kind = kind.value_type if pa.types.is_dictionary(kind) else kind
             raise DataError(f"{place.path}: column {name} holds {kind}, not numbers of {unit}")
         # A null becomes NaN, which the check below names.
         numbers[name] = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
@@ -210,7 +241,7 @@ def _rows(*, columns: dict[str, Any], names: Sequence[str], place: Place) -> Row
 
 
 def _ignored(*, names: Sequence[str], path: str, n_rows: int) -> tuple[Repair, ...]:
-    others = [name[:40] for name in names if name not in _USED]
+    others = [printable(name[:40]) for name in names if name not in _USED]
     if not others:
         return ()
     detail = f"{path}: column(s) {listed(others)}: not used, {n_rows} rows each"
@@ -253,10 +284,10 @@ def _groups(
 
 
 def _clean_label(text: str) -> str:
+    label = checked_name(text)
     try:
-        return clean_id(text)  # 3.0 is group 3, as a column with empty cells writes it
+        return clean_id(label)  # 3.0 is group 3, as a column with empty cells writes it
     except ValueError:
-        label = text.strip()
         return "" if label.lower() in {"nan", "none", "null"} else label
 
 
@@ -265,13 +296,16 @@ def _encode(column: Any, *, place: Place) -> tuple[Ints, list[Any]]:  # noqa: AN
     import pyarrow as pa  # noqa: PLC0415
 
     try:
-        if pa.types.is_dictionary(column.type):
-            column = column.dictionary_decode()
-        kind = column.type
+        is_encoded = pa.types.is_dictionary(column.type)
+        kind = column.type.value_type if is_encoded else column.type
         known = (pa.types.is_integer, pa.types.is_floating, pa.types.is_string)
         if not any(check(kind) for check in (*known, pa.types.is_large_string)):
             raise DataError(f"{place.path}: ids and groups must be numbers or text, not {kind}")
-        encoded = column.dictionary_encode(null_encoding="encode")
-        return encoded.indices.to_numpy().astype(np.int64), encoded.dictionary.to_pylist()
+        encoded = column if is_encoded else column.dictionary_encode()
+        values = [*encoded.dictionary.to_pylist(), None]
+        null = pa.scalar(len(values) - 1, pa.int64())
+        indices = encoded.indices.cast(pa.int64()).fill_null(null).to_numpy(zero_copy_only=False)
+        used, codes = np.unique(indices, return_inverse=True)
+        return codes.astype(np.int64), [values[index] for index in used]
     except (pa.ArrowException, UnicodeError) as error:
-        raise DataError(f"{place.path}: ids cannot be read ({_brief(error)})") from None
+        raise DataError(f"{place.path}: ids cannot be read ({brief(error)})") from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 import warnings
 from dataclasses import dataclass
@@ -17,16 +16,16 @@ from isac_track.datasets.rows import (
     Repair,
     Rows,
     check_numbers,
+    check_text,
     checked_fps,
-    decode,
     fault,
+    lines_of,
+    listed,
     number_ids,
 )
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from isac_track.types import Floats, Ints
 
 
@@ -40,6 +39,7 @@ class _Layout:
 _OBSMAT = _Layout("obsmat", ("frame", "id", "x", "z", "y", "vx", "vz", "vy"))
 _SOCIAL_GAN = _Layout("social-gan", ("frame", "id", "x", "y"))
 _PEDPY = _Layout("pedpy", ("id", "frame", "x", "y"), may_have_more=True)
+_HEADER_CHARACTERS = 1000
 _METRES = {"m": 1.0, "cm": 0.01}
 
 
@@ -51,7 +51,7 @@ def read_obsmat(*, data: bytes, path: str, fps: float | None) -> Rows:
     DataError
         For anything that is not this format, naming file and line.
     """
-    return _rows(text=decode(data=data, path=path), path=path, layout=_OBSMAT, fps=fps)
+    return _rows(data=data, path=path, layout=_OBSMAT, fps=fps)
 
 
 def read_social_gan(*, data: bytes, path: str, fps: float | None) -> Rows:
@@ -62,7 +62,7 @@ def read_social_gan(*, data: bytes, path: str, fps: float | None) -> Rows:
     DataError
         For anything that is not this format, naming file and line.
     """
-    return _rows(text=decode(data=data, path=path), path=path, layout=_SOCIAL_GAN, fps=fps)
+    return _rows(data=data, path=path, layout=_SOCIAL_GAN, fps=fps)
 
 
 def read_pedpy(*, data: bytes, path: str, fps: float | None) -> Rows:
@@ -77,33 +77,36 @@ def read_pedpy(*, data: bytes, path: str, fps: float | None) -> Rows:
         For anything that is not this format, naming file and line, or if `fps` contradicts
         the frame rate in the file.
     """
-    text = decode(data=data, path=path)
-    declared_fps, metres = _pedpy_header(text=text, path=path)
+    check_text(data=data, path=path)
+    declared_fps, metres = _pedpy_header(data=data, path=path)
     if fps is not None and declared_fps is not None and fps != declared_fps:
         raise DataError(f"{path}: --fps {fps:g} contradicts the file's framerate {declared_fps:g}")
     rate = declared_fps if fps is None else fps
-    return _rows(text=text, path=path, layout=_PEDPY, fps=rate, metres=metres)
+    return _rows(data=data, path=path, layout=_PEDPY, fps=rate, metres=metres)
 
 
-def _pedpy_header(*, text: str, path: str) -> tuple[float | None, float]:
+def _pedpy_header(*, data: bytes, path: str) -> tuple[float | None, float]:
     """Return the declared frame rate and the metres per unit of length."""
     fps: float | None = None
     units: dict[str, int] = {}
-    for number, line in enumerate(_lines(text), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
+    for number, line in enumerate(lines_of(data), start=1):
+        if not line.strip():
+            continue
+        if not line.lstrip().startswith("#"):
             break
+        line = line[:_HEADER_CHARACTERS]  # noqa: PLW2901 - the search is quadratic in the worst case
         found = re.search(r"frame\s*rate[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)", line, re.IGNORECASE)
         if found and fps is None:
             try:
                 fps = float(found[1])
             except ValueError:
-                message = f"the framerate {found[1]!r} is not a number"
+                message = f"the framerate {found[1][:40]!r} is not a number"
                 raise fault(path=path, line=number, message=message) from None
             checked_fps(fps, where=f"{path}, line {number}")
         for unit in re.findall(r"\bx\s*[/\[(]\s*([a-z]+)|\bin\s+(c?m)\b", line.lower()):
-            units.setdefault(unit[0] or unit[1], number)
+            units.setdefault((unit[0] or unit[1])[:40], number)
     if len(units) > 1:
-        raise DataError(f"{path}: the header names two units of length: {', '.join(units)}")
+        raise DataError(f"{path}: the header names two units of length: {listed(list(units))}")
     for unit, number in units.items():
         if unit not in _METRES:
             message = f"lengths are in {unit!r}; convert them to m (x/m) or cm (x/cm)"
@@ -111,15 +114,18 @@ def _pedpy_header(*, text: str, path: str) -> tuple[float | None, float]:
     return fps, _METRES[next(iter(units), "m")]
 
 
-def _rows(*, text: str, path: str, layout: _Layout, fps: float | None, metres: float = 1.0) -> Rows:
+def _rows(
+    *, data: bytes, path: str, layout: _Layout, fps: float | None, metres: float = 1.0
+) -> Rows:
+    check_text(data=data, path=path)
     if fps is None:
         header = " and the file's header has no framerate" if layout is _PEDPY else ""
         raise DataError(
             f"{path}: format {layout.name} counts frames{header}; "
             "give frames per second with --fps (25 for UCY)"
         )
-    table = _table(text=text, path=path, layout=layout)
-    place = Place(path=path, lines=lambda: _line_numbers(text))
+    table = _table(data=data, path=path, layout=layout)
+    place = Place(path=path, lines=lambda: _line_numbers(data))
     frame, person, x, y = (
         table[:, layout.columns.index(name)] for name in ("frame", "id", "x", "y")
     )
@@ -146,19 +152,19 @@ def _rows(*, text: str, path: str, layout: _Layout, fps: float | None, metres: f
     )
 
 
-def _table(*, text: str, path: str, layout: _Layout) -> Floats:
+def _table(*, data: bytes, path: str, layout: _Layout) -> Floats:
     """Return (M, columns): in one go if all is well, else the first bad line is looked for."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of an empty table: an error below
-            table = np.loadtxt(io.StringIO(text), dtype=np.float64, ndmin=2)
+            table = np.loadtxt(lines_of(data), dtype=np.float64, ndmin=2)
     except (ValueError, OverflowError, MemoryError) as error:
-        _raise_first_fault(text=text, path=path, layout=layout)
+        _raise_first_fault(data=data, path=path, layout=layout)
         raise DataError(f"{path}: cannot be read as {layout.name}: {error}") from None
     if not table.size:
         raise DataError(f"{path}: the file holds no rows")
     if not _fits(table.shape[1], layout):
-        _raise_first_fault(text=text, path=path, layout=layout)
+        _raise_first_fault(data=data, path=path, layout=layout)
     return np.asarray(table, dtype=np.float64)
 
 
@@ -167,21 +173,16 @@ def _fits(n_columns: int, layout: _Layout) -> bool:
     return n_columns >= needed if layout.may_have_more else n_columns == needed
 
 
-def _lines(text: str) -> Iterator[str]:
-    # Not splitlines: that also breaks at form feeds and the like, which loadtxt does not.
-    return iter(text.split("\n"))
-
-
-def _line_numbers(text: str) -> Ints:
+def _line_numbers(data: bytes) -> Ints:
     """Return the line number of every row, as loadtxt counts rows."""
     return np.array(
-        [n for n, line in enumerate(_lines(text), start=1) if line.split("#", 1)[0].strip()]
+        [n for n, line in enumerate(lines_of(data), start=1) if line.split("#", 1)[0].strip()]
     )
 
 
-def _raise_first_fault(*, text: str, path: str, layout: _Layout) -> None:
+def _raise_first_fault(*, data: bytes, path: str, layout: _Layout) -> None:
     n_first = 0
-    for number, line in enumerate(_lines(text), start=1):
+    for number, line in enumerate(lines_of(data), start=1):
         fields = line.split("#", 1)[0].split()
         if not fields:
             continue
@@ -200,7 +201,7 @@ def _separator_fault(fields: list[str]) -> str:
         if separator == "," and any(re.fullmatch(r"[-+]?\d*,\d+", field) for field in fields):
             field = next(field for field in fields if "," in field)
             if len(fields) > 1:
-                return f"{field!r} has a decimal comma; write a decimal point"
+                return f"{field[:40]!r} has a decimal comma; write a decimal point"
         return f"{name} between the numbers; this format has spaces or tabs (or use --format csv)"
     return ""
 

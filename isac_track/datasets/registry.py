@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from isac_track.datasets.rows import printable
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -165,8 +166,8 @@ def searched() -> str:
 
 
 def shown(path: Path) -> str:
-    """Return a path as text that can be printed whatever bytes its name has."""
-    return str(path).encode("utf-8", "replace").decode()
+    """Return a path as one line that can be printed whatever bytes its name has."""
+    return printable(str(path).encode("utf-8", "replace").decode())
 
 
 def read_bytes(path: Path) -> bytes:

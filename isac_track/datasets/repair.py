@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,11 @@ if TYPE_CHECKING:
 
     from isac_track.types import Bools, Floats, Ints
 
+SAME_TIME_S = 1e-7
+"""Samples of one id closer than this are at one time: no recording has a frame rate above 1 MHz,
+and the slope between them would overflow."""
+LONGEST_STEP_S = 10.0
+"""With a longer usual step nobody's walk is seen, and to interpolate it would take any memory."""
 GAP_STEPS = 1.75
 """A step longer than this many median steps of the file is a gap (a lost frame makes 2)."""
 SPLIT_S = 2.0
@@ -38,7 +44,7 @@ def to_tracks(
     Raises
     ------
     DataError
-        If one person is at two places at one time, if no track has two samples, or if the
+        If one person is at two places at one time, if no track has two samples, or if steps or
         speeds show that units, frame rate or columns are wrong.
     """
     place = rows.place
@@ -67,6 +73,12 @@ def to_tracks(
     if not t.size:
         raise DataError(f"{place.path}: no track has two samples")
     notes += _check_speeds(t=t, xy=xy, offsets=offsets, order=order, place=place)
+    usual_s = float(np.median(np.diff(t)[_inside(offsets)]))
+    if usual_s > LONGEST_STEP_S:
+        raise DataError(
+            f"{place.path}: the usual step is {usual_s:.3g} s, over {LONGEST_STEP_S:g} s: "
+            "milliseconds for seconds, or a wrong --fps?"
+        )
 
     cluster = walking_groups(ids=rows.ids, members=(*rows.groups, *groups))
     tracks = Tracks(
@@ -130,7 +142,7 @@ def _sorted(rows: Rows) -> tuple[Ints, list[Repair]]:
 
 def _without_copies(rows: Rows, *, order: Ints) -> tuple[Ints, list[Repair]]:
     t, xy, person = rows.t[order], rows.xy[order], rows.person[order]
-    again = (np.diff(t) == 0) & (np.diff(person) == 0)
+    again = (np.diff(t) < SAME_TIME_S) & (np.diff(person) == 0)
     if not again.any():
         return order, []
     other = again & (np.diff(xy, axis=0) != 0).any(axis=1)
@@ -173,9 +185,8 @@ def _cuts(*, person: Ints, t: Floats, order: Ints, place: Place) -> tuple[Bools,
 
 def _names(*, owner: Ints, ids: tuple[str, ...]) -> tuple[str, ...]:
     """Return the source id of every track: the person's, numbered where a track was split."""
-    mark = "#"
-    while any(mark in name for name in ids):
-        mark += "#"
+    longest = max((len(run) for name in ids for run in re.findall("#+", name)), default=0)
+    mark = "#" * (longest + 1)
     pieces = np.bincount(owner, minlength=len(ids))
     seen = dict.fromkeys(range(len(ids)), 0)
     names = []
@@ -185,11 +196,17 @@ def _names(*, owner: Ints, ids: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(names)
 
 
+def _inside(offsets: Ints) -> Bools:
+    """Return (M - 1,) which steps lead from a sample to the next one of the same track."""
+    inside = np.ones(offsets[-1] - 1, dtype=bool)
+    inside[offsets[1:-1] - 1] = False
+    return inside
+
+
 def _check_speeds(
     *, t: Floats, xy: Floats, offsets: Ints, order: Ints, place: Place
 ) -> list[Repair]:
-    inside = np.ones(t.size - 1, dtype=bool)
-    inside[offsets[1:-1] - 1] = False
+    inside = _inside(offsets)
     distance = np.linalg.norm(np.diff(xy, axis=0), axis=1)[inside]
     # Multiplied out: a step of a denormal time would overflow the quotient.
     duration = np.diff(t)[inside]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ import numpy as np
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from isac_track.types import Floats, Ints
 
@@ -23,6 +24,8 @@ WHOLE_LIMIT = 2.0**53
 """Frames and ids are read as float64, which holds every whole number below this."""
 FPS_LIMITS = (1e-3, 1e6)
 """Frames per second outside are a mistake, and would overflow the clock."""
+LONGEST_ID = 200
+"""Characters: ids stand in messages, tables and figures, and a split track repeats its own."""
 _SHOWN = 5
 
 
@@ -84,13 +87,37 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_SHOWN]) + more
 
 
+def brief(error: Exception) -> str:
+    """Return the first line of what a library says of a file, for a message of our own."""
+    return printable((str(error).splitlines() or [type(error).__name__])[0][:160])
+
+
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+
+
+def printable(text: str) -> str:
+    """Return `text` with a question mark for all that would steer a terminal or end a line."""
+    return _CONTROL.sub("?", text)
+
+
+def lines_of(data: bytes) -> Iterator[str]:
+    r"""Yield the lines of what `check_text` accepts, ended by any of ``\n \r\n \r``.
+
+    One by one, without mark and line end: as a list, or as a text with a single wide
+    character, they would need many times the memory of the file. Not splitlines: that also
+    breaks at form feeds and the like.
+    """
+    for line in io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig"):
+        yield line.removesuffix("\n")
+
+
 def fault(*, path: str, line: int, message: str) -> DataError:
     """Return the error of one line."""
     return DataError(f"{path}, line {line}: {message}")
 
 
-def decode(*, data: bytes, path: str) -> str:
-    r"""Return the text of a file, without byte-order mark and with ``\n`` line ends.
+def check_text(*, data: bytes, path: str) -> None:
+    """Check that a file is text.
 
     Raises
     ------
@@ -108,14 +135,13 @@ def decode(*, data: bytes, path: str) -> str:
     if b"\0" in data:
         raise DataError(f"{path}: the file is binary, not text (zero byte at {data.index(0)})")
     try:
-        text = data.decode("utf-8-sig")
+        data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         # With a mark, `error.start` counts from behind it; the line number is the same.
         line = error.object[: error.start].count(b"\n") + 1
         byte = error.object[error.start]
         message = f"byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8"
         raise fault(path=path, line=line, message=message) from None
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def checked_fps(fps: float, *, where: str) -> float:
@@ -167,6 +193,22 @@ def check_numbers(
     raise DataError(f"{place.at(row)}: {reason}")
 
 
+def checked_name(text: str) -> str:
+    """Return an id or a label without the space around it.
+
+    Raises
+    ------
+    ValueError
+        If it is too long, or would not stand on one line of a terminal.
+    """
+    name = text.strip()
+    if len(name) > LONGEST_ID:
+        raise ValueError(f"the name {name[:20]!r}... has {len(name)} characters, over {LONGEST_ID}")
+    if _CONTROL.search(name):
+        raise ValueError(f"the name {name!r} has a control character")
+    return name
+
+
 _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
 
 
@@ -176,9 +218,10 @@ def clean_id(text: str) -> str:
     Raises
     ------
     ValueError
-        If it is empty, or a number that is not whole; the message says so.
+        If it is empty, too long, not printable, or a number that is not whole; the message
+        says so.
     """
-    name = text.strip()
+    name = checked_name(text)
     if name.lower() in {"", "nan", "none", "null"}:
         raise ValueError("the id is missing")
     if _DECIMAL.fullmatch(name):

@@ -2,9 +2,18 @@
 
 import re
 
+import numpy as np
 import pytest
 
-from isac_track.config import StageSettings, setting_types
+from isac_track.config import (
+    RANGES,
+    ConflictSettings,
+    PrivacySettings,
+    SceneSettings,
+    SensingSettings,
+    StageSettings,
+    setting_types,
+)
 from isac_track.errors import SettingsError
 
 
@@ -66,7 +75,7 @@ def test_text_is_read_as_the_type_of_the_field(name, value, expected):
         ({"privacy.epsilon_m": True}, "privacy.epsilon_m must be a finite number"),
         ({"privacy.epsilon_m": 0}, "privacy.epsilon_m must be positive"),
         ({"conflict.horizon_steps": 1.5}, "conflict.horizon_steps must be a whole number"),
-        ({"conflict.window": 1}, "conflict.window must be at least 2"),
+        ({"conflict.window": 1}, "conflict.window must lie within 2 to 100000, got 1"),
         ({"sensing.law": "laplace"}, "sensing.law must be one of radial, isotropic"),
         ({"sensing.large_scale_db": -1}, "sensing.large_scale_db must not be negative"),
         ({"scenes.history_ratio": 1}, "scenes.history_ratio must lie between 0 and 1"),
@@ -78,3 +87,109 @@ def test_text_is_read_as_the_type_of_the_field(name, value, expected):
 def test_a_wrong_setting_says_what_is_wrong(changes, message):
     with pytest.raises(SettingsError, match=re.escape(message)):
         StageSettings().changed(changes)
+
+
+def _numbers():
+    return {name: kind for name, kind in setting_types().items() if kind in (int, float)}
+
+
+def test_every_number_has_a_range_around_its_default():
+    assert RANGES.keys() == _numbers().keys()
+    for name, value in StageSettings().flat().items():
+        if name in RANGES:
+            low, high = RANGES[name]
+            assert low <= value <= high, name
+            assert low < high, name
+
+
+@pytest.mark.parametrize("name", RANGES)
+@pytest.mark.parametrize(
+    "value",
+    [1e9, -1e9, 1e300, -1e300, 10**400, -(10**400), 10**9999, "1e400", "-1e9999", "inf", "nan"],
+    ids=["1e9", "-1e9", "1e300", "-1e300", "400 digits", "-400 digits", "9999 digits", "text 1e400",
+         "text -1e9999", "text inf", "text nan"],
+)  # fmt: skip
+def test_absurd_values_end_in_one_line_that_names_the_setting(name, value):
+    with pytest.raises(SettingsError) as caught:
+        StageSettings().changed({name: value})
+    message = str(caught.value)
+    assert message.startswith(f"{name} must ")
+    assert len(message) < 200
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("scenes.agents", "1e9", "scenes.agents must lie within 1 to 100, got 1000000000"),
+        ("resample.min_duration_s", 1e12, "must lie within 0.1 to 1e+06, got 1000000000000.0"),
+        ("resample.rate_hold_s", 1e-12, "must lie within 0.001 to 1e+06, got 1e-12"),
+        ("linkage.split_gap_s", -1, "linkage.split_gap_s must not be negative (0 to 1e+06), got"),
+        ("privacy.epsilon_m", "1e400", "privacy.epsilon_m must be a finite number, got '1e400'"),
+        ("privacy.epsilon_m", "9" * 99, "must lie within 1e-06 to 10000, got 1e+99"),
+        ("privacy.epsilon_m", "x" * 99, f"must be a number, got '{'x' * 59}..."),
+        ("scenes.agents", [], "scenes.agents must be a number, got []"),
+    ],
+)
+def test_the_range_is_named(name, value, message):
+    with pytest.raises(SettingsError, match=re.escape(message)):
+        StageSettings().changed({name: value})
+
+
+@pytest.mark.parametrize("name", _numbers())
+def test_both_ends_of_a_range_may_be_taken(name):
+    if name in {"scenes.history_ratio", "conflict.probability_threshold"}:
+        return
+    stages = StageSettings()
+    # What else has to fit, fits.
+    around = {
+        "resample.rate_min_hz": 0.01,
+        "resample.rate_max_hz": 1e3,
+        "scenes.ring_min_m": 0.0,
+        "scenes.ring_max_m": 1e4,
+        "scenes.near_miss_max_m": 1e4,
+        "conflict.safety_radius_m": 1e-3,
+        "linkage.handover_least_s": 0.01,
+        "linkage.handover_window_s": 1e6,
+    }
+    others = {
+        "scenes.near_miss_max_m": {"conflict.safety_radius_m": 0.001},
+        "conflict.safety_radius_m": {"scenes.near_miss_max_m": 1e4},
+    }
+    low, high = RANGES[name]
+    low = 0.0011 if name == "scenes.near_miss_max_m" else low
+    for value in (low, high):
+        changes = {**around, **others.get(name, {}), name: value}
+        assert stages.changed(changes).flat()[name] == value
+
+
+class TestValuesGivenInPython:
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (lambda: PrivacySettings(epsilon_m="0.3"), "privacy.epsilon_m must be a number, got '"),
+            (lambda: PrivacySettings(epsilon_m=None), "privacy.epsilon_m must be a number, got No"),
+            (lambda: PrivacySettings(epsilon_m=True), "privacy.epsilon_m must be a number, got Tr"),
+            (lambda: PrivacySettings(epsilon_m=float("nan")), "must lie within 1e-06 to 10000"),
+            (
+                lambda: PrivacySettings(epsilon_m=10**400),
+                "must lie within 1e-06 to 10000, got 1000",
+            ),
+            (lambda: SceneSettings(agents=4.0), "scenes.agents must be a whole number, got 4.0"),
+            (lambda: SceneSettings(agents=[4]), "scenes.agents must be a whole number, got [4]"),
+            (lambda: SensingSettings(law=["radial"]), "sensing.law must be one of radial, iso"),
+            (lambda: ConflictSettings(window=10**9), "conflict.window must lie within 2 to 100000"),
+            (lambda: StageSettings(privacy="wide"), "privacy must be PrivacySettings, got str"),
+            (
+                lambda: StageSettings(scenes=PrivacySettings()),
+                "scenes must be SceneSettings, got P",
+            ),
+        ],
+    )
+    def test_a_wrong_type_is_an_error_that_names_the_setting(self, make, message):
+        with pytest.raises(SettingsError, match=re.escape(message)):
+            make()
+
+    def test_numbers_of_numpy_are_numbers(self):
+        assert SceneSettings(agents=np.int64(3)).agents == 3
+        assert PrivacySettings(epsilon_m=np.float64(0.5)).epsilon_m == 0.5

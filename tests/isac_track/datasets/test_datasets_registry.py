@@ -1,14 +1,18 @@
 # ruff: noqa: ARG001 - a fixture works by being asked for
+import contextlib
 import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
+from dataclasses import replace
 
 import pytest
 
-from isac_track.datasets import load
-from isac_track.datasets.download import fetch, url_of
+from isac_track.datasets import download, load
+from isac_track.datasets.download import fetch, url_of, usable
 from isac_track.datasets.registry import KNOWN, Known, locate
 from isac_track.errors import DataError
 
@@ -212,6 +216,76 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(mirror, empty_machine,
     assert "save in DIR/small and set ISAC_TRACK_DATA=DIR" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert files_in(empty_machine) == []
+
+
+def stalled(handler):
+    handler.send_response(200)
+    handler.send_header("Content-Length", str(len(WALK)))
+    handler.end_headers()
+    handler.wfile.write(WALK[:10])
+    handler.server.over.wait(10)
+
+
+def silent(handler):
+    handler.server.over.wait(10)
+
+
+@pytest.mark.parametrize("answer", [stalled, silent])
+def test_a_server_that_stalls_is_not_waited_for(mirror, empty_machine, monkeypatch, answer):
+    monkeypatch.setattr(download, "READ_TIMEOUT_S", 0.3)
+    mirror.files["/base/small/obsmat.txt"] = answer
+    mirror.over = threading.Event()
+    began = time.monotonic()
+    with pytest.raises(DataError, match=r"small/obsmat.txt: no answer in time. Way out: get obs"):
+        fetch(SMALL, found={})
+    mirror.over.set()
+    assert time.monotonic() - began < 5
+    assert files_in(empty_machine) == []
+
+
+def endless(handler):
+    handler.send_response(200)
+    handler.end_headers()
+    with contextlib.suppress(OSError):
+        for _ in range(100_000):
+            handler.wfile.write(bytes(100_000))
+
+
+def test_a_server_that_never_ends_is_cut_off(mirror, empty_machine):
+    mirror.files["/base/small/obsmat.txt"] = endless
+    with pytest.raises(DataError, match=r"small/obsmat.txt: not the expected file: over \d+ bytes"):
+        fetch(SMALL, found={})
+    assert files_in(empty_machine) == []
+
+
+@pytest.mark.parametrize("answer", [404, OTHER, truncated, closed])
+def test_what_was_fetched_earlier_stays_when_the_next_file_cannot_be_had(
+    mirror, empty_machine, answer
+):
+    two = replace(SMALL, sha256={**SMALL.sha256, "groups.txt": hashlib.sha256(b"1 2").hexdigest()})
+    mirror.files |= {"/base/small/obsmat.txt": WALK, "/base/small/groups.txt": answer}
+    for _ in range(2):
+        with pytest.raises(DataError, match=r"small/groups.txt: .*Way out"):
+            fetch(two, found=usable(two, found=locate(two)))
+        assert files_in(empty_machine) == [empty_machine / "small" / "obsmat.txt"]
+        assert (empty_machine / "small" / "obsmat.txt").read_bytes() == WALK
+    mirror.files["/base/small/groups.txt"] = b"1 2"
+    assert set(fetch(two, found=usable(two, found=locate(two)))) == {"obsmat.txt", "groups.txt"}
+    assert mirror.asked.count("/base/small/obsmat.txt") == 1
+
+
+def test_a_damaged_file_in_the_cache_is_replaced_by_a_good_one_alone(mirror, empty_machine):
+    put(empty_machine, "small", obsmat=OTHER)
+    path = empty_machine / "small" / "obsmat.txt"
+    for answer in (404, truncated):
+        mirror.files["/base/small/obsmat.txt"] = answer
+        with pytest.raises(DataError, match="Way out"):
+            fetch(SMALL, found=usable(SMALL, found=locate(SMALL)))
+        assert files_in(empty_machine) == [path]
+        assert path.read_bytes() == OTHER
+    mirror.files["/base/small/obsmat.txt"] = WALK
+    fetch(SMALL, found=usable(SMALL, found=locate(SMALL)))
+    assert path.read_bytes() == WALK
 
 
 def test_nobody_listens(empty_machine):

@@ -1,0 +1,403 @@
+"""Whatever the bytes, a reader gives tracks or one `DataError` that names the file; no warning.
+
+``benchmarks/fuzz_readers.py`` searches further, from the same small files.
+"""
+
+import io
+import pickle
+import tracemalloc
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from pyarrow import parquet
+
+from isac_track.datasets import crowd, load
+from isac_track.datasets.formats import FORMATS, read
+from isac_track.errors import IsacTrackError
+
+CORPUS = Path(__file__).parent / "corpus"
+FILES = {
+    "obsmat": ["walks.obsmat"],
+    "social-gan": ["walks.social-gan"],
+    "pedpy": ["walks.pedpy"],
+    "trajnet": ["walks.trajnet"],
+    "csv": ["walks.csv"],
+    "parquet": ["text.parquet", "number.parquet"],
+}
+VALID = {name: [(CORPUS / file).read_bytes() for file in files] for name, files in FILES.items()}
+TEXT = [name for name in FORMATS if name != "parquet"]
+ARCHIVE = (CORPUS / "walks.npz").read_bytes()
+FPS = st.sampled_from([None, 25.0, 1e-3, 1e6, 0.0, -1.0, float("nan"), float("inf")])
+# The examples are the same in every run; one that takes over 5 s is a hang.
+steady = settings(derandomize=True, print_blob=True, deadline=timedelta(seconds=5))
+
+
+def check(data, format_name, fps):
+    try:
+        tracks, repairs = read(data=data, path="f", format=format_name, fps=fps)
+    except IsacTrackError as error:
+        message = str(error)
+        assert message.startswith(("f:", "f,", "--fps")), message
+        assert len(message.splitlines()) == 1, message
+        assert len(message) < 1000
+        message.encode()
+    else:
+        assert (np.diff(tracks.offsets) > 1).all()
+        assert all(repair.count > 0 for repair in repairs)
+        assert all(len(repair.detail.splitlines()) == 1 for repair in repairs)
+
+
+FRAGMENTS = [
+    *(bytes([code]) for code in b",;:#\t \n\r\"'{[]}.-+_\0\x1c\xff"),
+    *(b"\xef\xbb\xbf", b"\xc2\xa0", b"\xe2\x80\xa8", b"\xd9\xa1", b"\n\n", b'"\n', b"PAR1"),
+    *(b"\xf0\x9f\x98\x80", b"\xed\xa0\x80", b"\x85", b"\x1f\x8b", b"PK\x03\x04"),
+]
+NUMBERS = [
+    *b"nan NaN inf -Infinity null true 1e999 1e308 -1e308 1e300 5e-324 -1 -0.0 0x1 1,5 1_0".split(),
+    *(b"", b"9" * 19, b"9" * 400, b"9" * 5000, b"-9007199254740993", b"1" + b"0" * 12, b"0.5"),
+    *(b"x" * 100_000, b'"' + b"a" * 300 + b'"', "\u0661".encode(), b"[" * 3000),
+]
+
+
+@st.composite
+def edited(draw, valid):
+    """Give a valid file with up to six edits of bytes: inserted, changed, cut or repeated."""
+    data = bytearray(draw(st.sampled_from(valid)))
+    for _ in range(draw(st.integers(1, 6))):
+        first, last = sorted(draw(st.tuples(*[st.integers(0, len(data))] * 2)))
+        edit = draw(st.sampled_from(["insert", "change", "cut", "repeat", "end"]))
+        if edit == "insert":
+            data[first:first] = draw(st.sampled_from(FRAGMENTS + NUMBERS))
+        elif edit == "change" and first < len(data):
+            data[first] = draw(st.integers(0, 255))
+        elif edit == "cut":
+            del data[first : min(last, first + 8)]
+        elif edit == "repeat":
+            data[first:first] = data[first:last]
+        elif edit == "end" and len(data) - first < 20:
+            del data[first:]
+    return bytes(data)
+
+
+@st.composite
+def rewritten(draw, valid):
+    """Give a valid text file with lines out of order or fields replaced, ended in some way."""
+    lines = draw(st.sampled_from(valid)).splitlines()
+    separator = b"," if b"," in lines[0] else b" "
+    lines = [lines[n] for n in draw(st.lists(st.integers(0, len(lines) - 1), max_size=8))] or lines
+    for _ in range(draw(st.integers(0, 4))):
+        row = draw(st.integers(0, len(lines) - 1))
+        fields = lines[row].split(separator)
+        fields[draw(st.integers(0, len(fields) - 1))] = draw(st.sampled_from(NUMBERS + FRAGMENTS))
+        lines[row] = separator.join(fields)
+    if draw(st.integers(0, 9)) == 0:
+        lines = [separator.join([line] * 2000) for line in lines]  # thousands of columns
+    mark = draw(st.sampled_from([b"", b"", b"\xef\xbb\xbf", b"\xff\xfe"]))
+    end = draw(st.sampled_from([b"\n", b"\r\n", b"\r", b"\n\n", b" \n"]))
+    return mark + end.join(lines) + draw(st.sampled_from([b"", end]))
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+@settings(steady, max_examples=150)
+@given(data=st.data(), fps=FPS)
+def test_edited_bytes(format_name, data, fps):
+    check(data.draw(edited(VALID[format_name])), format_name, fps)
+
+
+@pytest.mark.parametrize("format_name", TEXT)
+@settings(steady, max_examples=150)
+@given(data=st.data(), fps=FPS)
+def test_rewritten_lines(format_name, data, fps):
+    check(data.draw(rewritten(VALID[format_name])), format_name, fps)
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+@settings(steady, max_examples=60)
+@given(data=st.binary(max_size=200) | st.text(max_size=100).map(str.encode), fps=FPS)
+@example(data=b"", fps=None)
+@example(data=b"\xef\xbb\xbf", fps=None)
+@example(data=b"\n" * 5000, fps=25.0)
+@example(data=b"[" * 100_000, fps=25.0)
+@example(data=b'{"track":' * 100_000, fps=25.0)
+@example(data=b"t,id,x,y" + b",c" * 20_000 + b"\n" + b"0" + b",0" * 20_003, fps=None)
+def test_any_bytes(format_name, data, fps):
+    check(data, format_name, fps)
+
+
+def refusal(data, format_name, fps=25.0):
+    fps = fps if format_name not in {"csv", "parquet"} else None
+    with pytest.raises(IsacTrackError) as caught:
+        read(data=data, path="f", format=format_name, fps=fps)
+    check(data, format_name, fps)
+    return str(caught.value)
+
+
+def packed(*, compression="zstd", **columns):
+    buffer = io.BytesIO()
+    parquet.write_table(pa.table(columns), buffer, compression=compression)
+    return buffer.getvalue()
+
+
+class TestWhatWasFound:
+    def test_a_parquet_file_whose_code_lies_beyond_its_dictionary(self):
+        # An IndexError, found by benchmarks/fuzz_readers.py.
+        data = (CORPUS / "code-beyond-dictionary.parquet").read_bytes()
+        assert "the parquet file is damaged" in refusal(data, "parquet")
+
+    @pytest.mark.parametrize(
+        "name", ["walk.csv", "walk.parquet", "walk.NDJSON", "walk.npz", "walk"]
+    )
+    @pytest.mark.parametrize("format_name", FORMATS)
+    def test_a_file_under_another_formats_name(self, name, format_name, tmp_path):
+        path = tmp_path / name
+        path.write_bytes(VALID[format_name][0])
+        if {"csv": "walk.csv", "parquet": "walk.parquet", "trajnet": "walk.NDJSON"}.get(
+            format_name
+        ) == name:
+            assert len(load(path).tracks) > 0
+            return
+        with pytest.raises(IsacTrackError) as caught:
+            load(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize("name", ["two\nlines.csv", "red\x1b[31m.csv", "\udcff.csv", "a\udcff"])
+    def test_a_file_name_is_one_line_that_can_be_printed(self, name, tmp_path):
+        (tmp_path / name).write_bytes(b"t,id\n")
+        with pytest.raises(IsacTrackError) as caught:
+            load(tmp_path / name)
+        str(caught.value).encode()
+        assert str(caught.value).isprintable()
+
+    @pytest.mark.parametrize(("text", "shown"), [("a\x1b[2Jb", "\\x1b"), ("a\x85b", "\\x85")])
+    def test_an_id_that_steers_the_terminal(self, text, shown):
+        rows = f"t,id,x,y\n0,{text},0,0\n0.4,{text},0.4,0\n"
+        assert refusal(rows.encode(), "csv").startswith("f, line 2: the name ")
+        assert shown in refusal(rows.encode(), "csv")
+        names = f"t,id,x,y,{text}\n0,1,0,0,1\n0.4,1,0.4,0,1\n"
+        _, (note,) = read(data=names.encode(), path="f", format="csv")
+        assert note.detail.isprintable()
+
+    def test_an_id_of_any_length_is_cut_in_the_message(self):
+        rows = b"t,id,x,y\n0,%b,0,0\n" % (b"a" * 100_000)
+        assert "has 100000 characters, over 200" in refusal(rows, "csv")
+
+    def test_a_header_in_which_the_search_for_the_frame_rate_starts_everywhere(self):
+        # Took 6 s for 45 kB, and four times as long for twice as much.
+        message = refusal(b"# " + b"framerate" * 100_000 + b"\n1 0 0 0\n", "pedpy", None)
+        assert "no framerate" in message
+
+    @pytest.mark.parametrize("format_name", ["csv", "parquet"])
+    def test_two_samples_at_nearly_the_same_time_are_at_the_same_time(self, format_name):
+        t = [0.0, 0.4, 0.4 + 1e-15, 0.8]
+        if format_name == "parquet":
+            data = packed(t=t, id=[1] * 4, x=[0.0, 0.4, 0.5, 0.8], y=[0.0] * 4)
+        else:
+            rows = zip(t, [0, 0.4, 0.5, 0.8], strict=True)
+            data = b"t,id,x,y\n" + "".join(f"{t!r},1,{x},0\n" for t, x in rows).encode()
+        assert "id 1 is somewhere else at the same time" in refusal(data, format_name)
+
+    @pytest.mark.parametrize(
+        ("format_name", "data"),
+        [
+            ("csv", b"t,id,x,y\n0,1,0,0\n1e11,1,0,0\n2e11,1,0,0\n"),
+            ("social-gan", b"0 1 0 0\n1000000000000 1 0 0\n"),
+            ("obsmat", b"0 1 0 0 0 0 0 0\n1000000000000 1 0 0 0 0 0 0\n"),
+            ("pedpy", b"1 0 0 0\n1 1000000000000 0 0\n"),
+            ("trajnet", VALID["trajnet"][0].split(b"\n")[1] + b"\n"
+             b'{"track": {"f": 1000000000000, "p": 1, "x": 1.0, "y": 2.0}}\n'),
+        ],
+    )  # fmt: skip
+    def test_somebody_who_stands_for_years_is_not_interpolated(self, format_name, data):
+        assert "the usual step is" in refusal(data, format_name)
+        assert "over 10 s: milliseconds for seconds" in refusal(data, format_name)
+
+    def test_ids_of_parquet_files_in_several_row_groups_with_nulls(self):
+        buffer = io.BytesIO()
+        group = ["g", None, "h", None, None, "g", "g", None]
+        table = pa.table(
+            {"t": [0.0, 0.4] * 4, "id": list("aabbccdd"), "x": [0.0, 0.4] * 4, "y": [0.0] * 8,
+             "group": group}
+        )  # fmt: skip
+        parquet.write_table(table, buffer, row_group_size=2)
+        tracks, _ = read(data=buffer.getvalue(), path="f", format="parquet")
+        assert tracks.source == ("a", "b", "c", "d")
+        assert tracks.group == ("group:g", "group:h", "group:g", "group:g")
+
+
+class TestMemory:
+    @pytest.mark.parametrize("format_name", TEXT)
+    @pytest.mark.parametrize(
+        "megabytes", [1.0, pytest.param(15.0, marks=pytest.mark.slow)], ids=["1 MB", "15 MB"]
+    )
+    def test_a_recording_needs_less_than_ten_times_its_size(self, format_name, megabytes):
+        data = recording(format_name, n_bytes=int(megabytes * 1e6))
+        fps = None if format_name == "csv" else 25.0
+        read(data=VALID[format_name][0], path="f", format=format_name, fps=None
+             if format_name in {"csv", "pedpy", "trajnet"} else fps)  # fmt: skip  # imports
+        assert peak_bytes(data, format_name, fps) < 10 * len(data)
+
+    @pytest.mark.parametrize("format_name", TEXT)
+    def test_a_wide_character_and_windows_line_ends_do_not_change_that(self, format_name):
+        data = recording(format_name, n_bytes=1_000_000).replace(b"\n", b"\r\n")
+        wide = "# \N{GRINNING FACE}\r\n".encode()
+        if format_name == "csv":
+            data = data.replace(b",1,", ",\N{GRINNING FACE},".encode())
+        elif format_name != "trajnet":  # has ASCII numbers alone
+            data = wide + data
+        fps = None if format_name == "csv" else 25.0
+        assert peak_bytes(data, format_name, fps) < 10 * len(data)
+
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (
+                lambda: packed(**{name: np.zeros(10_000_000) for name in ("t", "id", "x", "y")}),
+                "claims 10000000 rows in ",
+            ),
+            (
+                lambda: packed(t=np.arange(400.0), id=["a" * 1_000_000] * 400, x=np.zeros(400),
+                               y=np.zeros(400)),
+                "has 1000000 characters, over 200",
+            ),
+            (
+                lambda: packed(t=["0" * 1_000_000] * 400, id=[1] * 400, x=np.zeros(400),
+                               y=np.zeros(400)),
+                "column t holds string, not numbers of seconds",
+            ),
+        ],
+        ids=["rows", "a long id", "a long text for a number"],
+    )  # fmt: skip
+    def test_a_small_parquet_file_that_claims_much_is_refused_without_unpacking(
+        self, make, message
+    ):
+        data = make()
+        assert len(data) < 400_000
+        with arrow_pool() as pool:
+            assert message in refusal(data, "parquet")
+        assert pool.max_memory() < 50_000_000
+
+    @pytest.mark.parametrize(
+        "data", [b"\n" * 1_000_000, b"{" * 1_000_000, b"t,id,x,y\n" + b"\n" * 1_000_000]
+    )
+    @pytest.mark.parametrize("format_name", TEXT)
+    def test_lines_of_nothing_need_no_more(self, format_name, data):
+        assert peak_bytes(data, format_name, None if format_name == "csv" else 25.0) < 10_000_000
+
+
+def recording(format_name, *, n_bytes):
+    """People who walk 80 m in 200 samples 0.4 s apart, one after the other, as a text file."""
+    line = {
+        "obsmat": "{frame} {id} {x:.6f} 0 {y:.6f} 1.25 0 0\n",
+        "social-gan": "{frame}\t{id}\t{x:.4f}\t{y:.4f}\n",
+        "pedpy": "{id} {frame} {x:.4f} {y:.4f} 0\n",
+        "trajnet": '{{"track": {{"f": {frame}, "p": {id}, "x": {x:.2f}, "y": {y:.2f}}}}}\n',
+        "csv": "{t:.2f},{id},{x:.4f},{y:.4f}\n",
+    }[format_name]
+    text = io.StringIO()
+    text.write("t,id,x,y\n" if format_name == "csv" else "")
+    person = 0
+    while text.tell() < n_bytes:
+        person += 1
+        for step in range(200):
+            cells = {"frame": 10 * step, "t": 0.4 * step, "x": 0.4 * step, "y": person % 90 / 7}
+            text.write(line.format(id=person, **cells))
+    return text.getvalue().encode()
+
+
+def peak_bytes(data, format_name, fps):
+    """What Python and arrow held at most while reading, beside the file itself."""
+    tracemalloc.start()
+    try:
+        with arrow_pool() as pool:
+            check(data, format_name, fps)
+        return tracemalloc.get_traced_memory()[1] + pool.max_memory()
+    finally:
+        tracemalloc.stop()
+
+
+POOLS = []  # must outlive what was allocated from them
+
+
+@contextmanager
+def arrow_pool():
+    """Give a pool of its own to what arrow allocates meanwhile: it counts from nothing."""
+    previous = pa.default_memory_pool()
+    POOLS.append(pa.proxy_memory_pool(pa.system_memory_pool()))
+    pa.set_memory_pool(POOLS[-1])
+    try:
+        yield POOLS[-1]
+    finally:
+        pa.set_memory_pool(previous)
+
+
+def npz(**changes):
+    arrays = dict(np.load(CORPUS / "walks.npz", allow_pickle=False)) | changes
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def read_archive(data, path):
+    path.write_bytes(data)
+    try:
+        return crowd.read_npz(path)
+    except IsacTrackError as error:
+        message = str(error)
+    assert message.startswith(f"{path}: not a readable crowd file (")
+    assert len(message.splitlines()) == 1
+    return message
+
+
+class Evil:
+    def __reduce__(self):
+        return (Path.touch, (Path("was-executed"),))
+
+
+class TestArchives:
+    def test_the_file_is_one(self, tmp_path):
+        assert read_archive(ARCHIVE, tmp_path / "a.npz").source == ("a", "b")
+        assert read_archive(npz(), tmp_path / "a.npz").t.size == 5
+
+    @pytest.mark.parametrize("name", ["source", "group", "steps_mm", "frame_s", "format"])
+    def test_nothing_is_unpickled(self, name, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        data = npz(**{name: np.array([Evil(), Evil()], dtype=object)})
+        assert "allow_pickle=False" in read_archive(data, tmp_path / "a.npz")
+        assert "not a zip file" in read_archive(pickle.dumps(Evil()), tmp_path / "a.npz")
+        assert not (tmp_path / "was-executed").exists()
+
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"samples": np.array([3, 2_000_000_000], dtype=np.int32)},
+            {"samples": np.array([6, -1], dtype=np.int32)},
+            {"samples": np.array([3.0, 2.0])},
+            {"samples": np.array([5], dtype=np.int32)},
+            {"steps_mm": np.zeros(10, dtype=np.int16)},
+            {"steps_mm": np.zeros((2, 4), dtype=np.int16)},
+            {"frame_s": np.float64("nan")},
+            {"frame_s": np.float64(-0.4)},
+            {"frame_s": np.array("x")},
+            {"frame_s": np.zeros(3)},
+            {"format": np.int64(2)},
+            {"source": np.array(["a", "a"])},
+            {"source": np.array(["a"])},
+            {"first_frame": np.array([0, 0, 0], dtype=np.int32)},
+            {"about": np.zeros(20_000_000, dtype=np.int8)},
+        ],
+        ids="-".join,
+    )
+    def test_what_does_not_fit_is_refused(self, changes, tmp_path):
+        assert isinstance(read_archive(npz(**changes), tmp_path / "a.npz"), str)
+
+    @settings(steady, max_examples=150)
+    @given(data=edited([ARCHIVE, npz()]) | st.binary(max_size=100))
+    def test_edited_bytes(self, data, tmp_path_factory):
+        read_archive(data, tmp_path_factory.getbasetemp() / "edited.npz")
