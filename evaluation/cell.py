@@ -5,10 +5,9 @@ A level is shared once; every consumer of the block reads the same release.
 
 from __future__ import annotations
 
-import gc
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from evaluation.reconstruction import (
     track_columns,
 )
 from evaluation.window_cell import to_parquet as windows_to_parquet
+from evaluation.workers import Failed, note, noted
 from isac_track.conflict import is_conflict
 from isac_track.encounter import conflict_probability
 from isac_track.errors import PluginError, SettingsError
@@ -45,6 +45,10 @@ if TYPE_CHECKING:
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Scenes, Sensed
+
+
+Item: TypeAlias = "tuple[int, Plugin, Consumer, Rows | bytes]"
+"""A finished cell: its block, mechanism, consumer, and rows or file."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,7 +76,7 @@ class LinkWork:
 
 def cells(
     work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[tuple[int, Plugin, Consumer, Rows | bytes]]:
+) -> Iterator[Item]:
     """Yield every cell of a piece of work: its block, mechanism, consumer, and rows or file.
 
     Raises
@@ -88,13 +92,14 @@ def cells(
         yield work.number, mechanism, consumer, rows
 
 
-def all_cells(
-    work: Block | LinkWork,
-    **context: Any,  # noqa: ANN401 - handed on to cells
-) -> list[tuple[int, Plugin, Consumer, Rows | bytes]]:
-    """Return `cells`, for a worker: this module imports less than the runner."""
-    gc.freeze()  # what was imported stays: looking through it again and again takes long
-    return list(cells(work, **context))
+def attempt(
+    work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
+) -> Iterator[Item | Failed]:
+    """Yield `cells` until a plug-in fails, and then that (for workers, too)."""
+    try:
+        yield from cells(work, tracks=tracks, stages=stages, seed=seed)
+    except PluginError as error:
+        yield Failed(noted(), str(error))
 
 
 def compute_links(
@@ -109,6 +114,7 @@ def compute_links(
     """
     ground = link_ground(work.sessions, groups=work.groups, stages=stages, seed=seed)
     for mechanism, consumers in work.levels:
+        note(mechanism.spec, "")
         for consumer, linked in link_level(
             mechanism,
             consumers,
@@ -152,6 +158,7 @@ def compute_block(
             seed=seed,
         )
     for mechanism, consumers in block.levels:
+        note(mechanism.spec, "")
         release = _share(mechanism, sensed, ("block", block.number), seed=seed)
         left = kept(release, sensed)
         known = scenes if left is None else reduced(scenes, left)
@@ -160,6 +167,7 @@ def compute_block(
             attacked_ground = ground_without(attacked, left)
         attacked_level = None
         for consumer in consumers:
+            note(mechanism.spec, consumer.label)
             if consumer.kind == "shared":
                 rows = _descriptors(release, known, stages=stages)
             elif consumer.kind == "predictor":

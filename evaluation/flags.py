@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from evaluation.cell_files import read_cells
 from evaluation.grid import SHARED
 from evaluation.paper import MIN_CLUSTERS
-from evaluation.store import read_cells
 from evaluation.summary import Key, clusters, weights_of
 from evaluation.sweeps import CONTROL, level_text
 from isac_track.intervals import (

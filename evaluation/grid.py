@@ -136,6 +136,8 @@ class Settings:
     stages: StageSettings = field(default_factory=StageSettings)
     jobs: int | None = None
     """Worker processes; None: as many as there are cores where the work is worth it."""
+    cell_timeout_s: float | None = None
+    """Longest time that a cell may take; one that takes longer is killed and left out."""
     out: Path | str | None = None
     fresh: bool = False
 
@@ -153,6 +155,8 @@ class Settings:
             raise SettingsError(f"the seed must not be negative, got {self.seed}")
         if self.jobs is not None and self.jobs < 1:
             raise SettingsError(f"jobs must be at least 1, got {self.jobs}")
+        if self.cell_timeout_s is not None and not self.cell_timeout_s > 0:
+            raise SettingsError(f"cell_timeout must be positive, got {self.cell_timeout_s:g} s")
         if self.fps is not None and not self.fps > 0:
             raise SettingsError(f"fps must be positive, got {self.fps:g}")
 

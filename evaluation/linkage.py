@@ -25,6 +25,7 @@ from evaluation.linkage_scores import (
 )
 from evaluation.plugin_calls import copied, guarded
 from evaluation.window_cell import window_rows
+from evaluation.workers import note
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
@@ -90,6 +91,7 @@ def link_level(
         sides={},
     )
     for consumer in consumers:
+        note(mechanism.spec, consumer.label)
         if consumer.kind == "windows":
             yield (
                 consumer,

@@ -7,11 +7,12 @@ import gc
 import math
 import sys
 import tomllib
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from evaluation.grid import PRESETS, Settings
-from isac_track.command_line import DONE, Parser, exit_code
+from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings, setting_types
 from isac_track.errors import SettingsError
 
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from evaluation.runner import Plan
 
 _EXIT = """\
-exit codes: 0 done, 2 wrong usage or data, 130 interrupted (finished cells are kept)
+exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
+130 interrupted (finished cells are kept; the same command continues)
 
 examples:
   python -m evaluation.matrix
@@ -41,6 +43,7 @@ _CONFIG_KEYS = {
     "attack": list,
     "task": list,
     "jobs": int,
+    "cell_timeout": float,
     "out": str,
 }
 
@@ -107,6 +110,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="worker processes (default: the cores, at most 8; 1 for little work)",
     )
+    add(
+        "--cell-timeout",
+        type=float,
+        metavar="S",
+        help="kill and leave out a cell that takes longer than this many seconds (default: never)",
+    )
     add("--out", type=Path, metavar="DIR", help="run folder (default: runs/DATASET-PRESET-SEED)")
     add("--fresh", action="store_true", help="replace the run in the folder, do not continue it")
     add("--list", action="store_true", help="list what can be named, and stop")
@@ -149,6 +158,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
         tasks=_axis(values.get("task"), option="--task"),
         stages=StageSettings().changed(stage_values),
         jobs=values.get("jobs"),
+        cell_timeout_s=values.get("cell_timeout"),
         out=Path(values["out"]) if "out" in values else None,
         fresh=options.fresh,
     )
@@ -174,7 +184,7 @@ def _command(arguments: Sequence[str] | None) -> int:
 def _run(settings: Settings, *, dry_run: bool) -> int:
     # Heavy imports only now: --help, --list and a typing error answer at once.
     from evaluation import tables  # noqa: PLC0415
-    from evaluation.runner import plan, run  # noqa: PLC0415
+    from evaluation.runner import FailedCellsWarning, plan, run  # noqa: PLC0415
 
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
     ready = plan(settings)
@@ -183,8 +193,9 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
         _say(f"notice: left out: {why}", stream=sys.stderr)
     _announce_slow(ready)
     if dry_run:
-        return 0
-    with _Bar() as bar:
+        return DONE
+    with _Bar() as bar, warnings.catch_warnings():
+        warnings.simplefilter("ignore", FailedCellsWarning)  # told below
         results = run(ready=ready, progress=bar.update)
     for notice in _notices(results.manifest):
         _say(f"notice: {notice}", stream=sys.stderr)
@@ -198,7 +209,8 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
     tables.show_flags(results.flags)
     tables.show_verdict(results.verdict)
     _say(f"\nresults in {results.out}; read {results.out / 'report.html'} first")
-    return 0
+    tables.show_failed(results.failed)
+    return FAILED_CELLS if len(results.failed) else DONE
 
 
 def _notices(manifest: dict[str, Any]) -> list[str]:
@@ -208,6 +220,11 @@ def _notices(manifest: dict[str, Any]) -> list[str]:
     ]
     if manifest["dropped_cells"]:
         notices.append(f"{manifest['dropped_cells']} cells of another code version were dropped")
+    if manifest["damaged_cells"]:
+        notices.append(
+            f"{len(manifest['damaged_cells'])} cells were not as they had been written and are "
+            f"computed anew, {manifest['damaged_cells'][0]} for one"
+        )
     if manifest["exhausted_redraws"]:
         notices.append(
             f"{manifest['exhausted_redraws']} background agents found no place with "

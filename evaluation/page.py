@@ -15,6 +15,7 @@ from markupsafe import Markup
 from attacks.linkage.task_list import TASKS
 from evaluation import flags as flagging
 from evaluation import page_cells, page_tables, page_words
+from evaluation.failures import failed_lines
 from evaluation.figures import DISSOCIATION, HEAT_MAP
 from evaluation.page_figures import tasks_of
 from evaluation.page_gallery import read_gallery
@@ -127,6 +128,7 @@ def render(
             one.removeprefix("flag: ").removesuffix(": flags.json")
             for one in flagging.lines(results.flags)
         ],
+        failed_lines=failed_lines(results.failed),
         about_tasks=_about_tasks(manifest),
         command=page_words.command(manifest),
         css=Markup((_TEMPLATES / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - ours

@@ -10,19 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from evaluation import figures, flags, linkability, page, paper, store, summary, tables, verdict
+from evaluation.cell_files import check_sound
 from evaluation.decisions import decisions
+from evaluation.failures import COLUMNS as FAILED_COLUMNS
 from evaluation.grid import SHARED
 from evaluation.matching import MISSED, comparisons, matched
 from evaluation.page_gallery import read_gallery
+from evaluation.run_lock import locked
 from evaluation.strongest import strongest_linkers
 from evaluation.within_level import read_levels
-from isac_track.command_line import DONE, Parser, exit_code
+from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,6 +44,8 @@ class Results:
     linkability: pd.DataFrame
     verdict: dict[str, Any]
     """As in `verdict.json`."""
+    failed: pd.DataFrame
+    """Cells that could not be computed, and why; no other table holds their levels."""
 
 
 def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
@@ -98,6 +103,7 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         flags=flagged.rows,
         linkability=linkability.linkability(read, dataset=dataset),
         verdict=said,
+        failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
     )
     for frame, name in (
         (results.summary, "summary.csv"),
@@ -107,6 +113,7 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         (results.decisions, "decisions.csv"),
         (results.curves, "curves.csv"),
         (results.linkability, "linkability.csv"),
+        (results.failed, "failed.csv"),
     ):
         store.write_whole(out / name, frame.to_csv(index=False).encode())
     store.write_whole(out / "flags.json", flags.to_json(flagged))
@@ -145,10 +152,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Redraw summary, tables and figures of a run folder from its finished cells.",
     )
     parser.add_argument("out", type=Path, help="folder of a run, as given to the matrix by --out")
-    return exit_code(lambda: _show(build(parser.parse_args(arguments).out)))
+    return exit_code(lambda: _redraw(parser.parse_args(arguments).out))
 
 
-def _show(results: Results) -> int:
+def _redraw(out: Path) -> int:
+    manifest = store.read_manifest(out)
+    with locked(out):
+        check_sound(out, (name for entry in manifest["cells"] for name in entry["files"]))
+        results = build(out)
     tables.show(
         results.summary,
         results.paper_table,
@@ -158,7 +169,8 @@ def _show(results: Results) -> int:
     )
     tables.show_verdict(results.verdict)
     tables.show_flags(results.flags)
-    return DONE
+    tables.show_failed(results.failed)
+    return FAILED_CELLS if len(results.failed) else DONE
 
 
 if __name__ == "__main__":

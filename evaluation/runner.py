@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import time
+import warnings
+from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,25 +15,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation import store
-from evaluation.cell import Block, LinkWork, all_cells, cells
+from evaluation.cell import Block, LinkWork, attempt
+from evaluation.cell_files import read_cells, sound_cells, write_cell
+from evaluation.failures import FailedCell, Failures
 from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
 from evaluation.linkage_ground import sessions_of
 from evaluation.page_gallery import gallery_rows, write_gallery
 from evaluation.report import Results, build
-from evaluation.workers import default_jobs
+from evaluation.run_lock import locked
+from evaluation.workers import Failed, default_jobs, spread
 from isac_track import datasets, kernels
 from isac_track.command_line import check_interrupt
 from isac_track.datasets import crowd
-from isac_track.errors import DataError
+from isac_track.errors import DataError, PluginError
 from isac_track.privacy import mean_interval_s
 from isac_track.scenes import cut, track_order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Set as AbstractSet
 
     from attacks.linkage.tasks import Sessions
+    from evaluation.cell import Item
+    from evaluation.failures import Work
     from evaluation.grid import Consumer
-    from evaluation.reconstruction import Rows
     from isac_track.datasets import Dataset
     from isac_track.registry import Plugin
     from isac_track.scenes import Cut
@@ -197,15 +205,32 @@ def run(
     if ready is None:
         ready = plan(settings or Settings())
     tell = progress or (lambda _done, _total, _what: None)
+    store.check_folder(ready.out)
+    with locked(ready.out):
+        return _run_locked(ready, tell, pictures=pictures)
+
+
+def _run_locked(ready: Plan, tell: Callable[[int, int, str], None], *, pictures: bool) -> Results:
     started = time.monotonic()
     manifest = store.open_run(
         ready.out, identity=ready.identity, code=ready.code, fresh=ready.settings.fresh
     )
     earlier_s = float(manifest.get("wall_time_s", 0.0))
+    earlier = [name for entry in manifest["cells"] for name in entry["files"]]
+    ours = [name for _, _, names in ready.cells for name in names]
+    sound, damaged = sound_cells(ready.out, (*earlier, *ours))
     manifest |= _describe(ready)
-    manifest["cells"] = _merged(manifest["cells"], ready)
+    manifest["damaged_cells"] = damaged
+    manifest["failed"] = []
+    manifest["cells"] = _merged(manifest["cells"], ready, sound=sound)
     store.write_manifest(ready.out, manifest | {"state": "running"})
-    _compute_missing(ready, tell)
+    failed = _compute_missing(ready, tell, sound=sound)
+    if failed:
+        manifest["failed"] = [_described_failure(one) for one in failed]
+        manifest["cells"] = _whole(manifest["cells"], failed, ready)
+        if not manifest["cells"]:
+            raise PluginError(failed[0].why)
+        warnings.warn(_summed_up(failed), FailedCellsWarning, stacklevel=3)
     tell(ready.n_cells, ready.n_cells, "intervals, verdict, figures and report")
     write_gallery(
         gallery_rows(
@@ -217,36 +242,48 @@ def run(
         ),
         out=ready.out,
     )
-    manifest["exhausted_redraws"] = _exhausted_redraws(ready)
+    manifest["exhausted_redraws"] = _exhausted_redraws(ready.out, manifest["cells"])
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     store.write_manifest(ready.out, manifest | {"state": "finished"})
     return build(ready.out, pictures=pictures, jobs=ready.jobs)
 
 
-def _compute_missing(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
-    folder = ready.out / "cells"
-    present = {path.name for path in folder.iterdir()}
-    blocks = tuple(_missing_blocks(ready, present))
-    links = tuple(_missing_links(ready, present))
-    works: tuple[Block | LinkWork, ...] = (*blocks, *links)
+def _compute_missing(
+    ready: Plan, tell: Callable[[int, int, str], None], *, sound: AbstractSet[str]
+) -> list[FailedCell]:
+    """Compute what is missing, and return what could not be."""
+    blocks = tuple(_missing_blocks(ready, sound))
+    links = tuple(_missing_links(ready, sound))
+    works: deque[Work] = deque((*blocks, *links))
     total = sum(len(consumers) for work in works for _, consumers in work.levels)
     files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
     done = 0
+    failures = Failures()
+    if not works:
+        return failures.cells
     tell(done, total, "starting")
-    if total and any(_uses_kernels(consumer) for _, consumer, _ in ready.cells):
+    if any(_uses_kernels(consumer) for _, consumer, _ in ready.cells):
         kernels.prepare()  # before workers start: each would compile for itself
     if links:
         for loops in ("isac_track._linkability_loops", "attacks.linkage._lag_loop"):
             import_module(loops)
-    for block, mechanism, consumer, rows in _computed(works, ready):
-        path = folder / files[mechanism.spec, consumer.label][block]
-        if isinstance(rows, bytes):
-            store.write_whole(path, rows)
-        else:
-            store.write_cell(path, rows, tracks=ready.tracks)
-        check_interrupt()
-        done += 1
-        tell(done, total, f"{mechanism.spec} > {consumer.label}")
+    for work, items in _computed(works, ready):
+        finished: set[tuple[str, str]] = set()
+        for item in items:
+            if isinstance(item, Failed):
+                before = len(failures.cells)
+                works.extend(failures.rest(work, item, finished=finished))
+                done += len(failures.cells) - before
+                continue
+            block, mechanism, consumer, rows = item
+            write_cell(
+                ready.out, files[mechanism.spec, consumer.label][block], rows, tracks=ready.tracks
+            )
+            finished.add((mechanism.spec, consumer.label))
+            done += 1
+            check_interrupt()
+            tell(done, total, f"{mechanism.spec} > {consumer.label}")
+    return failures.cells
 
 
 def _uses_kernels(consumer: Consumer) -> bool:
@@ -255,17 +292,17 @@ def _uses_kernels(consumer: Consumer) -> bool:
     return links or origin.startswith(("predictors.kalman", "attacks."))
 
 
-def _exhausted_redraws(ready: Plan) -> int | None:
+def _exhausted_redraws(out: Path, entries: list[dict[str, Any]]) -> int | None:
     """Return how many agents kept a place without clearance; None if no cell tells."""
-    for _, consumer, names in ready.cells:
-        if consumer.kind == "predictor":
-            paths = [ready.out / "cells" / name for name in names]
-            table = store.read_cells(paths, columns=["exhausted"])
+    for entry in entries:
+        if entry["kind"] == "predictor":
+            paths = [out / "cells" / name for name in entry["files"]]
+            table = read_cells(paths, columns=["exhausted"])
             return int(table["exhausted"].to_numpy().sum())
     return None
 
 
-def _missing_blocks(ready: Plan, present: set[str]) -> Iterator[Block]:
+def _missing_blocks(ready: Plan, present: AbstractSet[str]) -> Iterator[Block]:
     settings = ready.settings
     order = track_order(
         n_tracks=len(ready.tracks),
@@ -289,7 +326,7 @@ def _missing_blocks(ready: Plan, present: set[str]) -> Iterator[Block]:
             )
 
 
-def _missing_links(ready: Plan, present: set[str]) -> Iterator[LinkWork]:
+def _missing_links(ready: Plan, present: AbstractSet[str]) -> Iterator[LinkWork]:
     for sessions in ready.sessions:
         missing: dict[str, tuple[Plugin, list[Consumer]]] = {}
         for mechanism, consumer, names in ready.cells:
@@ -322,22 +359,13 @@ def _parts(
     return [levels[part::n_parts] for part in range(n_parts)]
 
 
-def _computed(
-    works: tuple[Block | LinkWork, ...], ready: Plan
-) -> Iterator[tuple[int, Plugin, Consumer, Rows | bytes]]:
-    """Yield the rows of every cell as it is finished, in this process or from workers."""
-    context: dict[str, Any] = {"stages": ready.settings.stages, "seed": ready.settings.seed}
-    if ready.jobs == 1 or len(works) < 2:  # noqa: PLR2004 - nothing to share out
-        for work in works:
-            yield from cells(work, tracks=ready.tracks, **context)
-        return
-    from joblib import Parallel, delayed  # noqa: PLC0415 - only where there are workers
-
-    workers = Parallel(n_jobs=ready.jobs, return_as="generator_unordered")
-    for finished in workers(
-        delayed(all_cells)(work, tracks=ready.tracks, **context) for work in works
-    ):
-        yield from finished
+def _computed(works: deque[Work], ready: Plan) -> Iterator[tuple[Work, Iterable[Item | Failed]]]:
+    """Yield every work with its cells, from this process or from workers; works may be added."""
+    compute = partial(
+        attempt, tracks=ready.tracks, stages=ready.settings.stages, seed=ready.settings.seed
+    )
+    settings = ready.settings
+    return spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
 
 
 def _describe(ready: Plan) -> dict[str, Any]:
@@ -410,12 +438,13 @@ def _described(sessions: Sessions) -> dict[str, Any]:
     }
 
 
-def _merged(earlier: list[dict[str, Any]], ready: Plan) -> list[dict[str, Any]]:
+def _merged(
+    earlier: list[dict[str, Any]], ready: Plan, *, sound: AbstractSet[str]
+) -> list[dict[str, Any]]:
     """Return the index of cells: those of this run, and finished ones of earlier axes.
 
     An earlier level that was never finished (interrupted, or a plug-in that failed) is left out.
     """
-    present = {path.name for path in (ready.out / "cells").iterdir()}
     ours = [
         {
             "mechanism": mechanism.name,
@@ -431,19 +460,54 @@ def _merged(earlier: list[dict[str, Any]], ready: Plan) -> list[dict[str, Any]]:
     ]
     known = {_cell_key(entry) for entry in ours}
     merged = ours + [
-        entry
-        for entry in earlier
-        if _cell_key(entry) not in known and present.issuperset(entry["files"])
+        entry for entry in earlier if _cell_key(entry) not in known and sound >= set(entry["files"])
     ]
-    # What an attack says when it finds nothing depends on its ceiling.
-    with_ceiling = {
-        (entry["consumer"], entry["knowledge"]) for entry in merged if entry["spec"] == "clean"
+    return _with_ceiling(merged)
+
+
+def _with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the index without what is linked without a ceiling.
+
+    What an attack says when it finds nothing depends on it.
+    """
+    ceilings = {
+        (entry["consumer"], entry["knowledge"]) for entry in entries if entry["spec"] == "clean"
     }
     return [
         entry
-        for entry in merged
-        if entry["kind"] != "linkage" or (entry["consumer"], entry["knowledge"]) in with_ceiling
+        for entry in entries
+        if entry["kind"] != "linkage" or (entry["consumer"], entry["knowledge"]) in ceilings
     ]
+
+
+def _whole(
+    entries: list[dict[str, Any]], failed: list[FailedCell], ready: Plan
+) -> list[dict[str, Any]]:
+    """Return the index without entries that miss a cell: nothing is averaged over less."""
+    files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
+    missing = {files[one.mechanism.spec, one.consumer.label][one.block] for one in failed}
+    return _with_ceiling([entry for entry in entries if missing.isdisjoint(entry["files"])])
+
+
+class FailedCellsWarning(UserWarning):
+    """Some cells of a run could not be computed; `Results.failed` names them."""
+
+
+def _summed_up(failed: list[FailedCell]) -> str:
+    reasons = list(dict.fromkeys(one.why for one in failed))
+    more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
+    return f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
+
+
+def _described_failure(one: FailedCell) -> dict[str, Any]:
+    return {
+        "spec": one.mechanism.spec,
+        "kind": one.consumer.kind,
+        "consumer": one.consumer.spec,
+        "knowledge": one.consumer.knowledge,
+        "block": one.block,
+        "why": one.why,
+    }
 
 
 def _cell_key(entry: dict[str, Any]) -> tuple[str, str, str]:

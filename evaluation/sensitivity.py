@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 import time
 from dataclasses import dataclass
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from evaluation.grid import Settings
     from evaluation.runner import Plan
     from isac_track.config import StageSettings
+    from isac_track.registry import Kind
     from isac_track.types import Tracks
 
 _EXIT = """\
@@ -91,6 +91,7 @@ def settings_of(
     out: Path,
     scenes: int | None = None,
     jobs: int | None = None,
+    trust: Sequence[str] = (),
 ) -> tuple[Settings, tuple[str, ...]]:
     """Return the settings of a variant's run, and the tasks that are left out, each with why.
 
@@ -103,6 +104,8 @@ def settings_of(
         Folder of the variant.
     scenes, jobs : int, optional
         Instead of the run's scenes and of the default number of workers.
+    trust : sequence of str
+        SPECs of classes of one's own that may be imported although a file names them.
 
     Raises
     ------
@@ -129,8 +132,12 @@ def settings_of(
     attacks = attacks_of(verdict["items"])
     asked = {task for tasks in attacks.values() for task in tasks} - {""}
     left_out = _too_small(asked, tracks=data.tracks, stages=stages, seed=ran["seed"])
+    ran_predictor = () if variant.predictor else tuple(ran["predictors"][:1])
+    _refuse_own_classes("mechanisms", ran["mechanisms"], trust=trust)
+    _refuse_own_classes("predictors", ran_predictor, trust=trust)
+    _refuse_own_classes("attacks", attacks, trust=trust)
     kept = (asked - left_out.keys()) | {""}
-    predictor = (variant.predictor,) if variant.predictor else tuple(ran["predictors"][:1])
+    predictor = (variant.predictor,) if variant.predictor else ran_predictor
     return (
         Settings(
             preset=ran["preset"],
@@ -149,6 +156,18 @@ def settings_of(
         ),
         tuple(left_out.values()),
     )
+
+
+def _refuse_own_classes(kind: Kind, specs: Iterable[str], *, trust: Sequence[str]) -> None:
+    """Let only the user's own command line decide what is imported, never a file."""
+    from isac_track import registry  # noqa: PLC0415 - as above
+
+    for spec in (part for whole in specs for part in whole.split("@")):
+        if registry.is_own_class(kind, spec) and spec not in trust:
+            raise SettingsError(
+                f"the run's files name {spec!r}, a class that is not built in; "
+                f"if it is yours, say so: --trust {spec}"
+            )
 
 
 def _too_small(
@@ -192,25 +211,21 @@ def run_variant(settings: Settings, *, sources: Sequence[Path], fresh: bool) -> 
 
 
 def _borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool) -> None:
-    """Open the folder of a run and link the cells into it that other runs have.
+    """Open the folder of a run and copy the cells into it that other runs have.
 
     A cell's name is keyed by all that its rows depend on: those of one name are the same.
     """
     from evaluation import store  # noqa: PLC0415 - as above
+    from evaluation.cell_files import adopt, sound_cells  # noqa: PLC0415
+    from evaluation.run_lock import locked  # noqa: PLC0415
 
-    manifest = store.open_run(ready.out, identity=ready.identity, code=ready.code, fresh=fresh)
-    store.write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
-    for name in (name for _, _, names in ready.cells for name in names):
-        target = ready.out / "cells" / name
-        source = next(
-            (one for folder in sources if (one := folder / "cells" / name).is_file()), None
-        )
-        if source is None or target.exists():
-            continue
-        try:
-            os.link(source, target)
-        except OSError:  # another disk, or one that has no links
-            store.write_whole(target, source.read_bytes())
+    store.check_folder(ready.out)
+    with locked(ready.out):
+        manifest = store.open_run(ready.out, identity=ready.identity, code=ready.code, fresh=fresh)
+        store.write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
+        names = [name for _, _, names in ready.cells for name in names]
+        sound, _ = sound_cells(ready.out, names)
+        adopt(ready.out, [name for name in names if name not in sound], sources=sources)
 
 
 def to_json(rows: pd.DataFrame, outcomes: Sequence[Outcome], *, out: Path) -> dict[str, Any]:
@@ -255,6 +270,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="a variant of --list, or STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, "
         "recording=NAME|PATH; repeatable; replaces the list",
+    )
+    add(
+        "--trust",
+        action="append",
+        default=[],
+        metavar="SPEC",
+        help="a class of your own that the run used, package.module:Class; repeatable",
     )
     add(
         "--set",
@@ -357,6 +379,7 @@ def _attempt(
             out=folder_of(options.out, variant.name),
             scenes=options.scenes,
             jobs=options.jobs,
+            trust=options.trust,
         )
         run_variant(
             settings,

@@ -1,4 +1,4 @@
-"""The run folder: a manifest that can start the run again, and one parquet file per cell.
+"""The run folder: a manifest that can start the run again, and what a run leaves beside it.
 
 The parent alone writes; a file is there whole or not at all.
 """
@@ -18,19 +18,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 import isac_track
+from evaluation.run_lock import LOCK
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from evaluation.grid import Consumer
-    from evaluation.reconstruction import Rows
     from isac_track.registry import Plugin
-    from isac_track.scenes import Cut
 
 MANIFEST = "manifest.json"
 _TABLES = (
@@ -45,6 +41,8 @@ _TABLES = (
     "verdict.json",
     "report.html",
     "gallery.parquet",
+    "SHA256SUMS",
+    "failed.csv",
 )
 _TEX = ("sweep.tex", "attacks.tex", "paper.tex", "linkability.tex", "verdict.tex")
 _CELL = re.compile(r"_\d{5}_[0-9a-f]{16}\.parquet$")
@@ -106,6 +104,18 @@ def cell_name(
     return f"{slug}_{block:05d}_{digest}.parquet"
 
 
+def check_folder(out: Path) -> None:
+    """Raise SettingsError if a folder holds something that is no run."""
+    if out.exists() and not out.is_dir():
+        raise SettingsError(f"{out} is a file; choose another --out")
+    if (
+        out.exists()
+        and not (out / MANIFEST).exists()
+        and any(one.name != LOCK for one in out.iterdir())
+    ):
+        raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
+
+
 def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> dict[str, Any]:
     """Return the manifest of a run folder, new or continued.
 
@@ -117,8 +127,6 @@ def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> 
         If the folder holds another run (what differs is named) or something else.
     """
     path = out / MANIFEST
-    if out.exists() and not out.is_dir():
-        raise SettingsError(f"{out} is a file; choose another --out")
     if fresh and path.exists():
         _remove_run(out, read_manifest(out))
     elif path.exists():
@@ -126,8 +134,6 @@ def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> 
         _refuse_another(out, manifest["identity"], identity)
         (out / "cells").mkdir(exist_ok=True)
         return manifest if manifest.get("code") == code else _without_cells(out, manifest)
-    elif out.exists() and any(out.iterdir()):
-        raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
     try:
         (out / "cells").mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -190,43 +196,6 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     write_whole(out / MANIFEST, text.encode())
 
 
-def write_cell(path: Path, rows: Rows, *, tracks: Cut) -> None:
-    """Write the rows of a cell, with the source and group of each row's track."""
-    columns: dict[str, Any] = {}
-    for name, values in rows.items():
-        if name == "track":
-            columns["source"] = _names(values, tracks.source)
-            columns["group"] = _names(values, tracks.group)
-        else:
-            columns[name] = values
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(columns), sink, write_statistics=False)
-    write_whole(path, sink.getvalue().to_pybytes())
-
-
-def read_cells(paths: Iterable[Path], *, columns: list[str]) -> pa.Table:
-    """Return the rows of several cells, in the order of the paths.
-
-    Raises
-    ------
-    DataError
-        If a cell is missing or broken; the message names it.
-    """
-    tables = []
-    for path in paths:
-        try:
-            # Not pq.read_table: its data set machinery costs more than reading such a file.
-            with pq.ParquetFile(path) as cell:
-                tables.append(cell.read(columns=columns, use_threads=False))
-        except FileNotFoundError:
-            raise DataError(f"{path} is missing; run the matrix again to compute it") from None
-        except (OSError, pa.ArrowException) as error:
-            raise DataError(
-                f"{path} cannot be read ({error}); delete it and run the matrix again"
-            ) from None
-    return pa.concat_tables(tables).unify_dictionaries()
-
-
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file to a temporary name beside it and rename it.
 
@@ -273,10 +242,6 @@ def _plugin_key(plugin: Plugin) -> dict[str, str]:
         "origin": plugin.origin,
         "source": hashlib.sha256(source).hexdigest(),
     }
-
-
-def _names(rows: Any, names: tuple[str, ...]) -> pa.DictionaryArray:  # noqa: ANN401
-    return pa.DictionaryArray.from_arrays(pa.array(rows, type=pa.int32()), pa.array(names))
 
 
 def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from evaluation.cell_files import read_cells
 from evaluation.linkability import dataset_of
-from evaluation.store import read_cells
 from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
 
 if TYPE_CHECKING:

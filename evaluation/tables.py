@@ -11,6 +11,7 @@ from rich.text import Text
 
 from evaluation import flags, verdict_tables
 from evaluation.attack_tables import show_attacks
+from evaluation.failures import failed_lines
 from evaluation.linkage_tables import show_linkage
 from evaluation.matching import ADDING_SUFFIX
 from evaluation.paper import DATASET, tolerance
@@ -113,6 +114,13 @@ def show_flags(rows: pd.DataFrame, *, console: Console | None = None) -> None:
         "(Not adjusted: of two equally good attacks, a flag at one level in 40.)",
         wrap=True,
     )
+
+
+def show_failed(rows: pd.DataFrame, *, console: Console | None = None) -> None:
+    """Print which cells failed, a line for each reason; nothing without any."""
+    console = standard_output() if console is None else console
+    for line in failed_lines(rows):
+        say(console, f"failed: {line}", "red", wrap=True)
 
 
 def write_tex(

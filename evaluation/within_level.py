@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import rankdata
 from scipy.stats import t as student
 
+from evaluation.cell_files import read_cells
 from evaluation.decision_rules import (
     DOES_NOT,
     LEAST_CORRELATION,
@@ -27,7 +28,6 @@ from evaluation.decision_rules import (
     p_below,
 )
 from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS
-from evaluation.store import read_cells
 from evaluation.verdict_items import NAME, Draft, known, with_interval
 from evaluation.window_cell import read_windows
 from isac_track.intervals import CONFIDENCE

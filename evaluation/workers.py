@@ -1,14 +1,228 @@
-"""Worker processes: how many there are."""
+"""Worker processes: each in a lane of its own, so that one that dies takes nobody along.
+
+A pool of several that share a queue breaks as a whole when one of them is killed, and nobody can
+tell what it was at. Here each lane is a loky executor of one process. The process notes where it
+is before each cell, in a file that outlives it: that names the culprit, and tells how long a cell
+has been running.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import json
 import os
+import signal
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
-MOST_DEFAULT_JOBS = 8
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+if TYPE_CHECKING:
+    from collections import deque
+    from collections.abc import Callable, Iterable, Iterator
+
+    from joblib.externals.loky import Future
+
+W = TypeVar("W")
+R = TypeVar("R")
+
+MOST_DEFAULT_JOBS: Final = 8
 """Unless more are asked for: each takes a few hundred MB."""
+_ONE_THREAD: Final = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+"""More would fight over the cores; and a sum depends on how many share it."""
+_LOOK_S: Final = 0.25
+"""How often running cells are held against their limit."""
+_NOTE_BYTES: Final = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A plug-in or a worker failed; what came before it in the work is finished."""
+
+    at: tuple[str, ...]
+    """As noted with `note`; empty if that is not known."""
+    why: str
+    died: bool = False
+    """The worker did, and all of its work with it: another try may go well."""
 
 
 def default_jobs() -> int:
     """Return how many workers this machine has cores for, at most `MOST_DEFAULT_JOBS`."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return min(cores or 1, MOST_DEFAULT_JOBS)
+
+
+class _Here:
+    """Where this process is, for the one that waits for it."""
+
+    at: tuple[str, ...] = ()
+    file: int | None = None
+
+
+def note(*at: str) -> None:
+    """Note where this process is, before it goes there."""
+    _Here.at = at
+    if _Here.file is not None:
+        content = json.dumps([os.getpid(), time.monotonic(), at]).encode()
+        # One write of one length: whoever reads sees the old or the new.
+        os.pwrite(_Here.file, content[:_NOTE_BYTES].ljust(_NOTE_BYTES), 0)
+
+
+def noted() -> tuple[str, ...]:
+    """Return what was noted last."""
+    return _Here.at
+
+
+def spread(
+    function: Callable[[W], Iterable[R]], works: deque[W], *, jobs: int, limit_s: float | None
+) -> Iterator[tuple[W, Iterable[R | Failed]]]:
+    """Yield each work with what the function makes of it, as it is finished.
+
+    Works may be added while this runs. With one job and no limit, all is computed in this process
+    and while what is yielded is read; else a worker's whole list is yielded at once.
+
+    Parameters
+    ----------
+    function : callable
+        Notes with `note` where it is.
+    works : deque
+        Emptied.
+    jobs : int
+        Worker processes.
+    limit_s : float, optional
+        Longest time between two notes; a worker that takes longer is killed.
+
+    Raises
+    ------
+    Exception
+        What the function raises.
+    """
+    if limit_s is None and (jobs == 1 or len(works) < 2):  # noqa: PLR2004 - nothing to share out
+        with threadpool_limits(limits=1):
+            while works:
+                work = works.popleft()
+                note()
+                yield work, function(work)
+        return
+    with (
+        tempfile.TemporaryDirectory(prefix="isac-track-") as folder,
+        contextlib.ExitStack() as ends,
+    ):
+        lanes = []
+        for number in range(min(jobs, len(works))):
+            lanes.append(_Lane[W, R](Path(folder) / f"lane-{number}"))
+            ends.callback(lanes[-1].stop)
+        while works or any(lane.is_busy for lane in lanes):
+            for lane in lanes:
+                if works and not lane.is_busy:
+                    lane.start(function, works.popleft())
+            _wait([lane for lane in lanes if lane.is_busy])
+            for lane in lanes:
+                if lane.is_busy and limit_s is not None:
+                    lane.end_if_longer_than(limit_s)
+                finished = lane.finished()
+                if finished is not None:
+                    yield finished
+
+
+class _Lane(Generic[W, R]):
+    """One worker process after another, one piece of work at a time."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._executor: Any = None
+        self._work: W
+        self._future: Future[list[R]] | None = None
+        self._overdue = ""
+
+    @property
+    def is_busy(self) -> bool:
+        return self._future is not None
+
+    @property
+    def future(self) -> Future[list[R]]:
+        assert self._future is not None
+        return self._future
+
+    def start(self, function: Callable[[W], Iterable[R]], work: W) -> None:
+        from joblib.externals.loky import ProcessPoolExecutor  # noqa: PLC0415 - only with workers
+
+        if self._executor is None:
+            self._file.write_bytes(b"")
+            self._executor = ProcessPoolExecutor(
+                max_workers=1,
+                initializer=_begin,
+                initargs=(str(self._file), os.getpid()),
+                env=_ONE_THREAD,
+            )
+        self._overdue = ""
+        self._work = work
+        self._future = self._executor.submit(_listed, function, work)
+
+    def finished(self) -> tuple[W, list[R | Failed]] | None:
+        """Return the work and what came of it, if it is done or the worker is."""
+        from joblib.externals.loky import BrokenProcessPool  # noqa: PLC0415 - as above
+
+        if self._future is None or not self._future.done():
+            return None
+        future, self._future = self._future, None
+        try:
+            return self._work, [*future.result()]
+        except BrokenProcessPool:
+            at = tuple(self._note()[2])
+            why = self._overdue or "its worker died (killed, crashed or out of memory)"
+            self.stop()
+            return self._work, [Failed(at, why, died=not self._overdue)]
+
+    def end_if_longer_than(self, limit_s: float) -> None:
+        """Kill the worker if its cell has been running for longer."""
+        pid, since, at = self._note()
+        if pid and at and not self._overdue and time.monotonic() - since > limit_s:
+            self._overdue = f"it ran for longer than {limit_s:g} s"
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+    def stop(self) -> None:
+        """End the worker, whatever it is at."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, kill_workers=True)
+            self._executor = None
+
+    def _note(self) -> tuple[int, float, list[str]]:
+        content = self._file.read_bytes().strip()
+        pid, since, at = json.loads(content) if content else (0, 0.0, [])
+        return pid, since, at
+
+
+def _wait(lanes: list[_Lane[W, R]]) -> None:
+    from joblib.externals.loky import FIRST_COMPLETED, wait  # noqa: PLC0415 - as above
+
+    wait([lane.future for lane in lanes], timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+
+
+def _begin(file: str, parent: int) -> None:
+    """Begin a worker: it notes where it is, leaves Ctrl-C to its parent, and ends with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _Here.file = os.open(file, os.O_WRONLY)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_LOOK_S)
+    os._exit(1)
+
+
+def _listed(function: Callable[[W], Iterable[R]], work: W) -> list[R]:
+    gc.freeze()  # what was imported stays: looking through it again and again takes long
+    note()
+    found = list(function(work))
+    note()  # idle: no cell is under way
+    return found

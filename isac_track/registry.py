@@ -154,6 +154,11 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     )
 
 
+def is_own_class(kind: Kind, spec: str) -> bool:
+    """Whether a SPEC names a class by its module, ``package.module:Class``; imports nothing."""
+    return ":" in _split(kind, spec)[0]
+
+
 def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
     """Return the plug-ins of several SPECs, each once, in the order given."""
     unique = {plugin.spec: plugin for spec in specs for plugin in parse(kind, spec)}

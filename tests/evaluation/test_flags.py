@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import evaluation
-from evaluation import flags, store
+from evaluation import cell_files, flags, store
 from evaluation.flags import COLUMNS
 from evaluation.report import build
 from evaluation.summary import Key
@@ -312,8 +312,8 @@ def test_what_a_slow_attack_saw_is_what_others_are_read_on(results):
         entry["consumer"]: [results.out / "cells" / name for name in entry["files"]]
         for entry in entries
     }
-    slow = store.read_cells(paths["broken_for_flags:SlowBlur"], columns=["scene", "agent"])
-    fast = store.read_cells(paths["identity"], columns=["scene", "agent", "plr"]).to_pandas()
+    slow = cell_files.read_cells(paths["broken_for_flags:SlowBlur"], columns=["scene", "agent"])
+    fast = cell_files.read_cells(paths["identity"], columns=["scene", "agent", "plr"]).to_pandas()
     seen = fast.merge(slow.to_pandas(), on=["scene", "agent"])
     assert len(seen) == 24 < len(fast)
     value = once[Key("raw", None, "identity", "plr", BLIND)].value

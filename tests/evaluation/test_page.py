@@ -26,6 +26,7 @@ from evaluation import (
     paper,
     summary,
 )
+from evaluation.failures import COLUMNS as FAILED_COLUMNS
 from evaluation.grid import Settings
 from evaluation.report import Results
 from evaluation.runner import plan
@@ -199,6 +200,7 @@ def make_results(out, dataset="students03", **changes):
         "flags": pd.DataFrame(columns=flags.COLUMNS),
         "linkability": make_linkability(dataset),
         "verdict": VERDICT,
+        "failed": pd.DataFrame(columns=list(FAILED_COLUMNS)),
     }
     return Results(**(frames | changes))
 

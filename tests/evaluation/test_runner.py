@@ -12,7 +12,7 @@ from evaluation import store, summary
 from evaluation.cell import Block, compute_block
 from evaluation.grid import Consumer, Settings
 from evaluation.report import build
-from evaluation.runner import plan
+from evaluation.runner import FailedCellsWarning, plan
 from isac_track import registry, sharing
 from isac_track.config import StageSettings, setting_types
 from isac_track.errors import DataError, PluginError, SettingsError
@@ -324,8 +324,10 @@ def test_fresh_leaves_a_folder_with_somebody_elses_manifest_alone(settings):
 def test_a_failed_plugin_leaves_the_folder_usable(settings, tmp_path, monkeypatch):
     (tmp_path / "bad_plugins.py").write_text(BAD_PLUGINS, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(PluginError, match="no luck"):
-        evaluation.run(replace(settings, mechanisms=("raw", "bad_plugins:Raises")))
+    with pytest.warns(FailedCellsWarning, match="2 cells failed and are left out: .*no luck"):
+        found = evaluation.run(replace(settings, mechanisms=("raw", "bad_plugins:Raises")))
+    assert set(found.summary["mechanism"]) == {"raw"}
+    assert set(found.failed["spec"]) == {"bad_plugins:Raises"}
     results = evaluation.run(replace(settings, mechanisms=("fixed:0.7",)))
     assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
 
@@ -510,8 +512,15 @@ def test_a_plugin_that_breaks_its_contract_is_named(
 ):
     (tmp_path / "bad_plugins.py").write_text(BAD_PLUGINS, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(PluginError, match=message):
-        evaluation.run(replace(settings, **{axis: (f"bad_plugins:{name}",)}))
+    changed = replace(settings, **{axis: (f"bad_plugins:{name}",)})
+    if axis == "mechanisms" or name == "Greedy":  # nothing at all is left
+        with pytest.raises(PluginError, match=message):
+            evaluation.run(changed)
+        return
+    with pytest.warns(FailedCellsWarning, match=message):
+        results = evaluation.run(changed)
+    assert set(results.failed["consumer"]) == {f"bad_plugins:{name}"}
+    assert set(results.summary["consumer"]) == {"shared"}
 
 
 def test_a_decision_by_probability_needs_a_covariance(settings):

@@ -1,0 +1,412 @@
+"""Does anything pile up? One process runs again and again: ``python -m benchmarks.soak``.
+
+Runs 0..N-1 differ in their seed; each goes into a folder that is removed after it. After each,
+with garbage collected, the process is looked at: memory, descriptors, threads, children, files.
+The folder for temporary files and the working directory are empty ones of its own, so that
+whatever is left behind shows, and nobody else's files do.
+
+The first two runs warm up: imports, compiled loops, caches with a bound, pools. From the third
+on, growth is the Theil-Sen slope, which no single run moves, times the number of runs, relative
+to the fitted level at the third run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import gc
+import json
+import math
+import os
+import re
+import shutil
+import sys
+import tempfile
+import threading
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from joblib.externals.loky import get_reusable_executor
+from scipy.stats import theilslopes
+
+import evaluation
+from benchmarks.scale import PROC, descendants, finite, positive, tree_pss_mb
+from evaluation.grid import PRESETS
+from evaluation.terminal import aligned
+from isac_track.errors import DataError, IsacTrackError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+WARM_UP = 2
+LEAST_TIMES = WARM_UP + 2
+MOST_GROWTH = 0.05
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - looked at, not written
+TRACKER = "resource_tracker"
+"""Of loky or multiprocessing: it lives as long as the process, to clean up behind it."""
+PATH_VARIABLES = ("ISAC_TRACK_DATA", "ISAC_TRACK_CACHE", "PYTHONPATH")
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """How a process stands after a run."""
+
+    wall_s: float
+    rss_mb: float
+    """Resident set of this process."""
+    tree_mb: float
+    """Summed PSS of this process and its workers."""
+    heap_mb: float
+    """What this process holds of malloc's memory; NaN where the C library does not tell."""
+    blocks: int
+    """Small objects of Python, in thousands."""
+    descriptors: int
+    python_threads: int
+    threads: int
+    """All, those of native libraries included."""
+    children: int
+    """Workers that are kept for the next run, and the tracker."""
+    files: int
+    """Left in the folders watched."""
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """By how much something grew over all runs, relative to its level at the third."""
+
+    grown: float
+    low: float
+    high: float
+    """95% interval of `grown`."""
+    last_over_third: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether it is within the limit."""
+        return self.grown <= MOST_GROWTH
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run, judge, print; return the exit code."""
+    options = parser().parse_args(arguments)
+    try:
+        if not (PROC / "self/smaps_rollup").is_file():
+            raise DataError("memory is read from /proc/PID/smaps_rollup: this needs Linux")
+        return _soak(options)
+    except IsacTrackError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the command line."""
+    command = argparse.ArgumentParser(
+        prog="python -m benchmarks.soak",
+        description=__doc__,
+        epilog="exit codes: 0 nothing grows or is left, 1 something does, 2 wrong usage, "
+        "130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = command.add_argument
+    add(
+        "--times",
+        type=_times,
+        default=20,
+        metavar="N",
+        help=f"runs, at least {LEAST_TIMES}; default: %(default)s",
+    )
+    add("--preset", choices=PRESETS, default="paper", help="default: %(default)s")
+    add("--scenes", type=positive, metavar="N", help="default: the preset's")
+    add("--dataset", metavar="NAME|PATH", help="default: as of evaluation.matrix")
+    add("--jobs", type=positive, metavar="N", help="default: as of evaluation.matrix")
+    add("--json", action="store_true", help="print what was found as JSON, not as a table")
+    return command
+
+
+def _times(text: str) -> int:
+    times = positive(text)
+    if times < LEAST_TIMES:
+        raise argparse.ArgumentTypeError(
+            f"growth is judged from run {WARM_UP + 1} on: at least {LEAST_TIMES} runs, got {times}"
+        )
+    return times
+
+
+def _soak(options: argparse.Namespace) -> int:
+    dataset = options.dataset
+    if dataset is not None and Path(dataset).exists():
+        dataset = str(Path(dataset).resolve())
+    threads_before = set(threading.enumerate())
+    states = []
+    with own_place() as watched:
+        shared_before = shared_files()
+        try:
+            for seed in range(options.times):
+                settings = evaluation.Settings(
+                    preset=options.preset,
+                    dataset=dataset,
+                    scenes=options.scenes,
+                    seed=seed,
+                    jobs=options.jobs,
+                    out=watched[0] / f"out-{seed}",
+                )
+                states.append(_run(settings, watched=watched, shared_before=shared_before))
+                _report_progress(len(states), times=options.times, state=states[-1])
+        finally:
+            # The workers would stay for a later run; there is none.
+            get_reusable_executor().shutdown(wait=True, kill_workers=sys.exc_info()[0] is not None)
+        gc.collect()
+        children = {pid: command_of(pid) for pid in descendants(os.getpid())}
+        left = {
+            "files": sorted(map(str, files_left(watched, shared_before=shared_before))),
+            "children": [name for name in children.values() if TRACKER not in name],
+            "threads": sorted(one.name for one in set(threading.enumerate()) - threads_before),
+        }
+    kept = [name for name in children.values() if TRACKER in name]
+    judged = _judge(states, left=left)
+    if options.json:
+        found = {
+            "runs": [asdict(state) for state in states],
+            "judged": judged,
+            "left": left,
+            "kept": kept,
+        }
+        print(json.dumps(finite(found), indent=1))
+    else:
+        _show(states, judged=judged, left=left, kept=kept)
+    return 0 if all(one["ok"] for one in judged) else 1
+
+
+@contextmanager
+def own_place() -> Iterator[tuple[Path, Path]]:
+    """Give the process an empty working directory and an empty folder for temporary files.
+
+    Yields both; everything is put back and removed at the end.
+    """
+    before = {name: os.environ.get(name) for name in ("TMPDIR", *PATH_VARIABLES)}
+    directory, kept_folder = Path.cwd(), tempfile.tempdir
+    place = Path(tempfile.mkdtemp(prefix="isac-track-soak-"))
+    try:
+        for name in PATH_VARIABLES:
+            if before[name]:
+                parts = str(before[name]).split(os.pathsep)
+                os.environ[name] = os.pathsep.join(str(Path(part).resolve()) for part in parts)
+        working, temporary = place / "working", place / "temporary"
+        working.mkdir()
+        temporary.mkdir()
+        os.environ["TMPDIR"] = str(temporary)
+        tempfile.tempdir = None  # read TMPDIR again
+        os.chdir(working)
+        yield working, temporary
+    finally:
+        os.chdir(directory)
+        tempfile.tempdir = kept_folder
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _run(
+    settings: evaluation.Settings, *, watched: Sequence[Path], shared_before: set[Path]
+) -> State:
+    """Run once, remove the results and look at what is left."""
+    started = perf_counter()
+    evaluation.run(settings)
+    wall_s = perf_counter() - started
+    assert settings.out is not None
+    shutil.rmtree(settings.out)
+    gc.collect()
+    return State(
+        wall_s=wall_s,
+        rss_mb=_rss_mb(),
+        tree_mb=tree_pss_mb(os.getpid()),
+        heap_mb=_heap_mb(),
+        blocks=sys.getallocatedblocks() // 1000,
+        # One is that of the listing itself.
+        descriptors=_entries(PROC / "self/fd") - 1,
+        python_threads=threading.active_count(),
+        threads=_entries(PROC / "self/task"),
+        children=len(descendants(os.getpid())),
+        files=len(files_left(watched, shared_before=shared_before)),
+    )
+
+
+def _entries(folder: Path) -> int:
+    return sum(1 for _ in folder.iterdir())
+
+
+def _rss_mb() -> float:
+    pages = int((PROC / "self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class _MallInfo(ctypes.Structure):
+    """What glibc's mallinfo2 gives, all of it bytes or counts."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in (
+            *("arena", "ordblks", "smblks", "hblks", "hblkhd"),
+            *("usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"),
+        )
+    )
+
+
+def _heap_mb() -> float:
+    """Return what is allocated and not freed, MB: a leak grows it, fragmentation does not."""
+    ask = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    if ask is None:
+        return math.nan
+    ask.restype = _MallInfo
+    told = ask()
+    return float(told.uordblks + told.hblkhd) / 1e6
+
+
+def files_left(folders: Sequence[Path], *, shared_before: set[Path]) -> set[Path]:
+    """Return what is in the folders, at any depth, and what is new in shared memory."""
+    inside = {path for folder in folders for path in folder.rglob("*")}
+    return inside | (shared_files() - shared_before)
+
+
+def shared_files() -> set[Path]:
+    """Return this user's entries in shared memory that do not name another running process.
+
+    joblib and loky write the id of the process that uses them into the name.
+    """
+    ours = {os.getpid(), *descendants(os.getpid())}
+    found = set()
+    for path in SHARED_MEMORY.iterdir() if SHARED_MEMORY.is_dir() else ():
+        numbers = {int(text) for text in re.findall(r"(?<=[-_])[0-9]+(?=[-_])", path.name)}
+        others = {one for one in numbers - ours if (PROC / str(one)).exists()}
+        try:
+            if path.lstat().st_uid == os.getuid() and not others:
+                found.add(path)
+        except FileNotFoundError:
+            continue
+    return found
+
+
+def command_of(pid: int) -> str:
+    """Return the command line of a process; a dead one that nobody collected says so."""
+    try:
+        words = (PROC / str(pid) / "cmdline").read_bytes().split(b"\0")
+    except OSError:
+        return f"process {pid}, gone"
+    return b" ".join(words).decode(errors="replace").strip() or f"process {pid}, not collected"
+
+
+def growth(values: Sequence[float]) -> Growth:
+    """Judge how something grew over runs, the first two of which warm up.
+
+    Parameters
+    ----------
+    values : sequence of float
+        One a run, at least four, in any unit.
+    """
+    runs = np.arange(WARM_UP, len(values))
+    slope, level_at_0, low, high = theilslopes(np.asarray(values[WARM_UP:], dtype=float), runs)
+    level = level_at_0 + slope * WARM_UP
+    scale = len(values) / level
+    return Growth(
+        grown=float(slope * scale),
+        low=float(low * scale),
+        high=float(high * scale),
+        last_over_third=float(values[-1] / values[WARM_UP]),
+    )
+
+
+def _judge(states: Sequence[State], *, left: dict[str, list[str]]) -> list[dict[str, Any]]:
+    """Return what was judged, with value, limit and whether it is met."""
+    judged: list[dict[str, Any]] = []
+    for name, field in (
+        ("memory of the process (RSS)", "rss_mb"),
+        ("memory of all (PSS)", "tree_mb"),
+        ("of it held from malloc", "heap_mb"),
+        ("objects of Python", "blocks"),
+    ):
+        values = [getattr(state, field) for state in states]
+        if np.isnan(values).any():
+            continue
+        found = growth(values)
+        judged.append(
+            {"what": name, **asdict(found), "value": found.grown, "limit": MOST_GROWTH}
+            | {"ok": found.ok}
+        )
+    # Pools of libraries grow to their size in the first runs and stay: later runs add none.
+    for name, field in (("descriptors", "descriptors"), ("native threads", "threads")):
+        third, last = (getattr(states[run], field) for run in (WARM_UP, -1))
+        judged.append(
+            {"what": f"{name} after run 3 and the last", "value": last, "limit": third}
+            | {"ok": last <= third}
+        )
+    judged += [
+        {"what": f"{name} left at the end", "value": len(found), "limit": 0, "ok": not found}
+        for name, found in left.items()
+    ]
+    return judged
+
+
+def _report_progress(run: int, *, times: int, state: State) -> None:
+    print(
+        f"run {run} of {times}: {state.wall_s:.1f} s, {state.rss_mb:.0f} MB, "
+        f"all {state.tree_mb:.0f} MB, load {os.getloadavg()[0]:.1f}",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+def _show(
+    states: Sequence[State],
+    *,
+    judged: Sequence[dict[str, Any]],
+    left: dict[str, list[str]],
+    kept: Sequence[str],
+) -> None:
+    head = ["run", "wall (s)", "RSS (MB)", "all (MB)", "heap (MB)", "objects (k)"]
+    rows = [[*head, "fds", "threads", "native", "children", "files"]]
+    rows += [
+        [
+            *(str(run), f"{state.wall_s:.1f}", f"{state.rss_mb:.1f}", f"{state.tree_mb:.1f}"),
+            *(f"{state.heap_mb:.1f}", str(state.blocks)),
+            *(str(state.descriptors), str(state.python_threads), str(state.threads)),
+            *(str(state.children), str(state.files)),
+        ]
+        for run, state in enumerate(states, start=1)
+    ]
+    print("\n".join(aligned(rows)))
+    print(
+        "\nRSS: of this process; all: PSS of it and its workers, which stay for the next run; "
+        "heap: malloc's,\nin use. RSS that grows over a flat heap is fragmentation, no leak.\n"
+    )
+    rows = [["judged", "value", "95%", "last / 3rd", "limit", "ok"]]
+    rows += [_row(one) for one in judged]
+    print("\n".join(aligned(rows, left={0})))
+    for name, found in left.items():
+        for one in found:
+            print(f"left, {name}: {one}")
+    for one in kept:
+        print(f"kept until the process ends: {one}")
+
+
+def _row(one: dict[str, Any]) -> list[str]:
+    ok = "yes" if one["ok"] else "NO"
+    if "grown" not in one:
+        return [one["what"], str(one["value"]), "", "", str(one["limit"]), ok]
+    interval = f"{100 * one['low']:+.1f}..{100 * one['high']:+.1f}%"
+    ratio = f"{one['last_over_third']:.3f}"
+    share = f"{100 * one['value']:+.1f}%"
+    return [one["what"], share, interval, ratio, f"{100 * one['limit']:.0f}%", ok]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

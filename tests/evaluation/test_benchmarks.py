@@ -1,0 +1,256 @@
+"""The benchmarks judge rightly: exponents and growth planted, memory known beforehand."""
+
+import json
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import isac_track
+from isac_track.rng import stream
+
+ROOT = Path(isac_track.__file__).parent.parent
+
+HOLDS_50_MB = """
+import subprocess, sys
+child = "held = b'x' * 50_000_000; print(flush=True); input()"
+if sys.argv[1:] == ["below"]:
+    below = subprocess.Popen([sys.executable, "-c", child], stdout=subprocess.PIPE)
+    below.stdout.readline()
+    print(flush=True)
+    below.wait()
+else:
+    exec(child if sys.argv[1:] == ["here"] else "print(flush=True); input()")
+"""
+
+
+@pytest.fixture
+def scale(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    return import_module("benchmarks.scale")
+
+
+@pytest.fixture
+def soak(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    return import_module("benchmarks.soak")
+
+
+class TestExponent:
+    SIZES = np.array([500, 1500, 5000, 15_000, 50_000])
+
+    @pytest.mark.parametrize("power", [0.8, 1.0, 1.5, 2.0])
+    def test_a_planted_power_is_found_behind_a_start_up(self, scale, power):
+        wall_s = 4.0 + 2.0 * (self.SIZES / 500) ** power
+        # The start-up is a run of size 2, whose own two units hardly count.
+        start_s = 4.0 + 2.0 * (2 / 500) ** power
+        found = scale.fitted(self.SIZES, wall_s, smallest=2, start_s=start_s)
+        assert found.net == pytest.approx(power, abs=0.01)
+        assert found.used == tuple(self.SIZES)
+
+    def test_the_raw_exponent_flatters_and_the_net_one_does_not(self, scale):
+        wall_s = 5.0 + 1e-7 * self.SIZES**1.5
+        found = scale.fitted(self.SIZES, wall_s, smallest=2, start_s=5.0, least_share=0.0)
+        assert found.raw < 0.1
+        assert found.net == pytest.approx(1.5, abs=0.01)
+
+    def test_linear_is_one_also_where_the_smallest_run_is_not_small(self, scale):
+        sizes = np.array([4, 8, 16, 32])
+        found = scale.fitted(sizes, 3.0 + 0.5 * sizes, smallest=1, start_s=3.5)
+        assert found.net == pytest.approx(1.0)
+
+    def test_points_within_the_noise_of_the_start_up_are_left_out(self, scale):
+        wall_s = 4.0 + 6e-4 * self.SIZES
+        wall_s[0] = 3.9  # a run of 500 that was faster than one of 2
+        found = scale.fitted(self.SIZES, wall_s, smallest=2, start_s=4.0)
+        assert found.used == (1500, 5000, 15_000, 50_000)
+        assert found.net == pytest.approx(1.0, abs=0.001)
+
+    def test_growth_that_has_only_begun_shows_in_the_last_step(self, scale):
+        wall_s = 1e-3 * self.SIZES + 2e-8 * self.SIZES.astype(float) ** 2
+        found = scale.fitted(self.SIZES, wall_s)
+        assert found.net < found.last
+        # log of (50 + 50) / (15 + 4.5) on log of 50 / 15
+        assert found.last == pytest.approx(math.log(100 / 19.5) / math.log(50 / 15))
+
+    def test_what_cannot_be_told_is_not_within_a_limit(self, scale):
+        axis = scale.AXES["scenes"]
+        wall_s = dict.fromkeys((2, 50, 500), 4.0)
+        usages = {n: [scale.Usage(wall_s=t, tree_mb=300, own_mb=350)] for n, t in wall_s.items()}
+        result = scale.judge(axis, usages=usages, sizes=(50, 500))
+        assert math.isnan(result["exponent"]["net"])
+        assert not result["ok"]
+
+    @pytest.mark.parametrize(
+        ("power", "memory_mb", "ok"), [(1.0, 360, True), (1.3, 360, False), (1.0, 400, False)]
+    )
+    def test_both_limits_count(self, scale, power, memory_mb, ok):
+        sizes = (500, 5000, 50_000)
+        usages = {2: [scale.Usage(wall_s=4.0, tree_mb=300, own_mb=300)] * 3}
+        for n in sizes:
+            wall_s = 4.0 + 1e-3 * n**power
+            peak_mb = memory_mb if n == sizes[-1] else 300
+            usages[n] = [scale.Usage(wall_s=wall_s, tree_mb=peak_mb, own_mb=300)] * 3
+        result = scale.judge(scale.AXES["scenes"], usages=usages, sizes=sizes)
+        assert result["ok"] is ok
+        assert result["memory"]["ratio"] == pytest.approx(memory_mb / 300)
+
+
+class TestMemory:
+    @pytest.fixture
+    def holding(self):
+        started = []
+
+        def start(where):
+            process = subprocess.Popen(
+                [sys.executable, "-c", HOLDS_50_MB, where],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+            )
+            started.append(process)
+            process.stdout.readline()
+            return process
+
+        yield start
+        for process in started:
+            process.communicate()  # its input ends, and so does it
+            assert process.returncode is not None
+
+    @pytest.mark.parametrize("where", ["here", "below"])
+    def test_50_mb_are_50_mb_in_a_process_and_in_its_child(self, scale, holding, where):
+        idle, full = holding("nowhere"), holding(where)
+        extra = scale.tree_pss_mb(full.pid) - scale.tree_pss_mb(idle.pid)
+        # A child interpreter of its own takes about 5 MB beside what it holds.
+        assert 49 < extra < 51 if where == "here" else 50 < extra < 70
+        assert len(scale.descendants(full.pid)) == (1 if where == "below" else 0)
+
+    def test_the_peak_is_kept_after_it_is_over(self, scale, tmp_path):
+        code = "import time; held = b'x' * 80_000_000; time.sleep(.5); del held; time.sleep(.3)"
+        usage = scale.measure([sys.executable, "-c", code], folder=tmp_path)
+        assert 80 < usage.tree_mb < 110
+        assert 80 < usage.own_mb < 110
+        assert 0.8 < usage.wall_s < 5
+
+    def test_a_process_that_failed_is_no_measurement(self, scale, tmp_path):
+        command = [sys.executable, "-c", "raise SystemExit('no such thing')"]
+        with pytest.raises(scale.DataError, match="ended with 1: no such thing"):
+            scale.measure(command, folder=tmp_path)
+
+
+class TestSoakGrowth:
+    def test_flat_is_flat(self, soak):
+        found = soak.growth([900.0, 990.0, *[1000.0] * 18])
+        assert (found.grown, found.last_over_third, found.ok) == (0.0, 1.0, True)
+
+    def test_noise_is_not_growth(self, soak):
+        noise = stream(0, "test", "soak").normal(0, 10, 20)
+        found = soak.growth(list(1000 + noise))
+        assert found.ok
+        assert found.low < 0 < found.high
+
+    def test_ten_percent_in_all_runs_are_found_and_judged(self, soak):
+        noise = stream(1, "test", "soak").normal(0, 2, 20)
+        leaking = 1000 + 100 * (np.arange(20) - 2) / 20
+        found = soak.growth(list(leaking + noise))
+        assert found.grown == pytest.approx(0.1, abs=0.01)
+        assert found.low > soak.MOST_GROWTH
+        assert not found.ok
+
+    def test_one_high_run_is_no_leak(self, soak):
+        values = [1000.0] * 20
+        values[-1] = 1500.0
+        found = soak.growth(values)
+        assert found.ok
+        assert found.last_over_third == 1.5
+
+    def test_the_first_two_runs_warm_up(self, soak):
+        assert soak.growth([100.0, 500.0, *[1000.0] * 10]).ok
+
+
+class TestSoakPlace:
+    def test_what_is_left_shows_and_everything_is_put_back(self, soak, monkeypatch, tmp_path):
+        monkeypatch.chdir(tmp_path)
+        before = tempfile.gettempdir()
+        with soak.own_place() as watched:
+            assert not soak.files_left(watched, shared_before=soak.shared_files())
+            with Path("results.txt").open("w") as file:
+                file.write("left in the working directory")
+            folder = Path(tempfile.mkdtemp())
+            left = soak.files_left(watched, shared_before=soak.shared_files())
+            assert left == {watched[0] / "results.txt", folder}
+        assert Path.cwd() == tmp_path
+        assert tempfile.gettempdir() == before
+        assert not watched[0].parent.exists()
+
+    def test_a_child_has_a_name_until_it_is_collected(self, soak):
+        child = subprocess.Popen([sys.executable, "-c", "pass"])
+        deadline = time.monotonic() + 10
+        while "not collected" not in soak.command_of(child.pid):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        child.wait()
+        assert "gone" in soak.command_of(child.pid)
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("name", ["scale", "soak"])
+def test_the_commands_have_help(name):
+    done = run(f"benchmarks.{name}", "--help")
+    assert done.returncode == 0
+    assert "exit codes: 0" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("benchmarks.scale", "--axis", "height"), "invalid choice: 'height'"),
+        (("benchmarks.scale", "--repeats", "0"), "at least 1, got '0'"),
+        (("benchmarks.soak", "--times", "3"), "at least 4 runs, got 3"),
+        (("benchmarks.soak", "--dataset", "/nowhere.csv"), "error: "),
+    ],
+)
+def test_wrong_usage_is_one_line_and_code_2(arguments, says):
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert says in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_a_quick_measurement_of_growth():
+    done = run("benchmarks.scale", "--quick", "--repeats", "1", "--json")
+    assert done.returncode in (0, 1), done.stderr
+    axes = {one["axis"]: one for one in json.loads(done.stdout)["axes"]}
+    assert set(axes) == {"scenes", "levels", "tracks", "gallery", "workers"}
+    assert done.returncode == (0 if all(one["ok"] for one in axes.values()) else 1)
+    for one in axes.values():
+        assert all(point["wall_s"] > 0 < point["tree_mb"] for point in one["points"])
+    scenes = axes["scenes"]
+    assert scenes["points"][-1]["wall_s"] > scenes["start_up"]["wall_s"] + 0.5
+    two = axes["workers"]["points"][1]
+    assert two["tree_mb"] > axes["workers"]["points"][0]["tree_mb"]
+
+
+@pytest.mark.slow
+def test_a_short_soak():
+    options = ("--times", "4", "--preset", "smoke", "--scenes", "10", "--json", "--jobs", "2")
+    done = run("benchmarks.soak", *options)
+    assert done.returncode in (0, 1), done.stderr
+    found = json.loads(done.stdout)
+    assert len(found["runs"]) == 4
+    # Workers and what tidies up behind them were there, and only the latter is kept.
+    assert min(state["children"] for state in found["runs"]) >= 2
+    assert found["left"]["children"] == []
+    assert found["left"]["threads"] == []
+    assert all("resource_tracker" in name for name in found["kept"])

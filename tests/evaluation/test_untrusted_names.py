@@ -1,0 +1,326 @@
+"""Names in files are words: none becomes a tag, a command, a path, or a module to import."""
+
+import ast
+import csv
+import json
+import os
+import re
+import shutil
+import sys
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import evaluation
+from evaluation import compare, design, matrix, report, sensitivity
+from isac_track import datasets
+from isac_track.errors import IsacTrackError
+
+ROOT = Path(evaluation.__file__).parent.parent
+SLASH = "\N{DIVISION SLASH}"
+"""Looks like the one that a file name cannot have."""
+SCRIPT = "<script>alert(1)</script>"
+ODD = {
+    "marks": SCRIPT + " a \"b\" 'c' & <i>d &lt; $(touch was-executed) `id`; touch was-executed",
+    "words": "-rf Zürich"
+    " \N{GRINNING FACE} \N{RIGHT-TO-LEFT OVERRIDE}x [red]x[/red] [/] \\[b] $_%&#{}~^\\input{x}",
+}
+
+
+def write_csv(path, tracks, *, mark=""):
+    """Thirty-six people whose ids and groups end in `mark`: every track as it is and turned."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["t", "id", "x", "y", "group"])
+        for name, track in zip(tracks.source, tracks, strict=True):
+            for turn, signs in {"": (1, 1), "-": (-1, 1), "+": (1, -1)}.items():
+                who = f"{name}{turn}{mark}"
+                x, y = (track.xy * signs).T
+                rows.writerows(
+                    [t, who, *xy, f"g{who}"] for t, *xy in zip(track.t, x, y, strict=True)
+                )
+    return path
+
+
+def run(path, out):
+    return evaluation.run(
+        evaluation.Settings(
+            preset="smoke",
+            dataset=str(path),
+            scenes=4,
+            mechanisms=("raw", "fid:1"),
+            predictors=("least_squares",),
+            attacks=("moving_average", "shape"),
+            tasks=("rerelease",),
+            jobs=1,
+            out=out,
+        )
+    )
+
+
+class Page(HTMLParser):
+    """What of a page is structure: its tags with the names and values of their attributes."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.tags, self.values, self.text = set(), set(), []
+        self.feed(path.read_text(encoding="utf-8"))
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add((tag, *sorted(name for name, _ in attrs)))
+        self.values |= {str(value) for _, value in attrs}
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def parts(figure):
+    return {element.tag for element in ET.parse(figure).iter()}
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory, tracks):
+    folder = tmp_path_factory.mktemp("plain")
+    return run(write_csv(folder / "walks.csv", tracks), folder / "run")
+
+
+@pytest.fixture(scope="module", params=ODD)
+def odd(request, tmp_path_factory, tracks):
+    folder = tmp_path_factory.mktemp("odd")
+    previous = Path.cwd()
+    os.chdir(folder)
+    try:
+        mark = ODD[request.param]
+        name = mark.replace("/", SLASH)
+        return name, run(write_csv(folder / f"{name}.csv", tracks, mark=mark), folder / "run")
+    finally:
+        os.chdir(previous)
+
+
+class TestOddNames:
+    def test_no_tag_and_no_attribute_comes_from_a_name(self, odd, plain):
+        name, results = odd
+        page, usual = Page(results.out / "report.html"), Page(plain.out / "report.html")
+        assert page.tags == usual.tags
+        assert name in "".join(page.text)
+        assert not any(value.strip().startswith("javascript:") for value in page.values)
+
+    def test_every_figure_is_well_formed_and_of_the_usual_parts(self, odd, plain):
+        _, results = odd
+        figures = sorted((results.out / "figures").glob("*.svg"))
+        assert figures
+        for path in figures:
+            usual = plain.out / "figures" / path.name
+            assert parts(path) == parts(usual)
+
+    def test_tables_and_manifest_give_the_name_back(self, odd):
+        name, results = odd
+        for file in ("summary.csv", "linkability.csv"):
+            table = pd.read_csv(results.out / file, keep_default_na=False)
+            assert set(table["dataset"]) == {name}
+        manifest = json.loads((results.out / "manifest.json").read_text(encoding="utf-8"))
+        assert manifest["dataset"]["name"] == name
+        assert any(group.endswith(name.replace(SLASH, "/")) for group in manifest["groups"])
+        verdict = json.loads((results.out / "verdict.json").read_text(encoding="utf-8"))
+        assert verdict["dataset"] == name
+
+    def test_nothing_of_latex_is_left_unescaped(self, odd):
+        _, results = odd
+        for path in (results.out / "tables").glob("*.tex"):
+            text = path.read_text(encoding="utf-8")
+            assert "\\input{x}" not in text
+            for line in text.splitlines():
+                assert not re.search(r"(?<!\\)[#^~]", re.sub(r"(?<!\\)%.*", "", line)), line
+
+    def test_a_second_look_shows_it_literally_and_draws_the_same_page(self, odd, capsys):
+        name, results = odd
+        page = results.out / "report.html"
+        before = page.read_bytes()
+        assert report.main([str(results.out)]) == 0
+        assert page.read_bytes() == before
+        shown = capsys.readouterr()
+        assert "Traceback" not in shown.err
+        assert "\x1b" not in shown.out
+        assert name.split(" ")[0] in shown.out
+        if "[red]" in name:
+            assert "[red]x[/red]".replace("/", SLASH) in shown.out
+
+    def test_no_name_reaches_a_shell(self, odd):
+        _, results = odd
+        assert not list(results.out.parent.rglob("was-executed"))
+
+
+def test_a_file_name_that_is_no_text_is_read_and_shown(tmp_path, tracks, capsys):
+    path = write_csv(tmp_path / "walks.csv", tracks)
+    odd = path.rename(Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.csv")))
+    results = run(odd, tmp_path / "run")
+    assert results.manifest["dataset"]["name"] == "caf?"
+    assert "caf?" in (results.out / "report.html").read_text(encoding="utf-8")
+    missing = os.fsdecode(os.fsencode(tmp_path) + b"/\xff.csv")
+    arguments = ["--dataset", missing, "--out", str(tmp_path / "other")]
+    assert matrix.main(arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert "no such file" in line
+
+
+EVIL = """
+from dataclasses import dataclass
+from pathlib import Path
+Path({mark!r}).touch()
+
+@dataclass(frozen=True)
+class Evil:
+    eta: float = 1.0
+    requires = frozenset()
+    uses = frozenset()
+    def share(self, sensed, rng): ...
+    def predict(self, release, t_future): ...
+    def fit(self, context): ...
+"""
+PLANTED = ["evil_module:Evil", "evil_module:Evil:1", "os:system", "evil_package.inner:Evil"]
+
+
+@pytest.fixture
+def evil(tmp_path, monkeypatch):
+    """Modules that could be imported, and the file that would tell."""
+    folder = tmp_path / "importable"
+    (folder / "evil_package").mkdir(parents=True)
+    mark = tmp_path / "was-imported"
+    for name in ("evil_module.py", "evil_package/__init__.py", "evil_package/inner.py"):
+        (folder / name).write_text(EVIL.format(mark=str(mark)), encoding="utf-8")
+    monkeypatch.syspath_prepend(str(folder))
+    yield mark
+    for name in [name for name in sys.modules if name.startswith("evil_")]:
+        del sys.modules[name]
+
+
+def replanted(value, spec):
+    """Every SPEC of a manifest replaced by another."""
+    if isinstance(value, dict):
+        return {key: replanted(inner, spec) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [replanted(inner, spec) for inner in value]
+    is_spec = isinstance(value, str) and re.match(r"(fid|fixed|raw|least_|moving_|shape)", value)
+    return spec if is_spec else value
+
+
+@pytest.fixture
+def planted(plain, tmp_path):
+    """How to copy the plain run with another SPEC wherever one stands."""
+
+    def to_plant(spec, *, only_settings=False):
+        out = tmp_path / "planted"
+        shutil.copytree(plain.out, out)
+        for file in ("manifest.json", "verdict.json", "flags.json"):
+            found = json.loads((out / file).read_text(encoding="utf-8"))
+            if only_settings and file == "manifest.json":
+                found["settings"] = replanted(found["settings"], spec)
+            elif not only_settings:
+                found = replanted(found, spec)
+            (out / file).write_text(json.dumps(found), encoding="utf-8")
+        return out
+
+    return to_plant
+
+
+class TestNothingIsImportedFromAFile:
+    def test_the_evil_module_does_what_it_says(self, evil):
+        with pytest.raises(IsacTrackError):
+            evaluation.run(evaluation.Settings(mechanisms=("evil_module:Nothing",)))
+        assert evil.exists()
+
+    @pytest.mark.parametrize(
+        ("spec", "only_settings"),
+        [("evil_module:Evil:1", False), ("evil_package.inner:Evil", True)],
+    )
+    def test_report_compare_and_design_import_nothing(
+        self, planted, evil, spec, only_settings, plain, capsys
+    ):
+        out = str(planted(spec, only_settings=only_settings))
+        codes = [
+            report.main([out]),
+            compare.main([out, str(plain.out)]),
+            design.main(["--max-missed", "0.9", out]),
+        ]
+        assert not evil.exists()
+        assert set(codes) <= {0, 1, 2, 3}
+        assert "Traceback" not in capsys.readouterr().err
+
+    @pytest.mark.parametrize("spec", ["evil_module:Evil", "evil_package.inner:Evil"])
+    def test_sensitivity_imports_nothing(self, planted, evil, spec):
+        out = planted(spec, only_settings=True)
+        assert sensitivity.main([str(out), "--variant", "epsilon=0.5", "--jobs", "1"]) == 2
+        assert not evil.exists()
+
+    @pytest.mark.parametrize("spec", PLANTED)
+    def test_a_recording_imports_nothing(self, evil, spec, tmp_path, tracks):
+        path = write_csv(tmp_path / f"{spec}.csv", tracks, mark=spec)
+        found = datasets.load(path)
+        assert found.name == spec
+        assert found.tracks.source[0].endswith(spec)
+        assert not evil.exists()
+
+
+FORBIDDEN = {
+    "eval", "exec", "compile", "__import__", "os.system", "os.popen", "pickle.load",
+    "pickle.loads", "pickle.Unpickler", "marshal.load", "marshal.loads", "yaml.load",
+    "joblib.load", "dill.load", "dill.loads", "pd.read_pickle", "pandas.read_pickle",
+    "shelve.open", "numpy.fromregex",
+}  # fmt: skip
+
+
+def calls():
+    """Every call in the four packages: place, dotted name, and arguments that are literal.
+
+    Those are by name; the first without one, if it is literal, is None's.
+    """
+    for package in ("isac_track", "predictors", "attacks", "evaluation"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call):
+                    given = [(None, one) for one in node.args[:1]]
+                    given += [(one.arg, one.value) for one in node.keywords]
+                    literal = {
+                        key: value.value for key, value in given if isinstance(value, ast.Constant)
+                    }
+                    place = f"{path.relative_to(ROOT)}:{node.lineno}"
+                    yield place, ast.unparse(node.func), literal
+
+
+class TestTheSource:
+    def test_no_call_runs_what_it_reads(self):
+        found = [(place, name) for place, name, _ in calls() if name in FORBIDDEN]
+        assert found == []
+
+    def test_no_call_goes_through_a_shell_or_unpickles(self):
+        found = [
+            (place, name)
+            for place, name, literal in calls()
+            if literal.get("shell") or literal.get("allow_pickle")
+        ]
+        assert found == []
+
+    def test_arrays_are_loaded_without_pickle_and_in_so_many_words(self):
+        loads = [(place, literal) for place, name, literal in calls() if name == "np.load"]
+        assert loads
+        assert all(literal.get("allow_pickle") is False for _, literal in loads)
+
+    def test_a_module_whose_name_is_not_in_the_source_is_imported_in_few_places(self):
+        found = {
+            place.partition(":")[0]
+            for place, name, literal in calls()
+            if name.endswith("import_module") and None not in literal
+        }
+        # Classes and metrics that the user named, and fixed tables of our own modules.
+        assert found == {
+            "evaluation/__init__.py",
+            "evaluation/__main__.py",
+            "evaluation/runner.py",
+            "isac_track/registry.py",
+            "isac_track/testing/__main__.py",
+        }
