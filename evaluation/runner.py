@@ -232,20 +232,26 @@ def _run_locked(ready: Plan, tell: Callable[[int, int, str], None], *, pictures:
             raise PluginError(failed[0].why)
         warnings.warn(_summed_up(failed), FailedCellsWarning, stacklevel=3)
     tell(ready.n_cells, ready.n_cells, "intervals, verdict, figures and report")
-    write_gallery(
-        gallery_rows(
-            tracks=ready.tracks,
-            mechanisms=ready.axes.mechanisms,
-            attacks=ready.axes.attacks,
-            stages=ready.settings.stages,
-            seed=ready.settings.seed,
-        ),
-        out=ready.out,
-    )
+    _write_gallery(ready, failed)
     manifest["exhausted_redraws"] = _exhausted_redraws(ready.out, manifest["cells"])
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     store.write_manifest(ready.out, manifest | {"state": "finished"})
     return build(ready.out, pictures=pictures, jobs=ready.jobs)
+
+
+def _write_gallery(ready: Plan, failed: list[FailedCell]) -> None:
+    """Keep some tracks to look at, from plug-ins that have not failed."""
+    named = {one.mechanism.spec for one in failed} | {one.consumer.spec for one in failed}
+    mechanisms = [one for one in ready.axes.mechanisms if one.spec not in named]
+    if mechanisms:
+        rows = gallery_rows(
+            tracks=ready.tracks,
+            mechanisms=mechanisms,
+            attacks=[one for one in ready.axes.attacks if one.spec not in named],
+            stages=ready.settings.stages,
+            seed=ready.settings.seed,
+        )
+        write_gallery(rows, out=ready.out)
 
 
 def _compute_missing(
