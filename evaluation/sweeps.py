@@ -157,9 +157,16 @@ def shared_head(metric: str) -> str:
     return f"{shown.head}{', shared' * (metric in DESCRIPTORS)} ({shown.unit})"
 
 
+_MOST_WRITTEN_OUT = 1e7
+
+
 def level_text(level: float | None) -> str:
     """Return a level, short; empty for a mechanism without one."""
-    return "" if level is None or math.isnan(level) else f"{level:.4g}"
+    if level is None or math.isnan(level):
+        return ""
+    short = f"{level:.4g}"
+    # As it is typed: 10000, not 1e+04, as long as it can be read.
+    return f"{level:.0f}" if "e+" in short and abs(level) < _MOST_WRITTEN_OUT else short
 
 
 def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:
