@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from joblib import Parallel, delayed
-
 from attacks.linkage.task_list import TASKS
 from evaluation.store import write_whole
+from evaluation.workers import Failed, spread
+from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     import pandas as pd
@@ -69,7 +70,7 @@ def draw_all(
     """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
-    results = {
+    results: dict[str, Any] = {
         "summary": summary,
         "matched": matched,
         "dataset": dataset,
@@ -78,10 +79,12 @@ def draw_all(
         "gallery": gallery,
     }
     drawn: dict[str, dict[str, bytes]] = {}
-    for part in Parallel(n_jobs=jobs)(
-        delayed(_drawn)(first, jobs, **results) for first in range(jobs)
-    ):
-        drawn |= part
+    draw = partial(_drawn, step=jobs, **results)
+    for _, found in spread(draw, deque(range(jobs)), jobs=jobs, limit_s=None):
+        for one in found:
+            if isinstance(one, Failed):
+                raise DataError(f"cannot draw the figures: {one.why}; run evaluation.report again")
+            drawn[one[0]] = one[1]
     paths = []
     for name in sorted(drawn, key=NAMES.index):
         for kind, content in drawn[name].items():
@@ -90,18 +93,21 @@ def draw_all(
     return paths
 
 
-def _drawn(first: int, step: int, **results: Any) -> dict[str, dict[str, bytes]]:  # noqa: ANN401
-    """Return the files of every so many-th figure by name and kind; one that is empty has none."""
+def _drawn(
+    first: int,
+    *,
+    step: int,
+    **results: Any,  # noqa: ANN401 - handed on to _figures
+) -> Iterator[tuple[str, dict[str, bytes]]]:
+    """Yield name and files, by kind, of every so many-th figure; one that is empty has none."""
     # matplotlib is slow to import, and only needed to draw.
     from evaluation.figure_style import rendered, style  # noqa: PLC0415
 
-    drawn = {}
     with style():
         for name, draw in list(_figures(**results).items())[first::step]:
             figure = draw()
             if figure is not None:
-                drawn[name] = rendered(figure)
-    return drawn
+                yield name, rendered(figure)
 
 
 def _figures(
