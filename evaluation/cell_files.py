@@ -138,8 +138,12 @@ def _to_parquet(rows: Rows, *, tracks: Cut) -> bytes:
 def _write_down(out: Path, name: str, checksum: str) -> None:
     path = out / CHECKSUMS
     try:
-        with path.open("a", encoding="utf-8") as file:
-            file.write(f"{checksum}  {FOLDER}/{name}\n")
+        with path.open("ab+") as file:
+            end = file.tell()
+            file.seek(max(end - 1, 0))
+            # A line that was cut short, by a full disk say, must not spoil the next.
+            start = "" if file.read(1) in (b"", b"\n") else "\n"
+            file.write(f"{start}{checksum}  {FOLDER}/{name}\n".encode())
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
 

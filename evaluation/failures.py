@@ -61,6 +61,8 @@ class Failures:
         left = only(work, lambda cell: named(cell) not in finished)
         culprits = only(left, lambda cell: _is_at(cell, failure.at))
         innocent = only(left, lambda cell: not _is_at(cell, failure.at))
+        if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
+            culprits, innocent = innocent, culprits
         again: list[Work] = []
         key = tuple((cell[0], *named(cell)) for cell in cells_of(culprits))
         if failure.died and key not in self._died_at:

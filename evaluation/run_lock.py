@@ -36,11 +36,13 @@ def locked(out: Path) -> Iterator[None]:
     path = out / LOCK
     file = _locked(path)
     try:
-        os.ftruncate(file, 0)
-        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+        with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
+            os.ftruncate(file, 0)
+            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
         yield
     finally:
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
         os.close(file)
 
 
@@ -67,5 +69,10 @@ def _locked(path: Path) -> int:
             ) from None
         except FileNotFoundError:
             pass
+        except OSError as error:  # some network file systems
+            os.close(file)
+            raise SettingsError(
+                f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
+            ) from None
         # Its last owner has just deleted it: that lock is nobody else's obstacle.
         os.close(file)

@@ -36,6 +36,7 @@ from evaluation.matching import (
     ADDING_SUFFIX,
     DESCRIPTORS,
     MIN_DEFINED,
+    SUCCESS,
     Measure,
     compare,
     interpolated,
@@ -119,6 +120,9 @@ def validity(
     chance : mapping
         By task: what guessing achieves.
     """
+    hits = {key: one for key, one in sweeps.found.items() if key.metric == SUCCESS[0]}
+    # An adversary takes what works: against errors of another kind that may be another linker.
+    best = {name: strongest_linkers(hits, mechanism=name) for name in sweeps.mechanisms()}
     for adding in ADDING_SUFFIX:
         for descriptor in DESCRIPTORS:
             for task, measure in success.items():
@@ -128,6 +132,7 @@ def validity(
                     descriptor=descriptor,
                     task=task,
                     success=measure,
+                    best={name: of.get(task, measure) for name, of in best.items()},
                     chance=chance[task],
                 )
                 if draft is not None:
@@ -135,7 +140,14 @@ def validity(
 
 
 def _item(
-    sweeps: Sweeps, *, adding: str, descriptor: str, task: str, success: Measure, chance: float
+    sweeps: Sweeps,
+    *,
+    adding: str,
+    descriptor: str,
+    task: str,
+    success: Measure,
+    best: Mapping[str, Measure],
+    chance: float,
 ) -> Draft | None:
     fixed = "fixed" + ADDING_SUFFIX[adding]
     value = Measure(SHARED, descriptor)
@@ -151,7 +163,9 @@ def _item(
     drop = effect(ends[0][0] - ends[0][1], n=n)
     with np.errstate(divide="ignore", invalid="ignore"):
         span = effect(np.log(ends[1][0] / ends[1][1]), n=n)
-    contrasts = list(_contrasts(sweeps, fixed, adding=adding, value=value, success=success))
+    contrasts = list(
+        _contrasts(sweeps, fixed, adding=adding, value=value, success=success, best=best)
+    )
     condition = max(p_above(works, SUCCESS_MARGIN), p_above(span, np.log(LEAST_SPAN)))
     against = [p_beyond(one.effect, SUCCESS_MARGIN) for one in contrasts]
     flat = p_below(drop, SUCCESS_MARGIN)
@@ -199,7 +213,13 @@ def _item(
 
 
 def _contrasts(
-    sweeps: Sweeps, fixed: str, *, adding: str, value: Measure, success: Measure
+    sweeps: Sweeps,
+    fixed: str,
+    *,
+    adding: str,
+    value: Measure,
+    success: Measure,
+    best: Mapping[str, Measure],
 ) -> Iterator[Contrast]:
     """Yield every mechanism against fixed noise where it has the same descriptor value."""
     fid = "fid" + ADDING_SUFFIX[adding]
@@ -211,13 +231,10 @@ def _contrasts(
     assert scale is not None
     assert achieved is not None
     change = scale[:, -1:] - scale
-    task = success.consumer.partition("/")[0]
     for mechanism in others(sweeps.mechanisms(), adding=adding):
-        # An adversary takes what works: against errors of another kind that may be another linker.
-        best = strongest_linkers(sweeps.found, mechanism=mechanism).get(task, success)
         for level in sweeps.levels(mechanism):
             at = sweeps.point(mechanism, level, value)
-            reached = sweeps.point(mechanism, level, best)
+            reached = sweeps.point(mechanism, level, best[mechanism])
             if at is None or reached is None:
                 continue
             below_raw = _held(scale[:, -1] - at, change[:, 0])
@@ -228,8 +245,8 @@ def _contrasts(
             difference = reached[:n_rows] - expected[:, 0]
             known_share = float(np.isfinite(difference[1:]).mean())
             if known_share >= MIN_DEFINED and np.isfinite(difference[0]):
-                n = min(sweeps.n(fixed, success), sweeps.n(mechanism, best))
-                yield Contrast(mechanism, level, _named(best), effect(difference, n=n))
+                n = min(sweeps.n(fixed, success), sweeps.n(mechanism, best[mechanism]))
+                yield Contrast(mechanism, level, _named(best[mechanism]), effect(difference, n=n))
 
 
 def _held(below_raw: Floats, span: Floats) -> Floats:

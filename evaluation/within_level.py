@@ -29,7 +29,6 @@ from evaluation.decision_rules import (
 )
 from evaluation.matching import ADDING_SUFFIX, DESCRIPTORS
 from evaluation.verdict_items import NAME, Draft, known, with_interval
-from evaluation.window_cell import read_windows
 from isac_track.intervals import CONFIDENCE
 from isac_track.linkability import rank1
 
@@ -116,11 +115,12 @@ def _level(scores: Path, windows: Path, *, mechanism: str) -> LevelTracks:
         block = values[ends[rows[0]] : ends[rows[-1] + 1]].reshape(rows.size, sizes[0])
         hit[rows] = rank1(scores=block.astype(np.float64), mate=mate[rows])
         chance[rows] = 1.0 / sizes[0]
-    seen = read_windows(windows)
+    keys = ("side", "search", "source")
+    seen = read_cells([windows], columns=[*keys, *COLUMNS.values(), *COVARIATES])
     # Looked up by hand: thousands of labels in a MultiIndex take most of a report's time.
     place = {
         key: row
-        for row, key in enumerate(zip(seen["side"], seen["search"], seen["source"], strict=True))
+        for row, key in enumerate(zip(*(seen[name].to_pylist() for name in keys), strict=True))
     }
     has = np.flatnonzero(mate >= 0)
     sides = np.array([[place[side, search[row], source[row]] for row in has] for side in _SIDES])
@@ -128,7 +128,7 @@ def _level(scores: Path, windows: Path, *, mechanism: str) -> LevelTracks:
     assert groups.size
 
     def both(column: str) -> Floats:
-        values: Floats = seen[column].to_numpy(dtype=np.float64)[sides].T
+        values: Floats = seen[column].to_numpy().astype(np.float64)[sides].T
         return values
 
     return LevelTracks(
