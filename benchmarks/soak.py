@@ -20,6 +20,7 @@ import math
 import os
 import re
 import shutil
+import signal
 import sys
 import tempfile
 import threading
@@ -27,10 +28,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-from joblib.externals.loky import get_reusable_executor
 from scipy.stats import theilslopes
 
 import evaluation
@@ -69,7 +69,7 @@ class State:
     threads: int
     """All, those of native libraries included."""
     children: int
-    """Workers that are kept for the next run, and the tracker."""
+    """After the run: what tidies up behind the workers, and lives as long as the process."""
     files: int
     """Left in the folders watched."""
 
@@ -93,6 +93,7 @@ class Growth:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run, judge, print; return the exit code."""
     options = parser().parse_args(arguments)
+    signal.signal(signal.SIGTERM, _end)  # not at once: folders are to be removed
     try:
         if not (PROC / "self/smaps_rollup").is_file():
             raise DataError("memory is read from /proc/PID/smaps_rollup: this needs Linux")
@@ -130,6 +131,10 @@ def parser() -> argparse.ArgumentParser:
     return command
 
 
+def _end(_signal: int, _frame: object) -> NoReturn:
+    raise SystemExit(128 + signal.SIGTERM)
+
+
 def _times(text: str) -> int:
     times = positive(text)
     if times < LEAST_TIMES:
@@ -147,21 +152,17 @@ def _soak(options: argparse.Namespace) -> int:
     states = []
     with own_place() as watched:
         shared_before = shared_files()
-        try:
-            for seed in range(options.times):
-                settings = evaluation.Settings(
-                    preset=options.preset,
-                    dataset=dataset,
-                    scenes=options.scenes,
-                    seed=seed,
-                    jobs=options.jobs,
-                    out=watched[0] / f"out-{seed}",
-                )
-                states.append(_run(settings, watched=watched, shared_before=shared_before))
-                _report_progress(len(states), times=options.times, state=states[-1])
-        finally:
-            # The workers would stay for a later run; there is none.
-            get_reusable_executor().shutdown(wait=True, kill_workers=sys.exc_info()[0] is not None)
+        for seed in range(options.times):
+            settings = evaluation.Settings(
+                preset=options.preset,
+                dataset=dataset,
+                scenes=options.scenes,
+                seed=seed,
+                jobs=options.jobs,
+                out=watched[0] / f"out-{seed}",
+            )
+            states.append(_run(settings, watched=watched, shared_before=shared_before))
+            _report_progress(len(states), times=options.times, state=states[-1])
         gc.collect()
         children = {pid: command_of(pid) for pid in descendants(os.getpid())}
         left = {
@@ -385,8 +386,8 @@ def _show(
     ]
     print("\n".join(aligned(rows)))
     print(
-        "\nRSS: of this process; all: PSS of it and its workers, which stay for the next run; "
-        "heap: malloc's,\nin use. RSS that grows over a flat heap is fragmentation, no leak.\n"
+        "\nRSS: of this process; all: PSS of it and its children; heap: malloc's, in use.\n"
+        "RSS that grows over a flat heap is fragmentation, no leak.\n"
     )
     rows = [["judged", "value", "95%", "last / 3rd", "limit", "ok"]]
     rows += [_row(one) for one in judged]

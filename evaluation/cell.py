@@ -16,7 +16,7 @@ from evaluation.linkage import link_level
 from evaluation.linkage_cell import to_parquet
 from evaluation.linkage_ground import ground as link_ground
 from evaluation.linkage_scores import Linked
-from evaluation.plugin_calls import guarded
+from evaluation.plugin_calls import copied, guarded
 from evaluation.reconstruction import (
     attack_rows,
     descriptors,
@@ -198,7 +198,7 @@ def _share(mechanism: Plugin, sensed: Sensed, key: tuple[str | int, ...], *, see
     # Every mechanism gets the same stream: common random numbers.
     rng = stream(seed, "sharing", *key)
     release = guarded(
-        f"mechanism {mechanism.spec!r}", lambda: mechanism.instance.share(sensed, rng)
+        f"mechanism {mechanism.spec!r}", lambda: mechanism.instance.share(copied(sensed), rng)
     )
     if not isinstance(release, Release):
         raise PluginError(
@@ -239,7 +239,7 @@ def _forecast(
         granted = release.without_sigma()
     prediction = guarded(
         f"predictor {predictor.spec!r}",
-        lambda: predictor.instance.predict(granted, scenes.t_future),
+        lambda: predictor.instance.predict(copied(granted), scenes.t_future.copy()),
     )
     expected = scenes.xy_future.shape
     if not isinstance(prediction, Prediction) or prediction.mean.shape != expected:

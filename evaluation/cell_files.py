@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -16,11 +17,12 @@ from evaluation.store import write_whole
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from evaluation.reconstruction import Rows
     from isac_track.scenes import Cut
+    from isac_track.types import Ints
 
 FOLDER: Final = "cells"
 CHECKSUMS: Final = "SHA256SUMS"
@@ -125,8 +127,8 @@ def _to_parquet(rows: Rows, *, tracks: Cut) -> bytes:
     columns: dict[str, Any] = {}
     for name, values in rows.items():
         if name == "track":
-            columns["source"] = _names(values, tracks.source)
-            columns["group"] = _names(values, tracks.group)
+            columns["source"] = named(values, tracks.source)
+            columns["group"] = named(values, tracks.group)
         else:
             columns[name] = values
     sink = pa.BufferOutputStream()
@@ -158,5 +160,12 @@ def _checksums(out: Path) -> dict[str, str]:
     return {pair[1]: pair[0] for pair in pairs if len(pair) > 1}
 
 
-def _names(rows: Any, names: tuple[str, ...]) -> pa.DictionaryArray:  # noqa: ANN401
-    return pa.DictionaryArray.from_arrays(pa.array(rows, type=pa.int32()), pa.array(names))
+def named(rows: Ints, names: Sequence[str]) -> pa.DictionaryArray:
+    """Return a column of names, (N,), given by their places in `names`.
+
+    Each name is in the dictionary once: of one with repetitions, files differ from run to run.
+    """
+    once, place = np.unique(np.asarray(names, dtype=object), return_inverse=True)
+    return pa.DictionaryArray.from_arrays(
+        pa.array(place[rows], type=pa.int32()), pa.array(once.tolist(), type=pa.string())
+    )

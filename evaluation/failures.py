@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 from evaluation.cell import Block
@@ -65,10 +66,14 @@ class Failures:
             culprits, innocent = innocent, culprits
         again: list[Work] = []
         key = tuple((cell[0], *named(cell)) for cell in cells_of(culprits))
-        if failure.died and key not in self._died_at:
+        is_vague = not failure.at and len(key) > 1
+        if failure.died and (is_vague or key not in self._died_at):
             self._died_at.add(key)
             # One level at a time: the next death, if there is one, takes no others along.
             again = [replace(culprits, levels=(level,)) for level in culprits.levels]
+            if is_vague and len(again) == 1:  # where it was is not known: cell by cell
+                self._died_at.update((one,) for one in key)
+                again = [only(culprits, partial(_is_at, at=one[1:])) for one in key]
         else:
             self.cells += [FailedCell(*cell, failure.why) for cell in cells_of(culprits)]
         return [*again, *([innocent] if innocent.levels else ())]

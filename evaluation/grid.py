@@ -138,6 +138,10 @@ class Settings:
     """Worker processes; None: as many as there are cores where the work is worth it."""
     cell_timeout_s: float | None = None
     """Longest time that a cell may take; one that takes longer is killed and left out."""
+    executor: str = "local"
+    """Or dask: the workers of a Dask cluster."""
+    scheduler: str | None = None
+    """Address of the cluster's scheduler."""
     out: Path | str | None = None
     fresh: bool = False
 
@@ -159,6 +163,26 @@ class Settings:
             raise SettingsError(f"cell_timeout must be positive, got {self.cell_timeout_s:g} s")
         if self.fps is not None and not self.fps > 0:
             raise SettingsError(f"fps must be positive, got {self.fps:g}")
+        self._check_executor()
+
+    def _check_executor(self) -> None:
+        if self.executor not in ("local", "dask"):
+            raise SettingsError(f"the executor is local or dask, got {self.executor!r}")
+        if self.executor == "local":
+            if self.scheduler is not None:
+                raise SettingsError("--scheduler ADDRESS goes with --executor dask")
+            return
+        if not self.scheduler:
+            raise SettingsError(
+                "--executor dask needs --scheduler ADDRESS, as tcp://host:8786; "
+                "`dask scheduler` starts one and tells its address"
+            )
+        if self.jobs is not None:
+            raise SettingsError("--jobs is of --executor local: a cluster has the workers it has")
+        if self.cell_timeout_s is not None:
+            raise SettingsError(
+                "--cell-timeout is of --executor local: limits of a cluster are its own"
+            )
 
     @property
     def n_scenes(self) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from evaluation.cell_files import named
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 
@@ -69,17 +70,10 @@ def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
     scores = np.concatenate([search.scores.ravel() for search in linked.searches])
     table = pa.table(
         {
-            "search": pa.DictionaryArray.from_arrays(
-                pa.array(np.repeat(np.arange(len(rows)), rows), type=pa.int32()),
-                pa.array(sessions.searches),
-            ),
+            "search": named(np.repeat(np.arange(len(rows)), rows), sessions.searches),
             "fold": np.repeat([search.scale for search in linked.searches], rows).astype(np.int8),
-            "source": pa.DictionaryArray.from_arrays(
-                pa.array(persons, type=pa.int32()), pa.array(sessions.source)
-            ),
-            "group": pa.DictionaryArray.from_arrays(
-                pa.array(persons, type=pa.int32()), pa.array(sessions.group)
-            ),
+            "source": named(persons, sessions.source),
+            "group": named(persons, sessions.group),
             "mate": np.concatenate([search.mate for search in linked.searches]).astype(np.int32),
             "scores": pa.ListArray.from_arrays(
                 pa.array(offsets, type=pa.int32()), pa.array(scores.astype(np.float32))
@@ -111,7 +105,8 @@ def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
         sink,
         table.schema,
         write_statistics=False,
-        compression="lz4",
+        compression="zstd",
+        compression_level=1,
         store_schema=False,
         use_dictionary=["search", "source", "group"],
         column_encoding={"scores.list.element": "BYTE_STREAM_SPLIT"},

@@ -44,6 +44,8 @@ _CONFIG_KEYS = {
     "task": list,
     "jobs": int,
     "cell_timeout": float,
+    "executor": str,
+    "scheduler": str,
     "out": str,
 }
 
@@ -116,6 +118,13 @@ def parser() -> argparse.ArgumentParser:
         metavar="S",
         help="kill and leave out a cell that takes longer than this many seconds (default: never)",
     )
+    add(
+        "--executor",
+        metavar="local|dask",
+        help="where cells are computed: worker processes of this machine (default), or a Dask "
+        "cluster; see docs/cluster.md",
+    )
+    add("--scheduler", metavar="ADDRESS", help="of the Dask cluster, as tcp://host:8786")
     add("--out", type=Path, metavar="DIR", help="run folder (default: runs/DATASET-PRESET-SEED)")
     add("--fresh", action="store_true", help="replace the run in the folder, do not continue it")
     add("--list", action="store_true", help="list what can be named, and stop")
@@ -159,6 +168,8 @@ def settings_from(options: argparse.Namespace) -> Settings:
         stages=StageSettings().changed(stage_values),
         jobs=values.get("jobs"),
         cell_timeout_s=values.get("cell_timeout"),
+        executor=values.get("executor", "local"),
+        scheduler=values.get("scheduler"),
         out=Path(values["out"]) if "out" in values else None,
         fresh=options.fresh,
     )

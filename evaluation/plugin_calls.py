@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from isac_track.errors import PluginError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from isac_track.types import Release
+    from isac_track.types import Release, Sensed
+
+_Batch = TypeVar("_Batch", "Release", "Sensed")
 
 
 def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns
@@ -27,12 +31,14 @@ def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whateve
         raise PluginError(f"{who} failed: {type(error).__name__}: {error}") from error
 
 
-def copied(release: Release) -> Release:
-    """Return a release in arrays of its own: a stranger may unlock them and write."""
-    return replace(
-        release,
-        t=release.t.copy(),
-        xy=release.xy.copy(),
-        sigma=None if release.sigma is None else release.sigma.copy(),
-        offsets=release.offsets.copy(),
-    )
+def copied(batch: _Batch) -> _Batch:
+    """Return a release, or what was sensed, in arrays of its own.
+
+    A stranger may unlock them and write.
+    """
+    own: dict[str, Any] = {
+        one.name: getattr(batch, one.name).copy()
+        for one in fields(batch)
+        if isinstance(getattr(batch, one.name), np.ndarray)
+    }
+    return replace(batch, **own)

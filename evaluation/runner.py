@@ -6,7 +6,8 @@ import hashlib
 import time
 import warnings
 from collections import deque
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -32,7 +33,7 @@ from isac_track.privacy import mean_interval_s
 from isac_track.scenes import cut, track_order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator
     from collections.abc import Set as AbstractSet
 
     from attacks.linkage.tasks import Sessions
@@ -52,6 +53,8 @@ WORTH_WORKERS_LINKED = 400
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12
 """Of what is linked."""
+_CLUSTER_TASKS = 64
+"""At least so many, where there are as many levels and blocks."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -273,22 +276,26 @@ def _compute_missing(
     if links:
         for loops in ("isac_track._linkability_loops", "attacks.linkage._lag_loop"):
             import_module(loops)
-    for work, items in _computed(works, ready):
-        finished: set[tuple[str, str]] = set()
-        for item in items:
-            if isinstance(item, Failed):
-                before = len(failures.cells)
-                works.extend(failures.rest(work, item, finished=finished))
-                done += len(failures.cells) - before
-                continue
-            block, mechanism, consumer, rows = item
-            write_cell(
-                ready.out, files[mechanism.spec, consumer.label][block], rows, tracks=ready.tracks
-            )
-            finished.add((mechanism.spec, consumer.label))
-            done += 1
-            check_interrupt()
-            tell(done, total, f"{mechanism.spec} > {consumer.label}")
+    with closing(_computed(works, ready)) as computed:
+        for work, items in computed:
+            finished: set[tuple[str, str]] = set()
+            for item in items:
+                if isinstance(item, Failed):
+                    before = len(failures.cells)
+                    works.extend(failures.rest(work, item, finished=finished))
+                    done += len(failures.cells) - before
+                    continue
+                block, mechanism, consumer, rows = item
+                write_cell(
+                    ready.out,
+                    files[mechanism.spec, consumer.label][block],
+                    rows,
+                    tracks=ready.tracks,
+                )
+                finished.add((mechanism.spec, consumer.label))
+                done += 1
+                check_interrupt()
+                tell(done, total, f"{mechanism.spec} > {consumer.label}")
     return failures.cells
 
 
@@ -365,13 +372,30 @@ def _parts(
     return [levels[part::n_parts] for part in range(n_parts)]
 
 
-def _computed(works: deque[Work], ready: Plan) -> Iterator[tuple[Work, Iterable[Item | Failed]]]:
+def _computed(works: deque[Work], ready: Plan) -> Generator[tuple[Work, Iterable[Item | Failed]]]:
     """Yield every work with its cells, from this process or from workers; works may be added."""
     compute = partial(
         attempt, tracks=ready.tracks, stages=ready.settings.stages, seed=ready.settings.seed
     )
     settings = ready.settings
-    return spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
+    if settings.scheduler is None:
+        return spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
+    from evaluation.cluster import own_modules, spread_on_cluster  # noqa: PLC0415 - only there
+
+    # Workers come and go: there are parts for some dozen threads in any case.
+    n_parts = -(-_CLUSTER_TASKS // len(works))
+    for _ in range(len(works)):
+        work = works.popleft()
+        works.extend(
+            replace(work, levels=work.levels[part::n_parts])
+            for part in range(min(n_parts, len(work.levels)))
+        )
+    return spread_on_cluster(
+        compute,
+        works,
+        scheduler=settings.scheduler,
+        modules=own_modules((one, consumer) for one, consumer, _ in ready.cells),
+    )
 
 
 def _describe(ready: Plan) -> dict[str, Any]:

@@ -52,6 +52,7 @@ _SHOWN_DIFFERENCES = 3
 _COMPUTING = ("isac_track", "predictors", "attacks")
 _CELL_SOURCES = (
     "cell.py",
+    "cell_files.py",
     "grid.py",
     "kept.py",
     "linkage.py",
@@ -112,9 +113,16 @@ def check_folder(out: Path) -> None:
     if (
         out.exists()
         and not (out / MANIFEST).exists()
-        and any(one.name != LOCK for one in out.iterdir())
+        and not all(_is_of_a_start(one) for one in out.iterdir())
     ):
         raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
+
+
+def _is_of_a_start(path: Path) -> bool:
+    """Whether a run leaves this if it is killed before its manifest is there."""
+    if path.name == "cells":
+        return path.is_dir() and not any(path.iterdir())
+    return path.name in (LOCK, f".{MANIFEST}.tmp")
 
 
 def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from evaluation.cell_files import named
 from evaluation.linkage_ground import SIDES
 from evaluation.reconstruction import descriptors
 from isac_track.errors import DataError
@@ -83,17 +84,14 @@ def to_parquet(rows: Rows, sessions: Sessions) -> bytes:
     none is declared), `sigma_raw_m` (mean of sensing), `plr`, `ael_s`, `mel_s`; of the true walk,
     alike at all levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
     """
-    named = {
+    by_name = {
         "search": (rows["search"], sessions.searches),
         "source": (rows["person"], sessions.source),
         "group": (rows["person"], sessions.group),
     }
     columns = {
         "side": pa.array(rows["side"]).dictionary_encode(),
-        **{
-            name: pa.DictionaryArray.from_arrays(pa.array(row, type=pa.int32()), pa.array(names))
-            for name, (row, names) in named.items()
-        },
+        **{name: named(row, names) for name, (row, names) in by_name.items()},
         **{name: rows[name] for name in rows if name not in {"side", "search", "person"}},
     }
     sink = pa.BufferOutputStream()
@@ -119,8 +117,8 @@ def read_windows(path: Path) -> pd.DataFrame:
         raise DataError(
             f"{path} cannot be read ({error}); delete it and run the matrix again"
         ) from None
-    named: pd.DataFrame = frame.astype(dict.fromkeys(_NAMES, "object"))
-    return named
+    windows: pd.DataFrame = frame.astype(dict.fromkeys(_NAMES, "object"))
+    return windows
 
 
 def _walked(windows: Windows) -> Rows:

@@ -29,7 +29,7 @@ from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections import deque
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator
     from typing import Self
 
     from joblib.externals.loky import Future
@@ -67,32 +67,35 @@ def default_jobs() -> int:
     return min(cores or 1, MOST_DEFAULT_JOBS)
 
 
-class _Here:
-    """Where this process is, for the one that waits for it."""
+class _Here(threading.local):
+    """Where this process is, for the one that waits for it; in a Dask worker, this thread."""
 
     at: tuple[str, ...] = ()
     file: int | None = None
 
 
+_here = _Here()
+
+
 def note(*at: str) -> None:
     """Note where this process is, before it goes there."""
-    _Here.at = at
-    if _Here.file is not None:
+    _here.at = at
+    if _here.file is not None:
         content = json.dumps([os.getpid(), time.monotonic(), at]).encode()
         if len(content) > _NOTE_BYTES:  # somewhere with an endless name
             content = json.dumps([os.getpid(), time.monotonic(), ("", "")]).encode()
         # One write of one length: whoever reads sees the old or the new.
-        os.pwrite(_Here.file, content.ljust(_NOTE_BYTES), 0)
+        os.pwrite(_here.file, content.ljust(_NOTE_BYTES), 0)
 
 
 def noted() -> tuple[str, ...]:
     """Return what was noted last."""
-    return _Here.at
+    return _here.at
 
 
 def spread(
     function: Callable[[W], Iterable[R]], works: deque[W], *, jobs: int, limit_s: float | None
-) -> Iterator[tuple[W, Iterable[R | Failed]]]:
+) -> Generator[tuple[W, Iterable[R | Failed]]]:
     """Yield each work with what the function makes of it, as it is finished.
 
     Works may be added while this runs. With one job and no limit, all is computed in this process
@@ -273,7 +276,7 @@ def _ctrl_c_is_not_inherited() -> Iterator[None]:
 def _begin(file: int, parent: int) -> None:
     """Begin a worker: it notes where it is, leaves Ctrl-C to its parent, and ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _Here.file = file
+    _here.file = file
     if sys.platform == "linux":
         # The system ends it also where a plug-in lets no other thread run.
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)

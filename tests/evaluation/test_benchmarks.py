@@ -249,8 +249,8 @@ def test_a_short_soak():
     assert done.returncode in (0, 1), done.stderr
     found = json.loads(done.stdout)
     assert len(found["runs"]) == 4
-    # Workers and what tidies up behind them were there, and only the latter is kept.
-    assert min(state["children"] for state in found["runs"]) >= 2
+    # Workers end with their run; what tidies up behind them shows that there were some.
+    assert min(state["children"] for state in found["runs"]) >= 1
     assert found["left"]["children"] == []
     assert found["left"]["threads"] == []
     assert all("resource_tracker" in name for name in found["kept"])

@@ -1,0 +1,532 @@
+"""Runs on a Dask cluster: a real scheduler and real workers on loopback, some of them killed."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import evaluation
+from evaluation import cluster as on_cluster
+from evaluation import matrix
+from evaluation.cell import Block
+from evaluation.failures import Failures, cells_of, named
+from evaluation.grid import Consumer, Settings
+from evaluation.runner import FailedCellsWarning
+from evaluation.workers import Failed, note, noted
+from isac_track import registry
+from isac_track.errors import SettingsError
+
+distributed = pytest.importorskip("distributed")
+
+PLUGINS = """
+import os, time
+from dataclasses import dataclass
+import numpy as np
+from isac_track.sharing import perturb
+from isac_track.types import Prediction
+
+@dataclass(frozen=True)
+class Slow:
+    d_sigma: float
+    def share(self, sensed, rng):
+        time.sleep(float(os.environ.get("SLOW_S", "0")))
+        return perturb(sensed, self.d_sigma, rng)
+
+@dataclass(frozen=True)
+class Unlucky:
+    requires = frozenset()
+    def predict(self, release, t_future):
+        raise RuntimeError("no luck")
+
+@dataclass(frozen=True)
+class Killer:
+    requires = frozenset()
+    def predict(self, release, t_future):
+        if "SLOW_S" in os.environ:  # in a worker
+            os._exit(1)
+        return Prediction(np.zeros((*t_future.shape, 2)))
+"""
+SLOW = "cluster_plugins:Slow:0.1..0.8/8"
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Processes of a scheduler and its workers."""
+
+    address: str
+    scheduler: subprocess.Popen
+    workers: list
+    start_worker: object
+
+    def count(self, question):
+        """Ask the scheduler."""
+        with distributed.Client(self.address, set_as_default=False, timeout=10) as client:
+            return client.run_on_scheduler(question)
+
+
+@contextlib.contextmanager
+def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
+    """A scheduler and workers as the commands start them; all are ended."""
+    processes = []
+
+    def start(module, *arguments, modules=modules):
+        log = mine / f"log-{len(processes)}"
+        environment = dict(os.environ, SLOW_S="0.3", PYTHONPATH=str(modules or folder))
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-m", f"distributed.cli.{module}", *arguments],
+                env=environment,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                cwd=modules or folder,  # what is there comes before PYTHONPATH
+            )
+        processes.append(process)
+        return process
+
+    def start_worker(n_threads, modules=modules):
+        return start(
+            "dask_worker", "--scheduler-file", str(file), "--nthreads", str(n_threads),
+            "--no-dashboard", "--local-directory", str(mine / "scratch"), *options,
+            modules=modules,
+        )  # fmt: skip
+
+    mine = Path(tempfile.mkdtemp(dir=folder))
+    file = mine / "scheduler.json"
+    try:
+        scheduler = start(
+            "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file),
+            "--dashboard-address", "127.0.0.1:0", "--no-dashboard",
+        )  # fmt: skip
+        workers = [start_worker(n) for n in threads]
+        wait_for(lambda: file.is_file() and file.stat().st_size > 0, most_s=30)
+        address = json.loads(file.read_text(encoding="utf-8"))["address"]
+        if workers:
+            with distributed.Client(address, set_as_default=False, timeout=10) as client:
+                client.wait_for_workers(len(workers), timeout=30)
+        yield Cluster(address, scheduler, workers, start_worker)
+    finally:
+        for process in processes:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def wait_for(condition, *, most_s):
+    until = time.monotonic() + most_s
+    while not condition():
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cluster")
+    (folder / "cluster_plugins.py").write_text(PLUGINS, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cluster(folder):
+    with started(folder, options=()) as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def settings(csv_recording, tmp_path):
+    return Settings(
+        preset="smoke",
+        dataset=str(csv_recording),
+        scenes=12,
+        mechanisms=("raw", "fid:1000", "fixed:0.7"),
+        predictors=("least_squares", "kalman_cv"),
+        attacks=(),
+        tasks=(),
+        out=tmp_path / "run",
+    )
+
+
+@pytest.fixture
+def slow(settings, monkeypatch, folder, tmp_path):
+    """Sixteen cells that take 0.3 s each in a worker, and the same run on this machine."""
+    monkeypatch.syspath_prepend(str(folder))
+    local = replace(
+        settings,
+        scenes=300,
+        mechanisms=(SLOW,),
+        predictors=(),
+        jobs=1,
+        out=tmp_path / "local",
+    )
+    evaluation.run(local, pictures=False)
+    return local
+
+
+def command(settings, folder, *options):
+    """The matrix as a process of its own."""
+    return subprocess.Popen(
+        [
+            sys.executable, "-m", "evaluation.matrix", "--preset", "smoke",
+            "--dataset", settings.dataset, "--scenes", str(settings.scenes), "--mechanism", SLOW,
+            "--predictor", "none", "--attack", "none", "--task", "none",
+            "--out", str(settings.out), *options,
+        ],
+        env=dict(os.environ, PYTHONPATH=str(folder)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )  # fmt: skip
+
+
+def on(cluster):
+    return ("--executor", "dask", "--scheduler", cluster.address)
+
+
+def cells(run):
+    return sorted((run.out / "cells").glob("*.parquet")) if run.out.is_dir() else []
+
+
+def assert_same_bits(run, other):
+    assert (run.out / "summary.csv").read_bytes() == (other.out / "summary.csv").read_bytes()
+    names = [path.name for path in cells(run)]
+    assert names == [path.name for path in cells(other)]
+    assert names
+    for name in names:  # as tables: how they are compressed is not the same in two local runs
+        one, two = (content(where.out / "cells" / name) for where in (run, other))
+        assert one == two, name
+
+
+def content(path):
+    sink = pa.BufferOutputStream()
+    table = pq.read_table(path).combine_chunks()
+    with pa.ipc.new_stream(sink, table.schema) as stream:
+        stream.write_table(table)
+    return sink.getvalue().to_pybytes()
+
+
+class TestResults:
+    def test_are_those_of_this_machine_to_the_bit(self, settings, cluster, tmp_path):
+        lines = Path(settings.dataset).read_text(encoding="utf-8").splitlines()
+        turned = [line.split(",") for line in lines[1:]]  # a task takes twice as many people
+        lines += [f"{t},v{one[1:]},{y},-{x}".replace("--", "") for t, one, x, y in turned]
+        Path(settings.dataset).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        settings = replace(settings, attacks=("kalman_rts", "profile"), tasks=("rerelease",))
+        there = replace(
+            settings, executor="dask", scheduler=cluster.address, out=tmp_path / "there"
+        )
+        evaluation.run(settings, pictures=False)
+        evaluation.run(there, pictures=False)
+        assert_same_bits(there, settings)
+        # The cluster is left as it was.
+        wait_for(lambda: cluster.count(n_tasks) == 0, most_s=5)
+
+    def test_leave_out_a_plugin_that_fails(self, settings, cluster, folder, monkeypatch):
+        monkeypatch.syspath_prepend(str(folder))
+        changed = replace(
+            settings,
+            predictors=("least_squares", "cluster_plugins:Unlucky"),
+            executor="dask",
+            scheduler=cluster.address,
+        )
+        with pytest.warns(FailedCellsWarning, match="'cluster_plugins:Unlucky' failed: .*no luck"):
+            results = evaluation.run(changed, pictures=False)
+        assert set(results.failed["consumer"]) == {"cluster_plugins:Unlucky"}
+        assert len(results.failed) == 3
+        assert set(results.summary["consumer"]) == {"shared", "least_squares"}
+
+
+def n_tasks(dask_scheduler):
+    return len(dask_scheduler.tasks)
+
+
+class TestWhatIsKilled:
+    def test_a_worker_loses_nothing(self, slow, folder, tmp_path):
+        there = replace(slow, jobs=None, out=tmp_path / "there")
+        with started(folder) as own, command(there, folder, *on(own)) as run:
+            wait_for(lambda: len(cells(there)) > 2, most_s=40)
+            os.killpg(own.workers[1].pid, signal.SIGKILL)
+            assert len(cells(there)) < 16
+            _, said = run.communicate(timeout=60)
+        assert run.returncode == 0, said
+        assert_same_bits(there, slow)
+
+    def test_the_scheduler_ends_the_run_in_one_line(self, slow, folder, tmp_path):
+        there = replace(slow, jobs=None, out=tmp_path / "there")
+        with started(folder) as own, command(there, folder, *on(own)) as run:
+            wait_for(lambda: len(cells(there)) > 2, most_s=40)
+            os.killpg(own.scheduler.pid, signal.SIGKILL)
+            at = time.monotonic()
+            _, said = run.communicate(timeout=60)
+            assert time.monotonic() - at < 15
+        assert run.returncode == 2
+        (_, error) = said.splitlines()  # what is computed, then the error
+        assert error == (
+            f"error: the scheduler at {own.address} is gone; finished cells are kept; start it "
+            "and run the same command again"
+        )
+        kept = {path: path.stat().st_mtime_ns for path in cells(there)}
+        assert 2 < len(kept) < 16
+        evaluation.run(there, pictures=False)
+        assert_same_bits(there, slow)
+        assert all(path.stat().st_mtime_ns == stamp for path, stamp in kept.items())
+
+    def test_the_driver_leaves_the_cluster_running(self, slow, folder, cluster, tmp_path):
+        there = replace(slow, jobs=None, out=tmp_path / "there")
+        with command(there, folder, *on(cluster)) as run:
+            wait_for(lambda: len(cells(there)) > 2, most_s=40)
+            run.send_signal(signal.SIGINT)
+            _, said = run.communicate(timeout=30)
+        assert run.returncode == 130
+        assert said.splitlines()[-1].startswith("interrupted; finished cells are kept")
+        assert len(said.splitlines()) == 2
+        assert 2 < len(cells(there)) < 16
+        wait_for(lambda: cluster.count(n_tasks) == 0, most_s=5)
+
+    @pytest.mark.slow
+    def test_all_workers_end_the_run_in_one_line(self, slow, folder, monkeypatch, tmp_path):
+        monkeypatch.setattr(on_cluster, "_NO_WORKER_S", 1.0)
+        with started(folder) as own:
+            there = replace(
+                slow,
+                jobs=None,
+                executor="dask",
+                scheduler=own.address,
+                out=tmp_path / "there",
+            )
+
+            def kill(done, _total, _what):
+                if done == 3:
+                    for worker in own.workers:
+                        os.killpg(worker.pid, signal.SIGKILL)
+
+            with pytest.raises(SettingsError, match=r"has had no worker for 1 s; finished cells"):
+                evaluation.run(there, progress=kill)
+        assert 3 <= len(cells(there)) < 16
+
+    @pytest.mark.slow
+    def test_a_scheduler_that_hangs_counts_as_gone(self, slow, folder, monkeypatch, tmp_path):
+        monkeypatch.setattr(on_cluster, "_ANSWER_S", 2.0)
+        with started(folder) as own:
+            there = replace(
+                slow,
+                jobs=None,
+                executor="dask",
+                scheduler=own.address,
+                out=tmp_path / "there",
+            )
+
+            def stop(done, _total, _what):
+                if done == 3:
+                    os.killpg(own.scheduler.pid, signal.SIGSTOP)
+
+            with pytest.raises(SettingsError, match=f"{own.address} is gone; finished cells"):
+                evaluation.run(there, progress=stop)
+        assert 3 <= len(cells(there)) < 16
+
+    @pytest.mark.slow
+    def test_workers_that_a_plugin_kills_cost_its_cells_alone(
+        self, settings, cluster, folder, monkeypatch, tmp_path
+    ):
+        monkeypatch.syspath_prepend(str(folder))
+        changed = replace(
+            settings,
+            mechanisms=("raw", "fixed:0.7"),
+            predictors=("least_squares", "cluster_plugins:Killer", "kalman_cv"),
+        )
+        there = replace(changed, executor="dask", scheduler=cluster.address, out=tmp_path / "there")
+        with pytest.warns(FailedCellsWarning, match="its worker died"):
+            found = evaluation.run(there, pictures=False)
+        assert set(found.failed["consumer"]) == {"cluster_plugins:Killer"}
+        assert sorted(found.failed["spec"]) == ["fixed:0.7", "raw"]
+        without = replace(changed, predictors=("least_squares", "kalman_cv"))
+        evaluation.run(without, pictures=False)
+        assert_same_bits(there, without)
+
+
+class TestWhatIsRefused:
+    def test_an_address_where_nobody_answers(self, settings, monkeypatch, capsys):
+        monkeypatch.setattr(on_cluster, "_CONNECT_S", 0.5)
+        for address in ("tcp://127.0.0.1:1", "nonsense", "carrier-pigeon://a:1"):
+            words = ["--dataset", settings.dataset, "--out", str(settings.out)]
+            words += ["--executor", "dask", "--scheduler", address]
+            assert matrix.main(words) == 2
+            error = capsys.readouterr().err.splitlines()[-1]
+            assert error.startswith(f"error: no Dask scheduler answers at {address!r} (")
+            assert "start one with `dask scheduler`, and workers with `dask worker" in error
+
+    def test_a_scheduler_without_workers(self, settings, folder, monkeypatch):
+        monkeypatch.setattr(on_cluster, "_FIRST_WORKER_S", 0.2)
+        with started(folder, threads=()) as own:
+            there = replace(settings, executor="dask", scheduler=own.address)
+            with pytest.raises(SettingsError, match=f"{own.address} has no workers; .*dask worker"):
+                evaluation.run(there)
+
+    def test_a_plugin_that_workers_cannot_import(self, settings, cluster, tmp_path, monkeypatch):
+        (tmp_path / "here_alone.py").write_text(PLUGINS, encoding="utf-8")
+        monkeypatch.syspath_prepend(str(tmp_path))
+        there = replace(
+            settings,
+            mechanisms=("here_alone:Slow:0.5",),
+            executor="dask",
+            scheduler=cluster.address,
+        )
+        with pytest.raises(SettingsError, match=r"cannot import 'here_alone' .*on every worker"):
+            evaluation.run(there)
+
+    def test_workers_without_the_package(self, settings, folder, tmp_path):
+        (tmp_path / "evaluation.py").write_text("raise ImportError('not here')", encoding="utf-8")
+        with started(folder, threads=(1,), modules=tmp_path) as own:
+            there = replace(settings, executor="dask", scheduler=own.address)
+            with pytest.raises(SettingsError, match="lacks this isac-track"):
+                evaluation.run(there)
+
+    def test_a_plugin_that_workers_have_as_it_was_before(
+        self, settings, cluster, folder, monkeypatch
+    ):
+        source = folder / "edited_plugin.py"
+        source.write_text(PLUGINS, encoding="utf-8")
+        monkeypatch.syspath_prepend(str(folder))
+        there = replace(
+            settings,
+            mechanisms=("edited_plugin:Slow:0.5",),
+            executor="dask",
+            scheduler=cluster.address,
+        )
+        evaluation.run(there, pictures=False)
+        source.write_text(PLUGINS + "# better now\n", encoding="utf-8")
+        with pytest.raises(
+            SettingsError, match=r"worker tcp://.* not compute the same: module edited_plugin \w+"
+        ):
+            evaluation.run(there, pictures=False)
+
+    @pytest.mark.slow
+    def test_a_worker_with_another_plugin_that_joins_later(self, slow, folder, tmp_path):
+        (tmp_path / "cluster_plugins.py").write_text(PLUGINS + "# other\n", encoding="utf-8")
+        there = replace(slow, scenes=1500, jobs=None, out=tmp_path / "there")
+        with (
+            started(folder, threads=(1,)) as own,
+            command(there, folder, *on(own)) as run,
+        ):
+            wait_for(lambda: len(cells(there)) > 2, most_s=40)
+            own.start_worker(1, modules=tmp_path)
+            _, said = run.communicate(timeout=60)
+        assert run.returncode == 2
+        assert "would not compute the same: module cluster_plugins" in said.splitlines()[-1]
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"executor": "dask"}, "needs --scheduler ADDRESS"),
+            ({"scheduler": "tcp://a:1"}, "goes with --executor dask"),
+            ({"executor": "slurm"}, "local or dask, got 'slurm'"),
+            ({"executor": "dask", "scheduler": "tcp://a:1", "jobs": 2}, "--jobs is of"),
+            (
+                {"executor": "dask", "scheduler": "tcp://a:1", "cell_timeout_s": 2.0},
+                "--cell-timeout is of",
+            ),
+        ],
+    )
+    def test_options_that_contradict_each_other(self, options, message):
+        with pytest.raises(SettingsError, match=message):
+            Settings(**options)
+
+    def test_options_from_a_file_too(self, tmp_path, capsys):
+        file = tmp_path / "run.toml"
+        file.write_text('executor = "dask"\n', encoding="utf-8")
+        assert matrix.main(["--config", str(file)]) == 2
+        assert "needs --scheduler" in capsys.readouterr().err
+
+
+class TestADeathAtAnUnknownPlace:
+    """Nobody knows at which cell the worker was: works are split until one cell is left."""
+
+    def block(self, *specs):
+        mechanisms = [registry.parse("mechanisms", spec)[0] for spec in specs]
+        (predictor,) = registry.parse("predictors", "least_squares")
+        consumers = (Consumer("shared"), Consumer("predictor", predictor))
+        levels = tuple((mechanism, consumers) for mechanism in mechanisms)
+        return Block(number=3, first_scene=0, order=np.zeros((1, 1), int), levels=levels)
+
+    def test_ends_at_the_cell_that_kills(self):
+        failures = Failures()
+        works = deque([self.block("raw", "fixed:0.5", "fixed:0.7")])
+        finished = []
+        tries = 0
+        while works:
+            work = works.popleft()
+            names = [named(cell) for cell in cells_of(work)]
+            if ("fixed:0.5", "least_squares") in names:
+                tries += 1
+                again = failures.rest(work, Failed((), "died", died=True), finished=set())
+                works.extend(again)
+            else:
+                finished += names
+        (failed,) = failures.cells
+        assert (failed.block, failed.mechanism.spec, failed.consumer.label) == (
+            3,
+            "fixed:0.5",
+            "least_squares",
+        )
+        assert len(finished) == len(set(finished)) == 5
+        assert tries == 3  # the work, its level, the cell
+
+    def test_is_tried_once_more_where_there_is_one_cell_alone(self):
+        failures = Failures()
+        work = self.block("raw")
+        work = replace(work, levels=((work.levels[0][0], (Consumer("shared"),)),))
+        (again,) = failures.rest(work, Failed((), "died", died=True), finished=set())
+        assert [named(cell) for cell in cells_of(again)] == [("raw", "shared")]
+        assert failures.cells == []
+        assert failures.rest(again, Failed((), "died", died=True), finished=set()) == []
+        assert len(failures.cells) == 1
+
+
+def test_each_thread_of_a_worker_notes_where_it_is_itself():
+    note("raw", "shared")
+    seen = []
+    other = threading.Thread(target=lambda: (note("fixed:1", "shared"), seen.append(noted())))
+    other.start()
+    other.join()
+    assert seen == [("fixed:1", "shared")]
+    assert noted() == ("raw", "shared")
+    note()
+
+
+@pytest.mark.slow
+def test_the_driver_stays_under_a_gigabyte(settings, cluster):
+    """A hundred thousand scenes, 800 cells: what the driver takes for all that it gets back."""
+    many = replace(
+        settings,
+        scenes=100_000,
+        mechanisms=("raw", "fixed:0.7"),
+        predictors=("least_squares",),
+    )
+    code = (
+        "import resource, evaluation.runner as runner; from evaluation.grid import Settings; "
+        f"ready = runner.plan(Settings(preset='smoke', dataset={many.dataset!r}, scenes=100_000, "
+        "mechanisms=('raw', 'fixed:0.7'), predictors=('least_squares',), attacks=(), tasks=(), "
+        f"executor='dask', scheduler={cluster.address!r}, out={str(many.out)!r})); "
+        "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024; peaks = []; "
+        "runner.run(ready=ready, progress=lambda done, total, what: "
+        "done == total and peaks.append(peak()), pictures=False); "
+        "print(peaks[0], peak())"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=1200
+    )
+    computing_mb, reporting_mb = map(int, found.stdout.split()[-2:])
+    assert len(cells(many)) == 2 * 2 * 400
+    assert computing_mb <= reporting_mb < 1000

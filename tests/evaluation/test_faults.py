@@ -1,0 +1,640 @@
+"""Killed, interrupted, damaged, out of room, or with broken plug-ins: real processes and signals.
+
+Every result is held against that of a run that nothing happened to, byte by byte.
+"""
+
+import contextlib
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from evaluation import matrix, report
+from evaluation.run_lock import locked
+
+END_S = 2.0
+"""Within this, everything must be over."""
+PLUGINS = '''
+"""Plug-ins that go wrong; TASK_FILES is a folder for what they leave behind."""
+
+import os
+import re
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from attacks.linkage.shape import Shape
+from attacks.reconstruction.moving_average import MovingAverage
+from isac_track.sharing import Fixed
+from isac_track.types import Prediction, Reconstruction
+from predictors.least_squares import LeastSquares
+
+FOLDER = Path(os.environ["TASK_FILES"])
+
+
+def hold_on():
+    """For ever, and no other thread of the process gets a turn."""
+    re.match("(a+)+$", 64 * "a" + "b")
+
+
+def is_first(name):
+    try:
+        (FOLDER / name).touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
+
+
+def spoilt(array):
+    array.setflags(write=True)
+    array += 7.0
+
+
+@dataclass(frozen=True)
+class ShareHangs:
+    d_sigma: float = 0.5
+
+    def share(self, sensed, rng):
+        time.sleep(3600)
+
+
+@dataclass(frozen=True)
+class ShareMoves:
+    d_sigma: float = 0.5
+
+    def share(self, sensed, rng):
+        spoilt(sensed.xy)
+        return Fixed(self.d_sigma).share(sensed, rng)
+
+
+@dataclass(frozen=True)
+class ShareHolds:
+    d_sigma: float = 0.5
+
+    def share(self, sensed, rng):
+        is_first("held")
+        hold_on()
+
+
+class Raises(LeastSquares):
+    def predict(self, release, t_future):
+        raise KeyError("no idea")
+
+
+class Nan(LeastSquares):
+    def predict(self, release, t_future):
+        return Prediction(np.full((*t_future.shape, 2), np.nan))
+
+
+class Flat(LeastSquares):
+    def predict(self, release, t_future):
+        return Prediction(super().predict(release, t_future).mean[:, :-1])
+
+
+class Moves(LeastSquares):
+    def predict(self, release, t_future):
+        spoilt(release.xy)
+        spoilt(t_future)
+        return super().predict(release, t_future)
+
+
+class Dies(LeastSquares):
+    def predict(self, release, t_future):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class DiesOnce(LeastSquares):
+    def predict(self, release, t_future):
+        if is_first("died"):
+            os._exit(1)
+        return super().predict(release, t_future)
+
+
+class Holds(LeastSquares):
+    def predict(self, release, t_future):
+        if not (FOLDER / "mended").exists():
+            hold_on()
+        return super().predict(release, t_future)
+
+
+class Short(MovingAverage):
+    uses = frozenset()
+
+    def fit(self, context):
+        return lambda release: Reconstruction(release.xy[:-1])
+
+
+class SplitRaises(Shape):
+    """Fails where walks are cut in two, and nowhere else."""
+
+    def fit(self, context):
+        scores = super().fit(context)
+
+        def checked(probe, gallery):
+            if np.diff(probe.offsets).max() < 100:
+                raise RuntimeError("too short")
+            return scores(probe, gallery)
+
+        return checked
+
+
+class LinkExits(Shape):
+    uses = frozenset()
+
+    def fit(self, context):
+        os._exit(9)
+
+
+class LinkNan(Shape):
+    uses = frozenset()
+
+    def fit(self, context):
+        return lambda probe, gallery: np.full((len(probe), len(gallery)), np.nan)
+'''
+USUAL = ("raw", "fixed:0.7")
+FEW = ("--predictor", "least_squares", "--attack", "none", "--task", "none")
+LINKED = (
+    *("--predictor", "least_squares", "--attack", "moving_average", "--attack", "shape"),
+    *("--task", "rerelease"),
+)
+
+
+def write_walks(path, *, n=24):
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 30.01, 0.4)
+    rows = []
+    for person in range(n):
+        turn = np.cumsum(rng.normal(0, 0.05, t.size))
+        step = 0.4 * rng.uniform(0.6, 1.4) * np.column_stack([np.cos(turn), np.sin(turn)])
+        xy = rng.uniform(-3, 3, 2) + np.cumsum(step, axis=0)
+        rows += [f"{a:.1f},{person},{x:.4f},{y:.4f}" for a, (x, y) in zip(t, xy, strict=True)]
+    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+
+
+class Place:
+    """A recording, the plug-ins, and a folder for temporary files of our own."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.temporary = folder / "temporary"
+        for name in ("temporary", "plugins", "files"):
+            (folder / name).mkdir()
+        (folder / "plugins" / "faulty.py").write_text(PLUGINS, encoding="utf-8")
+        write_walks(folder / "walks.csv")
+
+    @property
+    def environment(self):
+        return os.environ | {
+            "PYTHONPATH": str(self.folder / "plugins"),
+            "TASK_FILES": str(self.folder / "files"),
+            "TMPDIR": str(self.temporary),
+        }
+
+    def arguments(self, out, *options, mechanisms=USUAL, scenes=12, jobs=2):
+        words = ["--preset", "smoke", "--dataset", self.folder / "walks.csv", "--jobs", jobs]
+        words += ["--scenes", scenes, "--out", out, *options]
+        for spec in mechanisms:
+            words += ["--mechanism", spec]
+        return [str(word) for word in words]
+
+    def start(self, out, *options, most_bytes=None, **axes):
+        def limit():
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
+
+        return subprocess.Popen(
+            [sys.executable, "-m", "evaluation.matrix", *self.arguments(out, *options, **axes)],
+            cwd=self.folder,
+            env=self.environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=None if most_bytes is None else limit,  # noqa: PLW1509 - no threads here
+        )
+
+    def run(self, out, *options, **axes):
+        """Run to the end; return exit code, output and errors."""
+        process = self.start(out, *options, **axes)
+        try:
+            shown, errors = process.communicate(timeout=180)
+        finally:
+            end(process)
+        assert "Traceback" not in errors, errors
+        return process.returncode, shown, errors
+
+
+def in_session(number):
+    """Processes of a session that still run."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, session, *_ = path.read_text().rpartition(")")[2].split()
+            if int(session) == number and state not in "ZX":
+                found.append(int(path.parent.name))
+    return found
+
+
+def end(process):
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+
+
+def seconds_until(condition, *, most_s):
+    started = time.monotonic()
+    while not condition():
+        assert time.monotonic() - started < most_s
+        time.sleep(0.01)
+    return time.monotonic() - started
+
+
+def content(out, *, but=()):
+    """Everything that a run computed, by file; the manifest tells times and the page shows them."""
+    files = [
+        *out.glob("cells/*"),
+        *out.glob("*.csv"),
+        *out.glob("tables/*"),
+        *out.glob("*.parquet"),
+    ]
+    files += [*out.glob("figures/*"), out / "flags.json", out / "verdict.json"]
+    return {str(path.relative_to(out)): path.read_bytes() for path in files if path.name not in but}
+
+
+def assert_same(out, expected):
+    found = content(out)
+    assert found.keys() == expected.keys()
+    different = [name for name, held in expected.items() if found[name] != held]
+    assert different == []
+    assert json.loads((out / "manifest.json").read_text())["state"] == "finished"
+
+
+def one_line(errors):
+    (line,) = [line for line in errors.splitlines() if line.startswith("error: ")]
+    assert errors.splitlines()[-1] == line
+    return line
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return Place(tmp_path_factory.mktemp("faults"))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(place):
+    """A small run that nothing happened to, and what it computed."""
+    out = place.folder / "undisturbed"
+    code, _, errors = place.run(out, *LINKED)
+    assert code == 0, errors
+    return out, content(out)
+
+
+@pytest.fixture(scope="module")
+def many_scenes(place):
+    """One with more blocks of scenes and less else, and how long it took once it had begun."""
+    out = place.folder / "many-scenes"
+    process = place.start(out, *FEW, scenes=1000)
+    try:
+        process.stderr.readline()
+        started = time.monotonic()
+        _, errors = process.communicate(timeout=180)
+    finally:
+        end(process)
+    assert process.returncode == 0, errors
+    return content(out), time.monotonic() - started
+
+
+class TestKilled:
+    def killed_again_and_again(self, place, expected, took_s, *, times, out):
+        moments = random.Random(times)
+        for number in range(times):
+            process = place.start(out, *FEW, scenes=1000)
+            process.stderr.readline()  # it has begun
+            time.sleep(moments.uniform(0, 0.7 * took_s))
+            if number % 2:
+                os.kill(process.pid, signal.SIGKILL)
+            else:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            seconds_until(lambda: not in_session(process.pid), most_s=END_S)  # noqa: B023
+            process.communicate()
+        code, _, errors = place.run(out, *FEW, scenes=1000)
+        assert code == 0, errors
+        assert "damaged" not in errors
+        assert_same(out, expected)
+        assert not [path for path in out.rglob("*") if path.name.endswith((".tmp", ".lock"))]
+
+    def test_at_any_moment_it_continues_to_the_same_result(self, place, many_scenes):
+        out = place.folder / "killed"
+        self.killed_again_and_again(place, *many_scenes, times=5, out=out)
+        # Nothing with a name is put there, so that a kill leaves nothing there.
+        assert list(place.temporary.iterdir()) == []
+
+    @pytest.mark.slow
+    def test_fifty_times(self, place, many_scenes):
+        out = place.folder / "killed-often"
+        expected, took_s = many_scenes
+        for start in range(0, 50, 5):
+            shutil.rmtree(out, ignore_errors=True)
+            self.killed_again_and_again(place, expected, took_s, times=5 + start % 2, out=out)
+        assert list(place.temporary.iterdir()) == []
+
+
+@pytest.fixture
+def hanging(place):
+    """How to start a run that hangs, and wait until it does."""
+    flag, started = place.folder / "files" / "held", []
+
+    def start(out):
+        flag.unlink(missing_ok=True)
+        mechanisms = ("raw", "faulty:ShareHolds:0.5")
+        started.append(place.start(out, *FEW, mechanisms=mechanisms))
+        seconds_until(flag.exists, most_s=60)
+        return started[-1]
+
+    yield start
+    for process in started:
+        end(process)
+
+
+def interrupt(process):
+    """Send Ctrl-C as a terminal does, to the whole group, and see that all is over at once."""
+    os.killpg(process.pid, signal.SIGINT)
+    started = time.monotonic()
+    _, errors = process.communicate(timeout=30)
+    assert time.monotonic() - started < END_S
+    assert process.returncode == 130, errors
+    assert errors.splitlines()[-1].startswith("interrupted; finished cells are kept, the same")
+    assert "Traceback" not in errors
+    seconds_until(lambda: not in_session(process.pid), most_s=END_S)
+
+
+class TestInterrupted:
+    def test_a_second_run_is_refused_and_ctrl_c_ends_even_what_hangs(self, place, hanging, capsys):
+        out = place.folder / "hanging"
+        process = hanging(out)
+        again = place.arguments(out, *FEW)
+        for second in (lambda: matrix.main(again), lambda: report.main([str(out)])):
+            assert second() == 2
+            line = one_line(capsys.readouterr().err)
+            assert f"another run is writing to {out} (process {process.pid})" in line
+        interrupt(process)
+        # Now the folder is free again.
+        with locked(out):
+            pass
+
+    @pytest.mark.parametrize(
+        ("sign", "jobs"), [("cells", 1), ("cells/*.parquet", 2), ("summary.csv", 1)]
+    )
+    def test_it_ends_at_once_and_the_same_command_continues(self, place, many_scenes, sign, jobs):
+        out = place.folder / "interrupted"
+        process = place.start(out, *FEW, scenes=1000, jobs=jobs)
+        seconds_until(lambda: any(out.glob(sign)) or process.poll() is not None, most_s=60)
+        assert process.poll() is None, process.stderr.read()
+        interrupt(process)
+        if sign == "summary.csv":  # the last of three, each of which began where one was ended
+            code, _, errors = place.run(out, *FEW, scenes=1000)
+            assert code == 0, errors
+            assert_same(out, many_scenes[0])
+
+    def test_a_worker_that_lets_no_thread_run_ends_with_its_parent(self, place, hanging):
+        process = hanging(place.folder / "orphaned")
+        assert len(in_session(process.pid)) >= 3
+        process.kill()
+        process.wait()
+        seconds_until(lambda: not in_session(process.pid), most_s=END_S)
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def flip(path):
+    held = bytearray(path.read_bytes())
+    held[len(held) // 2] ^= 1
+    path.write_bytes(held)
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+class TestDamaged:
+    def test_every_kind_is_found_and_computed_again(self, place, undisturbed, capsys):
+        whole, expected = undisturbed
+        out = place.folder / "damaged"
+        shutil.copytree(whole, out)
+        cells = sorted((out / "cells").iterdir())
+        kinds = {cut: 0, flip: 4, empty: 8, lambda path: shutil.copy(cells[1], path): 12}
+        for damage, number in kinds.items():
+            damage(cells[number])
+        lines = (out / "SHA256SUMS").read_text().splitlines()
+        # One line is missing, and the last one was cut short.
+        cells_by_line = [cells[number].name for number in kinds.values()]
+        missing = next(line for line in lines if line.split("/")[1] not in cells_by_line)
+        lines.remove(missing)
+        cut_line = next(line for line in lines if line.split("/")[1] not in cells_by_line)
+        lines.remove(cut_line)
+        (out / "SHA256SUMS").write_text("\n".join([*lines, cut_line[:40]]))
+        assert report.main([str(out)]) == 2
+        line = one_line(capsys.readouterr().err)
+        assert "and 5 more: not as the run wrote it" in line
+        assert str(out / "cells") in line
+        code, _, errors = place.run(out, *LINKED)
+        assert code == 0
+        assert "6 cells were not as they had been written and are computed anew" in errors
+        assert any(cells[number].name in errors for number in kinds.values()) or (
+            missing.split("/")[1] in errors or cut_line.split("/")[1] in errors
+        )
+        assert_same(out, expected)
+        assert report.main([str(out)]) == 0
+        capsys.readouterr()
+        assert_same(out, expected)
+        checked = subprocess.run(
+            ["sha256sum", "--check", "--quiet", "SHA256SUMS"],
+            cwd=out,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert checked.returncode == 0, checked.stdout  # the next line stands by itself
+        assert "1 line is improperly formatted" in checked.stderr
+
+    @pytest.mark.parametrize("held", [b"", b"{", b"[]", b'{"cells": 1}', b"\xff\xfe"])
+    def test_a_damaged_manifest_is_one_line(self, place, held, tmp_path, capsys):
+        out = tmp_path / "run"
+        out.mkdir()
+        (out / "manifest.json").write_bytes(held)
+        assert report.main([str(out)]) == 2
+        assert str(out) in one_line(capsys.readouterr().err)
+        assert matrix.main(place.arguments(out, *FEW)) == 2
+        assert str(out) in one_line(capsys.readouterr().err)
+
+
+class TestNoRoom:
+    def test_a_full_disk_is_one_line_and_what_is_finished_is_kept(self, place, undisturbed):
+        whole, expected = undisturbed
+        sizes = {path.name: path.stat().st_size for path in (whole / "cells").iterdir()}
+        most = min(size for name, size in sizes.items() if "control" in name) - 1
+        small = {name for name, size in sizes.items() if size <= most and "rerelease" not in name}
+        assert len(small) >= 6
+        out = place.folder / "full"
+        code, _, errors = place.run(out, *LINKED, most_bytes=most)
+        assert code == 2
+        line = one_line(errors)
+        assert line.startswith(f"error: cannot write {out / 'cells'}")
+        assert line.endswith("File too large; finished cells are kept")
+        kept = {path.name: path.stat().st_mtime_ns for path in (out / "cells").iterdir()}
+        assert len(small & kept.keys()) >= 4  # at least one worker had all of its own written
+        assert not [name for name in kept if name.startswith(".")]
+        code, _, errors = place.run(out, *LINKED)
+        assert code == 0, errors
+        assert_same(out, expected)
+        assert all((out / "cells" / name).stat().st_mtime_ns == at for name, at in kept.items())
+
+    @pytest.mark.parametrize("inside", ["walks.csv/run", "/proc/run"])
+    def test_where_nothing_can_be_written_it_is_one_line(self, place, inside, capsys):
+        out = place.folder / inside
+        assert matrix.main(place.arguments(out, *FEW)) == 2
+        assert str(out) in one_line(capsys.readouterr().err)
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+    def test_a_read_only_folder_is_one_line(self, place, tmp_path, capsys):
+        tmp_path.chmod(0o500)
+        assert matrix.main(place.arguments(tmp_path / "run", *FEW)) == 2
+        assert "Permission denied" in one_line(capsys.readouterr().err)
+
+
+BAD = {
+    # Plug-in: how it is named, and why it is left out.
+    "Raises": "predictor 'faulty:Raises' failed: KeyError: 'no idea'",
+    "Nan": "predictor 'faulty:Nan' failed: ValueError: a predicted position is not finite",
+    "Flat": "predictor 'faulty:Flat' must return a Prediction with mean (",
+    "Dies": "its worker died (killed, crashed or out of memory)",
+    "Holds": "it ran for longer than 3 s",
+    "Short": "faulty:Short",
+    "LinkExits": "its worker died (killed, crashed or out of memory)",
+    "LinkNan": "faulty:LinkNan",
+}
+MECHANISM = "faulty:ShareHangs:0.5"
+BAD_OPTIONS = (
+    *("--cell-timeout", 3, "--task", "rerelease"),
+    *("--predictor", "faulty:Moves", "--predictor", "least_squares"),
+    *("--predictor", "faulty:DiesOnce"),
+    *(f"--predictor=faulty:{name}" for name in ("Raises", "Nan", "Flat", "Dies", "Holds")),
+    *("--attack", "faulty:Short", "--attack", "moving_average"),
+    *("--attack", "faulty:LinkExits", "--attack", "faulty:LinkNan", "--attack", "shape"),
+)
+
+
+def rows_by_consumer(out, *, but=""):
+    """Rows of the summary as text, by consumer."""
+    rows = pd.read_csv(out / "summary.csv", dtype=str, keep_default_na=False)
+    rows = rows[rows["mechanism"] != but]
+    return {name: part.to_csv(index=False) for name, part in rows.groupby("consumer")}
+
+
+@pytest.fixture(scope="module")
+def faulty(place):
+    """One run with everything that can go wrong in it."""
+    out = place.folder / "faulty"
+    return out, *place.run(out, *BAD_OPTIONS, mechanisms=("fixed:0.7", MECHANISM))
+
+
+class TestPlugins:
+    def test_each_fails_alone_and_by_name(self, faulty):
+        out, code, shown, errors = faulty
+        assert code == 3, errors
+        failed = pd.read_csv(out / "failed.csv", keep_default_na=False)
+        by_mechanism = failed[failed["spec"] == MECHANISM]
+        assert set(by_mechanism["why"]) == {"it ran for longer than 3 s"}
+        others = failed[failed["spec"] != MECHANISM]
+        why = {
+            spec: set(part["why"])
+            for spec, part in others.groupby(others["consumer"].str.replace("rerelease/", ""))
+        }
+        assert why.keys() == {f"faulty:{name}" for name in BAD}
+        told = " ".join((shown + errors).split())
+        page = " ".join((out / "report.html").read_text(encoding="utf-8").split())
+        for name, reason in BAD.items():
+            assert all(reason in one for one in why[f"faulty:{name}"]), (name, why)
+            assert f"faulty:{name}" in told
+            assert f"faulty:{name}" in page
+        levels = others.groupby("consumer")["spec"].agg(set)
+        for consumer, specs in levels.items():
+            assert specs == {"fixed:0.7", *(["clean"] if "/" in consumer else [])}, consumer
+        assert "left out everywhere" in told
+        assert "left out everywhere" in page
+
+    def test_no_number_of_what_failed_is_shown(self, faulty):
+        out, *_ = faulty
+        rows = pd.read_csv(out / "summary.csv", keep_default_na=False)
+        bad = [name for name in rows["consumer"].unique() if name.split(":")[-1] in BAD]
+        assert bad == []
+        assert set(rows["mechanism"]) == {"fixed", "clean"}
+
+    def test_everything_else_is_as_it_is_without_them(self, faulty, undisturbed):
+        out, *_ = faulty
+        _, expected = undisturbed
+        found = content(out)
+        cells = [name for name in expected if name.startswith(("cells/fixed", "cells/clean"))]
+        assert len(cells) > 15
+        assert [name for name in cells if found.get(name) != expected[name]] == []
+        usual = rows_by_consumer(undisturbed[0], but="raw")
+        assert len(usual) > 6
+        rows = rows_by_consumer(out)
+        assert {name: rows[name] for name in usual} == usual
+        # What died once was tried again, and what wrote into its input wrote into its own.
+        assert rows["faulty:DiesOnce"] == usual["least_squares"].replace(
+            "least_squares", "faulty:DiesOnce"
+        )
+        assert "faulty:Moves" in rows
+
+    def test_a_second_run_computes_what_had_failed_and_nothing_else(self, place, faulty):
+        out = place.folder / "mended"
+        shutil.copytree(faulty[0], out)
+        before = {path.name: path.stat().st_mtime_ns for path in (out / "cells").iterdir()}
+        (place.folder / "files" / "mended").touch()
+        options = ("--predictor", "faulty:Holds", "--attack", "none", "--task", "none")
+        code, _, errors = place.run(out, *options, mechanisms=["fixed:0.7"])
+        assert code == 0, errors
+        after = {path.name: path.stat().st_mtime_ns for path in (out / "cells").iterdir()}
+        new = after.keys() - before.keys()
+        (name,) = new
+        assert "Holds" in name
+        assert {name: after[name] for name in before} == before
+        rows = rows_by_consumer(out)
+        assert rows["faulty:Holds"] == rows["least_squares"].replace(
+            "least_squares", "faulty:Holds"
+        )
+        assert len(pd.read_csv(out / "failed.csv")) == 0
+
+    def test_what_fails_in_one_task_and_what_writes_into_what_was_sensed(self, place, undisturbed):
+        out = place.folder / "one-task"
+        options = ("--predictor", "least_squares", "--attack", "faulty:SplitRaises")
+        options += ("--task", "rerelease", "--task", "split")
+        # The first mechanism of all writes into what the others are to share.
+        mechanisms = ("faulty:ShareMoves:0.5", *USUAL)
+        code, _, errors = place.run(out, *options, mechanisms=mechanisms, jobs=1)
+        assert code == 3, errors
+        failed = pd.read_csv(out / "failed.csv", keep_default_na=False)
+        assert set(failed["consumer"]) == {"split/faulty:SplitRaises"}
+        assert failed["why"].str.contains("RuntimeError: too short").all()
+        rows, usual = rows_by_consumer(out), rows_by_consumer(undisturbed[0])
+        assert "rerelease/faulty:SplitRaises" in rows
+        assert "split/faulty:SplitRaises" not in rows
+        for name in ("shared", "least_squares", "rerelease/control-noise_level"):
+            held = [one for one in rows[name].splitlines() if ",faulty:" not in one]
+            assert held == usual[name].splitlines()
