@@ -165,7 +165,10 @@ def named(rows: Ints, names: Sequence[str]) -> pa.DictionaryArray:
 
     Each name is in the dictionary once: of one with repetitions, files differ from run to run.
     """
-    once, place = np.unique(np.asarray(names, dtype=object), return_inverse=True)
+    place: dict[str, int] = {}
+    for name in names:
+        place.setdefault(name, len(place))
+    places = np.array([place[name] for name in names], dtype=np.int32)
     return pa.DictionaryArray.from_arrays(
-        pa.array(place[rows], type=pa.int32()), pa.array(once.tolist(), type=pa.string())
+        pa.array(places[rows]), pa.array(list(place), type=pa.string())
     )

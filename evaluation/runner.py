@@ -262,7 +262,8 @@ def _compute_missing(
 ) -> list[FailedCell]:
     """Compute what is missing, and return what could not be."""
     blocks = tuple(_missing_blocks(ready, sound))
-    links = tuple(_missing_links(ready, sound))
+    # The longest first: at the end no worker waits for long.
+    links = sorted(_missing_links(ready, sound), key=_pairs, reverse=True)
     works: deque[Work] = deque((*blocks, *links))
     total = sum(len(consumers) for work in works for _, consumers in work.levels)
     files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
@@ -353,6 +354,13 @@ def _missing_links(ready: Plan, present: AbstractSet[str]) -> Iterator[LinkWork]
                 groups=tuple(sorted(set(ready.tracks.group))),
                 levels=tuple(levels[first : first + _LEVELS_PER_TASK]),
             )
+
+
+def _pairs(work: LinkWork) -> int:
+    """Return how many pairs are compared: what a linker takes goes by it."""
+    sides = (work.sessions.probe.search, work.sessions.gallery.search)
+    probes, gallery = (np.bincount(side, minlength=len(work.sessions.searches)) for side in sides)
+    return len(work.levels) * int((probes * gallery).sum())
 
 
 def _parts(
