@@ -88,11 +88,7 @@ def verdict(
     drafts = (
         *validity(Sweeps(found), success=success, chance=_chances(found, success)),
         *within(levels, success=success),
-        *_claims(
-            (one for one in compared if one.predictor in manifest["settings"]["predictors"][:1]),
-            success=success,
-            attack=attack,
-        ),
+        *_claims(_of_reference(compared, manifest), success=success, attack=attack),
         *_inflation(found, attack=attack),
     )
     items: list[dict[str, Any]] = []
@@ -158,6 +154,13 @@ def _chances(found: Mapping[Key, Estimate], success: Mapping[str, Measure]) -> d
         ]
         chances[task] = max(known_ones, default=0.0)
     return chances
+
+
+def _of_reference(compared: Iterable[Comparison], manifest: Mapping[str, Any]) -> list[Comparison]:
+    """Return the comparisons by the first predictor of the run."""
+    every = [one for one in compared if one.predictor]
+    predictors = manifest["settings"].get("predictors") or [one.predictor for one in every]
+    return [one for one in every if one.predictor in predictors[:1]]
 
 
 def _claims(

@@ -1,6 +1,7 @@
 """Tracks to test on: small made-up ones everywhere, the real recording where it is at hand."""
 
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,10 @@ import pytest
 from isac_track import datasets
 from isac_track.rng import stream
 from isac_track.types import Tracks
+
+# A shell that starts the tests in the background has them, and all that they start, ignore Ctrl-C.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def made_up_tracks(*, n_tracks=12, duration_s=30.0, seed=0):

@@ -321,6 +321,7 @@ class TestTheSource:
         assert found == {
             "evaluation/__init__.py",
             "evaluation/__main__.py",
+            "evaluation/cluster.py",
             "evaluation/runner.py",
             "isac_track/registry.py",
             "isac_track/testing/__main__.py",
