@@ -263,6 +263,7 @@ class TestWhatIsKilled:
         assert run.returncode == 0, said
         assert_same_bits(there, slow)
 
+    @pytest.mark.slow
     def test_the_scheduler_ends_the_run_in_one_line(self, slow, folder, tmp_path):
         there = replace(slow, jobs=None, out=tmp_path / "there")
         with started(folder) as own, command(there, folder, *on(own)) as run:
@@ -283,6 +284,7 @@ class TestWhatIsKilled:
         assert_same_bits(there, slow)
         assert all(path.stat().st_mtime_ns == stamp for path, stamp in kept.items())
 
+    @pytest.mark.slow
     def test_the_driver_leaves_the_cluster_running(self, slow, folder, cluster, tmp_path):
         there = replace(slow, jobs=None, out=tmp_path / "there")
         with command(there, folder, *on(cluster)) as run:

@@ -566,7 +566,7 @@ def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
         stages=StageSettings().changed({"resample.min_duration_s": 10.0}),
         out=tmp_path / "run",
     )
-    results = evaluation.run(settings)
+    results = evaluation.run(settings, pictures=False)
     entries = [one for one in results.manifest["cells"] if one["kind"] == "windows"]
     assert [(one["spec"], one["consumer"], one["knowledge"]) for one in entries] == [
         (spec, "rerelease/windows", "") for spec in ("clean", "raw", "sieves:EveryOther", "thin:3")
@@ -581,7 +581,7 @@ def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
     table = results.summary.set_index(["mechanism", "consumer", "metric"])["value"]
     assert table["thin", "kalman_rts", "plr"].min() > 0
     before = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     assert before == {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
 
 

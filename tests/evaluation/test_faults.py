@@ -395,6 +395,7 @@ class TestInterrupted:
         with locked(out):
             pass
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("sign", "jobs"), [("cells", 1), ("cells/*.parquet", 2), ("summary.csv", 1)]
     )
@@ -483,6 +484,7 @@ class TestDamaged:
         assert str(out) in one_line(capsys.readouterr().err)
 
 
+@pytest.mark.slow
 class TestNoRoom:
     def test_a_full_disk_is_one_line_and_what_is_finished_is_kept(self, place, undisturbed):
         whole, expected = undisturbed
@@ -553,6 +555,7 @@ def faulty(place):
     return out, *place.run(out, *BAD_OPTIONS, mechanisms=("fixed:0.7", MECHANISM))
 
 
+@pytest.mark.slow
 class TestPlugins:
     def test_each_fails_alone_and_by_name(self, faulty):
         out, code, shown, errors = faulty

@@ -292,7 +292,7 @@ def results(tmp_path_factory):
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
-        return evaluation.run(settings)
+        return evaluation.run(settings, pictures=False)
 
 
 def test_a_bad_attack_in_a_real_run_is_flagged_in_the_file_and_the_frame(results):

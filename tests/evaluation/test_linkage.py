@@ -545,7 +545,7 @@ KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
 class TestRuns:
     def test_a_run_has_every_cell_of_every_task_once(self, settings):
-        results = evaluation.run(settings)
+        results = evaluation.run(settings, pictures=False)
         summary = results.summary
         assert not summary.duplicated(KEY).any()
         ranks = summary[summary["metric"] == "rank1"]
@@ -568,7 +568,7 @@ class TestRuns:
         assert set(summary.loc[summary["mechanism"] == "clean", "metric"]).isdisjoint({"plr"})
 
     def test_few_non_mated_pairs_refuse_an_operating_point(self, settings):
-        summary = evaluation.run(settings).summary
+        summary = evaluation.run(settings, pictures=False).summary
         refused = summary[summary["metric"] == "tpr_at_fpr_01pct"]
         assert len(refused)
         assert refused[["value", "ci_low", "ci_high"]].isna().all(axis=None)
@@ -589,11 +589,12 @@ class TestRuns:
                 tasks=("rerelease",),
                 mechanisms=("raw",),
                 attacks=("shape", "histogram@kalman_rts"),
-            )
+            ),
+            pictures=False,
         )
-        evaluation.run(settings)
+        evaluation.run(settings, pictures=False)
         apart = replace(settings, out=settings.out.with_name("apart"), jobs=2)
-        evaluation.run(apart)
+        evaluation.run(apart, pictures=False)
         frames = [
             pd.read_csv(out / "summary.csv").sort_values(KEY, ignore_index=True)
             for out in (settings.out, apart.out)
@@ -601,27 +602,30 @@ class TestRuns:
         pd.testing.assert_frame_equal(*frames, check_exact=True)
 
     def test_an_earlier_attack_whose_ceiling_is_missing_is_left_out(self, settings):
-        evaluation.run(replace(settings, tasks=("rerelease",), attacks=("shape",)))
+        evaluation.run(replace(settings, tasks=("rerelease",), attacks=("shape",)), pictures=False)
         for path in (settings.out / "cells").glob("clean*shape*"):
             path.unlink()
         again = replace(settings, tasks=("rerelease",), attacks=("histogram",))
-        found = evaluation.run(again).linkability
+        found = evaluation.run(again, pictures=False).linkability
         attacks = set(found["consumer"])
         assert "rerelease/histogram" in attacks
         assert "rerelease/shape" not in attacks
         assert "rerelease/shape" in set(
-            evaluation.run(replace(again, attacks=("histogram", "shape"))).linkability["consumer"]
+            evaluation.run(
+                replace(again, attacks=("histogram", "shape")), pictures=False
+            ).linkability["consumer"]
         )
 
     def test_without_a_declared_noise_there_is_no_leak(self, settings):
         results = evaluation.run(
-            replace(settings, mechanisms=("raw",), attacks=("kinematic",), tasks=("handover-2s",))
+            replace(settings, mechanisms=("raw",), attacks=("kinematic",), tasks=("handover-2s",)),
+            pictures=False,
         )
         clean = results.linkability[results.linkability["mechanism"] == "clean"]
         assert (clean["invalid"] == "").all()
 
     def test_the_manifest_says_who_is_linked(self, settings):
-        manifest = evaluation.run(settings).manifest
+        manifest = evaluation.run(settings, pictures=False).manifest
         tasks = manifest["linkage"]["tasks"]
         assert tasks["rerelease"]["people"] == 40
         assert sum(tasks["rerelease"]["candidates"].values()) == 40

@@ -750,7 +750,7 @@ def settings(csv_recording, tmp_path):
 
 class TestRuns:
     def test_identity_says_what_is_shared_in_the_summary(self, settings):
-        summary = evaluation.run(settings).summary
+        summary = evaluation.run(settings, pictures=False).summary
         shared, attacked = (
             summary[summary["consumer"] == name].set_index(["mechanism", "metric"])
             for name in ("shared", "identity")
@@ -762,11 +762,11 @@ class TestRuns:
         )
 
     def test_adding_attacks_changes_no_other_row(self, settings):
-        before = evaluation.run(settings).summary
+        before = evaluation.run(settings, pictures=False).summary
         more = (*settings.attacks, "radial_rts", "imm_rts", "moving_average")
-        after = evaluation.run(replace(settings, attacks=more)).summary
+        after = evaluation.run(replace(settings, attacks=more), pictures=False).summary
         assert len(after) > len(before)
-        afresh = evaluation.run(replace(settings, attacks=more, fresh=True)).summary
+        afresh = evaluation.run(replace(settings, attacks=more, fresh=True), pictures=False).summary
         pd.testing.assert_frame_equal(afresh, after, check_exact=True)
         key = ["mechanism", "level", "consumer", "knowledge", "metric"]
         kept = after[after["consumer"].isin(before["consumer"])]
@@ -779,13 +779,13 @@ class TestRuns:
     def test_workers_change_no_bit(self, settings, tmp_path):
         attacks = ("identity", "kalman_rts", "radial_rts", "averaging", "imm_rts")
         alone = replace(settings, attacks=attacks)
-        evaluation.run(alone)
-        evaluation.run(replace(alone, jobs=2, out=tmp_path / "two"))
+        evaluation.run(alone, pictures=False)
+        evaluation.run(replace(alone, jobs=2, out=tmp_path / "two"), pictures=False)
         first, second = (tmp_path / name / "summary.csv" for name in ("run", "two"))
         assert first.read_bytes() == second.read_bytes()
 
     def test_the_ratio_to_the_benchmark_is_of_sums_over_tracks(self, settings):
-        results = evaluation.run(settings)
+        results = evaluation.run(settings, pictures=False)
         table = results.summary.set_index(["mechanism", "consumer", "knowledge", "metric"])["value"]
         seen = 0
         for entry in results.manifest["cells"]:
@@ -813,7 +813,9 @@ class TestRuns:
         silent = replace(
             settings, mechanisms=("silent_mechanism:Silent", "raw"), attacks=("identity",)
         )
-        table = evaluation.run(silent).summary.set_index(["mechanism", "consumer", "metric"])
+        table = evaluation.run(silent, pictures=False).summary.set_index(
+            ["mechanism", "consumer", "metric"]
+        )
         values = table["value"]
         for metric in ("plr", "rmse", "ael", "mel"):
             assert values["silent_mechanism:Silent", "identity", metric] == pytest.approx(
@@ -829,7 +831,7 @@ class TestRuns:
         (tmp_path / "silent_mechanism.py").write_text(SILENT, encoding="utf-8")
         monkeypatch.syspath_prepend(str(tmp_path))
         silent = replace(settings, mechanisms=("silent_mechanism:Silent",))
-        summary = evaluation.run(silent).summary
+        summary = evaluation.run(silent, pictures=False).summary
         assert "oracle" in set(summary["knowledge"])
 
     def test_real_people_are_split_by_group(self, students03):

@@ -197,14 +197,14 @@ def test_a_run_leaves_what_the_design_says(settings):
 
 
 def test_the_frames_are_the_files(settings):
-    results = evaluation.run(settings)
+    results = evaluation.run(settings, pictures=False)
     read = pd.read_csv(settings.out / "summary.csv", keep_default_na=True)
     assert read["value"].to_numpy() == pytest.approx(results.summary["value"].to_numpy(), abs=0)
     assert len(read) == len(results.summary) == 3 * 7
 
 
 def test_the_summary_is_the_mean_over_the_rows_of_the_cells(settings):
-    results = evaluation.run(settings)
+    results = evaluation.run(settings, pictures=False)
     table = results.summary.set_index(["mechanism", "consumer", "metric"])["value"]
     (cell,) = (settings.out / "cells").glob("raw-shared*")
     rows = pd.read_parquet(cell)
@@ -231,22 +231,22 @@ def test_the_summary_is_the_mean_over_the_rows_of_the_cells(settings):
 def test_workers_change_no_bit(settings, tmp_path):
     # 600 scenes: three blocks for two workers.
     alone = replace(settings, scenes=600)
-    evaluation.run(alone)
+    evaluation.run(alone, pictures=False)
     two = replace(alone, jobs=2, out=tmp_path / "two")
-    evaluation.run(two)
+    evaluation.run(two, pictures=False)
     one_block = replace(settings, out=tmp_path / "levels", jobs=2)
-    evaluation.run(one_block)  # one block, shared out by levels
-    evaluation.run(replace(one_block, jobs=1, out=tmp_path / "single"))
+    evaluation.run(one_block, pictures=False)  # one block, shared out by levels
+    evaluation.run(replace(one_block, jobs=1, out=tmp_path / "single"), pictures=False)
     for a, b in (("run", "two"), ("levels", "single")):
         first = (tmp_path / a / "summary.csv").read_bytes()
         assert first == (tmp_path / b / "summary.csv").read_bytes()
 
 
 def test_adding_a_mechanism_changes_no_other_row_and_computes_only_its_cells(settings):
-    before = evaluation.run(settings).summary
+    before = evaluation.run(settings, pictures=False).summary
     stamps = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
     wider = replace(settings, mechanisms=(*settings.mechanisms, "fixed:0.3", "clean"))
-    after = evaluation.run(wider).summary
+    after = evaluation.run(wider, pictures=False).summary
     assert len(after) == len(before) + 2 * 7
     common = after.merge(before, on=list(before.columns))
     assert len(common) == len(before)
@@ -254,24 +254,24 @@ def test_adding_a_mechanism_changes_no_other_row_and_computes_only_its_cells(set
 
 
 def test_a_narrower_run_keeps_what_the_folder_already_has(settings):
-    evaluation.run(settings)
-    narrow = evaluation.run(replace(settings, mechanisms=("raw",)))
+    evaluation.run(settings, pictures=False)
+    narrow = evaluation.run(replace(settings, mechanisms=("raw",)), pictures=False)
     assert set(narrow.summary["mechanism"]) == {"raw", "fid", "fixed"}
 
 
 def test_missing_cells_are_computed_again_and_alike(settings):
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     expected = (settings.out / "summary.csv").read_bytes()
     for path in sorted((settings.out / "cells").iterdir())[::2]:
         path.unlink()
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     assert (settings.out / "summary.csv").read_bytes() == expected
 
 
 def test_cells_of_other_code_are_not_mixed_in(settings, monkeypatch):
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     monkeypatch.setattr(store, "code_hash", lambda: "another version")
-    narrow = evaluation.run(replace(settings, mechanisms=("raw",)))
+    narrow = evaluation.run(replace(settings, mechanisms=("raw",)), pictures=False)
     assert set(narrow.summary["mechanism"]) == {"raw"}
     assert narrow.manifest["dropped_cells"] == 6
 
@@ -288,18 +288,18 @@ def test_cells_of_other_code_are_not_mixed_in(settings, monkeypatch):
     ],
 )
 def test_another_run_in_the_same_folder_is_refused_with_the_choice(settings, change, message):
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     with pytest.raises(SettingsError, match=rf"{message}.*--fresh .* or another --out"):
-        evaluation.run(replace(settings, **change))
-    evaluation.run(replace(settings, **change, fresh=True))
+        evaluation.run(replace(settings, **change), pictures=False)
+    evaluation.run(replace(settings, **change, fresh=True), pictures=False)
 
 
 def test_a_changed_recording_is_refused(settings, csv_recording):
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     text = csv_recording.read_text(encoding="utf-8").replace("0.40,w0,", "0.41,w0,")
     csv_recording.write_text(text, encoding="utf-8")
     with pytest.raises(SettingsError, match="sha256"):
-        evaluation.run(settings)
+        evaluation.run(settings, pictures=False)
 
 
 def test_fresh_removes_only_what_a_run_wrote(settings):
@@ -317,7 +317,7 @@ def test_fresh_leaves_a_folder_with_somebody_elses_manifest_alone(settings):
     (settings.out / "manifest.json").write_text('{"name": "an extension"}', encoding="utf-8")
     (settings.out / "cells" / "thesis.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(DataError, match="is not the manifest of a run"):
-        evaluation.run(replace(settings, fresh=True))
+        evaluation.run(replace(settings, fresh=True), pictures=False)
     assert (settings.out / "cells" / "thesis.txt").is_file()
 
 
@@ -325,20 +325,22 @@ def test_a_failed_plugin_leaves_the_folder_usable(settings, tmp_path, monkeypatc
     (tmp_path / "bad_plugins.py").write_text(BAD_PLUGINS, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.warns(FailedCellsWarning, match="2 cells failed and are left out: .*no luck"):
-        found = evaluation.run(replace(settings, mechanisms=("raw", "bad_plugins:Raises")))
+        found = evaluation.run(
+            replace(settings, mechanisms=("raw", "bad_plugins:Raises")), pictures=False
+        )
     assert set(found.summary["mechanism"]) == {"raw"}
     assert set(found.failed["spec"]) == {"bad_plugins:Raises"}
-    results = evaluation.run(replace(settings, mechanisms=("fixed:0.7",)))
+    results = evaluation.run(replace(settings, mechanisms=("fixed:0.7",)), pictures=False)
     assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
 
 
 def test_a_lost_cell_folder_is_made_again(settings):
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     expected = (settings.out / "summary.csv").read_bytes()
     for path in (settings.out / "cells").iterdir():
         path.unlink()
     (settings.out / "cells").rmdir()
-    evaluation.run(replace(settings, out=str(settings.out)))
+    evaluation.run(replace(settings, out=str(settings.out)), pictures=False)
     assert (settings.out / "summary.csv").read_bytes() == expected
 
 
@@ -347,10 +349,10 @@ def test_a_folder_of_something_else_is_left_alone(settings):
     (settings.out / "thesis.txt").write_text("mine", encoding="utf-8")
     for fresh in (False, True):
         with pytest.raises(SettingsError, match="is not empty and holds no run"):
-            evaluation.run(replace(settings, fresh=fresh))
+            evaluation.run(replace(settings, fresh=fresh), pictures=False)
     file = settings.out / "thesis.txt"
     with pytest.raises(SettingsError, match="is a file"):
-        evaluation.run(replace(settings, out=file))
+        evaluation.run(replace(settings, out=file), pictures=False)
 
 
 def test_a_broken_manifest_or_cell_is_named(settings):
@@ -370,7 +372,7 @@ def test_a_broken_manifest_or_cell_is_named(settings):
 
 
 def test_the_manifest_is_enough_to_run_it_again(settings):
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     manifest = json.loads((settings.out / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["state"] == "finished"
     assert manifest["dataset"]["sha256"] == plan(settings).dataset.sha256
@@ -392,7 +394,7 @@ def test_the_manifest_is_enough_to_run_it_again(settings):
         stages=StageSettings().changed(manifest["settings"]["stages"]),
         out=settings.out.with_name("again"),
     )
-    evaluation.run(again)
+    evaluation.run(again, pictures=False)
     first = (settings.out / "summary.csv").read_bytes()
     assert (again.out / "summary.csv").read_bytes() == first
 
@@ -407,7 +409,9 @@ def test_nothing_dropped_goes_uncounted(settings, tmp_path):
     )
     path = tmp_path / "mixed.csv"
     path.write_text(text, encoding="utf-8")
-    manifest = evaluation.run(replace(settings, dataset=str(path))).manifest["dataset"]
+    manifest = evaluation.run(replace(settings, dataset=str(path)), pictures=False).manifest[
+        "dataset"
+    ]
     dropped = sum(repair["count"] for repair in manifest["repairs"] if "one" in repair["kind"])
     assert dropped == 1
     assert manifest["tracks_used"] == 4
@@ -416,7 +420,7 @@ def test_nothing_dropped_goes_uncounted(settings, tmp_path):
 
 
 def test_predictors_may_be_left_out(settings):
-    results = evaluation.run(replace(settings, predictors=()))
+    results = evaluation.run(replace(settings, predictors=()), pictures=False)
     assert set(results.summary["consumer"]) == {"shared"}
 
 
@@ -515,10 +519,10 @@ def test_a_plugin_that_breaks_its_contract_is_named(
     changed = replace(settings, **{axis: (f"bad_plugins:{name}",)})
     if axis == "mechanisms" or name == "Greedy":  # nothing at all is left
         with pytest.raises(PluginError, match=message):
-            evaluation.run(changed)
+            evaluation.run(changed, pictures=False)
         return
     with pytest.warns(FailedCellsWarning, match=message):
-        results = evaluation.run(changed)
+        results = evaluation.run(changed, pictures=False)
     assert set(results.failed["consumer"]) == {f"bad_plugins:{name}"}
     assert set(results.summary["consumer"]) == {"shared"}
 
@@ -526,7 +530,7 @@ def test_a_plugin_that_breaks_its_contract_is_named(
 def test_a_decision_by_probability_needs_a_covariance(settings):
     by_probability = StageSettings().changed({"conflict.decision": "probability"})
     with pytest.raises(SettingsError, match="'least_squares' has no covariance"):
-        evaluation.run(replace(settings, stages=by_probability))
+        evaluation.run(replace(settings, stages=by_probability), pictures=False)
 
 
 def test_a_decision_by_probability_trades_misses_against_alarms(tracks):
@@ -550,7 +554,7 @@ def test_a_decision_by_probability_trades_misses_against_alarms(tracks):
 def test_the_trackers_run_by_name_and_filterpy_agrees(settings):
     names = ("kalman_cv", "kalman_cv:engine=filterpy", "kalman_imm", "kalman_imm:engine=filterpy")
     chosen = replace(settings, scenes=4, mechanisms=("fixed:0.7",), predictors=names)
-    results = evaluation.run(chosen)
+    results = evaluation.run(chosen, pictures=False)
     table = results.summary.set_index(["consumer", "metric"])["value"]
     for name in ("kalman_cv", "kalman_imm"):
         theirs = table[f"{name}:engine=filterpy"]
@@ -560,7 +564,7 @@ def test_the_trackers_run_by_name_and_filterpy_agrees(settings):
 
 def test_the_independent_rule_has_rows_of_its_own(settings):
     specs = ("raw", "fixed:0.5", "fixed:0.5,adding=independent")
-    results = evaluation.run(replace(settings, mechanisms=specs))
+    results = evaluation.run(replace(settings, mechanisms=specs), pictures=False)
     assert set(results.summary["mechanism"]) == {"raw", "fixed", "fixed:adding=independent"}
 
 
@@ -572,6 +576,6 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     ]
     path = tmp_path / "grouped.csv"
     path.write_text("\n".join(grouped) + "\n", encoding="utf-8")
-    results = evaluation.run(replace(settings, dataset=str(path)))
+    results = evaluation.run(replace(settings, dataset=str(path)), pictures=False)
     assert set(results.summary["n"]) == {2}
     assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 7

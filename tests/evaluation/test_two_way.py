@@ -20,7 +20,7 @@ def run(students03, tmp_path_factory):
         attacks=(),
         out=out,
     )
-    evaluation.run(settings)
+    evaluation.run(settings, pictures=False)
     return out
 
 
