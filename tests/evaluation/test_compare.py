@@ -71,7 +71,9 @@ def settings(folder):
 
 
 def run(settings, name, **changes):
-    return evaluation.run(replace(settings, out=settings.out.with_name(name), **changes)).out
+    return evaluation.run(
+        replace(settings, out=settings.out.with_name(name), **changes), pictures=False
+    ).out
 
 
 @pytest.fixture(scope="module")

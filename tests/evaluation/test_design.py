@@ -670,7 +670,8 @@ def real_run(tmp_path_factory, tracks):
             tasks=(),
             jobs=1,
             out=folder / "run",
-        )
+        ),
+        pictures=False,
     )
     return folder / "run"
 
