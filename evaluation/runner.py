@@ -21,6 +21,7 @@ from evaluation.cell_files import read_cells, sound_cells, write_cell
 from evaluation.failures import FailedCell, Failures
 from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
 from evaluation.linkage_ground import sessions_of
+from evaluation.memory import given_back
 from evaluation.page_gallery import gallery_rows, write_gallery
 from evaluation.report import Results, build
 from evaluation.run_lock import locked
@@ -209,7 +210,7 @@ def run(
         ready = plan(settings or Settings())
     tell = progress or (lambda _done, _total, _what: None)
     store.check_folder(ready.out)
-    with locked(ready.out):
+    with given_back(), locked(ready.out):
         return _run_locked(ready, tell, pictures=pictures)
 
 
