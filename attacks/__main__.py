@@ -136,9 +136,12 @@ def _check(spec: str) -> int:
             f"{spec!r} is two attacks, one on what the other makes of a release; check the two "
             f"parts apart: {linker or 'LINKER'}, then {reconstruction or 'RECONSTRUCTION'}"
         )
-    # Only for this command: `--help` stays quick.
-    from attacks.testing import adversaries_of, checks_for, run_checks  # noqa: PLC0415
-    from isac_track import registry  # noqa: PLC0415
+    from attacks.testing import (  # noqa: PLC0415 - `--help` stays quick
+        adversaries_of,
+        checks_for,
+        run_checks,
+    )
+    from isac_track import registry  # noqa: PLC0415 - as above
 
     words = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
     failed = False

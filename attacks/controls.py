@@ -58,15 +58,15 @@ def _random(probe: Release, gallery: Release, rng: Generator) -> Floats:
     return rng.standard_normal((len(probe), len(gallery)))
 
 
-def _duration(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+def _duration(probe: Release, gallery: Release, rng: Generator) -> Floats:
     return _closeness(*(one.t[one.offsets[1:] - 1] - _starts(one) for one in (probe, gallery)))
 
 
-def _sample_count(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+def _sample_count(probe: Release, gallery: Release, rng: Generator) -> Floats:
     return _closeness(*(np.diff(one.offsets).astype(np.float64) for one in (probe, gallery)))
 
 
-def _sampling_times(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+def _sampling_times(probe: Release, gallery: Release, rng: Generator) -> Floats:
     described = []
     for one in (probe, gallery):
         step_s = intervals_before(t=one.t, offsets=one.offsets)
@@ -84,12 +84,12 @@ def _sampling_times(probe: Release, gallery: Release, rng: Generator) -> Floats:
     return _closeness(*described)
 
 
-def _noise_level(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+def _noise_level(probe: Release, gallery: Release, rng: Generator) -> Floats:
     described = [_noise(one) for one in (probe, gallery)]
     return _closeness(*described)
 
 
-def _noise_beyond_place(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+def _noise_beyond_place(probe: Release, gallery: Release, rng: Generator) -> Floats:
     """Score by the noise level over that of whoever is near, on either side by itself.
 
     Where the true frame shows, so does the place, and noise grows with the distance from the base
@@ -123,7 +123,7 @@ def _noise(release: Release) -> Floats:
     return _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)[:, None]
 
 
-def _frame(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+def _frame(probe: Release, gallery: Release, rng: Generator) -> Floats:
     described = []
     for one in (probe, gallery):
         early, late = _half_means(one)
@@ -134,7 +134,7 @@ def _frame(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa:
     return _closeness(*described)
 
 
-def _clock(probe: Release, gallery: Release, rng: Generator) -> Floats:  # noqa: ARG001
+def _clock(probe: Release, gallery: Release, rng: Generator) -> Floats:
     return _closeness(*(_starts(one) for one in (probe, gallery)))
 
 

@@ -33,7 +33,8 @@ import numpy as np
 
 from evaluation.terminal import aligned
 from isac_track import datasets
-from isac_track.errors import DataError, IsacTrackError
+from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
+from isac_track.errors import DataError
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -104,25 +105,12 @@ class Growth:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print the tables; return the exit code."""
-    options = parser().parse_args(arguments)
-    if options.gallery is not None:
-        print(gallery_search_s(n=options.gallery))
-        return 0
-    try:
-        if not (PROC / "self/smaps_rollup").is_file():
-            raise DataError("memory is read from /proc/PID/smaps_rollup: this needs Linux")
-        return _measure_all(options)
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+    return exit_code(lambda: _measure_all(parser().parse_args(arguments)))
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command line."""
-    command = argparse.ArgumentParser(
+    command = Parser(
         prog="python -m benchmarks.scale",
         description=__doc__,
         epilog="exit codes: 0 all limits met, 1 a limit not met or not to be told, "
@@ -145,7 +133,17 @@ def positive(text: str) -> int:
     return int(text)
 
 
+def check_memory_is_told() -> None:
+    """Raise DataError where the system does not tell the memory of a process."""
+    if not (PROC / "self/smaps_rollup").is_file():
+        raise DataError("memory is read from /proc/PID/smaps_rollup: this needs Linux")
+
+
 def _measure_all(options: argparse.Namespace) -> int:
+    if options.gallery is not None:
+        print(gallery_search_s(n=options.gallery))
+        return DONE
+    check_memory_is_told()
     chosen = [AXES[name] for name in dict.fromkeys(options.axis or AXES)]
     loads = [os.getloadavg()[0]]
     found = {}
@@ -168,7 +166,7 @@ def _measure_all(options: argparse.Namespace) -> int:
         print(json.dumps(finite({"environment": environment, "axes": results}), indent=1))
     else:
         _show(results, environment=environment)
-    return 0 if all(result["ok"] for result in results) else 1
+    return DONE if all(result["ok"] for result in results) else LIMIT_NOT_MET
 
 
 def measure_axis(axis: Axis, *, sizes: Sequence[int], repeats: int) -> dict[int, list[Usage]]:

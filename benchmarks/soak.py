@@ -34,10 +34,17 @@ import numpy as np
 from scipy.stats import theilslopes
 
 import evaluation
-from benchmarks.scale import PROC, descendants, finite, positive, tree_pss_mb
+from benchmarks.scale import (
+    PROC,
+    check_memory_is_told,
+    descendants,
+    finite,
+    positive,
+    tree_pss_mb,
+)
 from evaluation.grid import PRESETS
 from evaluation.terminal import aligned
-from isac_track.errors import DataError, IsacTrackError
+from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -92,23 +99,13 @@ class Growth:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run, judge, print; return the exit code."""
-    options = parser().parse_args(arguments)
     signal.signal(signal.SIGTERM, _end)  # not at once: folders are to be removed
-    try:
-        if not (PROC / "self/smaps_rollup").is_file():
-            raise DataError("memory is read from /proc/PID/smaps_rollup: this needs Linux")
-        return _soak(options)
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+    return exit_code(lambda: _soak(parser().parse_args(arguments)))
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command line."""
-    command = argparse.ArgumentParser(
+    command = Parser(
         prog="python -m benchmarks.soak",
         description=__doc__,
         epilog="exit codes: 0 nothing grows or is left, 1 something does, 2 wrong usage, "
@@ -145,6 +142,7 @@ def _times(text: str) -> int:
 
 
 def _soak(options: argparse.Namespace) -> int:
+    check_memory_is_told()
     dataset = options.dataset
     if dataset is not None and Path(dataset).exists():
         dataset = str(Path(dataset).resolve())
@@ -182,7 +180,7 @@ def _soak(options: argparse.Namespace) -> int:
         print(json.dumps(finite(found), indent=1))
     else:
         _show(states, judged=judged, left=left, kept=kept)
-    return 0 if all(one["ok"] for one in judged) else 1
+    return DONE if all(one["ok"] for one in judged) else LIMIT_NOT_MET
 
 
 @contextmanager

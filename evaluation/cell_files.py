@@ -127,8 +127,8 @@ def _to_parquet(rows: Rows, *, tracks: Cut) -> bytes:
     columns: dict[str, Any] = {}
     for name, values in rows.items():
         if name == "track":
-            columns["source"] = named(values, tracks.source)
-            columns["group"] = named(values, tracks.group)
+            columns["source"] = names_column(values, tracks.source)
+            columns["group"] = names_column(values, tracks.group)
         else:
             columns[name] = values
     sink = pa.BufferOutputStream()
@@ -160,7 +160,7 @@ def _checksums(out: Path) -> dict[str, str]:
     return {pair[1]: pair[0] for pair in pairs if len(pair) > 1}
 
 
-def named(rows: Ints, names: Sequence[str]) -> pa.DictionaryArray:
+def names_column(rows: Ints, names: Sequence[str]) -> pa.DictionaryArray:
     """Return a column of names, (N,), given by their places in `names`.
 
     Each name is in the dictionary once: of one with repetitions, files differ from run to run.

@@ -59,13 +59,13 @@ class Failures:
         finished : set of (mechanism, consumer)
             Cells of the work that are finished.
         """
-        left = only(work, lambda cell: named(cell) not in finished)
+        left = only(work, lambda cell: specs_of(cell) not in finished)
         culprits = only(left, lambda cell: _is_at(cell, failure.at))
         innocent = only(left, lambda cell: not _is_at(cell, failure.at))
         if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
             culprits, innocent = innocent, culprits
         again: list[Work] = []
-        key = tuple((cell[0], *named(cell)) for cell in cells_of(culprits))
+        key = tuple((cell[0], *specs_of(cell)) for cell in cells_of(culprits))
         is_vague = not failure.at and len(key) > 1
         if failure.died and (is_vague or key not in self._died_at):
             self._died_at.add(key)
@@ -87,7 +87,7 @@ def cells_of(work: Work) -> Iterator[Cell]:
             yield number, mechanism, consumer
 
 
-def named(cell: Cell) -> tuple[str, str]:
+def specs_of(cell: Cell) -> tuple[str, str]:
     """Return how a cell is noted while it is computed."""
     return cell[1].spec, cell[2].label
 

@@ -32,6 +32,8 @@ NAMES = (
     *(f"{kind}-{task}" for task in TASKS for kind in (HEAT_MAP, DISSOCIATION)),
 )
 """Of all figures that there can be: the names of their files."""
+KINDS = ("svg", "pdf")
+"""Their endings: for screens and for print."""
 _DISSOCIATED = ("rerelease", "handover")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.cell_files import named
+from evaluation.cell_files import names_column
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 
@@ -70,10 +70,10 @@ def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
     scores = np.concatenate([search.scores.ravel() for search in linked.searches])
     table = pa.table(
         {
-            "search": named(np.repeat(np.arange(len(rows)), rows), sessions.searches),
+            "search": names_column(np.repeat(np.arange(len(rows)), rows), sessions.searches),
             "fold": np.repeat([search.scale for search in linked.searches], rows).astype(np.int8),
-            "source": named(persons, sessions.source),
-            "group": named(persons, sessions.group),
+            "source": names_column(persons, sessions.source),
+            "group": names_column(persons, sessions.group),
             "mate": np.concatenate([search.mate for search in linked.searches]).astype(np.int32),
             "scores": pa.ListArray.from_arrays(
                 pa.array(offsets, type=pa.int32()), pa.array(scores.astype(np.float32))

@@ -34,15 +34,14 @@ def given_back() -> Iterator[None]:
     finally:
         pa.set_memory_pool(pool)
         gc.collect()
-        _call_malloc("malloc_trim", 0)
+        _call_malloc("malloc_trim", ctypes.c_size_t(0))
 
 
-def _call_malloc(name: str, *arguments: int) -> None:
+def _call_malloc(name: str, *arguments: int | ctypes.c_size_t) -> None:
     """Call a function of glibc's malloc, if there is one."""
     try:
         library = ctypes.CDLL(None)
     except (OSError, TypeError):  # Windows: there is no name for "this process"
         return
-    # An int stands for malloc_trim's size_t as well: all that is passed is 0.
     if hasattr(library, "malloc_trim"):
         getattr(library, name)(*arguments)

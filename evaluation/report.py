@@ -23,6 +23,7 @@ from evaluation.run_lock import locked
 from evaluation.strongest import strongest_linkers
 from evaluation.within_level import read_levels
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
+from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -125,9 +126,21 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         linkability=results.linkability,
         said=said,
     )
+    _remove_pictures(out)  # those of an earlier report tell of other results
     if pictures:
         _draw(results, jobs=jobs)
     return results
+
+
+def _remove_pictures(out: Path) -> None:
+    drawn = [out / "figures" / f"{name}.{kind}" for name in figures.NAMES for kind in figures.KINDS]
+    for path in (out / page.PAGE, *drawn):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise DataError(
+                f"cannot replace {path}: {error.strerror}; finished cells are kept"
+            ) from None
 
 
 def _draw(results: Results, *, jobs: int) -> None:

@@ -275,6 +275,7 @@ def _compute_missing(
     tell(done, total, "starting")
     if any(_uses_kernels(consumer) for _, consumer, _ in ready.cells):
         kernels.prepare()  # before workers start: each would compile for itself
+        import_module("attacks.reconstruction._parabola_loop")
     if links:
         for loops in ("isac_track._linkability_loops", "attacks.linkage._lag_loop"):
             import_module(loops)

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.cell_files import named
+from evaluation.cell_files import names_column
 from evaluation.linkage_ground import SIDES
 from evaluation.reconstruction import descriptors
 from isac_track.errors import DataError
@@ -91,7 +91,7 @@ def to_parquet(rows: Rows, sessions: Sessions) -> bytes:
     }
     columns = {
         "side": pa.array(rows["side"]).dictionary_encode(),
-        **{name: named(row, names) for name, (row, names) in by_name.items()},
+        **{name: names_column(row, names) for name, (row, names) in by_name.items()},
         **{name: rows[name] for name in rows if name not in {"side", "search", "person"}},
     }
     sink = pa.BufferOutputStream()

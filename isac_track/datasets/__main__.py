@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isac_track.command_line import DONE, WRONG, Parser, exit_code
 from isac_track.datasets import load
 from isac_track.datasets.registry import KNOWN, complete, known, locate, searched, shown
 from isac_track.datasets.rows import listed
@@ -15,6 +15,7 @@ from isac_track.datasets.summary import FROZEN_SHARE, LONG_S, SLOW_MPS, summaris
 from isac_track.errors import IsacTrackError
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Sequence
 
     from rich.console import Console
@@ -22,33 +23,25 @@ if TYPE_CHECKING:
     from isac_track.datasets import Dataset
     from isac_track.datasets.summary import Summary
 
-USAGE_ERROR = 2
-INTERRUPTED = 130
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 2 for wrong usage or data, 130 if interrupted."""
-    arguments = _parser().parse_args(argv)
-    status = 0
-    try:
-        if arguments.command == "show":
-            _show(arguments.name, format_name=arguments.format, fps=arguments.fps)
-        elif arguments.command == "fetch":
-            for name in arguments.name:
-                _fetch(name)
-        else:
-            status = _list()
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)  # noqa: T201 - a command
-        return USAGE_ERROR
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)  # noqa: T201 - a command
-        return INTERRUPTED
-    return status
+    return exit_code(lambda: _run(_parser().parse_args(argv)))
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if arguments.command == "show":
+        _show(arguments.name, format_name=arguments.format, fps=arguments.fps)
+    elif arguments.command == "fetch":
+        for name in arguments.name:
+            _fetch(name)
+    else:
+        return _list()
+    return DONE
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m isac_track.datasets",
         description="List the known data sets, show one, or fetch one.",
     )
@@ -79,7 +72,7 @@ def _list() -> int:
     for name in ("tracks", ">=12 s", ">=21.6 s", "median s", "m/s", "zero", "frozen"):
         table.add_column(name, justify="right", no_wrap=True)
     notes = []
-    status = 0
+    status = DONE
     for data_set in KNOWN.values():
         found: Dataset | None = None
         where = f"not here; `python -m isac_track.datasets fetch {data_set.name}`"
@@ -89,7 +82,7 @@ def _list() -> int:
                 where = found.path
         except IsacTrackError as error:
             where = f"error: {error}"
-            status = USAGE_ERROR
+            status = WRONG
         table.add_row(data_set.name, *(_cells(found) if found else ["-"] * 7))
         notes.append(f"{data_set.name}: {data_set.about}; {where}")
     console = _console()

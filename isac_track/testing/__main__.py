@@ -5,19 +5,21 @@ Exit code 0: all passed; 1: a check failed; 2: wrong usage.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import sys
+from typing import TYPE_CHECKING
 
-from isac_track.errors import IsacTrackError, PluginError, SettingsError
+from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
+from isac_track.errors import PluginError, SettingsError
 from isac_track.testing import CHECKS, Metrics, run_checks, select_checks
 
-USAGE_ERROR = 2
+if TYPE_CHECKING:
+    import argparse
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m isac_track.testing",
         description="Check an implementation of PLR, AEL, MEL and the conflict metrics.",
         epilog="This project's own functions: isac_track.testing:OWN",
@@ -29,21 +31,19 @@ def main(arguments: list[str] | None = None) -> int:
         "--check", action="append", metavar="NAME", help="run only this check (repeatable)"
     )
     parser.add_argument("--list", action="store_true", help="name all checks and exit")
-    options = parser.parse_args(arguments)
+    return exit_code(lambda: _check(parser.parse_args(arguments)))
+
+
+def _check(options: argparse.Namespace) -> int:
     if options.list:
         for one in CHECKS:
             print(f"{one.name:38} {one.statement}")  # noqa: T201 - a command's output
-        return 0
+        return DONE
     if options.target is None:
-        parser.error("name the functions to check: package.module:OBJECT")
-    try:
-        metrics = _load(options.target)
-        select_checks(options.check)
-        if all(one.missing(metrics) for one in select_checks(options.check)):
-            raise SettingsError(f"{options.target} offers no function for the checks chosen")
-    except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)  # noqa: T201
-        return USAGE_ERROR
+        raise SettingsError("name the functions to check: package.module:OBJECT")
+    metrics = _load(options.target)
+    if all(one.missing(metrics) for one in select_checks(options.check)):
+        raise SettingsError(f"{options.target} offers no function for the checks chosen")
     return _report(metrics, options.check)
 
 
@@ -54,7 +54,7 @@ def _report(metrics: Metrics, names: list[str] | None) -> int:
         line = f"{outcome.status:8}{outcome.check}"
         print(f"{line}: {outcome.detail}" if outcome.detail else line, flush=True)  # noqa: T201
     print(", ".join(f"{count} {status}" for status, count in counts.items()))  # noqa: T201
-    return 1 if counts["failed"] else 0
+    return LIMIT_NOT_MET if counts["failed"] else DONE
 
 
 def _load(target: str) -> Metrics:

@@ -203,6 +203,18 @@ def test_the_frames_are_the_files(settings):
     assert len(read) == len(results.summary) == 3 * 7
 
 
+def test_pictures_of_an_earlier_report_do_not_stay_beside_new_numbers(settings):
+    evaluation.run(settings, pictures=False)
+    own = settings.out / "figures" / "mine.svg"
+    stale = [settings.out / name for name in ("report.html", "figures/headline.svg")]
+    own.parent.mkdir(parents=True)
+    for path in (own, *stale):
+        path.write_text("earlier")
+    evaluation.run(settings, pictures=False)
+    assert own.exists()
+    assert not any(path.exists() for path in stale)
+
+
 def test_the_summary_is_the_mean_over_the_rows_of_the_cells(settings):
     results = evaluation.run(settings, pictures=False)
     table = results.summary.set_index(["mechanism", "consumer", "metric"])["value"]
