@@ -91,5 +91,5 @@ def read(
     """
     if fps is not None:
         checked_fps(fps, where="--fps")
-    rows = FORMATS[format](data=data, path=path, fps=fps)
-    return to_tracks(rows, groups=groups)
+    # The rows have no name here: they are let go as soon as they are sorted.
+    return to_tracks(FORMATS[format](data=data, path=path, fps=fps), groups=groups)

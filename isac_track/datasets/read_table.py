@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
@@ -28,13 +29,14 @@ from isac_track.datasets.rows import (
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from isac_track.types import Ints
+    from isac_track.types import Floats, Ints
 
 _NEEDED = ("t", "id", "x", "y")
 _USED = (*_NEEDED, "group")
 _NUMBERS = ("t", "x", "y")
+_BLOCK_BYTES = 1 << 18
 _FREE_ROWS = 500_000
 """A parquet file above this needs a byte a row: equal rows pack a thousandfold, walks do not."""
 _FREE_BYTES = 50_000_000
@@ -55,7 +57,8 @@ def read_csv(*, data: bytes, path: str, fps: float | None) -> Rows:
     names = _csv_header(header=next(lines_of(data), ""), path=path)
     _, _, body = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").partition(b"\n")
     place = Place(path=path, lines=lambda: _csv_line_numbers(body))
-    return _rows(columns=_csv_columns(body=body, names=names, path=path), names=names, place=place)
+    t, xy, texts = _csv_columns(body=body, names=names, path=path)
+    return _rows(t=t, xy=xy, texts=texts, names=names, place=place)
 
 
 def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
@@ -90,13 +93,15 @@ def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
         # Each text once: a long one that stands in every row would not fit into the memory.
         file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=_texts(schema))
         table = file.read(columns=[name for name in names if name in _USED], use_threads=False)
-        columns = {name: table[name].combine_chunks() for name in table.column_names}
+        columns = {name: table[name] for name in table.column_names}
+        del table
         for column in columns.values():
             column.validate(full=True)  # pyarrow reads codes beyond the dictionary as they are
     except Exception as error:  # noqa: BLE001 - as above
         raise DataError(f"{path}: the parquet file is damaged ({brief(error)})") from None
-    place = Place(path=path, lines=lambda: np.arange(1, table.num_rows + 1), unit="row")
-    return _rows(columns=columns, names=names, place=place)
+    place = Place(path=path, lines=lambda: np.arange(1, n_rows + 1), unit="row")
+    t, x, y = (_numbers(columns.pop(name), name=name, path=path) for name in _NUMBERS)
+    return _rows(t=t, xy=np.column_stack([x, y]), texts=columns, names=names, place=place)
 
 
 def _texts(schema: Any) -> list[str]:  # noqa: ANN401 - pyarrow has no types
@@ -148,10 +153,11 @@ def _check_header(*, names: Sequence[str], where: str) -> None:
             raise DataError(f"{where}: two columns are called {name}")
 
 
-def _csv_columns(*, body: bytes, names: tuple[str, ...], path: str) -> dict[str, Any]:
-    """Return the arrow columns in use: in one go if all is well, else with the first bad line."""
+def _csv_columns(
+    *, body: bytes, names: tuple[str, ...], path: str
+) -> tuple[Floats, Floats, dict[str, Any]]:
+    """Return (M,) t, (M, 2) xy and the arrow columns of text; or find the first bad line."""
     import pyarrow as pa  # noqa: PLC0415
-    from pyarrow import csv as arrow_csv  # noqa: PLC0415
 
     if not body.strip():
         raise DataError(f"{path}: the file holds no rows")
@@ -159,25 +165,53 @@ def _csv_columns(*, body: bytes, names: tuple[str, ...], path: str) -> dict[str,
     types = {
         column: pa.float64() if name in _NUMBERS else pa.string() for name, column in used.items()
     }
+    # Batch by batch to where it belongs, each text once: the file's columns are never here twice.
+    n_rows = sum(1 for _ in _csv_lines(body))
+    t, xy = np.empty(n_rows), np.empty((n_rows, 2))
+    into = {"t": t, "x": xy[:, 0], "y": xy[:, 1]}
+    texts: dict[str, list[Any]] = {name: [] for name in used if name not in _NUMBERS}
+    first = 0
     try:
-        table = arrow_csv.read_csv(
-            pa.py_buffer(body),
-            read_options=arrow_csv.ReadOptions(
-                use_threads=False, column_names=[f"c{index}" for index in range(len(names))]
-            ),
-            convert_options=arrow_csv.ConvertOptions(
-                column_types=types, include_columns=list(used.values())
-            ),
-        )
-        return {name: table[column].combine_chunks() for name, column in used.items()}
+        for batch in _batches(body=body, n_columns=len(names), types=types):
+            rows = slice(first, first + batch.num_rows)
+            for name, numbers in into.items():
+                # A null becomes NaN, which a check names later.
+                numbers[rows] = batch[used[name]].to_numpy(zero_copy_only=False)
+            for name, parts in texts.items():
+                parts.append(batch[used[name]].dictionary_encode())
+            first = rows.stop
     except (pa.ArrowException, MemoryError, UnicodeError) as error:
         _raise_first_csv_fault(body=body, names=names, path=path)
         raise DataError(f"{path}: cannot be read as csv ({brief(error)})") from None
+    assert first == n_rows
+    return t, xy, {name: pa.chunked_array(parts) for name, parts in texts.items()}
+
+
+def _batches(*, body: bytes, n_columns: int, types: dict[str, Any]) -> Iterator[Any]:
+    """Yield record batches of the columns that have a type."""
+    import pyarrow as pa  # noqa: PLC0415
+    from pyarrow import csv as arrow_csv  # noqa: PLC0415
+
+    yield from arrow_csv.open_csv(
+        pa.py_buffer(body),
+        read_options=arrow_csv.ReadOptions(
+            use_threads=False,
+            column_names=[f"c{index}" for index in range(n_columns)],
+            # Several blocks are under way at a time; no line may be longer than one.
+            block_size=max(_BLOCK_BYTES, 1 + max(map(len, io.BytesIO(body)))),
+        ),
+        convert_options=arrow_csv.ConvertOptions(column_types=types, include_columns=list(types)),
+    )
 
 
 def _csv_line_numbers(body: bytes) -> Ints:
-    """Return the line number of every row; pyarrow leaves out empty lines alone."""
-    return np.array([n for n, line in enumerate(body.split(b"\n"), start=2) if line])
+    """Return the line number of every row."""
+    return np.fromiter(_csv_lines(body), dtype=np.int64)
+
+
+def _csv_lines(body: bytes) -> Iterator[int]:
+    """Yield the numbers of the lines that are rows; pyarrow leaves out empty ones alone."""
+    return (number for number, line in enumerate(io.BytesIO(body), start=2) if line != b"\n")
 
 
 def _raise_first_csv_fault(*, body: bytes, names: tuple[str, ...], path: str) -> None:
@@ -206,36 +240,39 @@ def _raise_first_csv_fault(*, body: bytes, names: tuple[str, ...], path: str) ->
                 raise fault(path=path, line=number, message=message) from None
 
 
-def _rows(*, columns: dict[str, Any], names: Sequence[str], place: Place) -> Rows:
+def _numbers(column: Any, *, name: str, path: str) -> Floats:  # noqa: ANN401 - see above
+    """Return (M,) the numbers of an arrow column; NaN for null, which a check names later."""
     import pyarrow as pa  # noqa: PLC0415
 
-    numbers = {}
-    for name in _NUMBERS:
-        column = columns[name]
-        kind = column.type
-        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-            unit = "seconds" if name == "t" else "metres"
-            kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-            raise DataError(f"{place.path}: column {name} holds {kind}, not numbers of {unit}")
-        # A null becomes NaN, which the check below names.
-        numbers[name] = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-    if not numbers["t"].size:
+    kind = column.type
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        unit = "seconds" if name == "t" else "metres"
+        kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+        raise DataError(f"{path}: column {name} holds {kind}, not numbers of {unit}")
+    numbers: Floats = column.cast(pa.float64(), safe=False).to_numpy()
+    return numbers
+
+
+def _rows(
+    *, t: Floats, xy: Floats, texts: dict[str, Any], names: Sequence[str], place: Place
+) -> Rows:
+    """Return the rows of (M,) t in s, (M, 2) xy in m, and the arrow columns `id` and `group`."""
+    if not t.size:
         raise DataError(f"{place.path}: the file holds no rows")
     check_numbers(
-        [numbers[name] for name in _NUMBERS],
+        [t, xy[:, 0], xy[:, 1]],
         names=_NUMBERS,
         limits=[TIME_LIMIT_S, POSITION_LIMIT_M, POSITION_LIMIT_M],
         place=place,
     )
-    person, ids = _index(columns["id"], clean=clean_id, place=place)
-    t = numbers["t"]
+    person, ids = _index(texts["id"], clean=clean_id, place=place)
     return Rows(
         person=person,
         ids=ids,
         t=t - t.min(),
-        xy=np.column_stack([numbers["x"], numbers["y"]]),
+        xy=xy,
         place=place,
-        groups=_groups(columns.get("group"), person=person, ids=ids, place=place),
+        groups=_groups(texts.get("group"), person=person, ids=ids, place=place),
         notes=_ignored(names=names, path=place.path, n_rows=t.size),
     )
 
@@ -301,11 +338,14 @@ def _encode(column: Any, *, place: Place) -> tuple[Ints, list[Any]]:  # noqa: AN
         known = (pa.types.is_integer, pa.types.is_floating, pa.types.is_string)
         if not any(check(kind) for check in (*known, pa.types.is_large_string)):
             raise DataError(f"{place.path}: ids and groups must be numbers or text, not {kind}")
-        encoded = column if is_encoded else column.dictionary_encode()
+        encoded = (column if is_encoded else column.dictionary_encode()).combine_chunks()
         values = [*encoded.dictionary.to_pylist(), None]
         null = pa.scalar(len(values) - 1, pa.int64())
         indices = encoded.indices.cast(pa.int64()).fill_null(null).to_numpy(zero_copy_only=False)
-        used, codes = np.unique(indices, return_inverse=True)
-        return codes.astype(np.int64), [values[index] for index in used]
+        used = np.flatnonzero(np.bincount(indices, minlength=len(values)))
+        # Codes without gaps; np.unique would take six times the memory.
+        position = np.zeros(len(values), dtype=np.int64)
+        position[used] = np.arange(used.size)
+        return position[indices], [values[index] for index in used]
     except (pa.ArrowException, UnicodeError) as error:
         raise DataError(f"{place.path}: ids cannot be read ({brief(error)})") from None

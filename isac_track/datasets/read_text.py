@@ -141,12 +141,15 @@ def _rows(
     if metres != 1.0:
         detail = f"{path}: positions in cm, as the header says; converted to m"
         notes = (Repair("unit", frame.size, detail),)
+    xy = np.column_stack([x, y])
+    xy *= metres
+    t = frame - frame.min()  # a large frame number over fps would round
+    t /= fps
     return Rows(
         person=index,
         ids=ids,
-        # From the first frame: a large frame number over fps would round.
-        t=(frame - frame.min()) / fps,
-        xy=np.column_stack([x, y]) * metres,
+        t=t,
+        xy=xy,
         place=place,
         notes=notes,
     )
@@ -175,9 +178,8 @@ def _fits(n_columns: int, layout: _Layout) -> bool:
 
 def _line_numbers(data: bytes) -> Ints:
     """Return the line number of every row, as loadtxt counts rows."""
-    return np.array(
-        [n for n, line in enumerate(lines_of(data), start=1) if line.split("#", 1)[0].strip()]
-    )
+    rows = (n for n, line in enumerate(lines_of(data), start=1) if line.split("#", 1)[0].strip())
+    return np.fromiter(rows, dtype=np.int64)
 
 
 def _raise_first_fault(*, data: bytes, path: str, layout: _Layout) -> None:

@@ -47,13 +47,23 @@ def to_tracks(
         If one person is at two places at one time, if no track has two samples, or if steps or
         speeds show that units, frame rate or columns are wrong.
     """
-    place = rows.place
-    notes = list(rows.notes)
-    order, note = _sorted(rows)
-    notes += note
-    order, note = _without_copies(rows, order=order)
-    notes += note
-    person, t, xy = rows.person[order], rows.t[order], rows.xy[order]
+    place, ids, members = rows.place, rows.ids, (*rows.groups, *groups)
+    notes = [*rows.notes, *_late(rows)]
+    # One column after the other, each in the place of the one before: files may be large.
+    person, t, xy = rows.person, rows.t, rows.xy
+    del rows
+    order = np.lexsort((t, person))  # stable
+    person = person[order]
+    t = t[order]
+    xy = xy[order]
+    again, note = _copies(person=person, t=t, xy=xy, order=order, ids=ids, place=place)
+    if note:
+        notes += note
+        keep = np.concatenate([[True], ~again])
+        person = person[keep]
+        t = t[keep]
+        xy = xy[keep]
+        order = order[keep]
 
     cut, note = _cuts(person=person, t=t, order=order, place=place)
     notes += note
@@ -63,29 +73,32 @@ def to_tracks(
     single = lengths == 1
     if single.any():
         lost = order[offsets[:-1][single]]
-        who = listed([rows.ids[index] for index in owner[single]])
+        who = listed([ids[index] for index in owner[single]])
         detail = f"{place.first(lost)}: a single sample (id {who}); dropped"
         notes.append(Repair("one-point", int(single.sum()), detail))
         keep = np.repeat(~single, lengths)
-        person, t, xy, order = person[keep], t[keep], xy[keep], order[keep]
+        t = t[keep]
+        xy = xy[keep]
+        order = order[keep]
         owner, lengths = owner[~single], lengths[~single]
         offsets = np.concatenate([[0], np.cumsum(lengths)])
     if not t.size:
         raise DataError(f"{place.path}: no track has two samples")
+    del person
     notes += _check_speeds(t=t, xy=xy, offsets=offsets, order=order, place=place)
-    usual_s = float(np.median(np.diff(t)[_inside(offsets)]))
+    usual_s = float(np.median(np.diff(t)[_inside(offsets)], overwrite_input=True))
     if usual_s > LONGEST_STEP_S:
         raise DataError(
             f"{place.path}: the usual step is {usual_s:.3g} s, over {LONGEST_STEP_S:g} s: "
             "milliseconds for seconds, or a wrong --fps?"
         )
 
-    cluster = walking_groups(ids=rows.ids, members=(*rows.groups, *groups))
+    cluster = walking_groups(ids=ids, members=members)
     tracks = Tracks(
         t=t,
         xy=xy,
         offsets=offsets,
-        source=_names(owner=owner, ids=rows.ids),
+        source=_names(owner=owner, ids=ids),
         group=tuple(cluster[index] for index in owner),
     )
     return tracks, tuple(notes)
@@ -127,45 +140,50 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
     return tuple(prefix + root(labels_of[name][0]) if name in labels_of else name for name in ids)
 
 
-def _sorted(rows: Rows) -> tuple[Ints, list[Repair]]:
-    """Return the order by person, time and row, and how many rows went back in time."""
+def _late(rows: Rows) -> list[Repair]:
+    """Return how many rows are earlier than the row before of the same person."""
     by_person = np.argsort(rows.person, kind="stable")
-    steps = np.diff(rows.t[by_person])
-    back = (steps < 0) & (np.diff(rows.person[by_person]) == 0)
-    order = np.lexsort((rows.t, rows.person))  # stable
+    t = rows.t[by_person]
+    back = t[1:] < t[:-1]
+    del t
+    person = rows.person[by_person]
+    back &= person[1:] == person[:-1]
+    del person
     if not back.any():
-        return order, []
+        return []
     late = by_person[1:][back]
     detail = f"{rows.place.first(late)}: earlier than the row before of the same id; sorted"
-    return order, [Repair("unsorted", late.size, detail)]
+    return [Repair("unsorted", late.size, detail)]
 
 
-def _without_copies(rows: Rows, *, order: Ints) -> tuple[Ints, list[Repair]]:
-    t, xy, person = rows.t[order], rows.xy[order], rows.person[order]
-    again = (np.diff(t) < SAME_TIME_S) & (np.diff(person) == 0)
+def _copies(
+    *, person: Ints, t: Floats, xy: Floats, order: Ints, ids: tuple[str, ...], place: Place
+) -> tuple[Bools, list[Repair]]:
+    """Return (M - 1,) which of the sorted rows say again what the one before them says."""
+    again = (np.diff(t) < SAME_TIME_S) & (person[1:] == person[:-1])
     if not again.any():
-        return order, []
-    other = again & (np.diff(xy, axis=0) != 0).any(axis=1)
+        return again, []
+    other = again & (xy[1:] != xy[:-1]).any(axis=1)
     if other.any():
         at = int(np.flatnonzero(other)[0])
         first, second = sorted((int(order[at]), int(order[at + 1])))
-        line = int(rows.place.lines()[first])
+        line = int(place.lines()[first])
         raise DataError(
-            f"{rows.place.at(second)}: id {rows.ids[person[at]]} is somewhere else at the same "
-            f"time in {rows.place.unit} {line}"
+            f"{place.at(second)}: id {ids[person[at]]} is somewhere else at the same "
+            f"time in {place.unit} {line}"
         )
     copies = order[1:][again]
-    detail = f"{rows.place.first(copies)}: the same id, time and position again; dropped"
-    return order[np.concatenate([[True], ~again])], [Repair("duplicate", copies.size, detail)]
+    detail = f"{place.first(copies)}: the same id, time and position again; dropped"
+    return again, [Repair("duplicate", copies.size, detail)]
 
 
 def _cuts(*, person: Ints, t: Floats, order: Ints, place: Place) -> tuple[Bools, list[Repair]]:
     """Return (M - 1,) where a new track begins: at a new person, or behind a long gap."""
     steps = np.diff(t)
-    new = np.diff(person) != 0
+    new = person[1:] != person[:-1]
     if new.all():
         return new, []
-    nominal = float(np.median(steps[~new]))
+    nominal = float(np.median(steps[~new], overwrite_input=True))
     gap = ~new & (steps > GAP_STEPS * nominal)
     long = gap & (steps > max(SPLIT_S, SPLIT_STEPS * nominal))
     notes = []
@@ -188,12 +206,11 @@ def _names(*, owner: Ints, ids: tuple[str, ...]) -> tuple[str, ...]:
     longest = max((len(run) for name in ids for run in re.findall("#+", name)), default=0)
     mark = "#" * (longest + 1)
     pieces = np.bincount(owner, minlength=len(ids))
-    seen = dict.fromkeys(range(len(ids)), 0)
-    names = []
-    for index in owner.tolist():
-        seen[index] += 1
-        names.append(f"{ids[index]}{mark}{seen[index]}" if pieces[index] > 1 else ids[index])
-    return tuple(names)
+    first = np.cumsum(pieces) - pieces  # the tracks of a person follow each other
+    return tuple(
+        f"{ids[index]}{mark}{track - first[index] + 1}" if pieces[index] > 1 else ids[index]
+        for track, index in enumerate(owner)
+    )
 
 
 def _inside(offsets: Ints) -> Bools:
@@ -207,15 +224,17 @@ def _check_speeds(
     *, t: Floats, xy: Floats, offsets: Ints, order: Ints, place: Place
 ) -> list[Repair]:
     inside = _inside(offsets)
-    distance = np.linalg.norm(np.diff(xy, axis=0), axis=1)[inside]
-    # Multiplied out: a step of a denormal time would overflow the quotient.
+    distance = np.hypot(np.diff(xy[:, 0]), np.diff(xy[:, 1]))[inside]
     duration = np.diff(t)[inside]
     moving = distance > 0
     if not moving.any():
         return []
     low, high = SPEED_LIMITS_MPS
+    speeds = distance[moving]
     with np.errstate(over="ignore"):
-        speed = float(np.median(distance[moving] / duration[moving]))
+        speeds /= duration[moving]
+    speed = float(np.median(speeds, overwrite_input=True))
+    del speeds, moving
     if not low <= speed <= high:
         guess = (
             "pixels or centimetres for metres, a wrong --fps, or frame and id swapped"
@@ -226,6 +245,7 @@ def _check_speeds(
             f"{place.path}: the median speed of moving people is {speed:.3g} m/s, not within "
             f"{low:g} to {high:g}: {guess}?"
         )
+    # Multiplied out: a step of a denormal time would overflow the quotient.
     fast = distance > FAST_STEP_MPS * duration
     if not fast.any():
         return []

@@ -19,6 +19,7 @@ from pyarrow import parquet
 
 from isac_track.datasets import crowd, load
 from isac_track.datasets.formats import FORMATS, read
+from isac_track.datasets.repair import to_tracks
 from isac_track.errors import IsacTrackError
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -167,6 +168,13 @@ class TestWhatWasFound:
         assert str(path) in str(caught.value)
         assert "\n" not in str(caught.value)
 
+    def test_a_line_may_be_longer_than_a_block_of_arrow(self):
+        head, ones = (",".join(row) for row in ([f"c{n}" for n in range(300_000)], "1" * 300_000))
+        lines = [f"t,id,x,y,{head}", *(f"{0.4 * n},1,{n},0,{ones}" for n in range(3))]
+        tracks, (note,) = read(data="\n".join(lines).encode(), path="f", format="csv")
+        assert tracks.t.size == 3
+        assert note.kind == "ignored-column"
+
     @pytest.mark.parametrize("name", ["two\nlines.csv", "red\x1b[31m.csv", "\udcff.csv", "a\udcff"])
     def test_a_file_name_is_one_line_that_can_be_printed(self, name, tmp_path):
         (tmp_path / name).write_bytes(b"t,id\n")
@@ -254,6 +262,30 @@ class TestMemory:
         fps = None if format_name == "csv" else 25.0
         assert peak_bytes(data, format_name, fps) < 10 * len(data)
 
+    @pytest.mark.parametrize("of_a_person", [1_000_000, 10], ids=["one person", "ten rows each"])
+    @pytest.mark.parametrize("format_name", ["csv", "social-gan", "pedpy"])
+    def test_nor_do_the_shortest_rows(self, format_name, of_a_person):
+        n = 400_000
+        line = {
+            "csv": "{t},{person},{x},0\n",
+            "social-gan": "{t} {person} {x} 0\n",
+            "pedpy": "{person} {t} {x} 0\n",
+        }[format_name]
+        last = min(n, of_a_person) - 1
+        text = "".join(
+            # One person stands still, but for the last row: all others say the same again.
+            line.format(t=int(row == last), person=1, x=int(row == last))
+            if of_a_person > n
+            else line.format(t=row % 10, person=row // 10, x=row % 10)
+            for row in range(n)
+        )
+        data = (("t,id,x,y\n" if format_name == "csv" else "") + text).encode()
+        assert len(data) < 12 * n
+        fps = None if format_name == "csv" else 1.0
+        read(data=VALID[format_name][0], path="f", format=format_name,
+             fps=None if format_name in {"csv", "pedpy"} else 25.0)  # fmt: skip  # imports
+        assert peak_bytes(data, format_name, fps) < 10 * len(data)
+
     @pytest.mark.parametrize(
         ("make", "message"),
         [
@@ -312,12 +344,22 @@ def recording(format_name, *, n_bytes):
 
 
 def peak_bytes(data, format_name, fps):
-    """What Python and arrow held at most while reading, beside the file itself."""
+    """What Python and arrow held at most, beside the file itself: up to the rows, or after."""
+    up_to_rows = [0]
+
+    def sorted_out(rows, *, groups):
+        up_to_rows.append(tracemalloc.get_traced_memory()[1] + pool.max_memory())
+        tracemalloc.reset_peak()
+        handed_on = [rows]
+        del rows  # as nobody else holds them
+        return to_tracks(handed_on.pop(), groups=groups)
+
     tracemalloc.start()
     try:
-        with arrow_pool() as pool:
+        with pytest.MonkeyPatch.context() as patch, arrow_pool() as pool:
+            patch.setattr("isac_track.datasets.formats.to_tracks", sorted_out)
             check(data, format_name, fps)
-        return tracemalloc.get_traced_memory()[1] + pool.max_memory()
+        return max(*up_to_rows, tracemalloc.get_traced_memory()[1] + pool.bytes_allocated())
     finally:
         tracemalloc.stop()
 
