@@ -5,6 +5,7 @@ A level is shared once; every consumer of the block reads the same release.
 
 from __future__ import annotations
 
+import traceback
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
@@ -29,11 +30,11 @@ from evaluation.window_cell import to_parquet as windows_to_parquet
 from evaluation.workers import Failed, note, noted
 from isac_track.conflict import is_conflict
 from isac_track.encounter import conflict_probability
-from isac_track.errors import PluginError, SettingsError
+from isac_track.errors import IsacTrackError, PluginError, SettingsError, told
 from isac_track.rng import stream
 from isac_track.scenes import make_scenes, predicted_separation, robot_positions
 from isac_track.sensing import sense_scenes
-from isac_track.types import Knowledge, Prediction, Release
+from isac_track.types import SHARED_LIMIT_M, Knowledge, Prediction, Release, within
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Scenes, Sensed
 
+
+_OURS = ("isac_track", "predictors", "attacks", "evaluation")
 
 Item: TypeAlias = "tuple[int, Plugin, Consumer, Rows | bytes]"
 """A finished cell: its block, mechanism, consumer, and rows or file."""
@@ -95,11 +98,35 @@ def cells(
 def attempt(
     work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[Item | Failed]:
-    """Yield `cells` until a plug-in fails, and then that (for workers, too)."""
+    """Yield `cells` until something fails, and then that (for workers, too).
+
+    A fault of our own fails by name as a plug-in's does: what an odd plug-in brings to light in one
+    cell takes no others along.
+
+    Raises
+    ------
+    IsacTrackError
+        For what fails all cells alike: data or settings that do not fit.
+    """
     try:
         yield from cells(work, tracks=tracks, stages=stages, seed=seed)
     except PluginError as error:
         yield Failed(noted(), str(error))
+    except IsacTrackError:
+        raise
+    except Exception as error:  # noqa: BLE001 - nobody knows what else goes wrong
+        yield Failed(noted(), f"{told(error)} ({_place(error)})")
+
+
+def _place(error: Exception) -> str:
+    """Return which line of ours an error comes from, and what to do about it."""
+    ours = [
+        (module, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if (module := frame.f_globals.get("__name__", "")).partition(".")[0] in _OURS
+    ]
+    module, line = ours[-1]  # the innermost; there is one: `attempt` itself
+    return f"in isac-track's own code, {module}, line {line}: please report this"
 
 
 def compute_links(
@@ -210,12 +237,24 @@ def _share(mechanism: Plugin, sensed: Sensed, key: tuple[str | int, ...], *, see
         raise PluginError(
             f"mechanism {mechanism.spec!r} changed the tracks or their times: {error}"
         ) from None
-    if release.sigma is not None and not (release.sigma >= 0).all():
-        raise PluginError(f"mechanism {mechanism.spec!r} declared a sigma below 0 or NaN")
+    _check_shared(release, who=f"mechanism {mechanism.spec!r}")
     # Fresh for every release: the common stream gives every mechanism the same ones.
     names = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
     fresh = tuple(names[8 * row : 8 * row + 8].hex() for row in range(len(release)))
     return replace(release, pseudonym=fresh)
+
+
+def _check_shared(release: Release, *, who: str) -> None:
+    """Raise PluginError if what was shared is no number to compute with."""
+    if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
+        raise PluginError(
+            f"{who} shared a position that is not within {SHARED_LIMIT_M:g} m of the origin"
+        )
+    if release.sigma is None or within(release.sigma, 0.0, SHARED_LIMIT_M):
+        return
+    if not (release.sigma >= 0).all():
+        raise PluginError(f"{who} declared a sigma below 0 or NaN")
+    raise PluginError(f"{who} declared a sigma above {SHARED_LIMIT_M:g} m, the limit")
 
 
 def _descriptors(release: Release, scenes: Scenes, *, stages: StageSettings) -> Rows:

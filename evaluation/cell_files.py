@@ -42,8 +42,9 @@ def write_cell(out: Path, name: str, rows: Rows | bytes, *, tracks: Cut) -> None
     tracks : Cut
     """
     content = rows if isinstance(rows, bytes) else _to_parquet(rows, tracks=tracks)
-    write_whole(out / FOLDER / name, content)
+    # First: a kill in between leaves a line without a cell, not a cell that looks damaged.
     _write_down(out, name, hashlib.sha256(content).hexdigest())
+    write_whole(out / FOLDER / name, content)
 
 
 def sound_cells(out: Path, names: Iterable[str]) -> tuple[set[str], list[str]]:
@@ -79,10 +80,10 @@ def adopt(out: Path, names: Iterable[str], *, sources: Iterable[Path]) -> None:
     for source in sources:
         known = _checksums(source)
         for name in [name for name in missing if name in known]:
-            path = source / FOLDER / name
-            if not path.is_file():
+            try:
+                content = (source / FOLDER / name).read_bytes()
+            except OSError:  # it is computed anew
                 continue
-            content = path.read_bytes()
             if hashlib.sha256(content).hexdigest() == known[name]:
                 write_whole(out / FOLDER / name, content)
                 _write_down(out, name, known[name])
@@ -90,8 +91,11 @@ def adopt(out: Path, names: Iterable[str], *, sources: Iterable[Path]) -> None:
 
 
 def check_sound(out: Path, names: Iterable[str]) -> None:
-    """Raise DataError if a cell is not as it was written."""
-    _, damaged = sound_cells(out, names)
+    """Raise DataError if a cell is not as it was written, or there is none at all."""
+    wanted = list(names)
+    if not wanted:
+        raise DataError(f"{out} holds no finished cell; run the matrix again")
+    _, damaged = sound_cells(out, wanted)
     if damaged:
         more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
         raise DataError(
@@ -114,6 +118,7 @@ def read_cells(paths: Iterable[Path], *, columns: list[str]) -> pa.Table:
             # Not pq.read_table: its data set machinery costs more than reading such a file.
             with pq.ParquetFile(path) as cell:
                 tables.append(cell.read(columns=columns, use_threads=False))
+            _refuse_missing(path, tables[-1], columns=columns)
         except FileNotFoundError:
             raise DataError(f"{path} is missing; run the matrix again to compute it") from None
         except (OSError, pa.ArrowException) as error:
@@ -121,6 +126,15 @@ def read_cells(paths: Iterable[Path], *, columns: list[str]) -> pa.Table:
                 f"{path} cannot be read ({error}); delete it and run the matrix again"
             ) from None
     return pa.concat_tables(tables).unify_dictionaries()
+
+
+def _refuse_missing(path: Path, table: pa.Table, *, columns: Iterable[str]) -> None:
+    missing = [name for name in columns if name not in table.column_names]
+    if missing:
+        raise DataError(
+            f"{path} has no column {missing[0]}: it is no cell of the kind that the manifest "
+            "says; run the matrix again with --fresh"
+        )
 
 
 def _to_parquet(rows: Rows, *, tracks: Cut) -> bytes:
@@ -150,14 +164,65 @@ def _write_down(out: Path, name: str, checksum: str) -> None:
         raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
 
 
+def written_down(out: Path) -> set[str]:
+    """Return the cells that are there and whose checksums are written down.
+
+    Whether these are theirs takes longer: see `sound_cells`.
+
+    Raises
+    ------
+    DataError
+        If the checksums cannot be read.
+    OSError
+        If the folder of the cells cannot be read.
+    """
+    return _present(out) & _checksums(out).keys()
+
+
+def forget_missing(out: Path) -> None:
+    """Write the checksums anew, if one is of a cell that is not there or was written twice.
+
+    `sha256sum --check` would take it for damage. Lines of cells that are there are kept.
+
+    Raises
+    ------
+    DataError
+        If they cannot be read or written.
+    OSError
+        If the folder of the cells cannot be read.
+    """
+    lines, there = _lines(out), _present(out)
+    kept = {name: checksum for name, checksum in lines if name in there}
+    if set(lines) != set(kept.items()):
+        text = "".join(f"{checksum}  {FOLDER}/{name}\n" for name, checksum in kept.items())
+        write_whole(out / CHECKSUMS, text.encode())
+
+
+def _present(out: Path) -> set[str]:
+    try:
+        return {path.name for path in (out / FOLDER).iterdir()}
+    except (FileNotFoundError, NotADirectoryError):
+        return set()
+
+
 def _checksums(out: Path) -> dict[str, str]:
     """Return the checksum by file; the last one of a cell that was written twice."""
+    return dict(_lines(out))
+
+
+def _lines(out: Path) -> list[tuple[str, str]]:
+    """Return file and checksum of every whole line."""
+    path = out / CHECKSUMS
     try:
-        text = (out / CHECKSUMS).read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return {}
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise DataError(
+            f"{path} cannot be read: {error.strerror}; make it readable or delete it"
+        ) from None
     pairs = (line.split(f"  {FOLDER}/", 1) for line in text.splitlines())
-    return {pair[1]: pair[0] for pair in pairs if len(pair) > 1}
+    return [(pair[1], pair[0]) for pair in pairs if len(pair) > 1]
 
 
 def names_column(rows: Ints, names: Sequence[str]) -> pa.DictionaryArray:

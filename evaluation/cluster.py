@@ -7,7 +7,6 @@ several is tried once more with nothing beside it, so that no innocent work is b
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import platform
 import threading
@@ -16,16 +15,15 @@ import uuid
 from collections import deque
 from importlib import import_module
 from importlib.metadata import version
-from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from evaluation import store
+from evaluation.plugin_source import source_digest
 from evaluation.workers import Failed, note
 from isac_track.command_line import check_interrupt
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, told
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
@@ -358,16 +356,12 @@ def _about(modules: tuple[str, ...], *, seen: dict[str, str] | None = None) -> d
 def _source(name: str) -> str:
     try:
         import_module(name)
-        found = find_spec(name)
+        return source_digest(name)[:16]
     except (Exception, SystemExit) as error:  # noqa: BLE001 - an import may do anything at all
         raise SettingsError(
-            f"cannot import {name!r} ({type(error).__name__}: {error}), which a plug-in of the "
+            f"cannot import {name!r} ({told(error)}), which a plug-in of the "
             "run needs; it must be importable on every worker, as by PYTHONPATH"
         ) from None
-    # Of `__main__` there is none.
-    path = Path(found.origin) if found is not None and found.origin else None
-    content = path.read_bytes() if path is not None and path.is_file() else b""
-    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def _check_alike(answer: Mapping[str, str], expected: Mapping[str, str], *, worker: str) -> None:

@@ -241,6 +241,7 @@ def _notices(manifest: dict[str, Any]) -> list[str]:
             f"{manifest['exhausted_redraws']} background agents found no place with "
             "scenes.clearance_m and kept their last draw"
         )
+    notices += [f"track gallery without {why}" for why in manifest["gallery_without"]]
     return notices
 
 
@@ -265,16 +266,21 @@ def _duration(seconds: float) -> str:
 
 
 def _announce(ready: Plan) -> None:
+    from evaluation.cell_files import CHECKSUMS, written_down  # noqa: PLC0415 - as in _run
+    from evaluation.store import usable  # noqa: PLC0415
+
     cells = sum(len(files) for _, _, files in ready.cells)
-    folder = ready.out / "cells"
-    present = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    finished = sum(name in present for _, _, files in ready.cells for name in files)
+    with usable(ready.out):
+        known = written_down(ready.out)
+    # Reading them all would take seconds here; the run does, and says which are damaged.
+    finished = sum(name in known for _, _, files in ready.cells for name in files)
+    so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
     if ready.dataset.notice:
         _say(f"notice: {ready.dataset.notice}", stream=sys.stderr)
     _say(
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
         f"{ready.settings.n_scenes} scenes; {cells} cells"
-        + (f", {finished} of them finished" if finished and not ready.settings.fresh else "")
+        + ("" if ready.settings.fresh else so_far)
         + f", in {ready.out}",
         stream=sys.stderr,
     )

@@ -98,7 +98,7 @@ def gallery_rows(
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
     name, attack = _attack(attacks)
     parts = []
-    for mechanism in _chosen(mechanisms):
+    for mechanism in chosen(mechanisms):
         release, rebuilt = _shared_and_rebuilt(
             mechanism, name, attack, sensed=sensed, epsilon_m=stages.privacy.epsilon_m, seed=seed
         )
@@ -116,16 +116,19 @@ def gallery_rows(
     return pd.concat(parts, ignore_index=True)
 
 
-def write_gallery(rows: pd.DataFrame, *, out: Path) -> None:
-    """Keep the gallery in a run folder.
+def write_gallery(parts: Sequence[pd.DataFrame], *, out: Path) -> None:
+    """Keep the gallery in a run folder; without parts there is none, nor an earlier one.
 
     Raises
     ------
     DataError
         If the folder cannot be written.
     """
+    if not parts:
+        (out / GALLERY).unlink(missing_ok=True)
+        return
     sink = io.BytesIO()
-    rows.to_parquet(sink, index=False)
+    pd.concat(parts, ignore_index=True).to_parquet(sink, index=False)
     write_whole(out / GALLERY, sink.getvalue())
 
 
@@ -230,7 +233,8 @@ def _attack(attacks: Sequence[Plugin]) -> tuple[str, ReconstructionAttack]:
     return "radial_rts", RadialRTS()
 
 
-def _chosen(mechanisms: Sequence[Plugin]) -> list[Plugin]:
+def chosen(mechanisms: Sequence[Plugin]) -> list[Plugin]:
+    """Return the mechanisms that are shown: see `gallery_rows`."""
     by_name: dict[str, list[Plugin]] = {}
     for plugin in mechanisms:
         by_name.setdefault(plugin.name, []).append(plugin)
@@ -238,10 +242,10 @@ def _chosen(mechanisms: Sequence[Plugin]) -> list[Plugin]:
         [plugin for plugin in by_name.get(name, ()) if plugin.level is not None]
         for name in ("fid", "fixed")
     )
-    chosen = by_name.get("raw", [])[:1]
-    chosen += sorted(fid, key=lambda one: one.level or 0.0)[:1]
-    chosen += sorted(fixed, key=lambda one: abs((one.level or 0.0) - _FIXED_M))[:1]
-    return chosen if len(chosen) == _MOST_MECHANISMS else list(mechanisms[:_MOST_MECHANISMS])
+    usual = by_name.get("raw", [])[:1]
+    usual += sorted(fid, key=lambda one: one.level or 0.0)[:1]
+    usual += sorted(fixed, key=lambda one: abs((one.level or 0.0) - _FIXED_M))[:1]
+    return usual if len(usual) == _MOST_MECHANISMS else list(mechanisms[:_MOST_MECHANISMS])
 
 
 def _rows(

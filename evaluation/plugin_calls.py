@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from isac_track.errors import PluginError
+from isac_track.command_line import check_interrupt, may_be_ctrl_c
+from isac_track.errors import PluginError, told
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,11 +25,16 @@ def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whateve
     ------
     PluginError
         Whatever it raises, with who it was.
+    KeyboardInterrupt
+        If the user pressed Ctrl-C.
     """
     try:
         return call()
-    except (Exception, SystemExit) as error:  # a plug-in may do anything
-        raise PluginError(f"{who} failed: {type(error).__name__}: {error}") from error
+    except BaseException as error:  # a plug-in may do anything
+        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
+            raise
+        check_interrupt()  # it may have caught the user's and raised something else
+        raise PluginError(f"{who} failed: {told(error)}") from error
 
 
 def copied(batch: _Batch) -> _Batch:

@@ -51,10 +51,16 @@ def _locked(path: Path) -> int:
     while True:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SettingsError(
+                f"cannot write to {path.parent}: {error.strerror}; choose another --out"
+            ) from None
+        try:
             file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
             raise SettingsError(
-                f"cannot write to {path.parent}: {error.strerror}; choose --out"
+                f"cannot write {path}: {error.strerror}; "
+                "make the folder writable or choose another --out"
             ) from None
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

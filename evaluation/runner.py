@@ -22,20 +22,22 @@ from evaluation.failures import FailedCell, Failures
 from evaluation.grid import BLOCK_SCENES, Axes, Settings, axes, n_blocks
 from evaluation.linkage_ground import sessions_of
 from evaluation.memory import given_back
-from evaluation.page_gallery import gallery_rows, write_gallery
+from evaluation.page_gallery import chosen, gallery_rows, write_gallery
 from evaluation.report import Results, build
 from evaluation.run_lock import locked
-from evaluation.workers import Failed, default_jobs, spread
+from evaluation.workers import Failed, default_jobs, note, noted, spread
 from isac_track import datasets, kernels
 from isac_track.command_line import check_interrupt
 from isac_track.datasets import crowd
-from isac_track.errors import DataError, PluginError
+from isac_track.errors import DataError, PluginError, told
 from isac_track.privacy import mean_interval_s
 from isac_track.scenes import cut, track_order
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from collections.abc import Set as AbstractSet
+
+    import pandas as pd
 
     from attacks.linkage.tasks import Sessions
     from evaluation.cell import Item
@@ -126,6 +128,13 @@ def plan(settings: Settings) -> Plan:
         for consumer in consumers
     )
     name = f"{dataset.name}-{settings.preset}-{settings.seed}"
+    jobs = _jobs(
+        settings,
+        n_levels=len(crossed.mechanisms),
+        n_links=sum(len(crossed.linkers(task)) for task in crossed.tasks),
+    )
+    if jobs > 1 or settings.cell_timeout_s is not None or settings.scheduler is not None:
+        _check_sendable(crossed)
     return Plan(
         settings=settings,
         dataset=dataset,
@@ -133,11 +142,7 @@ def plan(settings: Settings) -> Plan:
         axes=crossed,
         identity=identity,
         code=code,
-        jobs=_jobs(
-            settings,
-            n_levels=len(crossed.mechanisms),
-            n_links=sum(len(crossed.linkers(task)) for task in crossed.tasks),
-        ),
+        jobs=jobs,
         out=Path("runs") / name if settings.out is None else Path(settings.out),
         cells=cells,
         sessions=sessions,
@@ -170,6 +175,25 @@ def _sessions(
                 raise
             crossed = crossed.without(task, str(error))
     return crossed, tuple(sessions)
+
+
+def _check_sendable(crossed: Axes) -> None:
+    """Raise PluginError for a plug-in that no other process can be given."""
+    from joblib.externals.loky.backend.reduction import dumps  # noqa: PLC0415 - only with workers
+
+    consumers = [*crossed.consumers]
+    for task in crossed.tasks:
+        consumers += crossed.readers(task)
+    plugins = [*crossed.mechanisms, *crossed.linked_mechanisms]
+    plugins += [part for one in consumers for part in (one.plugin, one.behind) if part is not None]
+    for plugin in {one.spec: one for one in plugins}.values():
+        try:
+            dumps(plugin)
+        except Exception as error:  # noqa: BLE001 - a stranger's __reduce__ may do anything
+            raise PluginError(
+                f"{plugin.spec} cannot be sent to a worker ({told(error)}); "
+                "leave out what cannot be pickled, or run with --jobs 1 and no --cell-timeout"
+            ) from None
 
 
 def _jobs(settings: Settings, *, n_levels: int, n_links: int) -> int:
@@ -225,37 +249,65 @@ def _run_locked(ready: Plan, tell: Callable[[int, int, str], None], *, pictures:
     sound, damaged = sound_cells(ready.out, (*earlier, *ours))
     manifest |= _describe(ready)
     manifest["damaged_cells"] = damaged
-    manifest["failed"] = []
+    manifest["failed"] = _failed_earlier(manifest, ready)
     manifest["cells"] = _merged(manifest["cells"], ready, sound=sound)
     store.write_manifest(ready.out, manifest | {"state": "running"})
     failed = _compute_missing(ready, tell, sound=sound)
     if failed:
-        manifest["failed"] = [_described_failure(one) for one in failed]
+        manifest["failed"] += [_described_failure(one) for one in failed]
         manifest["cells"] = _whole(manifest["cells"], failed, ready)
         if not manifest["cells"]:
+            store.write_manifest(ready.out, manifest | {"state": "failed"})
             raise PluginError(failed[0].why)
         warnings.warn(_summed_up(failed), FailedCellsWarning, stacklevel=3)
     tell(ready.n_cells, ready.n_cells, "intervals, verdict, figures and report")
-    _write_gallery(ready, failed)
+    manifest["gallery_without"] = _write_gallery(ready, failed)
     manifest["exhausted_redraws"] = _exhausted_redraws(ready.out, manifest["cells"])
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     store.write_manifest(ready.out, manifest | {"state": "finished"})
     return build(ready.out, pictures=pictures, jobs=ready.jobs)
 
 
-def _write_gallery(ready: Plan, failed: list[FailedCell]) -> None:
-    """Keep some tracks to look at, from plug-ins that have not failed."""
+def _failed_earlier(manifest: dict[str, Any], ready: Plan) -> list[dict[str, Any]]:
+    """Return what failed when other axes were run, whose finished levels stay in the tables."""
+    if not manifest["cells"]:
+        return []
+    ours = {(mech.spec, consumer.spec, consumer.knowledge) for mech, consumer, _ in ready.cells}
+    return [entry for entry in manifest.get("failed", []) if _cell_key(entry) not in ours]
+
+
+def _write_gallery(ready: Plan, failed: list[FailedCell]) -> list[str]:
+    """Keep some tracks to look at, from plug-ins that have not failed; return what fails here."""
     named = {one.mechanism.spec for one in failed} | {one.consumer.spec for one in failed}
-    mechanisms = [one for one in ready.axes.mechanisms if one.spec not in named]
-    if mechanisms:
-        rows = gallery_rows(
-            tracks=ready.tracks,
-            mechanisms=mechanisms,
-            attacks=[one for one in ready.axes.attacks if one.spec not in named],
-            stages=ready.settings.stages,
-            seed=ready.settings.seed,
-        )
-        write_gallery(rows, out=ready.out)
+    draw = partial(
+        _drawn_tracks,
+        tracks=ready.tracks,
+        attacks=[one for one in ready.axes.attacks if one.spec not in named],
+        stages=ready.settings.stages,
+        seed=ready.settings.seed,
+    )
+    mechanisms = chosen([one for one in ready.axes.mechanisms if one.spec not in named])
+    parts: list[pd.DataFrame] = []
+    without = []
+    limit_s = ready.settings.cell_timeout_s
+    for mechanism, found in spread(draw, deque(mechanisms), jobs=1, limit_s=limit_s):
+        for part in found:
+            if isinstance(part, Failed):
+                without.append(f"{mechanism.spec}: {part.why}")
+            else:
+                parts.append(part)
+    write_gallery(parts, out=ready.out)
+    return without
+
+
+def _drawn_tracks(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | Failed]:  # noqa: ANN401 - handed on
+    note(mechanism.spec, "gallery")
+    try:
+        yield gallery_rows(mechanisms=[mechanism], **options)
+    except PluginError as error:
+        yield Failed(noted(), str(error))
+    except Exception as error:  # noqa: BLE001 - the cells are finished: no picture may cost them
+        yield Failed(noted(), told(error))
 
 
 def _compute_missing(

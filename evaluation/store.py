@@ -15,16 +15,17 @@ import shutil
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import isac_track
+from evaluation.manifest_shape import CELL_NAME, defect_of
+from evaluation.plugin_source import source_digest
 from evaluation.run_lock import LOCK
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from evaluation.grid import Consumer
     from isac_track.registry import Plugin
@@ -46,8 +47,6 @@ _TABLES = (
     "failed.csv",
 )
 _TEX = ("sweep.tex", "attacks.tex", "paper.tex", "linkability.tex", "verdict.tex")
-_CELL = re.compile(r"_\d{5}_[0-9a-f]{16}\.parquet$")
-_ENTRY = {"mechanism", "level", "spec", "kind", "consumer", "knowledge", "files"}
 _SHOWN_DIFFERENCES = 3
 _COMPUTING = ("isac_track", "predictors", "attacks")
 _CELL_SOURCES = (
@@ -106,16 +105,39 @@ def cell_name(
     return f"{slug}_{block:05d}_{digest}.parquet"
 
 
+@contextlib.contextmanager
+def usable(out: Path) -> Iterator[None]:
+    """Tell in one line what the system says of a run folder within.
+
+    Raises
+    ------
+    SettingsError
+        If no folder can have that name, or it cannot be entered, read or changed.
+    """
+    try:
+        is_name = b"\0" not in os.fsencode(out)
+    except UnicodeEncodeError:
+        is_name = False
+    if not is_name:
+        raise SettingsError(f"{str(out)!a} cannot be the name of a folder; choose another --out")
+    try:
+        yield
+    except OSError as error:
+        where = error.filename or out
+        raise SettingsError(f"cannot use {where}: {error.strerror}; choose another --out") from None
+
+
 def check_folder(out: Path) -> None:
-    """Raise SettingsError if a folder holds something that is no run."""
-    if out.exists() and not out.is_dir():
-        raise SettingsError(f"{out} is a file; choose another --out")
-    if (
-        out.exists()
-        and not (out / MANIFEST).exists()
-        and not all(_is_of_a_start(one) for one in out.iterdir())
-    ):
-        raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
+    """Raise SettingsError if a folder holds something that is no run, or cannot be entered."""
+    with usable(out):
+        if out.exists() and not out.is_dir():
+            raise SettingsError(f"{out} is a file; choose another --out")
+        if (
+            out.exists()
+            and not (out / MANIFEST).exists()
+            and not all(_is_of_a_start(one) for one in out.iterdir())
+        ):
+            raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
 
 
 def _is_of_a_start(path: Path) -> bool:
@@ -128,25 +150,33 @@ def _is_of_a_start(path: Path) -> bool:
 def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> dict[str, Any]:
     """Return the manifest of a run folder, new or continued.
 
-    Cells that another version of the code computed are dropped from it and counted.
+    Cells that another version of the code computed are dropped from it and counted. `SHA256SUMS`
+    has no line then for which there is no cell.
 
     Raises
     ------
     SettingsError
-        If the folder holds another run (what differs is named) or something else.
+        If the folder holds another run (what differs is named) or something else, or cannot be
+        used.
+    DataError
+        If its manifest cannot be read, or is damaged and not to be replaced.
     """
-    path = out / MANIFEST
-    if fresh and path.exists():
-        _remove_run(out, read_manifest(out))
-    elif path.exists():
-        manifest = read_manifest(out)
-        _refuse_another(out, manifest["identity"], identity)
-        (out / "cells").mkdir(exist_ok=True)
-        return manifest if manifest.get("code") == code else _without_cells(out, manifest)
-    try:
+    from evaluation.cell_files import forget_missing  # noqa: PLC0415 - it imports this module
+
+    with usable(out):
+        is_there = (out / MANIFEST).exists()
+        if fresh and is_there:
+            found = _parsed(out)
+            _remove_run(out, found if not defect_of(found) else {"cells": []})
+        elif is_there:
+            manifest = _undamaged(_parsed(out), out=out)
+            _refuse_another(out, manifest["identity"], identity)
+            (out / "cells").mkdir(exist_ok=True)
+            if manifest.get("code") != code:
+                manifest = _without_cells(out, manifest)
+            forget_missing(out)
+            return manifest | {"dropped_cells": manifest.get("dropped_cells", 0)}
         (out / "cells").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SettingsError(f"cannot write to {out}: {error.strerror}; choose --out") from None
     return {"identity": identity, "cells": [], "dropped_cells": 0}
 
 
@@ -167,35 +197,54 @@ def _refuse_another(out: Path, earlier: dict[str, Any], identity: dict[str, Any]
 def _without_cells(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
     stale = [name for entry in manifest["cells"] for name in entry["files"]]
     for name in stale:
-        (out / "cells" / Path(name).name).unlink(missing_ok=True)
+        (out / "cells" / name).unlink(missing_ok=True)
     return manifest | {"cells": [], "dropped_cells": len(stale)}
 
 
 def read_manifest(out: Path) -> dict[str, Any]:
-    """Return the manifest of a run folder.
+    """Return the manifest of a run folder; all that its readers rely on is there.
 
     Raises
     ------
     DataError
-        If there is none or it cannot be read.
+        If there is none, it cannot be read or is damaged, or the run never started.
     """
+    manifest = _undamaged(_parsed(out), out=out)
+    if not manifest.keys() >= {"dataset", "settings"}:
+        raise DataError(f"{out} holds a run that never started; run the matrix again")
+    return manifest
+
+
+def _parsed(out: Path) -> dict[str, Any]:
+    """Return what the manifest holds, if it is one at all."""
     path = out / MANIFEST
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        manifest = json.loads(text)
+        if "\\u" in text:  # half a surrogate pair: no file could be written with it
+            json.dumps(manifest, ensure_ascii=False).encode()
     except FileNotFoundError:
         raise DataError(
             f"{out} holds no run ({MANIFEST} is missing); make one with "
             "python -m evaluation.matrix --out DIR"
         ) from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"{path} cannot be read: {error}; choose another --out") from None
     parts = {"identity": dict, "cells": list}
     if not isinstance(manifest, dict) or not all(
         isinstance(manifest.get(name), kind) for name, kind in parts.items()
     ):
         raise DataError(f"{path} is not the manifest of a run; choose another --out")
-    if not all(isinstance(entry, dict) and entry.keys() >= _ENTRY for entry in manifest["cells"]):
-        raise DataError(f"{path} is of another version; run again with --fresh or another --out")
+    return manifest
+
+
+def _undamaged(manifest: dict[str, Any], *, out: Path) -> dict[str, Any]:
+    defect = defect_of(manifest)
+    if defect:
+        raise DataError(
+            f"{out} was written by another version, or its {MANIFEST} is damaged "
+            f"({ascii(defect)[1:-1]}); run the matrix again with --fresh or another --out"
+        )
     return manifest
 
 
@@ -245,22 +294,15 @@ def _plugin_key(plugin: Plugin) -> dict[str, str]:
     module = plugin.origin.partition(":")[0]
     if module.partition(".")[0] in _COMPUTING:  # the code hash covers them
         return {"spec": plugin.spec, "origin": plugin.origin}
-    found = find_spec(module)
-    source = Path(found.origin).read_bytes() if found and found.origin else b""
-    return {
-        "spec": plugin.spec,
-        "origin": plugin.origin,
-        "source": hashlib.sha256(source).hexdigest(),
-    }
+    return {"spec": plugin.spec, "origin": plugin.origin, "source": source_digest(module)}
 
 
 def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
     """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
     from evaluation.figures import NAMES  # noqa: PLC0415 - drawing imports this module
 
-    cells = [Path(name).name for entry in manifest["cells"] for name in entry["files"]]
-    ours = [out / "cells" / name for name in cells]
-    ours += [path for path in (out / "cells").glob("*.parquet") if _CELL.search(path.name)]
+    ours = [out / "cells" / name for entry in manifest["cells"] for name in entry["files"]]
+    ours += [path for path in (out / "cells").glob("*.parquet") if CELL_NAME.fullmatch(path.name)]
     ours += [out / "figures" / f"{name}.{kind}" for name in NAMES for kind in ("svg", "pdf")]
     ours += [out / "tables" / name for name in _TEX]
     ours += [out / name for name in _TABLES]

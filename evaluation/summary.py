@@ -14,6 +14,7 @@ import pandas as pd
 
 from evaluation.cell_files import read_cells
 from evaluation.linkability import dataset_of
+from isac_track.errors import DataError
 from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
 
 if TYPE_CHECKING:
@@ -192,7 +193,14 @@ def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
     """Return the cluster of each row, (R,): its row in the run's list of groups."""
     row_of = {group: row for row, group in enumerate(manifest["groups"])}
     column = table["group"].combine_chunks()
-    to_row = np.array([row_of[group] for group in column.dictionary.to_pylist()], dtype=np.int64)
+    names = column.dictionary.to_pylist()
+    unknown = [name for name in names if name not in row_of]
+    if unknown:
+        raise DataError(
+            f"the manifest does not name group {unknown[0]!r} of the cells: it is damaged; run the "
+            "matrix again with --fresh"
+        )
+    to_row = np.array([row_of[name] for name in names], dtype=np.int64)
     found: Ints = to_row[column.indices.to_numpy()]
     return found
 

@@ -206,7 +206,19 @@ class _Lane(Generic[W, R]):
         return self._future
 
     def start(self, function: Callable[[W], Iterable[R]], work: W) -> None:
-        from joblib.externals.loky import ProcessPoolExecutor  # noqa: PLC0415 - only with workers
+        from joblib.externals.loky import BrokenProcessPool  # noqa: PLC0415 - only with workers
+
+        self._overdue = ""
+        self._work = work
+        with _ctrl_c_is_not_inherited():
+            try:
+                self._future = self._ready().submit(_listed, function, work)
+            except BrokenProcessPool:  # its worker was killed while it had nothing to do
+                self.stop()
+                self._future = self._ready().submit(_listed, function, work)
+
+    def _ready(self) -> Any:  # noqa: ANN401 - of loky, untyped
+        from joblib.externals.loky import ProcessPoolExecutor  # noqa: PLC0415 - as above
 
         if self._executor is None:
             self._board.clear()
@@ -216,10 +228,7 @@ class _Lane(Generic[W, R]):
                 initargs=(self._board, os.getpid()),
                 env=_ONE_THREAD,
             )
-        self._overdue = ""
-        self._work = work
-        with _ctrl_c_is_not_inherited():
-            self._future = self._executor.submit(_listed, function, work)
+        return self._executor
 
     def finished(self) -> tuple[W, list[R | Failed]] | None:
         """Return the work and what came of it, if it is done or the worker is."""

@@ -71,6 +71,14 @@ def check_interrupt() -> None:
         raise KeyboardInterrupt
 
 
+def may_be_ctrl_c() -> bool:
+    """Whether a KeyboardInterrupt that was caught may be the user's; else a plug-in raised it."""
+    handler = signal.getsignal(signal.SIGINT)
+    if handler is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+        return False
+    return handler is not _remember or _asked.is_set()
+
+
 @contextlib.contextmanager
 def _heard() -> Iterator[None]:
     if (

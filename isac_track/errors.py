@@ -1,5 +1,8 @@
 """What can go wrong for a user: one error and a handful of children, each with a way out."""
 
+_MOST_TOLD = 300
+"""Characters of a stranger's message."""
+
 
 class IsacTrackError(Exception):
     """A user's mistake or a missing resource; the message names it and the way out."""
@@ -19,3 +22,18 @@ class PluginError(IsacTrackError):
 
 class KnowledgeDenied(IsacTrackError):  # noqa: N818 - the contract's name
     """An attack touched what its adversary was not granted, or what it did not declare."""
+
+
+def told(error: BaseException) -> str:
+    """Return type and message of a stranger's error: short, on one line, and safe to print."""
+    name = type(error).__name__
+    try:
+        text = str(error)
+    except BaseException:  # noqa: BLE001 - the message is a stranger's as well
+        text = "(its message cannot be read)"
+    words = " ".join(f"{name}: {text[: 10 * _MOST_TOLD]}".split()).removesuffix(":")
+    # Half a surrogate pair or an escape sequence is shown as what it is.
+    line = "".join(
+        one if one.isprintable() else one.encode("unicode_escape").decode() for one in words
+    )
+    return line if len(line) <= _MOST_TOLD else f"{line[:_MOST_TOLD]}..."

@@ -27,7 +27,8 @@ from typing import (
     get_type_hints,
 )
 
-from isac_track.errors import PluginError, SettingsError
+from isac_track.command_line import may_be_ctrl_c
+from isac_track.errors import IsacTrackError, PluginError, SettingsError, told
 
 if TYPE_CHECKING:
     from isac_track.types import Knowledge
@@ -69,6 +70,11 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
 }
 _METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
 _MOST_LEVELS = 1000
+_MOST_SHOWN = 100
+"""Characters of what a user typed."""
+_WHOLE_LIMIT = 10**18
+_LEVEL_LIMIT = 10**12
+"""Of a level that is a whole number: names show 12 digits."""
 _SINGULAR: dict[Kind, str] = {
     "mechanisms": "mechanism",
     "predictors": "predictor",
@@ -129,24 +135,25 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     for key, text in options.items():
         if key not in hints or key not in {item.name for item in items}:
             raise SettingsError(
-                f"{spec!r}: {name} has no parameter {key!r}"
+                f"{_shown(spec)}: {name} has no parameter {_shown(key)}"
                 + _nearest(key, [item.name for item in items])
             )
-        given[key] = _read(text, hints[key], where=f"{spec!r}: {key}")
+        given[key] = _read(text, hints[key], where=f"{_shown(spec)}: {key}")
     first = items[0].name if items else None
     if value is None:
         values: list[Any] = [] if first is None or first not in given else [given.pop(first)]
     elif first is None:
-        raise SettingsError(f"{spec!r}: {name} takes no value")
+        raise SettingsError(f"{_shown(spec)}: {name} takes no value")
     elif first in given:
-        raise SettingsError(f"{spec!r}: {first} is given twice")
+        raise SettingsError(f"{_shown(spec)}: {first} is given twice")
     elif ".." in value:
         values = _sweep(value, spec=spec, spacing=getattr(cls, "sweep", "linear"))
         values = [
-            _read(f"{level:.12g}", hints[first], where=f"{spec!r}: {first}") for level in values
+            _read(f"{level:.12g}", hints[first], where=f"{_shown(spec)}: {first}")
+            for level in values
         ]
     else:
-        values = [_read(value, hints[first], where=f"{spec!r}: {first}")]
+        values = [_read(value, hints[first], where=f"{_shown(spec)}: {first}")]
     changes = [{first: one, **given} for one in values] if first and values else [given]
     return tuple(
         _plugin(kind, name=name, cls=cls, origin=origin, changes=change, spec=spec)
@@ -168,22 +175,7 @@ def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
 def _plugin(
     kind: Kind, *, name: str, cls: type, origin: str, changes: dict[str, Any], spec: str
 ) -> Plugin:
-    try:
-        instance = cls(**changes)
-    except TypeError:
-        needed = [
-            item.name
-            for item in dataclasses.fields(cls)
-            if item.init
-            and item.name not in changes
-            and item.default is dataclasses.MISSING
-            and item.default_factory is dataclasses.MISSING
-        ]
-        raise SettingsError(
-            f"{spec!r}: {name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
-        ) from None
-    except ValueError as error:
-        raise SettingsError(f"{spec!r}: {error}") from None
+    instance = _made(cls, changes, name=name, origin=origin, spec=spec)
     if kind == "predictors":
         requires = _knowledge(instance, "requires", kind=kind, name=name, origin=origin)
         _check_granted(requires, name=name)
@@ -195,14 +187,47 @@ def _plugin(
         value = getattr(instance, item.name)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if position == 0 and kind == "mechanisms" and is_number:
+            if isinstance(value, int) and abs(value) >= _LEVEL_LIMIT:
+                raise SettingsError(
+                    f"{_shown(spec)}: the level {item.name} must have at most 12 digits"
+                )
             level = float(value)
             if not math.isfinite(level):
-                raise SettingsError(f"{spec!r}: the level {item.name} must be finite")
+                raise SettingsError(f"{_shown(spec)}: the level {item.name} must be finite")
         elif not _same(value, item):
             parameters.append(f"{item.name}={_text(value)}")
     column = ":".join([name, *([",".join(parameters)] if parameters else [])])
     canonical = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
     return Plugin(name=column, level=level, spec=canonical, origin=origin, instance=instance)
+
+
+def _made(cls: type, changes: dict[str, Any], *, name: str, origin: str, spec: str) -> Any:  # noqa: ANN401 - whatever class it is
+    try:
+        return cls(**changes)
+    except IsacTrackError:
+        raise
+    except ValueError as error:
+        why = told(error).removeprefix("ValueError: ")
+        raise SettingsError(f"{_shown(spec)}: {why}") from None
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
+            raise
+        needed = [
+            item.name
+            for item in dataclasses.fields(cls)
+            if item.init
+            and item.name not in changes
+            and item.default is dataclasses.MISSING
+            and item.default_factory is dataclasses.MISSING
+        ]
+        if needed and isinstance(error, TypeError):
+            raise SettingsError(
+                f"{_shown(spec)}: {name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
+            ) from None
+        raise PluginError(
+            f"{_shown(spec)}: {origin} cannot be made: {told(error)}; a plug-in refuses a value by "
+            "a ValueError"
+        ) from error
 
 
 def _same(value: object, item: dataclasses.Field[Any]) -> bool:
@@ -220,7 +245,12 @@ def _knowledge(
 ) -> frozenset[Knowledge]:
     from isac_track.types import Knowledge  # noqa: PLC0415 - a list of names needs no numpy
 
-    declared = getattr(instance, attribute, None)
+    try:
+        declared = getattr(instance, attribute, None)
+    except Exception as error:  # it may be a property
+        raise PluginError(
+            f"{_SINGULAR[kind]} {name!r}: {origin}.{attribute}: {told(error)}"
+        ) from error
     if not isinstance(declared, frozenset) or not all(
         isinstance(one, Knowledge) for one in declared
     ):
@@ -255,21 +285,23 @@ def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
         cls, _, rest = rest.partition(":")
         name = f"{name}:{cls}"
         if not cls.isidentifier():
-            raise SettingsError(f"{spec!r}: expected package.module:Class[:VALUE][,key=value...]")
+            raise SettingsError(
+                f"{_shown(spec)}: expected package.module:Class[:VALUE][,key=value...]"
+            )
     if not name:
-        raise SettingsError(f"{spec!r}: a SPEC begins with a name")
+        raise SettingsError(f"{_shown(spec)}: a SPEC begins with a name")
     value: str | None = None
     options: dict[str, str] = {}
     for position, part in enumerate(rest.split(",") if rest else []):
         key, equals, text = part.partition("=")
         if equals and key.strip() and text.strip():
             if key.strip() in options:
-                raise SettingsError(f"{spec!r}: {key.strip()} is given twice")
+                raise SettingsError(f"{_shown(spec)}: {key.strip()} is given twice")
             options[key.strip()] = text.strip()
         elif not equals and position == 0 and part.strip():
             value = part.strip()
         else:
-            raise SettingsError(f"{spec!r}: {part!r} is not key=value")
+            raise SettingsError(f"{_shown(spec)}: {_shown(part)} is not key=value")
     return name, value, options
 
 
@@ -286,13 +318,15 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     origin = name if ":" in name else known.get(name)
     singular = _SINGULAR[kind]
     if origin is None:
-        raise SettingsError(f"unknown {singular} {name!r}" + _nearest(name, list(known)))
+        raise SettingsError(f"unknown {singular} {_shown(name)}" + _nearest(name, list(known)))
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
-    except (Exception, SystemExit) as error:  # a plug-in's import may do anything at all
+    except BaseException as error:  # a plug-in's import may do anything at all
+        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
+            raise
         raise PluginError(
-            f"{singular} {name!r} cannot be loaded from {origin}: {type(error).__name__}: {error}"
+            f"{singular} {name!r} cannot be loaded from {origin}: {told(error)}"
         ) from error
     method = _METHOD[kind]
     if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
@@ -305,16 +339,27 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
 
 
 def _hints(cls: type, origin: str) -> dict[str, Any]:
+    """Return the type of every parameter; of one that is inherited, as its own module reads it."""
+    hints: dict[str, Any] = {}
     # Only the parameters: a ClassVar may well name a type that is not there at run time.
-    parameters = {item.name: item.type for item in dataclasses.fields(cls) if item.init}
-    holder = type("Parameters", (), {"__annotations__": parameters})
-    try:
-        return get_type_hints(holder, globalns=vars(sys.modules[cls.__module__]))
-    except NameError as error:
-        raise PluginError(
-            f"{origin}: {error}; a parameter's type must be imported at run time, "
-            "not under TYPE_CHECKING"
-        ) from error
+    for item in (item for item in dataclasses.fields(cls) if item.init):
+        # An inherited field is the very object of the class that declares it.
+        owner = next(
+            one
+            for one in reversed(cls.__mro__)
+            if vars(one).get("__dataclass_fields__", {}).get(item.name) is item
+        )
+        holder = type("Parameter", (), {"__annotations__": {item.name: item.type}})
+        try:
+            hints |= get_type_hints(holder, globalns=vars(sys.modules[owner.__module__]))
+        except NameError as error:
+            raise PluginError(
+                f"{origin}: {error}; a parameter's type must be imported at run time, "
+                "not under TYPE_CHECKING"
+            ) from error
+        except Exception as error:  # an annotation is code
+            raise PluginError(f"{origin}: the type of {item.name}: {told(error)}") from error
+    return hints
 
 
 def _read(text: str, annotation: Any, *, where: str) -> Any:  # noqa: ANN401 - as annotated
@@ -327,7 +372,7 @@ def _read(text: str, annotation: Any, *, where: str) -> Any:  # noqa: ANN401 - a
             if text.lower() == str(choice).lower():
                 return choice
         raise SettingsError(
-            f"{where} must be one of {', '.join(map(str, choices)).lower()}, got {text!r}"
+            f"{where} must be one of {', '.join(map(str, choices)).lower()}, got {_shown(text)}"
         )
     if annotation is str:
         return text
@@ -353,11 +398,15 @@ def _read_number(text: str, kind: type[int | float], *, where: str) -> float:
         number = kind(text)
     except ValueError:
         noun = "a whole number" if kind is int else "a number"
-        raise SettingsError(f"{where} must be {noun}, got {text!r}") from None
+        raise SettingsError(f"{where} must be {noun}, got {_shown(text)}") from None
+    if kind is int:
+        if abs(number) >= _WHOLE_LIMIT:
+            raise SettingsError(f"{where} must have at most 18 digits, got {_shown(text)}")
+        return number
     if not math.isfinite(number):
-        raise SettingsError(f"{where} must be finite, got {text!r}")
+        raise SettingsError(f"{where} must be finite, got {_shown(text)}")
     # The 12 digits that names show: what two spellings share is one level, not two.
-    return number if kind is int else float(f"{number:.12g}")
+    return float(f"{number:.12g}")
 
 
 def _sweep(value: str, *, spec: str, spacing: str) -> list[float]:
@@ -367,20 +416,31 @@ def _sweep(value: str, *, spec: str, spacing: str) -> list[float]:
         count = int(count_text)
     except ValueError:
         raise SettingsError(
-            f"{spec!r}: a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10, got {value!r}"
+            f"{_shown(spec)}: a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10, got {_shown(value)}"
         ) from None
     if count > _MOST_LEVELS:
-        raise SettingsError(f"{spec!r}: a sweep has at most {_MOST_LEVELS} levels, got {count}")
+        raise SettingsError(
+            f"{_shown(spec)}: a sweep has at most {_MOST_LEVELS} levels, got {count}"
+        )
     if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004
-        raise SettingsError(f"{spec!r}: a sweep needs two finite ends that differ and COUNT >= 2")
+        raise SettingsError(
+            f"{_shown(spec)}: a sweep needs two finite ends that differ and COUNT >= 2"
+        )
     share = [step / (count - 1) for step in range(count)]
     if spacing == "log":
         if low <= 0 or high <= 0:
-            raise SettingsError(f"{spec!r}: this sweep is logarithmic; both ends must be positive")
+            raise SettingsError(
+                f"{_shown(spec)}: this sweep is logarithmic; both ends must be positive"
+            )
         levels = [low * (high / low) ** part for part in share]
     else:
         levels = [low + (high - low) * part for part in share]
     return [float(f"{level:.12g}") for level in levels]
+
+
+def _shown(text: str) -> str:
+    """Return what a user typed in quotes, cut to a length."""
+    return repr(text) if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]!r}..."
 
 
 def _text(value: object) -> str:

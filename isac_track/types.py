@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,14 @@ Ints: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
 ErrorLaw: TypeAlias = Literal["radial", "isotropic", "fixed_direction"]
 Adding: TypeAlias = Literal["linear", "independent"]
+
+SHARED_LIMIT_M: Final = 1e10
+"""Largest coordinate and standard deviation that a mechanism may share: ten times what a recording
+may hold, so that there is room for noise, and small enough that no power of it overflows."""
+ESTIMATE_LIMIT_M: Final = 1e12
+"""Of what is predicted or reconstructed from that: an extrapolation goes beyond what was shared."""
+_ROUNDING: Final = 1e-5
+"""Of a covariance, as a share of its larger variance: single precision after some hundred steps."""
 
 
 class Knowledge(Enum):
@@ -211,18 +219,18 @@ class Prediction:
     mean: Floats
     """(N, H, 2) m"""
     cov: Floats | None = None
-    """(N, H, 2, 2) m^2, or None where the predictor has none."""
+    """(N, H, 2, 2) m^2, symmetric positive semidefinite; None where the predictor has none."""
 
     def __post_init__(self) -> None:
         _freeze(self, {"mean": 3})
         if self.mean.shape[2] != 2:  # noqa: PLR2004 - the plane has two axes
             raise ValueError(f"mean must have shape (N, H, 2), got {self.mean.shape}")
-        if not np.isfinite(self.mean).all():
-            raise ValueError("a predicted position is not finite")
+        _check_estimate(self.mean, what="a predicted position")
         if self.cov is not None:
             _freeze(self, {"cov": 4})
             if self.cov.shape != (*self.mean.shape, 2):
                 raise ValueError(f"cov must have shape (N, H, 2, 2), got {self.cov.shape}")
+            _check_covariances(self.cov)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -238,14 +246,15 @@ class Reconstruction:
         _freeze(self, {"xy": 2})
         if self.xy.shape[1] != 2:  # noqa: PLR2004 - the plane has two axes
             raise ValueError(f"xy must have shape (M, 2), got {self.xy.shape}")
-        if not np.isfinite(self.xy).all():
-            raise ValueError("a reconstructed position is not finite")
+        _check_estimate(self.xy, what="a reconstructed position")
         if self.std is not None:
             _freeze(self, {"std": 1})
             if self.std.shape != self.xy.shape[:1]:
                 raise ValueError(f"std must have shape (M,), got {self.std.shape}")
-            if not (np.isfinite(self.std).all() and (self.std >= 0).all()):
-                raise ValueError("std must be finite and not negative")
+            if not within(self.std, 0.0, ESTIMATE_LIMIT_M):
+                raise ValueError(
+                    f"std must be finite and not negative, and at most {ESTIMATE_LIMIT_M:g} m"
+                )
 
 
 def _check_batch(batch: _Batch) -> None:
@@ -268,6 +277,38 @@ def _check_batch(batch: _Batch) -> None:
     _check_times(batch.t, batch.offsets)
     if not np.isfinite(batch.xy).all():
         raise ValueError("a position is not finite")
+
+
+def within(values: Floats, low: float, high: float) -> bool:
+    """Whether all values lie within both bounds; NaN lies nowhere."""
+    # Smallest and largest take no room; a comparison of all would.
+    return values.size == 0 or bool(values.min() >= low and values.max() <= high)
+
+
+def _check_estimate(xy: Floats, *, what: str) -> None:
+    if within(xy, -ESTIMATE_LIMIT_M, ESTIMATE_LIMIT_M):
+        return
+    if not np.isfinite(xy).all():
+        raise ValueError(f"{what} is not finite")
+    raise ValueError(f"{what} lies beyond {ESTIMATE_LIMIT_M:g} m")
+
+
+def _check_covariances(cov: Floats) -> None:
+    """Check that (..., 2, 2) could be covariances: what rounding does to them is let pass."""
+    if not within(cov, -(ESTIMATE_LIMIT_M**2), ESTIMATE_LIMIT_M**2):
+        raise ValueError(
+            f"a predicted covariance is not finite or beyond {ESTIMATE_LIMIT_M**2:g} m^2"
+        )
+    xx, xy, yx, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 0], cov[..., 1, 1]
+    largest = np.maximum(np.abs(xx), np.abs(yy))
+    if not (np.abs(xy - yx) <= _ROUNDING * largest).all():
+        raise ValueError("a predicted covariance is not symmetric")
+    # No eigenvalue of a symmetric 2 x 2 matrix is negative if neither diagonal nor determinant is.
+    is_sound = (np.minimum(xx, yy) >= -_ROUNDING * largest) & (
+        xx * yy - xy * yx >= -_ROUNDING * largest**2
+    )
+    if not is_sound.all():
+        raise ValueError("a predicted covariance is not positive semidefinite")
 
 
 def _one_track(batch: _Batch, index: int) -> _Batch:

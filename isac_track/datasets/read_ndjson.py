@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
 
 _FIELDS = ("f", "p", "x", "y")
+_LONGEST_LINE = 10_000
+"""Characters: what a line holds beyond its row is not used, and takes memory."""
 
 
 def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
@@ -50,6 +52,9 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     for number, line in enumerate(lines_of(data), start=1):
         if not line.strip():
             continue
+        if len(line) > _LONGEST_LINE:
+            message = f"{len(line)} characters, over {_LONGEST_LINE}; one row is on a line"
+            raise fault(path=path, line=number, message=message)
         try:
             kind, content = _parse(line)
             if kind == "scene":

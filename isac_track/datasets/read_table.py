@@ -37,6 +37,8 @@ _NEEDED = ("t", "id", "x", "y")
 _USED = (*_NEEDED, "group")
 _NUMBERS = ("t", "x", "y")
 _BLOCK_BYTES = 1 << 18
+_MOST_COLUMNS = 10_000
+"""Of csv: pyarrow takes memory for each, also for those that are not used."""
 _FREE_ROWS = 500_000
 """A parquet file above this needs a byte a row: equal rows pack a thousandfold, walks do not."""
 _FREE_BYTES = 50_000_000
@@ -135,6 +137,9 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
             if separator in header.strip():
                 message = f"{name} between the columns; csv has commas (and decimal points)"
                 raise fault(path=path, line=1, message=message)
+    if len(names) > _MOST_COLUMNS:
+        message = f"{len(names)} columns, over {_MOST_COLUMNS}; leave out what is not used"
+        raise fault(path=path, line=1, message=message)
     _check_header(names=names, where=f"{path}, line 1")
     return names
 
@@ -183,7 +188,9 @@ def _csv_columns(
     except (pa.ArrowException, MemoryError, UnicodeError) as error:
         _raise_first_csv_fault(body=body, names=names, path=path)
         raise DataError(f"{path}: cannot be read as csv ({brief(error)})") from None
-    assert first == n_rows
+    if first != n_rows:  # pyarrow lets quoted fields go on in the next line
+        _raise_first_csv_fault(body=body, names=names, path=path)
+        raise DataError(f"{path}: cannot be read as csv ({first} rows in {n_rows} lines)")
     return t, xy, {name: pa.chunked_array(parts) for name, parts in texts.items()}
 
 
@@ -215,13 +222,14 @@ def _csv_lines(body: bytes) -> Iterator[int]:
 
 
 def _raise_first_csv_fault(*, body: bytes, names: tuple[str, ...], path: str) -> None:
-    for number, line in enumerate(body.decode().split("\n"), start=2):
+    for number, line in enumerate(lines_of(body), start=2):
         if not line:
             continue
         try:
             fields = next(csv.reader([line], strict=True))
         except csv.Error as error:
-            raise fault(path=path, line=number, message=str(error)) from None
+            hint = "; each row must be on one line" if "end of data" in str(error) else ""
+            raise fault(path=path, line=number, message=f"{error}{hint}") from None
         if len(fields) != len(names):
             hint = "; semicolons do not separate columns" if ";" in line else ""
             message = (

@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
-from isac_track.errors import PluginError, SettingsError
+from isac_track.errors import PluginError, SettingsError, told
 from isac_track.testing import CHECKS, Metrics, run_checks, select_checks
 
 if TYPE_CHECKING:
@@ -64,9 +64,7 @@ def _load(target: str) -> Metrics:
     try:
         module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # a stranger's import may raise anything at all
-        raise PluginError(
-            f"cannot import {module_name!r}: {type(error).__name__}: {error}"
-        ) from error
+        raise PluginError(f"cannot import {module_name!r}: {told(error)}") from error
     if not hasattr(module, attribute):
         raise PluginError(f"{module_name!r} has no {attribute!r}")
     metrics = getattr(module, attribute)

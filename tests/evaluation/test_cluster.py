@@ -22,7 +22,7 @@ import evaluation
 from evaluation import cluster as on_cluster
 from evaluation import matrix
 from evaluation.cell import Block
-from evaluation.failures import Failures, cells_of, named
+from evaluation.failures import Failures, cells_of, specs_of
 from evaluation.grid import Consumer, Settings
 from evaluation.runner import FailedCellsWarning
 from evaluation.workers import Failed, note, noted
@@ -469,7 +469,7 @@ class TestADeathAtAnUnknownPlace:
         tries = 0
         while works:
             work = works.popleft()
-            names = [named(cell) for cell in cells_of(work)]
+            names = [specs_of(cell) for cell in cells_of(work)]
             if ("fixed:0.5", "least_squares") in names:
                 tries += 1
                 again = failures.rest(work, Failed((), "died", died=True), finished=set())
@@ -490,7 +490,7 @@ class TestADeathAtAnUnknownPlace:
         work = self.block("raw")
         work = replace(work, levels=((work.levels[0][0], (Consumer("shared"),)),))
         (again,) = failures.rest(work, Failed((), "died", died=True), finished=set())
-        assert [named(cell) for cell in cells_of(again)] == [("raw", "shared")]
+        assert [specs_of(cell) for cell in cells_of(again)] == [("raw", "shared")]
         assert failures.cells == []
         assert failures.rest(again, Failed((), "died", died=True), finished=set()) == []
         assert len(failures.cells) == 1

@@ -716,7 +716,7 @@ class TestTheGallery:
         assert np.hypot(thin["x_shared"] - thin["x_true"], 0).median() < 1.0
 
     def test_it_is_kept_and_read_again(self, found, tmp_path):
-        page_gallery.write_gallery(found, out=tmp_path)
+        page_gallery.write_gallery([found], out=tmp_path)
         pd.testing.assert_frame_equal(page_gallery.read_gallery(tmp_path), found)
         assert page_gallery.read_gallery(tmp_path / "other") is None
 

@@ -169,11 +169,23 @@ class TestWhatWasFound:
         assert "\n" not in str(caught.value)
 
     def test_a_line_may_be_longer_than_a_block_of_arrow(self):
-        head, ones = (",".join(row) for row in ([f"c{n}" for n in range(300_000)], "1" * 300_000))
-        lines = [f"t,id,x,y,{head}", *(f"{0.4 * n},1,{n},0,{ones}" for n in range(3))]
+        lines = ["t,id,x,y,note", *(f"{0.4 * n},1,{n},0,{'a' * 600_000}" for n in range(3))]
         tracks, (note,) = read(data="\n".join(lines).encode(), path="f", format="csv")
         assert tracks.t.size == 3
         assert note.kind == "ignored-column"
+
+    def test_a_quoted_field_that_goes_on_in_the_next_line(self):
+        data = b't,id,x,y,note\n0,1,0,0,a\n0.4,1,1,0,"one\ntwo"\n0.8,1,2,0,b\n'
+        message = refusal(data, "csv")
+        assert message == "f, line 3: unexpected end of data; each row must be on one line"
+
+    def test_more_columns_than_anybody_uses(self):
+        head = b"t,id,x,y" + b",c" * 10_000
+        assert "f, line 1: 10004 columns, over 10000" in refusal(head + b"\n", "csv")
+
+    def test_a_line_of_json_that_holds_more_than_a_row(self):
+        line = b'{"track": {"f": 1, "p": 1, "x": 0, "y": 0, "z": [%s[]]}}\n' % (b"[]," * 5000)
+        assert "f, line 1: 15054 characters, over 10000" in refusal(line, "trajnet")
 
     @pytest.mark.parametrize("name", ["two\nlines.csv", "red\x1b[31m.csv", "\udcff.csv", "a\udcff"])
     def test_a_file_name_is_one_line_that_can_be_printed(self, name, tmp_path):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from isac_track import registry
+from isac_track import errors, registry
 from isac_track.errors import PluginError, SettingsError
 from isac_track.sharing import Fid, Fixed, Raw
 
@@ -30,6 +30,65 @@ class Stepped:
     sweep = "log"
 
     def share(self, sensed, rng): ...
+
+
+@dataclass(frozen=True)
+class Heir(Fixed):
+    """Its inherited parameters name types that this module does not know."""
+
+    extra: float = 1.0
+
+
+@dataclass(frozen=True)
+class LaterHeir(Heir):
+    d_sigma: int = 2
+    extra: float | None = None
+
+
+@dataclass(frozen=True)
+class Unknown:
+    width: "Somewhere" = 1  # noqa: F821 - as under TYPE_CHECKING
+
+    def share(self, sensed, rng): ...
+
+
+@dataclass(frozen=True)
+class Unread:
+    width: "float | 'm'" = 1  # noqa: F821
+
+    def share(self, sensed, rng): ...
+
+
+@dataclass(frozen=True)
+class Picky:
+    """Raises what it is told to, in its own initialisation."""
+
+    what: str
+
+    def __post_init__(self):
+        raise {
+            "key": KeyError("width"),
+            "type": TypeError("no text, please"),
+            "value": ValueError("half a pair \udcff,\nand more"),
+            "exit": SystemExit(0),
+            "settings": SettingsError("ask for less"),
+        }[self.what]
+
+    def share(self, sensed, rng): ...
+
+
+@dataclass(frozen=True)
+class Secretive:
+    @property
+    def requires(self):
+        raise KeyError("a secret")
+
+    def predict(self, release, t_future): ...
+
+
+class UnsayableError(Exception):
+    def __str__(self):
+        raise RuntimeError
 
 
 @dataclass
@@ -147,11 +206,71 @@ def test_a_class_by_its_path(here):
         ("fid:5..5/3", "two finite ends that differ"),
         ("fid:0..10/3", "logarithmic; both ends must be positive"),
         ("os.path", "expected package.module:Class"),
+        ("thin:" + "9" * 400, "every must have at most 18 digits, got '999"),
+        ("thin:" + "9" * 5000, "every must be a whole number, got '999"),
+        ("thin:1000000000000", "the level every must have at most 12 digits"),
+        ("fid:" + "9" * 400, "eta must be finite, got '999"),
     ],
 )
 def test_a_wrong_spec_says_what_is_wrong(spec, message):
     with pytest.raises(SettingsError, match=re.escape(message)):
         registry.parse("mechanisms", spec)
+
+
+@pytest.mark.parametrize("spec", ["thin:" + "9" * 5000, "q" * 5000, "fid:1," + "z" * 5000])
+def test_what_was_typed_is_not_repeated_at_length(spec):
+    with pytest.raises(SettingsError) as told:
+        registry.parse("mechanisms", spec)
+    assert len(str(told.value)) < 400
+
+
+def test_whole_numbers_up_to_the_limit_give_themselves_again():
+    plugin = one("mechanisms", "thin:999999999999")
+    assert plugin.instance.every == 999_999_999_999
+    assert one("mechanisms", plugin.spec) == plugin
+
+
+@pytest.mark.parametrize(
+    ("what", "error", "message"),
+    [
+        ("key", PluginError, "my.module:Picky cannot be made: KeyError: 'width'; a plug-in"),
+        ("type", PluginError, "my.module:Picky cannot be made: TypeError: no text, please; a"),
+        ("exit", PluginError, "my.module:Picky cannot be made: SystemExit: 0; a plug-in"),
+        ("value", SettingsError, r"'my.module:Picky:value': half a pair \udcff, and more"),
+        ("settings", SettingsError, "ask for less"),
+    ],
+)
+def test_a_plugin_that_cannot_be_made_says_why(here, what, error, message):
+    with pytest.raises(error, match=re.escape(message)):
+        registry.parse("mechanisms", f"{here}:Picky:{what}")
+    with pytest.raises(SettingsError, match=r"Picky needs a value for what, as in .*Picky:VALUE"):
+        registry.parse("mechanisms", f"{here}:Picky")
+
+
+def test_inherited_parameters_are_read_where_they_are_declared(here):
+    plugin = one("mechanisms", f"{here}:Heir:0.5,adding=independent,law=isotropic,extra=3")
+    assert plugin.instance == Heir(0.5, adding="independent", law="isotropic", extra=3.0)
+    assert one("mechanisms", plugin.spec) == plugin
+    later = one("mechanisms", f"{here}:LaterHeir:3,extra=none,law=none")
+    assert later.instance == LaterHeir(3, extra=None)
+    with pytest.raises(SettingsError, match="d_sigma must be a whole number"):  # its own, now
+        registry.parse("mechanisms", f"{here}:LaterHeir:0.5")
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (KeyError("x"), "KeyError: 'x'"),
+        (KeyboardInterrupt(), "KeyboardInterrupt"),
+        (UnsayableError(), "UnsayableError: (its message cannot be read)"),
+        (ValueError("one\ntwo\r\n\tthree\u2028four"), "ValueError: one two three four"),
+        (ValueError("\x1b[31m\udcff\u202e\0"), r"ValueError: \x1b[31m\udcff\u202e\x00"),
+        (ValueError("Zürich \N{GRINNING FACE}"), "ValueError: Zürich \N{GRINNING FACE}"),
+        (ValueError("a" * 1_000_000), "ValueError: " + "a" * 288 + "..."),
+    ],
+)
+def test_a_strangers_error_is_told_on_one_line(error, message):
+    assert errors.told(error) == message
 
 
 @pytest.mark.parametrize(
@@ -162,6 +281,9 @@ def test_a_wrong_spec_says_what_is_wrong(spec, message):
         ("mechanisms", "my.module:Thawed", "must be frozen"),
         ("mechanisms", "my.module:Mute", "has no method share()"),
         ("predictors", "my.module:Untold", "requires must be a frozenset"),
+        ("predictors", "my.module:Secretive", "Secretive.requires: KeyError: 'a secret'"),
+        ("mechanisms", "my.module:Unknown", "must be imported at run time"),
+        ("mechanisms", "my.module:Unread", "my.module:Unread: the type of width: "),
     ],
 )
 @pytest.mark.usefixtures("here")

@@ -5,7 +5,16 @@ from dataclasses import FrozenInstanceError, fields, replace
 import numpy as np
 import pytest
 
-from isac_track.types import Prediction, Release, Scenes, Sensed, Tracks
+from isac_track.types import (
+    ESTIMATE_LIMIT_M,
+    Prediction,
+    Reconstruction,
+    Release,
+    Scenes,
+    Sensed,
+    Tracks,
+    within,
+)
 
 T = np.array([0.0, 0.1, 0.3, 5.0, 0.0, 2.0])  # three tracks of 3, 1 and 2 samples
 XY = np.arange(12.0).reshape(6, 2)
@@ -271,3 +280,90 @@ def test_predictions_are_checked():
         Prediction(mean=mean, cov=np.zeros((2, 4, 2, 2)))
     with pytest.raises(ValueError, match="4 dimension"):
         Prediction(mean=mean, cov=np.zeros((2, 3, 2)))
+
+
+def covariances(*one):
+    """A prediction of 2 tracks and 3 steps; one step of one track has this covariance."""
+    cov = np.tile(np.eye(2), (2, 3, 1, 1))
+    cov[1, 2] = np.reshape(one, (2, 2))
+    return Prediction(mean=np.zeros((2, 3, 2)), cov=cov)
+
+
+@pytest.mark.parametrize(
+    ("one", "message"),
+    [
+        ((1, 0, 0, np.nan), "not finite"),
+        ((1, np.nan, np.nan, 1), "not finite"),
+        ((np.inf, 0, 0, 1), "not finite"),
+        ((1.01e24, 0, 0, 1), r"beyond 1e\+24 m\^2"),
+        ((1, 0.1, 0, 1), "not symmetric"),
+        ((1, 0.1, -0.1, 1), "not symmetric"),
+        ((0, 1e-9, 0, 0), "not symmetric"),
+        ((-1, 0, 0, 1), "not positive semidefinite"),
+        ((1, 0, 0, -1e-4), "not positive semidefinite"),
+        ((-1, 0, 0, -1), "not positive semidefinite"),
+        ((1, 1.1, 1.1, 1), "not positive semidefinite"),
+        ((0, 1, 1, 0), "not positive semidefinite"),
+        ((1e-8, 2e-8, 2e-8, 1e-8), "not positive semidefinite"),  # however small
+    ],
+)
+def test_a_covariance_that_cannot_be_one_is_refused(one, message):
+    with pytest.raises(ValueError, match=message):
+        covariances(*one)
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        (0, 0, 0, 0),
+        (1e24, 0, 0, 0),
+        (1, 1, 1, 1),  # on a line
+        (3, 1 + 1e-7, 1 - 1e-7, 2),  # single precision
+        (1e6, 0, 0, -1e-3),
+        (1, 1 + 1e-8, 1 + 1e-8, 1),
+        (1e-20, 1e-20, 1e-20, 1e-20),
+    ],
+)
+def test_what_rounding_does_to_a_covariance_is_let_pass(one):
+    assert covariances(*one).cov[1, 2].ravel().tolist() == list(map(float, one))
+
+
+def test_a_single_precision_covariance_is_one():
+    """Products of random matrices, rounded: symmetric and semidefinite no more to the last bit."""
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(50, 20, 2, 2)) * 10.0 ** rng.uniform(-6, 6, (50, 20, 2, 1))
+    cov = (root @ np.swapaxes(root, -2, -1)).astype(np.float32)
+    cov[..., 0, 1] *= 1 + 1e-7
+    assert Prediction(np.zeros((50, 20, 2)), cov).cov.dtype == np.float64
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_an_estimate_may_lie_at_the_limit_and_not_beyond(sign):
+    at, beyond = (
+        np.array([[[0.0, sign * limit_m]]])
+        for limit_m in (ESTIMATE_LIMIT_M, 1.01 * ESTIMATE_LIMIT_M)
+    )
+    assert Prediction(at).mean[0, 0, 1] == sign * ESTIMATE_LIMIT_M
+    assert Reconstruction(at[0]).xy[0, 1] == sign * ESTIMATE_LIMIT_M
+    with pytest.raises(ValueError, match=r"^a predicted position lies beyond 1e\+12 m$"):
+        Prediction(beyond)
+    with pytest.raises(ValueError, match=r"^a reconstructed position lies beyond 1e\+12 m$"):
+        Reconstruction(beyond[0])
+
+
+def test_a_claimed_standard_deviation_has_a_limit():
+    limit = np.array([ESTIMATE_LIMIT_M])
+    assert Reconstruction(np.zeros((1, 2)), limit).std == limit
+    with pytest.raises(ValueError, match=r"at most 1e\+12 m"):
+        Reconstruction(np.zeros((1, 2)), 1.01 * limit)
+
+
+def test_no_tracks_no_prediction():
+    assert Prediction(np.zeros((0, 3, 2)), np.zeros((0, 3, 2, 2))).mean.shape == (0, 3, 2)
+
+
+def test_within_both_bounds():
+    assert within(np.array([1.0, 2.0]), 1.0, 2.0)
+    assert within(np.zeros(0), 1.0, 2.0)
+    for outside in (0.9, 2.1, np.nan, np.inf, -np.inf):
+        assert not within(np.array([1.5, outside, 1.5]), 1.0, 2.0)

@@ -131,7 +131,8 @@ JSON = [
         TRACK.replace(b"1,", b"9" * 9999 + b","),
         "line 1",
     ),
-    case("deep", "trajnet", b"[" * 100_000, "f, line 1: too deeply nested"),
+    case("deep", "trajnet", b"[" * 9_000, "f, line 1: too deeply nested"),
+    case("long", "trajnet", b"[" * 100_000, "f, line 1: 100000 characters, over 10000"),
     case(
         "forecast",
         "trajnet",

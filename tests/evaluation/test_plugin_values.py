@@ -1,0 +1,294 @@
+"""Plug-ins whose numbers or errors nobody can compute with: each fails alone and by name."""
+
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from evaluation import matrix
+from evaluation.plugin_calls import guarded
+from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
+
+PLUGINS = '''
+import asyncio
+import os
+import signal
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from attacks.reconstruction.moving_average import MovingAverage
+from isac_track.sharing import Fixed
+from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M, Prediction, Reconstruction
+from predictors.kalman import KalmanCV
+
+
+@dataclass(frozen=True)
+class Shared(Fixed):
+    """As fixed noise, with every position moved and every sigma replaced."""
+
+    d_sigma: float = 0.5
+    east_m: float = 0.0
+    sigma_m: float | None = None
+
+    def share(self, sensed, rng):
+        release = super().share(sensed, rng)
+        xy = release.xy + np.array([self.east_m, 0.0])
+        sigma = release.sigma if self.sigma_m is None else np.full_like(xy[:, 0], self.sigma_m)
+        return replace(release, xy=xy, sigma=sigma)
+
+
+class Vague(Shared):
+    def share(self, sensed, rng):
+        release = super().share(sensed, rng)
+        return replace(release, sigma=np.full_like(release.sigma, np.inf))
+
+
+class Later(Shared):
+    """Writes into what it has built already, when nobody looks any more."""
+
+    def share(self, sensed, rng):
+        xy = super().share(sensed, rng).xy.copy()
+        release = replace(super().share(sensed, rng), xy=xy)
+        xy[0] = np.nan
+        return release
+
+
+class Strange(Shared):
+    """Trips our own code: it is asked for this outside of `share`."""
+
+    @property
+    def errors_are_independent(self):
+        raise KeyError("nobody expected this")
+
+
+@dataclass(frozen=True)
+class Predicted(KalmanCV):
+    xx: float = 1.0
+    xy: float = 0.0
+    yx: float = 0.0
+    yy: float = 1.0
+    east_m: float = 0.0
+
+    def predict(self, release, t_future):
+        mean = super().predict(release, t_future).mean + np.array([self.east_m, 0.0])
+        cov = np.array([[self.xx, self.xy], [self.yx, self.yy]])
+        return Prediction(mean, np.broadcast_to(cov, (*mean.shape, 2)))
+
+
+class NanCov(KalmanCV):
+    def predict(self, release, t_future):
+        found = super().predict(release, t_future)
+        return Prediction(found.mean, np.full_like(found.cov, np.nan))
+
+
+class Unsayable(Exception):
+    def __str__(self):
+        raise RuntimeError("not even that")
+
+
+class Speechless(KalmanCV):
+    def predict(self, release, t_future):
+        raise Unsayable
+
+
+class Torn(KalmanCV):
+    def predict(self, release, t_future):
+        raise ValueError("half a pair \\udcff and \\x1b[31mred")
+
+
+class Lengthy(KalmanCV):
+    def predict(self, release, t_future):
+        raise ValueError("one\\ntwo\\n" + "all work and no play\\n" * 50_000)
+
+
+class Cancelled(KalmanCV):
+    def predict(self, release, t_future):
+        raise asyncio.CancelledError
+
+
+class Leaves(KalmanCV):
+    def predict(self, release, t_future):
+        raise SystemExit(0)
+
+
+class Interrupts(KalmanCV):
+    def predict(self, release, t_future):
+        raise KeyboardInterrupt
+
+
+class Signals(KalmanCV):
+    """While it runs, somebody presses Ctrl-C."""
+
+    def predict(self, release, t_future):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(10)
+
+
+class Swallows(KalmanCV):
+    def predict(self, release, t_future):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(10)
+        except BaseException:
+            raise ValueError("something went wrong") from None
+
+
+class Distant(MovingAverage):
+    def fit(self, context):
+        return lambda release: Reconstruction(release.xy + 2 * ESTIMATE_LIMIT_M)
+'''
+MECHANISMS = {
+    # SPEC without the module: why it is left out
+    "Vague:0.5": "declared a sigma above 1e+10 m, the limit",
+    "Shared:0.5,sigma_m=100000000000": "declared a sigma above 1e+10 m, the limit",
+    "Shared:0.5,sigma_m=-0.1": "declared a sigma below 0 or NaN",
+    "Shared:0.5,east_m=1e+250": "shared a position that is not within 1e+10 m of the origin",
+    "Later:0.5": "shared a position that is not within 1e+10 m of the origin",
+}
+PREDICTORS = {
+    "NanCov": "ValueError: a predicted covariance is not finite or beyond 1e+24 m^2",
+    "Predicted:xx=1e+30": "ValueError: a predicted covariance is not finite or beyond 1e+24 m^2",
+    "Predicted:xy=0.5": "ValueError: a predicted covariance is not symmetric",
+    "Predicted:xx=-1": "ValueError: a predicted covariance is not positive semidefinite",
+    "Predicted:xy=2,yx=2": "ValueError: a predicted covariance is not positive semidefinite",
+    "Predicted:east_m=1e+13": "ValueError: a predicted position lies beyond 1e+12 m",
+    "Speechless": "Unsayable: (its message cannot be read)",
+    "Torn": r"ValueError: half a pair \udcff and \x1b[31mred",
+    "Lengthy": "ValueError: one two all work and no play all work",
+    "Cancelled": "CancelledError",
+    "Leaves": "SystemExit: 0",
+    "Interrupts": "KeyboardInterrupt",
+}
+ATTACKS = {"Distant": "ValueError: a reconstructed position lies beyond 1e+12 m"}
+GOOD = (
+    *("--mechanism", "fixed:0.7", "--predictor", "kalman_cv", "--attack", "moving_average"),
+    *("--attack", "shape"),
+)
+
+
+@pytest.fixture
+def odd(tmp_path, monkeypatch):
+    """The module of the plug-ins, which workers find as well."""
+    (tmp_path / "odd.py").write_text(PLUGINS, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    yield
+    sys.modules.pop("odd", None)
+
+
+def arguments(out, *options, jobs=1):
+    words = ["--dataset", "plaza", "--preset", "smoke", "--scenes", 8, "--task", "rerelease"]
+    words += ["--set", "conflict.decision=probability", "--jobs", jobs, "--out", out, *options]
+    return [str(word) for word in words]
+
+
+def alone(folder, *options):
+    """As few cells as there can be."""
+    words = ["--dataset", "plaza", "--preset", "smoke", "--scenes", "8", "--task", "none"]
+    return [*words, "--jobs", "1", "--out", str(folder / "run"), *options]
+
+
+def named(**axes):
+    return [
+        word
+        for axis, specs in axes.items()
+        for spec in specs
+        for word in (f"--{axis}", f"odd:{spec}")
+    ]
+
+
+def failed(out):
+    return pd.read_csv(out / "failed.csv", keep_default_na=False)
+
+
+def rows(out):
+    table = pd.read_csv(out / "summary.csv", dtype=str, keep_default_na=False)
+    return set(table[table["mechanism"] == "fixed"].itertuples(index=False, name=None))
+
+
+@pytest.mark.usefixtures("odd")
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_each_fails_alone_by_name_and_on_one_line(tmp_path, capsys, jobs):
+    assert matrix.main(arguments(tmp_path / "good", *GOOD)) == 0
+    bad = named(mechanism=MECHANISMS, predictor=PREDICTORS, attack=ATTACKS)
+    assert matrix.main(arguments(tmp_path / "all", *GOOD, *bad, jobs=jobs)) == 3
+    assert "Traceback" not in capsys.readouterr().err
+    table = failed(tmp_path / "all")
+    for spec, why in MECHANISMS.items():
+        own = table[table["spec"] == f"odd:{spec}"]
+        assert set(own["kind"]) >= {"shared", "predictor", "attack", "linkage"}, spec
+        assert set(own["why"]) == {f"mechanism 'odd:{spec}' {why}"}
+    at_fixed = table[table["spec"] == "fixed:0.7"]
+    told = dict(zip(at_fixed["consumer"], at_fixed["why"], strict=True))
+    assert len(told) == len(PREDICTORS) + len(ATTACKS)
+    for spec, why in (PREDICTORS | ATTACKS).items():
+        line = told[f"odd:{spec}"]
+        assert f"odd:{spec}" in line
+        assert line.startswith(("predictor ", "attack "))
+        assert f" failed: {why}" in line
+        assert len(line) < 400
+        assert line.isprintable()
+    assert rows(tmp_path / "all") == rows(tmp_path / "good")
+    assert rows(tmp_path / "good")
+
+
+@pytest.mark.usefixtures("odd")
+def test_what_lies_at_the_limits_is_computed(tmp_path, capsys):
+    """Nothing overflows up to there: the limits are where they should be."""
+    far_m = f"{0.99 * SHARED_LIMIT_M:g}"
+    edge = named(
+        mechanism=[f"Shared:east_m={far_m},sigma_m={far_m}"],
+        predictor=[f"Predicted:east_m={0.9 * ESTIMATE_LIMIT_M:g}", "Predicted:xx=1e24,yy=0"],
+    )
+    out = tmp_path / "run"
+    assert matrix.main(arguments(out, *GOOD, *edge)) == 0, capsys.readouterr().err
+    summary = pd.read_csv(out / "summary.csv")
+    own = summary[summary["mechanism"].str.startswith("odd:") & (summary["metric"] != "cllr")]
+    assert {"shared", "kalman_cv", "moving_average", "rerelease/shape"} <= set(own["consumer"])
+    assert np.isfinite(own[["value", "ci_low", "ci_high"]]).all(axis=None)
+
+
+@pytest.mark.usefixtures("odd")
+def test_a_fault_of_our_own_takes_no_other_cells_along_and_is_not_hidden(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert matrix.main(arguments(out, *GOOD, *named(mechanism=["Strange"]))) == 3
+    table = failed(out)
+    assert set(zip(table["spec"], table["consumer"], strict=True)) == {
+        ("odd:Strange:0.5", "moving_average")
+    }
+    (why,) = set(table["why"])
+    assert "KeyError: 'nobody expected this'" in why
+    assert "(in isac-track's own code, evaluation.reconstruction, line " in why
+    assert why.endswith(": please report this)")
+    assert "please report this" in " ".join(capsys.readouterr().out.split())
+    assert rows(out)
+
+
+@pytest.mark.usefixtures("odd")
+@pytest.mark.parametrize("name", ["Signals", "Swallows"])
+def test_a_ctrl_c_while_a_plugin_runs_is_the_users(tmp_path, capsys, name):
+    """Even where the plug-in computes the last cell and makes another error of it."""
+    words = alone(tmp_path, "--mechanism", "raw", *named(predictor=[name]), "--attack", "none")
+    assert matrix.main(words) == 130
+    assert "interrupted; finished cells are kept" in capsys.readouterr().err
+
+
+def test_without_a_command_nobody_knows_whose_ctrl_c_it_was():
+    """From Python, Ctrl-C is whatever raises KeyboardInterrupt: it gets through."""
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        guarded("mine", interrupted)
+
+
+@pytest.mark.usefixtures("odd")
+def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, capsys):
+    bad = named(mechanism=["Shared:east_m=1e250"])
+    assert matrix.main(alone(tmp_path, *bad, "--predictor", "none", "--attack", "none")) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("error: mechanism 'odd:Shared:0.5,east_m=1e+250' shared a position")

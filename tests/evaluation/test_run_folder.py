@@ -1,0 +1,457 @@
+"""The run folder: what is said where it cannot be used, its manifest, and its checksums."""
+
+import contextlib
+import copy
+import hashlib
+import json
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from strategies import reproducible
+
+import evaluation
+from evaluation import cell_files, flags, linkability, matrix, report, store, summary
+from evaluation.run_lock import locked
+from evaluation.runner import plan
+from isac_track.errors import DataError, IsacTrackError, SettingsError
+
+TINY = evaluation.Settings(
+    dataset="plaza",
+    preset="smoke",
+    scenes=8,
+    mechanisms=("raw",),
+    predictors=("least_squares",),
+    attacks=(),
+    tasks=(),
+    jobs=1,
+)
+OPTIONS = ("--dataset", "plaza", "--preset", "smoke", "--scenes", "8", "--mechanism", "raw")
+OPTIONS += ("--predictor", "least_squares", "--attack", "none", "--task", "none", "--jobs", "1")
+NOBODY = 65534
+
+
+def one_line(capsys):
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    return line
+
+
+@contextlib.contextmanager
+def without_rights():
+    """Root may enter every folder; within, it is nobody."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    out = tmp_path_factory.mktemp("folder") / "finished"
+    evaluation.run(replace(TINY, out=out), pictures=False)
+    return out
+
+
+@pytest.fixture
+def out(finished, tmp_path):
+    """A copy of the finished run."""
+    return Path(shutil.copytree(finished, tmp_path / "run"))
+
+
+@pytest.fixture
+def everybodys():
+    """A folder that nobody else's rights stand before, unlike those of the tests."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+def own_by_nobody(folder):
+    if os.geteuid() == 0:
+        for path in (folder, *folder.rglob("*")):
+            os.chown(path, NOBODY, NOBODY)
+
+
+class TestWhereTheFolderCannotBeUsed:
+    @pytest.mark.parametrize("dry", [True, False])
+    def test_a_name_that_is_too_long_is_one_line(self, dry, tmp_path, capsys):
+        out = tmp_path / ("n" * 300)
+        assert matrix.main([*OPTIONS, "--out", str(out), *["--dry-run"] * dry]) == 2
+        line = one_line(capsys)
+        assert f"error: cannot use {out}" in line
+        assert line.endswith("File name too long; choose another --out")
+
+    @pytest.mark.parametrize("dry", [True, False])
+    def test_a_name_that_no_folder_can_have_is_one_line(self, dry, tmp_path, capsys):
+        config = tmp_path / "run.toml"
+        config.write_text(r'out = "a\u0000b"')
+        assert matrix.main([*OPTIONS, "--config", str(config), *["--dry-run"] * dry]) == 2
+        assert r"'a\x00b' cannot be the name of a folder; choose another" in one_line(capsys)
+
+    def test_half_a_surrogate_pair_is_no_name(self):
+        with pytest.raises(SettingsError, match=r"'\\ud800' cannot be the name of a folder"):
+            store.check_folder(Path("\ud800"))
+
+    def test_somebody_elses_folder_is_named(self, tmp_path):
+        tmp_path.chmod(0o700 if os.geteuid() == 0 else 0)
+        out = tmp_path / "run"
+        ready = plan(replace(TINY, out=out))
+        try:
+            with without_rights():
+                for look in (lambda: matrix._announce(ready), lambda: evaluation.run(ready=ready)):
+                    with pytest.raises(SettingsError, match="Permission denied; choose another"):
+                        look()
+                with pytest.raises(DataError, match=f"{out}.*Permission denied"):
+                    store.read_manifest(out)
+        finally:
+            tmp_path.chmod(0o700)
+
+    @pytest.mark.parametrize("name", ["cells", "SHA256SUMS", "."])
+    def test_what_may_not_be_read_in_a_run_is_named(self, name, finished, everybodys):
+        out = Path(shutil.copytree(finished, everybodys / "run"))
+        own_by_nobody(out)
+        (out / name).chmod(0)
+        ready = plan(replace(TINY, out=out))
+        try:
+            with without_rights():
+                for look in (lambda: matrix._announce(ready), lambda: evaluation.run(ready=ready)):
+                    with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
+                        look()
+        finally:
+            (out / name).chmod(0o755)
+
+    def test_cells_of_somebody_else_before_a_first_run_are_named(self, everybodys):
+        out = everybodys / "run"
+        (out / "cells").mkdir(parents=True)
+        own_by_nobody(out)
+        (out / "cells").chmod(0)
+        try:
+            with without_rights(), pytest.raises(SettingsError, match=f"{out}/cells: Permission"):
+                store.check_folder(out)
+        finally:
+            (out / "cells").chmod(0o755)
+
+    def test_cells_that_are_a_file_are_named(self, out, capsys):
+        shutil.rmtree(out / "cells")
+        (out / "cells").touch()
+        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
+        assert f"cannot use {out / 'cells'}: File exists" in capsys.readouterr().err
+
+    def test_a_cell_that_cannot_be_dropped_is_named(self, out, monkeypatch):
+        cell = min((out / "cells").iterdir())
+        cell.unlink()
+        cell.mkdir()
+        monkeypatch.setattr(store, "code_hash", lambda: "another version")
+        with pytest.raises(SettingsError, match=f"cannot use {cell}: Is a directory"):
+            evaluation.run(replace(TINY, out=out), pictures=False)
+
+    def test_a_folder_in_place_of_the_lock_is_named(self, out, capsys):
+        (out / ".lock").mkdir()
+        assert report.main([str(out)]) == 2
+        assert f"cannot write {out / '.lock'}: Is a directory" in one_line(capsys)
+        assert (out / ".lock").is_dir()
+
+    def test_a_folder_in_place_of_the_checksums_is_named(self, out, capsys):
+        (out / "SHA256SUMS").unlink()
+        (out / "SHA256SUMS").mkdir()
+        assert report.main([str(out)]) == 2
+        assert f"{out / 'SHA256SUMS'} cannot be read: Is a directory" in one_line(capsys)
+        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
+        assert f"{out / 'SHA256SUMS'} cannot be read: Is a directory" in one_line(capsys)
+
+    def test_a_folder_that_may_not_be_written_has_no_lock(self, finished, everybodys):
+        out = Path(shutil.copytree(finished, everybodys / "run"))
+        own_by_nobody(out)
+        out.chmod(0o500)
+        try:
+            with (
+                without_rights(),
+                pytest.raises(SettingsError, match=r"run/\.lock: Permission denied; make the"),
+                locked(out),
+            ):
+                raise AssertionError("it is locked")
+        finally:
+            out.chmod(0o755)
+
+
+def edited(out, change):
+    manifest = json.loads((out / "manifest.json").read_text())
+    change(manifest)
+    (out / "manifest.json").write_text(json.dumps(manifest))
+
+
+DAMAGE = {
+    "nothing of a run": (
+        lambda one: (one.clear(), one.update(identity={}, cells=[])),
+        "identity.seed is missing",
+    ),
+    "files that are none": (
+        lambda one: one["cells"][0].update(files=[1, None]),
+        "cells[0].files is [1, None]",
+    ),
+    "a file elsewhere": (
+        lambda one: one["cells"][1].update(files=["../manifest.json"]),
+        "cells[1].files is ['../manifest.json']",
+    ),
+    "a time in words": (lambda one: one.update(wall_time_s="abc"), "wall_time_s is 'abc'"),
+    "no time at all": (lambda one: one.update(wall_time_s=10**400), "wall_time_s is 1000"),
+    "a cell that is none": (lambda one: one["cells"].append(None), "cells[2] is no table"),
+    "no groups": (lambda one: one.pop("groups"), "groups is missing"),
+    "a group twice": (
+        lambda one: one.update(groups=[one["groups"][0]] * 2),
+        "groups is [",
+    ),
+    "no number of scenes": (
+        lambda one: one["settings"].pop("scenes"),
+        "settings.scenes is missing",
+    ),
+    "a setting that is a list": (
+        lambda one: one["settings"]["stages"].update({"a\nb": []}),
+        r"settings.stages.a\nb is []",
+    ),
+    "an adversary that there is not": (
+        lambda one: one["cells"][0].update(knowledge="blind"),
+        "cells[0].knowledge is 'blind'",
+    ),
+    "a control that there is not": (
+        lambda one: one["cells"][0].update(kind="control", consumer="split/control-x"),
+        "cells[0].consumer is 'split/control-x'",
+    ),
+    "a linker without its ceiling": (
+        lambda one: one["cells"][0].update(kind="linkage", knowledge="blind"),
+        "cells[0] has no ceiling",
+    ),
+}
+
+
+class TestManifest:
+    @pytest.mark.parametrize("name", DAMAGE)
+    def test_that_is_damaged_is_refused_in_one_line(self, name, out, capsys):
+        change, where = DAMAGE[name]
+        edited(out, change)
+        assert report.main([str(out)]) == 2
+        line = one_line(capsys)
+        assert f"{out} was written by another version, or its manifest.json is damaged" in line
+        assert f"({where}" in line
+        with pytest.raises(DataError, match=re.escape(f"({where}")):
+            store.open_run(out, identity={}, code="", fresh=False)
+
+    @pytest.mark.parametrize("name", ["nothing of a run", "files that are none"])
+    def test_that_is_damaged_is_replaced_by_fresh_and_by_nothing_else(self, name, out, capsys):
+        edited(out, DAMAGE[name][0])
+        (out / "notes.txt").write_text("mine")
+        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
+        assert "run the matrix again with --fresh" in capsys.readouterr().err.splitlines()[-1]
+        evaluation.run(replace(TINY, out=out, fresh=True), pictures=False)
+        assert len(list((out / "cells").iterdir())) == 2
+        assert (out / "notes.txt").read_text() == "mine"
+
+    @pytest.mark.parametrize("held", ["[" * 100_000, r'{"identity": {"\ud800": 1}, "cells": []}'])
+    def test_that_nothing_can_be_made_of_is_one_line(self, held, out, capsys):
+        (out / "manifest.json").write_text(held)
+        assert report.main([str(out)]) == 2
+        assert f"{out / 'manifest.json'} cannot be read" in one_line(capsys)
+
+    def test_of_a_run_that_never_started_is_continued_but_has_no_report(self, tmp_path, capsys):
+        out = tmp_path / "run"
+        ready = plan(replace(TINY, out=out))
+        manifest = store.open_run(out, identity=ready.identity, code=ready.code, fresh=False)
+        store.write_manifest(out, manifest | {"code": ready.code, "state": "running"})
+        assert report.main([str(out)]) == 2
+        assert f"{out} holds a run that never started" in one_line(capsys)
+        assert len(evaluation.run(ready=ready, pictures=False).failed) == 0
+
+    def test_of_a_run_without_a_finished_cell_has_no_report(self, out, capsys):
+        edited(out, lambda one: one.update(cells=[]))
+        assert report.main([str(out)]) == 2
+        assert f"{out} holds no finished cell; run the matrix again" in one_line(capsys)
+
+    def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(self, out, capsys):
+        edited(out, lambda one: one["cells"][0].update(kind="predictor"))
+        assert report.main([str(out)]) == 2
+        assert "has no column conflict: it is no cell of the kind" in one_line(capsys)
+
+
+ANY_JSON = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**400), 10**400)
+    | st.floats()
+    | st.text(max_size=4)
+    | st.sampled_from(["raw", "clean", "linkage", "attack", "predictor", "informed", "../x"]),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.text(max_size=4), inner),
+    max_leaves=3,
+)
+
+
+def places(value, at=()):
+    """Every path in a JSON value but its root, and of a list its first members alone."""
+    inner = value.items() if isinstance(value, dict) else ()
+    inner = enumerate(value[:2]) if isinstance(value, list) else inner
+    for key, one in inner:
+        yield (*at, key)
+        yield from places(one, (*at, key))
+
+
+@st.composite
+def mutations(draw):
+    """Where in the manifest, as a number, and what is put there instead; None: it is deleted."""
+    return draw(st.integers(0, 10**6)), draw(st.none() | st.tuples(ANY_JSON))
+
+
+def mutated(manifest, changes):
+    manifest = copy.deepcopy(manifest)
+    for number, instead in changes:
+        # Not another name of a group: that takes reading the cells.
+        found = [at for at in places(manifest) if at[:1] != ("groups",) or len(at) == 1]
+        # All parts alike often, however many settings there are.
+        parts = sorted({at[0] for at in found})
+        inside = [at for at in found if at[0] == parts[number % len(parts)]]
+        *path, last = inside[number // len(parts) % len(inside)]
+        holder = manifest
+        for key in path:
+            holder = holder[key]
+        if instead is None:
+            del holder[last]
+        elif path or last != "groups" or not isinstance(instead[0], list):
+            holder[last] = instead[0]
+    return manifest
+
+
+@pytest.fixture(scope="module")
+def scratch(finished, tmp_path_factory):
+    """A copy of the run to damage, and a folder with nothing but a manifest."""
+    folder = tmp_path_factory.mktemp("scratch")
+    (folder / "bare").mkdir()
+    return Path(shutil.copytree(finished, folder / "run")), folder / "bare"
+
+
+class TestAnyDamageOfAManifest:
+    """Refused in one line, or read without a stumble."""
+
+    @settings(reproducible, max_examples=250, suppress_health_check=[HealthCheck.too_slow])
+    @given(changes=st.lists(mutations(), min_size=1, max_size=3))
+    def test_leads_to_an_error_of_ours_or_to_none(self, scratch, changes):
+        run, bare = scratch
+        whole = json.loads((run / "manifest.json").read_text())
+        content = json.dumps(mutated(whole, changes))
+        (bare / "manifest.json").write_text(content)
+        with contextlib.suppress(IsacTrackError):
+            opened = store.open_run(bare, identity=whole["identity"], code="another", fresh=False)
+            store.write_manifest(bare, opened)  # a run goes on from here
+            float(opened.get("wall_time_s", 0.0))
+        (bare / "manifest.json").write_text(content)
+        with contextlib.suppress(IsacTrackError):
+            manifest = store.read_manifest(bare)
+            cell_files.check_sound(
+                run, [name for one in manifest["cells"] for name in one["files"]]
+            )
+            summary.estimates(run, manifest)
+            flags.slow_attacks(manifest)
+            flags.on_first_releases(run, manifest)
+            linkability.cards(run, manifest)
+
+    def test_of_one_value_at_a_time_leads_a_whole_report_to_the_same(self, scratch):
+        run, _ = scratch
+        whole = json.loads((run / "manifest.json").read_text())
+        reported = refused = 0
+        for at in places(whole):
+            # All settings are alike. Names of groups: as above.
+            if at[0] == "groups" or (at[0] in ("identity", "settings") and "." in str(at[-1])):
+                continue
+            *path, last = at
+            manifest = copy.deepcopy(whole)
+            holder = manifest
+            for key in path:
+                holder = holder[key]
+            holder[last] = "abc"
+            (run / "manifest.json").write_text(json.dumps(manifest))
+            try:
+                report.build(run, pictures=False)
+                reported += 1
+            except IsacTrackError:
+                refused += 1
+        (run / "manifest.json").write_text(json.dumps(whole))
+        assert reported > 10  # or the test shows little
+        assert refused > 20
+
+
+class TestChecksums:
+    def check(self, out):
+        """As `sha256sum --check --strict` would."""
+        lines = (out / "SHA256SUMS").read_text().splitlines()
+        for line in lines:
+            checksum, _, name = line.partition("  ")
+            assert hashlib.sha256((out / name).read_bytes()).hexdigest() == checksum
+        return {line.partition("/")[2] for line in lines}
+
+    def test_have_no_lines_of_cells_that_were_dropped(self, out, monkeypatch):
+        before = self.check(out)
+        monkeypatch.setattr(store, "code_hash", lambda: "another version")
+        results = evaluation.run(replace(TINY, out=out), pictures=False)
+        assert results.manifest["dropped_cells"] == 2
+        after = self.check(out)
+        assert after == {path.name for path in (out / "cells").iterdir()}
+        assert after.isdisjoint(before)
+
+    def test_have_one_line_of_a_cell_whose_first_line_was_damaged(self, out):
+        path = out / "SHA256SUMS"
+        first, second = path.read_text().splitlines()
+        path.write_text(f"{'0' * 64}{first[64:]}\n{second}\n{first}\n")
+        stamps = {cell: cell.stat().st_mtime_ns for cell in (out / "cells").iterdir()}
+        evaluation.run(replace(TINY, out=out), pictures=False)
+        assert len(self.check(out)) == 2
+        assert all(cell.stat().st_mtime_ns == stamp for cell, stamp in stamps.items())
+
+    def test_keep_the_lines_of_finished_cells_that_another_axis_has(self, out):
+        before = self.check(out)
+        lost = min((out / "cells").iterdir())
+        lost.unlink()
+        evaluation.run(replace(TINY, out=out, mechanisms=("fixed:0.7",)), pictures=False)
+        assert self.check(out) >= before - {lost.name}
+        assert lost.name not in self.check(out)
+
+    def test_are_not_touched_where_they_are_as_they_should_be(self, out):
+        stamp = (out / "SHA256SUMS").stat().st_mtime_ns
+        inode = (out / "SHA256SUMS").stat().st_ino
+        evaluation.run(replace(TINY, out=out), pictures=False)
+        assert (out / "SHA256SUMS").stat().st_mtime_ns == stamp
+        assert (out / "SHA256SUMS").stat().st_ino == inode
+
+    def test_stay_as_they_were_where_they_cannot_be_written_anew(self, out, monkeypatch):
+        (cell, *_) = sorted((out / "cells").iterdir())
+        cell.unlink()
+        before = (out / "SHA256SUMS").read_bytes()
+
+        def full(_from, _to):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "replace", full)
+        with pytest.raises(DataError, match=r"SHA256SUMS: No space left on device"):
+            evaluation.run(replace(TINY, out=out), pictures=False)
+        assert (out / "SHA256SUMS").read_bytes() == before
+
+
+class TestAnnounced:
+    def test_cells_without_a_checksum_do_not_count_as_finished(self, out, capsys):
+        arguments = [*OPTIONS, "--out", str(out), "--dry-run"]
+        assert matrix.main(arguments) == 0
+        assert "2 cells, 2 of them finished by SHA256SUMS, in" in capsys.readouterr().err
+        first, second = (out / "SHA256SUMS").read_text().splitlines()
+        (out / "SHA256SUMS").write_text(f"{first}\n{second[:70]}")
+        assert matrix.main(arguments) == 0
+        assert "2 cells, 1 of them finished by SHA256SUMS, in" in capsys.readouterr().err
+        (out / first.partition("  ")[2]).unlink()
+        assert matrix.main(arguments) == 0
+        assert "2 cells, in" in capsys.readouterr().err
