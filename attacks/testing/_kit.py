@@ -14,7 +14,7 @@ import numpy as np
 
 from attacks.testing._cases import copied, ordinary, without_sigma
 from attacks.testing._releases import EPSILON_M, copied_release
-from isac_track.errors import PluginError
+from isac_track.errors import PluginError, told
 from isac_track.protocols import AttackContext, grants, kind_of
 from isac_track.rng import stream
 from isac_track.types import Knowledge
@@ -167,7 +167,7 @@ def answers(
         if isinstance(error, TypeError) and _n_arguments(fitted) == 3 - n_releases:
             hint = f"; it takes a function {gives}: which `kind` is the attack?"
         raise AssertionError(
-            f"{who}: {doing} raised {type(error).__name__}: {error}{_place(error, attack)}{hint}"
+            f"{who}: {doing} raised {told(error)}{_place(error, attack)}{hint}"
         ) from error
 
 

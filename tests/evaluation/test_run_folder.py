@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import errno
 import hashlib
 import json
 import os
@@ -161,6 +162,15 @@ class TestWhereTheFolderCannotBeUsed:
         assert report.main([str(out)]) == 2
         assert f"cannot write {out / '.lock'}: Is a directory" in one_line(capsys)
         assert (out / ".lock").is_dir()
+
+    def test_where_nothing_can_be_locked_the_run_is_refused(self, out, capsys, monkeypatch):
+        def refuse(*_):
+            raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+        monkeypatch.setattr("evaluation.run_lock.fcntl.flock", refuse)
+        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
+        errors = capsys.readouterr().err.splitlines()
+        assert errors[-1].startswith(f"error: cannot lock {out / '.lock'}: No locks available; ")
 
     def test_a_folder_in_place_of_the_checksums_is_named(self, out, capsys):
         (out / "SHA256SUMS").unlink()
