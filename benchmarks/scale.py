@@ -249,6 +249,14 @@ def tree_pss_mb(pid: int) -> float:
     )
 
 
+def tree_rss_mb(pid: int) -> float:
+    """Return the same with shared pages as often as they are shared, MB.
+
+    Other programs do not change it, as they do the share of a page that they use, too.
+    """
+    return sum(_field_mb(PROC / str(one) / "status", "VmRSS") for one in (pid, *descendants(pid)))
+
+
 def _field_mb(path: Path, name: str) -> float:
     """Return a field of a file in /proc, MB; 0 if the process is gone."""
     try:

@@ -40,7 +40,7 @@ from benchmarks.scale import (
     descendants,
     finite,
     positive,
-    tree_pss_mb,
+    tree_rss_mb,
 )
 from evaluation.grid import PRESETS
 from evaluation.terminal import aligned
@@ -66,7 +66,7 @@ class State:
     rss_mb: float
     """Resident set of this process."""
     tree_mb: float
-    """Summed PSS of this process and its workers."""
+    """Summed resident set of this process and its children."""
     heap_mb: float
     """What this process holds of malloc's memory; NaN where the C library does not tell."""
     blocks: int
@@ -228,7 +228,7 @@ def _run(
     return State(
         wall_s=wall_s,
         rss_mb=_rss_mb(),
-        tree_mb=tree_pss_mb(os.getpid()),
+        tree_mb=tree_rss_mb(os.getpid()),
         heap_mb=_heap_mb(),
         blocks=sys.getallocatedblocks() // 1000,
         # One is that of the listing itself.
@@ -278,17 +278,16 @@ def files_left(folders: Sequence[Path], *, shared_before: set[Path]) -> set[Path
 
 
 def shared_files() -> set[Path]:
-    """Return this user's entries in shared memory that do not name another running process.
+    """Return this user's entries in shared memory that do not name another process.
 
-    joblib and loky write the id of the process that uses them into the name.
+    joblib and loky write the id of the process that made them into the name.
     """
     ours = {os.getpid(), *descendants(os.getpid())}
     found = set()
     for path in SHARED_MEMORY.iterdir() if SHARED_MEMORY.is_dir() else ():
-        numbers = {int(text) for text in re.findall(r"(?<=[-_])[0-9]+(?=[-_])", path.name)}
-        others = {one for one in numbers - ours if (PROC / str(one)).exists()}
+        makers = {int(text) for text in re.findall(r"(?<=[-_])[0-9]+(?=[-_])", path.name)}
         try:
-            if path.lstat().st_uid == os.getuid() and not others:
+            if path.lstat().st_uid == os.getuid() and (not makers or makers & ours):
                 found.add(path)
         except FileNotFoundError:
             continue
@@ -329,7 +328,7 @@ def _judge(states: Sequence[State], *, left: dict[str, list[str]]) -> list[dict[
     judged: list[dict[str, Any]] = []
     for name, field in (
         ("memory of the process (RSS)", "rss_mb"),
-        ("memory of all (PSS)", "tree_mb"),
+        ("memory of all (RSS)", "tree_mb"),
         ("of it held from malloc", "heap_mb"),
         ("objects of Python", "blocks"),
     ):
@@ -384,7 +383,7 @@ def _show(
     ]
     print("\n".join(aligned(rows)))
     print(
-        "\nRSS: of this process; all: PSS of it and its children; heap: malloc's, in use.\n"
+        "\nRSS: of this process; all: of it and its children; heap: malloc's, in use.\n"
         "RSS that grows over a flat heap is fragmentation, no leak.\n"
     )
     rows = [["judged", "value", "95%", "last / 3rd", "limit", "ok"]]
