@@ -58,3 +58,9 @@ def csv_recording(tmp_path, tracks):
     path = tmp_path / "walks.csv"
     path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Runs draw no pictures: they take most of the time of a small one."""
+    monkeypatch.setattr("evaluation.report._draw", lambda *_, **__: None)

@@ -11,6 +11,8 @@ from evaluation import matrix, report
 from evaluation.grid import DISSOCIATION, PRESETS, Settings, axes
 from isac_track import registry
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def run(*arguments):
     return matrix.main([str(argument) for argument in arguments])

@@ -10,6 +10,8 @@ from evaluation import matrix
 from evaluation.plugin_calls import guarded
 from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 PLUGINS = '''
 import asyncio
 import os
