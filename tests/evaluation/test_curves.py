@@ -90,7 +90,7 @@ def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording
         tasks=(),
         out=tmp_path / "run",
     )
-    results = evaluation.run(settings)
+    results = evaluation.run(settings, pictures=False)
     rows = results.decisions.set_index(["mechanism", "consumer"])
     assert set(results.decisions["reference"]) == {"least_squares"}
     assert (rows.xs("least_squares", level="consumer")["difference"] == 0).all()
@@ -102,4 +102,4 @@ def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording
     assert (tmp_path / "run" / "decisions.csv").is_file()
     assert (tmp_path / "run" / "curves.csv").is_file()
     alone = replace(settings, predictors=(), out=tmp_path / "alone")
-    assert evaluation.run(alone).decisions.empty
+    assert evaluation.run(alone, pictures=False).decisions.empty

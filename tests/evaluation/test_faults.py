@@ -348,7 +348,7 @@ def undisturbed(place):
 def many_scenes(place):
     """One with more blocks of scenes and less else, and how long it took once it had begun."""
     out = place.folder / "many-scenes"
-    process = place.start(out, *FEW, scenes=1000)
+    process = place.start(out, *FEW, scenes=750)
     try:
         process.stderr.readline()
         started = time.monotonic()
@@ -363,7 +363,7 @@ class TestKilled:
     def killed_again_and_again(self, place, expected, took_s, *, times, out, moments):
         number = 0
         while number < times:
-            process = place.start(out, *FEW, scenes=1000)
+            process = place.start(out, *FEW, scenes=750)
             process.stderr.readline()  # it has begun
             time.sleep(moments.uniform(0, 0.5 * took_s))
             if number % 2:
@@ -378,7 +378,7 @@ class TestKilled:
             number += 1
             seconds_until(lambda: not in_session(process.pid), most_s=END_S)  # noqa: B023
             process.communicate()
-        code, _, errors = place.run(out, *FEW, scenes=1000)
+        code, _, errors = place.run(out, *FEW, scenes=750)
         assert code == 0, errors
         assert "not as they had been written" not in errors
         assert_same(out, expected)
@@ -450,12 +450,12 @@ class TestInterrupted:
     )
     def test_it_ends_at_once_and_the_same_command_continues(self, place, many_scenes, sign, jobs):
         out = place.folder / "interrupted"
-        process = place.start(out, *FEW, scenes=1000, jobs=jobs)
+        process = place.start(out, *FEW, scenes=750, jobs=jobs)
         seconds_until(lambda: any(out.glob(sign)) or process.poll() is not None, most_s=60)
         assert process.poll() is None, process.stderr.read()
         interrupt(process)
         if sign == "summary.csv":  # the last of three, each of which began where one was ended
-            code, _, errors = place.run(out, *FEW, scenes=1000)
+            code, _, errors = place.run(out, *FEW, scenes=750)
             assert code == 0, errors
             assert_same(out, many_scenes[0])
 

@@ -171,6 +171,7 @@ def test_fonts_are_readable_in_print(drawn):
         )
 
 
+@pytest.mark.slow  # test_page.py compares two whole reports
 def test_drawn_twice_the_files_are_the_same_bytes(tmp_path):
     first = draw_all(
         make_summary(suffixes=[""]), make_matched(), folder=tmp_path / "a", dataset="students03"

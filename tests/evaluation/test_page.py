@@ -382,6 +382,7 @@ def odd(tmp_path_factory):
     )
 
 
+@pytest.mark.slow  # test_untrusted_names.py looks at whole runs
 class TestOddNames:
     def test_a_data_set_in_the_shape_of_a_script_is_a_word(self, odd):
         assert "alert(1)" in odd

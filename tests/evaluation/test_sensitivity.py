@@ -594,6 +594,7 @@ class TestErrors:
         assert main(["--list"]) == 0
         assert "recording=students03" in capsys.readouterr().out
 
+    @pytest.mark.slow
     def test_an_interrupted_run_continues(self, out):
         words = [sys.executable, "-m", "evaluation.sensitivity", str(out), "--jobs", "1"]
         words += ["--variant", "epsilon=0.5", "--variant", "epsilon=0.2"]

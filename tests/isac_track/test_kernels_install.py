@@ -72,6 +72,7 @@ def test_first_use_compiles_for_seconds_and_says_so_and_later_use_is_silent(tmp_
     assert second.stdout == first.stdout
 
 
+@pytest.mark.slow
 def test_first_use_of_interacting_models_compiles_for_seconds(tmp_path):
     environment = {"NUMBA_CACHE_DIR": str(tmp_path), "HOME": str(tmp_path)}
     done, spent_s = processor_s("import isac_track._imm_loops", **environment)
@@ -118,6 +119,7 @@ def ordinary_user():
     return user
 
 
+@pytest.mark.slow
 def test_a_read_only_installation_compiles_in_every_process_and_says_so(read_only_copy, tmp_path):
     code = f"import sys; sys.path.insert(0, {str(read_only_copy)!r})\n" + USE
     code += "import isac_track; print(isac_track.__file__)"
@@ -133,6 +135,7 @@ def test_a_read_only_installation_compiles_in_every_process_and_says_so(read_onl
     assert not list(read_only_copy.rglob("*.nbi"))
 
 
+@pytest.mark.slow
 def test_a_read_only_installation_uses_the_user_s_own_cache(read_only_copy):
     user = ordinary_user()
     home = Path(tempfile.mkdtemp(prefix="isac-track-home-"))
