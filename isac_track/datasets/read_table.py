@@ -94,13 +94,17 @@ def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
     try:
         # Each text once: a long one that stands in every row would not fit into the memory.
         file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=_texts(schema))
-        table = file.read(columns=[name for name in names if name in _USED], use_threads=False)
+        used = [name for name in names if name in _USED]
+        table = file.read(columns=used, use_threads=False)
         columns = {name: table[name] for name in table.column_names}
         del table
         for column in columns.values():
             column.validate(full=True)  # pyarrow reads codes beyond the dictionary as they are
     except Exception as error:  # noqa: BLE001 - as above
         raise DataError(f"{path}: the parquet file is damaged ({brief(error)})") from None
+    lost = [name for name in used if name not in columns]
+    if lost:  # pyarrow passes over what its parts call differently
+        raise DataError(f"{path}: the parquet file is damaged (column {lost[0]} is not in it)")
     place = Place(path=path, lines=lambda: np.arange(1, n_rows + 1), unit="row")
     t, x, y = (_numbers(columns.pop(name), name=name, path=path) for name in _NUMBERS)
     return _rows(t=t, xy=np.column_stack([x, y]), texts=columns, names=names, place=place)

@@ -151,6 +151,11 @@ class TestWhatWasFound:
         data = (CORPUS / "code-beyond-dictionary.parquet").read_bytes()
         assert "the parquet file is damaged" in refusal(data, "parquet")
 
+    def test_a_parquet_file_whose_parts_call_a_column_differently(self):
+        # A KeyError, found by benchmarks/fuzz_readers.py.
+        data = (CORPUS / "column-that-is-not-read.parquet").read_bytes()
+        assert "the parquet file is damaged (column t is not in it)" in refusal(data, "parquet")
+
     @pytest.mark.parametrize(
         "name", ["walk.csv", "walk.parquet", "walk.NDJSON", "walk.npz", "walk"]
     )
