@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benchmarks.processes import check_memory_is_told, rss_mb, tree_pss_mb
 from evaluation.terminal import aligned
 from isac_track import datasets
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
@@ -38,10 +39,9 @@ from isac_track.errors import DataError
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
 ROOT = Path(__file__).resolve().parent.parent
-PROC = Path("/proc")
 EVERY_S = 0.1
 LEAST_SHARE = 0.1
 """Of the start-up: what a point must take beyond it to count in the fit."""
@@ -131,12 +131,6 @@ def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1, got {text!r}")
     return int(text)
-
-
-def check_memory_is_told() -> None:
-    """Raise DataError where the system does not tell the memory of a process."""
-    if not (PROC / "self/smaps_rollup").is_file():
-        raise DataError("memory is read from /proc/PID/smaps_rollup: this needs Linux")
 
 
 def _measure_all(options: argparse.Namespace) -> int:
@@ -237,57 +231,9 @@ def _watch(pid: int, peaks: list[float], finished: Event) -> None:
     """Keep the peaks of a process, MB, until it has finished."""
     while True:
         peaks[0] = max(peaks[0], tree_pss_mb(pid))
-        peaks[1] = max(peaks[1], _field_mb(PROC / str(pid) / "status", "VmHWM"))
+        peaks[1] = max(peaks[1], rss_mb(pid))
         if finished.wait(EVERY_S):
             return
-
-
-def tree_pss_mb(pid: int) -> float:
-    """Return the memory of a process and all its descendants, shared pages once, MB."""
-    return sum(
-        _field_mb(PROC / str(one) / "smaps_rollup", "Pss") for one in (pid, *descendants(pid))
-    )
-
-
-def tree_rss_mb(pid: int) -> float:
-    """Return the same with shared pages as often as they are shared, MB.
-
-    Other programs do not change it, as they do the share of a page that they use, too.
-    """
-    return sum(_field_mb(PROC / str(one) / "status", "VmRSS") for one in (pid, *descendants(pid)))
-
-
-def _field_mb(path: Path, name: str) -> float:
-    """Return a field of a file in /proc, MB; 0 if the process is gone."""
-    try:
-        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError:
-        return 0.0
-    kib = next((line.split()[1] for line in lines if line.startswith(f"{name}:")), "0")
-    return int(kib) * 1024 / 1e6
-
-
-def descendants(pid: int) -> list[int]:
-    """Return all processes that a process started, and those that they started."""
-    of: dict[int, list[int]] = {}
-    for child, parent in _parents():
-        of.setdefault(parent, []).append(child)
-    found = list(of.get(pid, ()))
-    for child in found:  # grows while it is read
-        found += of.get(child, ())
-    return found
-
-
-def _parents() -> Iterator[tuple[int, int]]:
-    """Yield every process with its parent."""
-    for folder in PROC.iterdir():
-        if folder.name.isdecimal():
-            try:
-                stat = (folder / "stat").read_text(encoding="utf-8", errors="replace")
-            except OSError:
-                continue  # it has ended
-            # The name in brackets may hold anything, brackets too.
-            yield int(folder.name), int(stat.rpartition(")")[2].split()[1])
 
 
 def judge(axis: Axis, *, usages: dict[int, list[Usage]], sizes: Sequence[int]) -> dict[str, Any]:

@@ -31,17 +31,18 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
+import psutil
 from scipy.stats import theilslopes
 
 import evaluation
-from benchmarks.scale import (
-    PROC,
+from benchmarks.processes import (
     check_memory_is_told,
+    command_of,
     descendants,
-    finite,
-    positive,
+    rss_mb,
     tree_rss_mb,
 )
+from benchmarks.scale import finite, positive
 from evaluation.grid import PRESETS
 from evaluation.terminal import aligned
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
@@ -227,26 +228,16 @@ def _run(
     gc.collect()
     return State(
         wall_s=wall_s,
-        rss_mb=_rss_mb(),
+        rss_mb=rss_mb(os.getpid()),
         tree_mb=tree_rss_mb(os.getpid()),
         heap_mb=_heap_mb(),
         blocks=sys.getallocatedblocks() // 1000,
-        # One is that of the listing itself.
-        descriptors=_entries(PROC / "self/fd") - 1,
+        descriptors=psutil.Process().num_fds(),
         python_threads=threading.active_count(),
-        threads=_entries(PROC / "self/task"),
+        threads=psutil.Process().num_threads(),
         children=len(descendants(os.getpid())),
         files=len(files_left(watched, shared_before=shared_before)),
     )
-
-
-def _entries(folder: Path) -> int:
-    return sum(1 for _ in folder.iterdir())
-
-
-def _rss_mb() -> float:
-    pages = int((PROC / "self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 class _MallInfo(ctypes.Structure):
@@ -292,15 +283,6 @@ def shared_files() -> set[Path]:
         except FileNotFoundError:
             continue
     return found
-
-
-def command_of(pid: int) -> str:
-    """Return the command line of a process; a dead one that nobody collected says so."""
-    try:
-        words = (PROC / str(pid) / "cmdline").read_bytes().split(b"\0")
-    except OSError:
-        return f"process {pid}, gone"
-    return b" ".join(words).decode(errors="replace").strip() or f"process {pid}, not collected"
 
 
 def growth(values: Sequence[float]) -> Growth:

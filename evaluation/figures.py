@@ -32,9 +32,12 @@ NAMES = (
     *(f"{kind}-{task}" for task in TASKS for kind in (HEAT_MAP, DISSOCIATION)),
 )
 """Of all figures that there can be: the names of their files."""
-KINDS = ("svg", "pdf")
-"""Their endings: for screens and for print."""
 _DISSOCIATED = ("rerelease", "handover")
+
+
+def paths(folder: Path) -> list[Path]:
+    """Return every file that `draw_all` may write: svg for screens, pdf for print."""
+    return [folder / f"{name}.{kind}" for name in NAMES for kind in ("svg", "pdf")]
 
 
 def draw_all(
@@ -87,12 +90,12 @@ def draw_all(
             if isinstance(one, Failed):
                 raise DataError(f"cannot draw the figures: {one.why}; run evaluation.report again")
             drawn[one[0]] = one[1]
-    paths = []
+    written = []
     for name in sorted(drawn, key=NAMES.index):
         for kind, content in drawn[name].items():
-            paths.append(folder / f"{name}.{kind}")
-            write_whole(paths[-1], content)
-    return paths
+            written.append(folder / f"{name}.{kind}")
+            write_whole(written[-1], content)
+    return written
 
 
 def _drawn(

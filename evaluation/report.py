@@ -133,8 +133,7 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
 
 
 def _remove_pictures(out: Path) -> None:
-    drawn = [out / "figures" / f"{name}.{kind}" for name in figures.NAMES for kind in figures.KINDS]
-    for path in (out / page.PAGE, *drawn):
+    for path in (out / page.PAGE, *figures.paths(out / "figures")):
         try:
             path.unlink(missing_ok=True)
         except OSError as error:

@@ -279,8 +279,8 @@ def _failed_earlier(manifest: dict[str, Any], ready: Plan) -> list[dict[str, Any
 def _write_gallery(ready: Plan, failed: list[FailedCell]) -> list[str]:
     """Keep some tracks to look at, from plug-ins that have not failed; return what fails here."""
     named = {one.mechanism.spec for one in failed} | {one.consumer.spec for one in failed}
-    draw = partial(
-        _drawn_tracks,
+    compute = partial(
+        _gallery_part,
         tracks=ready.tracks,
         attacks=[one for one in ready.axes.attacks if one.spec not in named],
         stages=ready.settings.stages,
@@ -290,7 +290,7 @@ def _write_gallery(ready: Plan, failed: list[FailedCell]) -> list[str]:
     parts: list[pd.DataFrame] = []
     without = []
     limit_s = ready.settings.cell_timeout_s
-    for mechanism, found in spread(draw, deque(mechanisms), jobs=1, limit_s=limit_s):
+    for mechanism, found in spread(compute, deque(mechanisms), jobs=1, limit_s=limit_s):
         for part in found:
             if isinstance(part, Failed):
                 without.append(f"{mechanism.spec}: {part.why}")
@@ -300,7 +300,7 @@ def _write_gallery(ready: Plan, failed: list[FailedCell]) -> list[str]:
     return without
 
 
-def _drawn_tracks(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | Failed]:  # noqa: ANN401 - handed on
+def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | Failed]:  # noqa: ANN401 - handed on
     note(mechanism.spec, "gallery")
     try:
         yield gallery_rows(mechanisms=[mechanism], **options)

@@ -299,11 +299,11 @@ def _plugin_key(plugin: Plugin) -> dict[str, str]:
 
 def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
     """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
-    from evaluation.figures import NAMES  # noqa: PLC0415 - drawing imports this module
+    from evaluation.figures import paths  # noqa: PLC0415 - drawing imports this module
 
     ours = [out / "cells" / name for entry in manifest["cells"] for name in entry["files"]]
     ours += [path for path in (out / "cells").glob("*.parquet") if CELL_NAME.fullmatch(path.name)]
-    ours += [out / "figures" / f"{name}.{kind}" for name in NAMES for kind in ("svg", "pdf")]
+    ours += paths(out / "figures")
     ours += [out / "tables" / name for name in _TEX]
     ours += [out / name for name in _TABLES]
     try:

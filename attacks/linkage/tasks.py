@@ -190,7 +190,7 @@ def _need_halves(sessions: Sessions) -> None:
     person = sessions.probe.person[mated]
     for half in range(_N_FOLDS):
         mine, others = person[fold == half], person[fold != half]
-        if mine.size < 2 or not sessions.learns[half][others].any():  # noqa: PLR2004
+        if mine.size < 2 or not sessions.learns[half][others].any():  # noqa: PLR2004 - one alone has no other
             raise DataError(
                 f"task {sessions.task.name}: half of the people has nobody to link, or nobody "
                 "else to learn from: too many belong to one walking group, or are there all the "

@@ -37,6 +37,12 @@ def scale(monkeypatch):
 
 
 @pytest.fixture
+def processes(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    return import_module("benchmarks.processes")
+
+
+@pytest.fixture
 def soak(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
     return import_module("benchmarks.soak")
@@ -123,12 +129,12 @@ class TestMemory:
             assert process.returncode is not None
 
     @pytest.mark.parametrize("where", ["here", "below"])
-    def test_50_mb_are_50_mb_in_a_process_and_in_its_child(self, scale, holding, where):
+    def test_50_mb_are_50_mb_in_a_process_and_in_its_child(self, processes, holding, where):
         idle, full = holding("nowhere"), holding(where)
-        extra = scale.tree_pss_mb(full.pid) - scale.tree_pss_mb(idle.pid)
+        extra = processes.tree_pss_mb(full.pid) - processes.tree_pss_mb(idle.pid)
         # A child interpreter of its own takes about 5 MB beside what it holds.
         assert 49 < extra < 51 if where == "here" else 50 < extra < 70
-        assert len(scale.descendants(full.pid)) == (1 if where == "below" else 0)
+        assert len(processes.descendants(full.pid)) == (1 if where == "below" else 0)
 
     def test_the_peak_is_kept_after_it_is_over(self, scale, tmp_path):
         code = "import time; held = b'x' * 80_000_000; time.sleep(.5); del held; time.sleep(.3)"
@@ -188,14 +194,14 @@ class TestSoakPlace:
         assert tempfile.gettempdir() == before
         assert not watched[0].parent.exists()
 
-    def test_a_child_has_a_name_until_it_is_collected(self, soak):
+    def test_a_child_has_a_name_until_it_is_collected(self, processes):
         child = subprocess.Popen([sys.executable, "-c", "pass"])
         deadline = time.monotonic() + 10
-        while "not collected" not in soak.command_of(child.pid):
+        while "not collected" not in processes.command_of(child.pid):
             assert time.monotonic() < deadline
             time.sleep(0.01)
         child.wait()
-        assert "gone" in soak.command_of(child.pid)
+        assert "gone" in processes.command_of(child.pid)
 
 
 def run(*arguments):
