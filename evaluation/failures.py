@@ -64,19 +64,24 @@ class Failures:
         innocent = only(left, lambda cell: not _is_at(cell, failure.at))
         if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
             culprits, innocent = innocent, culprits
-        again: list[Work] = []
-        key = tuple((cell[0], *specs_of(cell)) for cell in cells_of(culprits))
-        is_vague = not failure.at and len(key) > 1
-        if failure.died and (is_vague or key not in self._died_at):
-            self._died_at.add(key)
-            # One level at a time: the next death, if there is one, takes no others along.
-            again = [replace(culprits, levels=(level,)) for level in culprits.levels]
-            if is_vague and len(again) == 1:  # where it was is not known: cell by cell
-                self._died_at.update((one,) for one in key)
-                again = [only(culprits, partial(_is_at, at=one[1:])) for one in key]
-        else:
+        again = self._once_more(culprits, place_is_known=bool(failure.at)) if failure.died else []
+        if not again:
             self.cells += [FailedCell(*cell, failure.why) for cell in cells_of(culprits)]
         return [*again, *([innocent] if innocent.levels else ())]
+
+    def _once_more(self, culprits: Work, *, place_is_known: bool) -> list[Work]:
+        """Return the work at which a worker died, in smaller parts; none if it was its second."""
+        key = tuple((cell[0], *specs_of(cell)) for cell in cells_of(culprits))
+        is_vague = not place_is_known and len(key) > 1
+        if key in self._died_at and not is_vague:
+            return []
+        self._died_at.add(key)
+        # One level at a time: the next death, if there is one, takes no others along.
+        again: list[Work] = [replace(culprits, levels=(level,)) for level in culprits.levels]
+        if is_vague and len(again) == 1:  # where it was is not known: cell by cell
+            self._died_at.update((one,) for one in key)
+            again = [only(culprits, partial(_is_at, at=one[1:])) for one in key]
+        return again
 
 
 def cells_of(work: Work) -> Iterator[Cell]:
