@@ -22,8 +22,8 @@ from isac_track.types import Release, Tracks
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from attacks.linkage.sessions import Sessions, Windows
     from attacks.linkage.task_list import Task
-    from attacks.linkage.tasks import Sessions, Windows
     from evaluation.linkage_scores import Linked
     from isac_track.config import StageSettings
     from isac_track.types import Bools, Floats, Ints, Sensed

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from attacks.linkage.tasks import Sessions
+    from attacks.linkage.sessions import Sessions
     from evaluation.cell import Item
     from evaluation.failures import Work
     from evaluation.grid import Consumer

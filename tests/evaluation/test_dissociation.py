@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import evaluation
+from attacks.linkage.sessions import Windows
 from attacks.linkage.task_list import TASKS
-from attacks.linkage.tasks import Windows, build
+from attacks.linkage.tasks import build
 from evaluation.cell import Block, LinkWork, _share, cells, compute_block
 from evaluation.grid import DISSOCIATION, Axes, Consumer, Link, Settings, axes
 from evaluation.kept import kept, reduced

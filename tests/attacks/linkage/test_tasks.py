@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from attacks.linkage.draft import LEAST_PEOPLE
 from attacks.linkage.task_list import TASKS
-from attacks.linkage.tasks import LEAST_PEOPLE, build
+from attacks.linkage.tasks import build
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 from isac_track.rng import stream
