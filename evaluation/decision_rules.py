@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from isac_track.intervals import percentile_interval
 
@@ -89,7 +89,7 @@ def p_above(one: Effect, bound: float) -> float:
     if not one.is_known:
         return 1.0
     scale = max(one.standard_error, _LEAST_SE)
-    return float(student.sf((one.value - bound) / scale, one.n - 1))
+    return float(stdtr(one.n - 1, (bound - one.value) / scale))
 
 
 def p_below(one: Effect, bound: float) -> float:
@@ -97,7 +97,7 @@ def p_below(one: Effect, bound: float) -> float:
     if not one.is_known:
         return 1.0
     scale = max(one.standard_error, _LEAST_SE)
-    return float(student.cdf((one.value - bound) / scale, one.n - 1))
+    return float(stdtr(one.n - 1, (one.value - bound) / scale))
 
 
 def p_within(one: Effect, margin: float) -> float:
@@ -111,7 +111,7 @@ def p_beyond(one: Effect, margin: float) -> float:
         return 1.0
     scale = max(one.standard_error, _LEAST_SE)
     size = abs(one.value)
-    tails = [float(student.sf((size + end) / scale, one.n - 1)) for end in (-margin, margin)]
+    tails = [float(stdtr(one.n - 1, -(size + end) / scale)) for end in (-margin, margin)]
     return min(1.0, sum(tails))
 
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtr
 
 from evaluation.linkability import cards
 from evaluation.run_changes import (
@@ -204,13 +203,13 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
         high = value + math.hypot(b.ci_high - b.value, a.value - a.ci_low)
         # What counts is the side of no difference.
         to_nothing = value - low if value > 0.0 else high - value
-        error = to_nothing / float(norm.ppf(0.5 + CONFIDENCE / 2.0))
+        error = to_nothing / float(ndtri(0.5 + CONFIDENCE / 2.0))
     if math.isnan(error):
         return nothing
     if value == 0.0:
         return Difference(value, low, high, 0.0, 1.0)
     ratio = value / error if error > 0.0 else math.copysign(math.inf, value)
-    p_value = float(2.0 * student.sf(abs(ratio), df=n_clusters - 1))
+    p_value = float(2.0 * stdtr(n_clusters - 1, -abs(ratio)))
     return Difference(value, low, high, ratio, p_value)
 
 

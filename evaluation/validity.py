@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.stats import kendalltau
 
 from evaluation.decision_rules import (
     DOES_NOT,
@@ -277,6 +276,8 @@ def _taus(
     sweeps: Sweeps, *, adding: str, value: Measure, success: Measure
 ) -> dict[str, float | None]:
     """Return Kendall's tau over the levels of each family: necessary, never sufficient."""
+    from scipy.stats import kendalltau  # noqa: PLC0415 - a second of every start
+
     taus = {}
     for family in _FAMILIES:
         mechanism = family + ADDING_SUFFIX[adding]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.stats import rankdata
-from scipy.stats import t as student
+import pandas as pd
+from scipy.special import stdtrit
 
 from evaluation.cell_files import read_cells
 from evaluation.decision_rules import (
@@ -286,7 +286,7 @@ def _design(ranks: Floats) -> Floats:
 
 def _ranks(values: Floats) -> Floats:
     """Return ranks of each column, ties at their mean, within -1..1."""
-    ranks: Floats = rankdata(values, axis=0)
+    ranks = pd.DataFrame(values).rank().to_numpy()
     n = values.shape[0]
     scaled: Floats = (2.0 * ranks - (n + 1.0)) / max(n - 1.0, 1.0)
     return scaled
@@ -300,5 +300,5 @@ def _with_error(value: float, parts: Floats, cluster: Ints) -> Effect:
         return Effect(value, np.nan, np.nan, np.nan, n)
     sums = np.bincount(column, weights=parts, minlength=n)
     error = float(np.sqrt(n / (n - 1.0) * (sums @ sums)))
-    half = float(student.ppf(0.5 + CONFIDENCE / 2, n - 1)) * error
+    half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * error
     return Effect(value, value - half, value + half, error, n)

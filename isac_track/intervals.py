@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from isac_track.rng import stream
 
@@ -39,7 +39,7 @@ def wilson(*, hits: float, n: float, confidence: float = CONFIDENCE) -> tuple[fl
     """
     if not (n > 0 and 0 <= hits <= n):
         raise ValueError(f"a share needs 0 <= hits <= n and n > 0, got {hits} of {n}")
-    z2 = norm.ppf(0.5 + confidence / 2) ** 2
+    z2 = ndtri(0.5 + confidence / 2) ** 2
     share = hits / n
     centre = (share + z2 / (2 * n)) / (1 + z2 / n)
     half = np.sqrt(share * (1 - share) * z2 / n + (z2 / (2 * n)) ** 2) / (1 + z2 / n)
