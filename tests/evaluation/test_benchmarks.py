@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import isac_track
+from isac_track.errors import SettingsError
 from isac_track.rng import stream
 
 ROOT = Path(isac_track.__file__).parent.parent
@@ -218,18 +219,23 @@ def test_the_commands_have_help(name):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("command", "arguments", "says"),
     [
-        (("benchmarks.scale", "--axis", "height"), "invalid choice: 'height'"),
-        (("benchmarks.scale", "--repeats", "0"), "at least 1, got '0'"),
-        (("benchmarks.soak", "--times", "3"), "at least 4 runs, got 3"),
-        (("benchmarks.soak", "--dataset", "/nowhere.csv"), "error: "),
+        ("scale", ("--axis", "height"), "invalid choice: 'height'"),
+        ("scale", ("--repeats", "0"), "at least 1, got '0'"),
+        ("soak", ("--times", "3"), "at least 4 runs, got 3"),
     ],
 )
-def test_wrong_usage_is_one_line_and_code_2(arguments, says):
-    done = run(*arguments)
+def test_wrong_usage_is_refused_by_name(request, command, arguments, says):
+    parser = request.getfixturevalue(command).parser()
+    with pytest.raises(SettingsError, match=says):
+        parser.parse_args(arguments)
+
+
+def test_a_recording_that_is_not_there_is_one_line_and_code_2():
+    done = run("benchmarks.soak", "--dataset", "/nowhere.csv")
     assert done.returncode == 2
-    assert says in done.stderr.splitlines()[-1]
+    assert done.stderr.splitlines()[-1].startswith("error: ")
     assert "Traceback" not in done.stderr
 
 

@@ -182,13 +182,16 @@ class TestPlantedTruths:
                 assert one["decision"] == "inflated"
                 assert one["effect"] == pytest.approx(1.5, abs=0.02)
 
-    def test_where_nothing_has_an_effect_nothing_is_decided(self):
-        """At most 18 of 200: 5 % by the rules, 9 % are allowed."""
-        clean = 0
-        for seed in range(200):
+    @pytest.mark.parametrize(
+        ("times", "most_wrong"), [(40, 5), pytest.param(200, 18, marks=pytest.mark.slow)]
+    )
+    def test_where_nothing_has_an_effect_nothing_is_decided(self, times, most_wrong):
+        """5 % by the rules; at 9 % of 200 or an eighth of 40 it is no longer chance."""
+        wrong = 0
+        for seed in range(times):
             said = run(World("empty", n_people=80), seed=seed)
-            clean += all(one["decision"] == "undecided" for one in said["items"])
-        assert clean >= 182, clean
+            wrong += any(one["decision"] != "undecided" for one in said["items"])
+        assert wrong <= most_wrong
 
 
 class TestValidity:

@@ -282,7 +282,7 @@ class TestMemory:
     @pytest.mark.parametrize("of_a_person", [1_000_000, 10], ids=["one person", "ten rows each"])
     @pytest.mark.parametrize("format_name", ["csv", "social-gan", "pedpy"])
     def test_nor_do_the_shortest_rows(self, format_name, of_a_person):
-        n = 400_000
+        n = 150_000
         line = {
             "csv": "{t},{person},{x},0\n",
             "social-gan": "{t} {person} {x} 0\n",
