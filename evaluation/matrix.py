@@ -19,7 +19,7 @@ from isac_track.errors import SettingsError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from evaluation.runner import Plan
+    from evaluation.plan import Plan
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
@@ -195,7 +195,8 @@ def _command(arguments: Sequence[str] | None) -> int:
 def _run(settings: Settings, *, dry_run: bool) -> int:
     # Heavy imports only now: --help, --list and a typing error answer at once.
     from evaluation import tables  # noqa: PLC0415
-    from evaluation.runner import FailedCellsWarning, plan, run  # noqa: PLC0415
+    from evaluation.plan import plan  # noqa: PLC0415
+    from evaluation.runner import FailedCellsWarning, run  # noqa: PLC0415
 
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
     ready = plan(settings)

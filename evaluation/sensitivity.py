@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from evaluation.grid import Settings
-    from evaluation.runner import Plan
+    from evaluation.plan import Plan
     from isac_track.config import StageSettings
     from isac_track.registry import Kind
     from isac_track.types import Tracks
@@ -203,7 +203,8 @@ def run_variant(settings: Settings, *, sources: Sequence[Path], fresh: bool) -> 
     IsacTrackError
         For anything that a user can mend; finished cells are kept.
     """
-    from evaluation.runner import plan, run  # noqa: PLC0415 - as above
+    from evaluation.plan import plan  # noqa: PLC0415 - as above
+    from evaluation.runner import run  # noqa: PLC0415
 
     ready = plan(settings)
     _borrow(ready, sources=sources, fresh=fresh)

@@ -517,12 +517,13 @@ def test_the_driver_stays_under_a_gigabyte(settings, cluster):
         predictors=("least_squares",),
     )
     code = (
-        "import resource, evaluation.runner as runner; from evaluation.grid import Settings; "
-        f"ready = runner.plan(Settings(preset='smoke', dataset={many.dataset!r}, scenes=100_000, "
+        "import resource; from evaluation.grid import Settings; "
+        "from evaluation.plan import plan; from evaluation.runner import run; "
+        f"ready = plan(Settings(preset='smoke', dataset={many.dataset!r}, scenes=100_000, "
         "mechanisms=('raw', 'fixed:0.7'), predictors=('least_squares',), attacks=(), tasks=(), "
         f"executor='dask', scheduler={cluster.address!r}, out={str(many.out)!r})); "
         "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024; peaks = []; "
-        "runner.run(ready=ready, progress=lambda done, total, what: "
+        "run(ready=ready, progress=lambda done, total, what: "
         "done == total and peaks.append(peak()), pictures=False); "
         "print(peaks[0], peak())"
     )

@@ -28,8 +28,8 @@ from evaluation import (
 )
 from evaluation.failures import COLUMNS as FAILED_COLUMNS
 from evaluation.grid import Settings
+from evaluation.plan import plan
 from evaluation.report import Results
-from evaluation.runner import plan
 from evaluation.sweeps import Source
 from isac_track import registry
 from isac_track.config import StageSettings

@@ -19,8 +19,8 @@ from strategies import reproducible
 
 import evaluation
 from evaluation import cell_files, flags, linkability, matrix, report, store, summary
+from evaluation.plan import plan
 from evaluation.run_lock import locked
-from evaluation.runner import plan
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 TINY = evaluation.Settings(

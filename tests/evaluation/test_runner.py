@@ -11,8 +11,9 @@ import evaluation
 from evaluation import store, summary
 from evaluation.cell import Block, compute_block
 from evaluation.grid import Consumer, Settings
+from evaluation.plan import plan
 from evaluation.report import build
-from evaluation.runner import FailedCellsWarning, plan
+from evaluation.runner import FailedCellsWarning
 from isac_track import registry, sharing
 from isac_track.config import StageSettings, setting_types
 from isac_track.errors import DataError, PluginError, SettingsError
