@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.processes import check_memory_is_told, rss_mb, tree_pss_mb
-from evaluation.terminal import aligned
+from evaluation.reporting.terminal import aligned
 from isac_track import datasets
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import DataError

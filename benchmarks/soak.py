@@ -43,8 +43,8 @@ from benchmarks.processes import (
     tree_rss_mb,
 )
 from benchmarks.scale import finite, positive
-from evaluation.grid import PRESETS
-from evaluation.terminal import aligned
+from evaluation.experiment.presets import PRESETS
+from evaluation.reporting.terminal import aligned
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 
 if TYPE_CHECKING:

@@ -14,13 +14,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from evaluation.grid import Settings
-    from evaluation.report import Results
-    from evaluation.runner import run
+    from evaluation.experiment.settings import Settings
+    from evaluation.results import Results, load, run
 
-__all__ = ["Results", "Settings", "run"]
+__all__ = ["Results", "Settings", "load", "run"]
 
-_HOME = {"Results": "evaluation.report", "Settings": "evaluation.grid", "run": "evaluation.runner"}
+_HOME = {
+    "Results": "evaluation.results",
+    "Settings": "evaluation.experiment.settings",
+    "load": "evaluation.results",
+    "run": "evaluation.results",
+}
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for

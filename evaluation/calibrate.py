@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import brentq
 
-from evaluation.cell import Block, compute_block
-from evaluation.grid import BLOCK_SCENES, Consumer, n_blocks
-from evaluation.paper import PREDICTOR, PUBLISHED
+from evaluation.analysis.paper import PREDICTOR, PUBLISHED
+from evaluation.cells.scenes import Block, compute_block
+from evaluation.experiment.axes import Consumer, n_blocks
+from evaluation.experiment.presets import BLOCK_SCENES
 from isac_track import datasets, privacy, registry, sensing, sharing
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import SensingSettings, StageSettings

@@ -13,15 +13,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation.difference_tables import show
-from evaluation.differences import DIFFERS, IDENTICAL, UNTESTED, compare, counts
+from evaluation.analysis.differences import DIFFERS, IDENTICAL, UNTESTED, compare, counts
+from evaluation.reporting.difference_tables import show
 from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from evaluation.differences import Comparison
+    from evaluation.analysis.differences import Comparison
 
 _EXIT = """\
 exit codes: 0 done, 1 a headline number differs (with --fail-on-change), 2 wrong usage or data

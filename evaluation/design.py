@@ -14,7 +14,13 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from evaluation.design_levels import (
+from evaluation.analysis.levels import DESCRIPTORS, SHOWN, number
+from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.experiment.fingerprint import code_hash
+from evaluation.reporting.design_tables import show, to_json
+from evaluation.reporting.design_words import chance, choice, closer, notes, sentence, spec
+from evaluation.runs.folder import read_manifest
+from evaluation.verdict.design_levels import (
     METRIC_OF,
     WEAK,
     Attacked,
@@ -23,18 +29,13 @@ from evaluation.design_levels import (
     Measured,
     read_levels,
 )
-from evaluation.design_tables import show, to_json
-from evaluation.design_words import chance, choice, closer, notes, sentence, spec
-from evaluation.matching import ADDING_SUFFIX
-from evaluation.store import code_hash, read_manifest
-from evaluation.sweeps import DESCRIPTORS, SHOWN, number
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from evaluation.sweeps import Where
+    from evaluation.analysis.levels import Where
 
 Status: TypeAlias = Literal["met", "not met", "cannot say"]
 

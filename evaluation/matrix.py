@@ -11,7 +11,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from evaluation.grid import PRESETS, Settings
+from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.settings import Settings
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings, setting_types
 from isac_track.errors import SettingsError
@@ -19,7 +20,7 @@ from isac_track.errors import SettingsError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from evaluation.plan import Plan
+    from evaluation.experiment.plan import Plan
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
@@ -194,9 +195,10 @@ def _command(arguments: Sequence[str] | None) -> int:
 
 def _run(settings: Settings, *, dry_run: bool) -> int:
     # Heavy imports only now: --help, --list and a typing error answer at once.
-    from evaluation import tables  # noqa: PLC0415
-    from evaluation.plan import plan  # noqa: PLC0415
-    from evaluation.runner import FailedCellsWarning, run  # noqa: PLC0415
+    from evaluation.experiment.plan import plan  # noqa: PLC0415
+    from evaluation.reporting import tables  # noqa: PLC0415
+    from evaluation.results import run  # noqa: PLC0415
+    from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415
 
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
     ready = plan(settings)
@@ -248,7 +250,7 @@ def _notices(manifest: dict[str, Any]) -> list[str]:
 
 def _announce_slow(ready: Plan) -> None:
     """Say what the slow attacks cost, before they start."""
-    from evaluation.reconstruction import slow_cost_s  # noqa: PLC0415
+    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415
 
     for spec in dict.fromkeys(one.spec for one in ready.axes.consumers if one.is_slow):
         rows = [one for one in ready.axes.consumers if one.is_slow and one.spec == spec]
@@ -267,8 +269,8 @@ def _duration(seconds: float) -> str:
 
 
 def _announce(ready: Plan) -> None:
-    from evaluation.cell_files import CHECKSUMS, written_down  # noqa: PLC0415 - as in _run
-    from evaluation.store import usable  # noqa: PLC0415
+    from evaluation.runs.cell_files import CHECKSUMS, written_down  # noqa: PLC0415 - as in _run
+    from evaluation.runs.folder import usable  # noqa: PLC0415
 
     cells = sum(len(files) for _, _, files in ready.cells)
     with usable(ready.out):

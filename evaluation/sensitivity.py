@@ -17,7 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation.sensitivity_table import (
+from evaluation.experiment.variants import BASE, Variant, parse, stages_of, variants
+from evaluation.reporting.sensitivity_table import (
     TABLE,
     collect,
     counts,
@@ -26,7 +27,6 @@ from evaluation.sensitivity_table import (
     show,
     turned,
 )
-from evaluation.sensitivity_variants import BASE, Variant, parse, stages_of, variants
 from isac_track.command_line import Parser, check_interrupt, exit_code
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from evaluation.grid import Settings
-    from evaluation.plan import Plan
+    from evaluation.experiment.plan import Plan
+    from evaluation.experiment.settings import Settings
     from isac_track.config import StageSettings
     from isac_track.registry import Kind
     from isac_track.types import Tracks
@@ -112,7 +112,7 @@ def settings_of(
     IsacTrackError
         If its recording is not at hand, or a setting is unknown.
     """
-    from evaluation.grid import Settings  # noqa: PLC0415 - --help and --list answer at once
+    from evaluation.experiment.settings import Settings  # noqa: PLC0415 - --help and --list answer at once
     from isac_track import datasets  # noqa: PLC0415
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
 
@@ -175,7 +175,7 @@ def _too_small(
 ) -> dict[str, str]:
     """Return the tasks that a recording has too few people for, each with why."""
     from attacks.linkage.task_list import TASKS  # noqa: PLC0415 - as above
-    from evaluation.linkage_ground import sessions_of  # noqa: PLC0415
+    from evaluation.cells.link_setup import sessions_of  # noqa: PLC0415
 
     found = {}
     for name in sorted(tasks):
@@ -203,8 +203,8 @@ def run_variant(settings: Settings, *, sources: Sequence[Path], fresh: bool) -> 
     IsacTrackError
         For anything that a user can mend; finished cells are kept.
     """
-    from evaluation.plan import plan  # noqa: PLC0415 - as above
-    from evaluation.runner import run  # noqa: PLC0415
+    from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
+    from evaluation.results import run  # noqa: PLC0415
 
     ready = plan(settings)
     _borrow(ready, sources=sources, fresh=fresh)
@@ -216,9 +216,9 @@ def _borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool) -> None:
 
     A cell's name is keyed by all that its rows depend on: those of one name are the same.
     """
-    from evaluation import store  # noqa: PLC0415 - as above
-    from evaluation.cell_files import adopt, sound_cells  # noqa: PLC0415
-    from evaluation.run_lock import locked  # noqa: PLC0415
+    from evaluation.runs import folder as store  # noqa: PLC0415 - as above
+    from evaluation.runs.cell_files import adopt, sound_cells  # noqa: PLC0415
+    from evaluation.runs.lock import locked  # noqa: PLC0415
 
     store.check_folder(ready.out)
     with locked(ready.out):
@@ -306,7 +306,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     manifest = None
     if options.out is not None:
-        from evaluation.store import read_manifest  # noqa: PLC0415 - as above
+        from evaluation.runs.folder import read_manifest  # noqa: PLC0415 - as above
 
         manifest = read_manifest(options.out)
     elif not options.list:
@@ -395,7 +395,7 @@ def _attempt(
 
 
 def _write(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
-    from evaluation.store import write_whole  # noqa: PLC0415 - as above
+    from evaluation.runs.folder import write_whole  # noqa: PLC0415 - as above
 
     rows, left_out = collect(out)
     write_whole(out / TABLE, rows.to_csv(index=False).encode())

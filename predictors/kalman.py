@@ -37,7 +37,7 @@ class KalmanCV:
     """Constant velocity, white-noise acceleration."""
 
     q: float = 0.04
-    """m^2/s^3, from ``python -m evaluation.tune``"""
+    """m^2/s^3, from ``python -m benchmarks.tune``"""
     gate: float = GATE
     window: int = WINDOW
     noise: Noise = "estimated"
@@ -70,7 +70,7 @@ class KalmanCA:
     """Constant acceleration, white-noise jerk."""
 
     q: float = 0.026
-    """m^2/s^5, from ``python -m evaluation.tune``"""
+    """m^2/s^5, from ``python -m benchmarks.tune``"""
     gate: float = GATE
     window: int = WINDOW
     noise: Noise = "estimated"
@@ -102,7 +102,7 @@ class KalmanIMM:
     """Two interacting models: walking on, and stopping or turning."""
 
     q: float = 0.001
-    """m^2/s^3 while walking on, from ``python -m evaluation.tune``"""
+    """m^2/s^3 while walking on, from ``python -m benchmarks.tune``"""
     q_turn: float = 0.12
     """m^2/s^3 while stopping or turning, likewise"""
     walk_s: float = 4.0

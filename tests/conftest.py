@@ -63,4 +63,4 @@ def csv_recording(tmp_path, tracks):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Runs draw no pictures: they take most of the time of a small one."""
-    monkeypatch.setattr("evaluation.report._draw", lambda *_, **__: None)
+    monkeypatch.setattr("evaluation.results._draw", lambda *_, **__: None)

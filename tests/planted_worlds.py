@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from evaluation.grid import SHARED
-from evaluation.matching import EQUAL_ALARMS, comparisons
-from evaluation.summary import Key
-from evaluation.verdict import verdict
-from evaluation.within_level import LevelTracks
+from evaluation.analysis.matching import EQUAL_ALARMS, comparisons
+from evaluation.analysis.summary import Key
+from evaluation.experiment.presets import SHARED
+from evaluation.verdict.sections import verdict
+from evaluation.verdict.within_level import LevelTracks
 from isac_track.intervals import cluster_sums, ratio_estimate
 
 KINDS = ("valid", "fooled", "flat", "empty")

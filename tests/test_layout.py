@@ -1,6 +1,7 @@
-"""Data flows one way: which package may import which."""
+"""Data flows one way: which folder may import which, and no file imports itself by a detour."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -8,31 +9,140 @@ import pytest
 import isac_track
 
 ROOT = Path(isac_track.__file__).parent.parent
-MAY_IMPORT = {
-    "isac_track": set(),
-    "predictors": {"isac_track"},
-    "attacks": {"isac_track"},
-    "evaluation": {"isac_track", "predictors", "attacks"},
-}
+COMMANDS = "evaluation"
+ORDER = (
+    COMMANDS,
+    "evaluation.results",
+    "evaluation.reporting",
+    "evaluation.verdict",
+    "evaluation.analysis",
+    "evaluation.runs",
+    "evaluation.cells",
+    "evaluation.experiment",
+    "attacks",
+    "predictors",
+    "isac_track",
+)
+"""Each imports only from itself and from what stands below it; docs/architecture.md draws it."""
+SIDE_BY_SIDE = {"attacks": {"predictors"}}
+"""Neither imports the other."""
 
 
-def imported_packages(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def layer_of(module):
+    """The layer that a module belongs to: the longest name in ORDER that it starts with."""
+    fitting = [name for name in ORDER if module == name or module.startswith(f"{name}.")]
+    return max(fitting, key=len, default=None)
+
+
+@cache
+def names_imported(source):
+    """Every name that a source imports: at the top, within functions, for types only."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from (alias.name.partition(".")[0] for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            yield node.module.partition(".")[0]
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            # `from package import module` names a module, `from module import thing` does not.
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
 
 
-@pytest.mark.parametrize("package", MAY_IMPORT)
-def test_a_package_imports_only_what_lies_upstream(package):
-    files = sorted((ROOT / package).rglob("*.py"))
-    assert files
-    forbidden = MAY_IMPORT.keys() - MAY_IMPORT[package] - {package}
-    wrong = {
-        f"{path.name}: {name}"
-        for path in files
-        for name in imported_packages(path)
-        if name in forbidden
+def imports_of(source, *, modules):
+    """Every module of the project that a source imports."""
+    for name in names_imported(source):
+        found = name if name in modules else name.rpartition(".")[0]
+        if found in modules:
+            yield found
+
+
+def read_tree(root):
+    """The source of every module of the four packages, by its name."""
+    tree = {}
+    for package in ("evaluation", "attacks", "predictors", "isac_track"):
+        for path in sorted((root / package).rglob("*.py")):
+            parts = path.relative_to(root).with_suffix("").parts
+            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+            tree[name] = path.read_text(encoding="utf-8")
+    return tree
+
+
+def against_the_order(tree):
+    """Every import from a layer that stands above, as `importer -> imported`."""
+    wrong = []
+    for module, source in tree.items():
+        mine = layer_of(module)
+        for other in imports_of(source, modules=tree.keys()):
+            its = layer_of(other)
+            is_above = ORDER.index(its) < ORDER.index(mine)
+            # The package itself only says where its four names are.
+            if (is_above or its in SIDE_BY_SIDE.get(mine, ())) and module != "evaluation":
+                wrong.append(f"{module} -> {other}")
+    return sorted(set(wrong))
+
+
+def circles(tree):
+    """Sets of modules that import each other, directly or by a detour (Tarjan)."""
+    graph = {
+        module: sorted(set(imports_of(source, modules=tree.keys())) - {module})
+        for module, source in tree.items()
+        if module != "evaluation"
     }
-    assert wrong == set()
+    reached = {}
+    for start, direct in graph.items():
+        seen, stack = set(), list(direct)
+        while stack:
+            module = stack.pop()
+            if module not in seen:
+                seen.add(module)
+                stack.extend(graph.get(module, ()))
+        reached[start] = seen
+    return sorted(
+        {
+            tuple(sorted(other for other in reached[one] if one in reached.get(other, ())))
+            for one in graph
+            if one in reached[one]
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def tree():
+    return read_tree(ROOT)
+
+
+def test_no_import_goes_against_the_order(tree):
+    assert len(tree) > 100
+    assert against_the_order(tree) == []
+
+
+def test_no_module_imports_itself_by_a_detour(tree):
+    assert circles(tree) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("evaluation.cells.columns", "from evaluation.runs import folder"),
+        ("evaluation.analysis.summary", "def late():\n    from evaluation.results import run"),
+        (
+            "isac_track.rng",
+            "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from attacks import controls",
+        ),
+        ("predictors.recent", "import attacks.controls"),
+    ],
+)
+def test_a_planted_import_against_the_order_is_found(tree, module, line):
+    planted = tree | {module: f"{tree[module]}\n{line}\n", "attacks.controls": ""}
+    found = set(against_the_order(planted)) - set(against_the_order(tree))
+    assert [pair.partition(" -> ")[0] for pair in found] == [module]
+
+
+def test_a_planted_circle_is_found(tree):
+    planted = tree | {
+        "evaluation.runs.first": "def late():\n    from evaluation.runs import second",
+        "evaluation.runs.second": "from evaluation.runs.third import anything",
+        "evaluation.runs.third": "import evaluation.runs.first",
+    }
+    mine = ("evaluation.runs.first", "evaluation.runs.second", "evaluation.runs.third")
+    assert mine in circles(planted)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from evaluation.report import build
+from evaluation.results import build
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "tutorial"

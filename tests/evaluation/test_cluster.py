@@ -19,13 +19,14 @@ import pyarrow.parquet as pq
 import pytest
 
 import evaluation
-from evaluation import cluster as on_cluster
 from evaluation import matrix
-from evaluation.cell import Block
-from evaluation.failures import Failures, cells_of, specs_of
-from evaluation.grid import Consumer, Settings
-from evaluation.runner import FailedCellsWarning
-from evaluation.workers import Failed, note, noted
+from evaluation.cells.progress import Failed, note, noted
+from evaluation.cells.scenes import Block
+from evaluation.experiment.axes import Consumer
+from evaluation.experiment.settings import Settings
+from evaluation.runs import dask as on_cluster
+from evaluation.runs.execute import FailedCellsWarning
+from evaluation.runs.failures import Failures, cells_of, specs_of
 from isac_track import registry
 from isac_track.errors import SettingsError
 
@@ -517,8 +518,8 @@ def test_the_driver_stays_under_a_gigabyte(settings, cluster):
         predictors=("least_squares",),
     )
     code = (
-        "import resource; from evaluation.grid import Settings; "
-        "from evaluation.plan import plan; from evaluation.runner import run; "
+        "import resource; from evaluation.experiment.settings import Settings; "
+        "from evaluation.experiment.plan import plan; from evaluation.results import run; "
         f"ready = plan(Settings(preset='smoke', dataset={many.dataset!r}, scenes=100_000, "
         "mechanisms=('raw', 'fixed:0.7'), predictors=('least_squares',), attacks=(), tasks=(), "
         f"executor='dask', scheduler={cluster.address!r}, out={str(many.out)!r})); "

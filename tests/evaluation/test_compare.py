@@ -18,11 +18,12 @@ from scipy.stats import t as student
 
 import evaluation
 from evaluation import __main__ as command
-from evaluation import compare, summary
-from evaluation.difference_tables import show
-from evaluation.differences import COLUMNS, HEADLINE, difference, holm
-from evaluation.differences import compare as compared
-from evaluation.store import read_manifest
+from evaluation import compare
+from evaluation.analysis import summary
+from evaluation.analysis.differences import COLUMNS, HEADLINE, difference, holm
+from evaluation.analysis.differences import compare as compared
+from evaluation.reporting.difference_tables import show
+from evaluation.runs.folder import read_manifest
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimate, wilson

@@ -11,12 +11,15 @@ import pytest
 from rich.console import Console
 
 import evaluation
-from evaluation import linkability, matrix, summary
+from evaluation import matrix
 from evaluation.__main__ import main as isac_track
+from evaluation.analysis import linkability, summary
 from evaluation.design import Limits, design, main
-from evaluation.design_tables import show, to_json
-from evaluation.grid import PRESETS, Settings, axes
-from evaluation.store import code_hash
+from evaluation.experiment.axes import axes
+from evaluation.experiment.fingerprint import code_hash
+from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.settings import Settings
+from evaluation.reporting.design_tables import show, to_json
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 

@@ -11,12 +11,14 @@ import evaluation
 from attacks.linkage.sessions import Windows
 from attacks.linkage.task_list import TASKS
 from attacks.linkage.tasks import build
-from evaluation.cell import Block, LinkWork, _share, cells, compute_block
-from evaluation.grid import DISSOCIATION, Axes, Consumer, Link, Settings, axes
-from evaluation.kept import kept, reduced
-from evaluation.linkage import link_level
-from evaluation.linkage_ground import ground
-from evaluation.window_cell import read_windows
+from evaluation.cells.left_out import kept, reduced
+from evaluation.cells.link_setup import ground
+from evaluation.cells.linkage import link_level
+from evaluation.cells.scenes import Block, LinkWork, _share, cells, compute_block
+from evaluation.cells.windows import read_windows
+from evaluation.experiment.axes import Axes, Consumer, Link, axes
+from evaluation.experiment.presets import DISSOCIATION
+from evaluation.experiment.settings import Settings
 from isac_track import privacy, registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError

@@ -20,7 +20,7 @@ import pandas as pd
 import pytest
 
 from evaluation import matrix, report
-from evaluation.run_lock import locked
+from evaluation.runs.lock import locked
 
 END_S = 2.0
 """Within this, everything must be over."""

@@ -11,8 +11,11 @@ import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from evaluation import attack_figure, drawing, figure_style, matching, summary
-from evaluation.figures import draw_all
+from evaluation.analysis import matching, summary
+from evaluation.reporting.figures import attack as attack_figure
+from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import sweeps as drawing
+from evaluation.reporting.figures.draw import draw_all
 
 UNITS = {"plr": "fraction", "ael": "s", "mel": "s", "missed_conflict_rate": "fraction"}
 NAMES = ["fid_threshold", "fixed_error", "operating_points"]

@@ -10,10 +10,12 @@ import pandas as pd
 import pytest
 
 import evaluation
-from evaluation import cell_files, flags, store
-from evaluation.flags import COLUMNS
-from evaluation.report import build
-from evaluation.summary import Key
+from evaluation.analysis import weak_attacks as flags
+from evaluation.analysis.summary import Key
+from evaluation.analysis.weak_attacks import COLUMNS
+from evaluation.results import build
+from evaluation.runs import cell_files
+from evaluation.runs import folder as store
 from isac_track.intervals import Estimate, percentile_interval
 
 DRAW = np.random.default_rng(0).normal(size=400)

@@ -14,12 +14,14 @@ import evaluation
 from attacks.controls import CONTROLS
 from attacks.linkage.task_list import TASKS
 from attacks.linkage.tasks import build
-from evaluation import linkability, matrix
-from evaluation.cell import _share
-from evaluation.grid import Axes, Link, Settings, axes
-from evaluation.linkage import link_level
-from evaluation.linkage_cell import read_card, to_parquet
-from evaluation.linkage_ground import ground
+from evaluation import matrix
+from evaluation.analysis import linkability
+from evaluation.cells.link_file import read_card, to_parquet
+from evaluation.cells.link_setup import ground
+from evaluation.cells.linkage import link_level
+from evaluation.cells.scenes import _share
+from evaluation.experiment.axes import Axes, Link, axes
+from evaluation.experiment.settings import Settings
 from isac_track import registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError

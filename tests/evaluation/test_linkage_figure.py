@@ -8,9 +8,10 @@ import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from evaluation import figure_style, linkability, matching, summary
-from evaluation.figures import draw_all
-from evaluation.linkage_figure import linkage_figure
+from evaluation.analysis import linkability, matching, summary
+from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures.draw import draw_all
+from evaluation.reporting.figures.linkage import linkage_figure
 
 LEVELS = [
     ("clean", np.nan),

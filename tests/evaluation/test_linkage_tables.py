@@ -8,10 +8,11 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from evaluation import linkability, tables
-from evaluation.linkage_tables import show_linkage
-from evaluation.sweeps import linked_levels, linked_tasks
-from evaluation.tex import linkability_tex
+from evaluation.analysis import linkability
+from evaluation.analysis.levels import linked_levels, linked_tasks
+from evaluation.reporting import tables
+from evaluation.reporting.latex import linkability_tex
+from evaluation.reporting.linkage_tables import show_linkage
 
 LEVELS = [
     ("clean", np.nan),

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import isotonic_regression
 
-from evaluation.grid import SHARED
-from evaluation.matching import (
+from evaluation.analysis.matching import (
     AT_EQUAL_ALARMS,
     COLUMNS,
     EQUAL_ALARMS,
@@ -23,7 +22,8 @@ from evaluation.matching import (
     matched,
     monotone,
 )
-from evaluation.summary import Key
+from evaluation.analysis.summary import Key
+from evaluation.experiment.presets import SHARED
 from isac_track.intervals import Estimate
 
 RULE = ":adding=independent"

@@ -8,7 +8,9 @@ import pandas as pd
 import pytest
 
 from evaluation import matrix, report
-from evaluation.grid import DISSOCIATION, PRESETS, Settings, axes
+from evaluation.experiment.axes import axes
+from evaluation.experiment.presets import DISSOCIATION, PRESETS
+from evaluation.experiment.settings import Settings
 from isac_track import registry
 
 pytestmark = pytest.mark.usefixtures("undrawn")

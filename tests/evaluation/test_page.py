@@ -9,28 +9,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation import (
-    figure_style,
-    figures,
-    flags,
-    linkability,
-    matching,
-    page,
-    page_cells,
-    page_figures,
-    page_gallery,
-    page_heat,
-    page_svg,
-    page_tables,
-    page_words,
-    paper,
-    summary,
-)
-from evaluation.failures import COLUMNS as FAILED_COLUMNS
-from evaluation.grid import Settings
-from evaluation.plan import plan
-from evaluation.report import Results
-from evaluation.sweeps import Source
+from evaluation.analysis import linkability, matching, paper, summary
+from evaluation.analysis import weak_attacks as flags
+from evaluation.analysis.levels import Source
+from evaluation.cells import sample_tracks as page_gallery
+from evaluation.experiment.plan import plan
+from evaluation.experiment.settings import Settings
+from evaluation.reporting import page, page_cells, page_svg, page_tables, page_words
+from evaluation.reporting.figures import draw as figures
+from evaluation.reporting.figures import heat as page_heat
+from evaluation.reporting.figures import page_figures
+from evaluation.reporting.figures import style as figure_style
+from evaluation.results import Results
+from evaluation.runs.failures import COLUMNS as FAILED_COLUMNS
 from isac_track import registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 import evaluation
-from evaluation import page
+from evaluation.reporting import page
 from isac_track.config import StageSettings
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation import matching, paper
-from evaluation.summary import Key
+from evaluation.analysis import matching, paper
+from evaluation.analysis.summary import Key
 from isac_track.intervals import Estimate
 
 N = 200

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from evaluation.plugin_source import source_digest
+from evaluation.experiment.fingerprint import source_digest
 
 FILES = {
     "solo.py": "import os\nimport numpy\nfrom helper_a import f\n",

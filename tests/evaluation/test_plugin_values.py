@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from evaluation import matrix
-from evaluation.plugin_calls import guarded
+from evaluation.cells.plugin_calls import guarded
 from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -263,7 +263,7 @@ def test_a_fault_of_our_own_takes_no_other_cells_along_and_is_not_hidden(tmp_pat
     }
     (why,) = set(table["why"])
     assert "KeyError: 'nobody expected this'" in why
-    assert "(in isac-track's own code, evaluation.reconstruction, line " in why
+    assert "(in isac-track's own code, evaluation.cells.reconstruction, line " in why
     assert why.endswith(": please report this)")
     assert "please report this" in " ".join(capsys.readouterr().out.split())
     assert rows(out)

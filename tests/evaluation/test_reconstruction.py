@@ -11,10 +11,11 @@ import pytest
 
 import evaluation
 from attacks.reconstruction.kalman_rts import KalmanRTS
-from evaluation import reconstruction
-from evaluation.cell import Block, compute_block
-from evaluation.grid import Axes, Settings
-from evaluation.reconstruction import TRAINING_PEOPLE, benchmark, descriptors, folds, ground
+from evaluation.cells import reconstruction
+from evaluation.cells.reconstruction import TRAINING_PEOPLE, benchmark, descriptors, folds, ground
+from evaluation.cells.scenes import Block, compute_block
+from evaluation.experiment.axes import Axes
+from evaluation.experiment.settings import Settings
 from isac_track import registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError

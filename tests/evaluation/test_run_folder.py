@@ -18,9 +18,13 @@ from hypothesis import strategies as st
 from strategies import reproducible
 
 import evaluation
-from evaluation import cell_files, flags, linkability, matrix, report, store, summary
-from evaluation.plan import plan
-from evaluation.run_lock import locked
+from evaluation import matrix, report
+from evaluation.analysis import linkability, summary
+from evaluation.analysis import weak_attacks as flags
+from evaluation.experiment.plan import plan
+from evaluation.runs import cell_files
+from evaluation.runs import folder as store
+from evaluation.runs.lock import locked
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 TINY = evaluation.Settings(
@@ -167,7 +171,7 @@ class TestWhereTheFolderCannotBeUsed:
         def refuse(*_):
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-        monkeypatch.setattr("evaluation.run_lock.fcntl.flock", refuse)
+        monkeypatch.setattr("evaluation.runs.lock.fcntl.flock", refuse)
         assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
         errors = capsys.readouterr().err.splitlines()
         assert errors[-1].startswith(f"error: cannot lock {out / '.lock'}: No locks available; ")

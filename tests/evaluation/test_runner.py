@@ -8,12 +8,14 @@ import pandas as pd
 import pytest
 
 import evaluation
-from evaluation import store, summary
-from evaluation.cell import Block, compute_block
-from evaluation.grid import Consumer, Settings
-from evaluation.plan import plan
-from evaluation.report import build
-from evaluation.runner import FailedCellsWarning
+from evaluation.analysis import summary
+from evaluation.cells.scenes import Block, compute_block
+from evaluation.experiment.axes import Consumer
+from evaluation.experiment.plan import plan
+from evaluation.experiment.settings import Settings
+from evaluation.results import build
+from evaluation.runs import folder as store
+from evaluation.runs.execute import FailedCellsWarning
 from isac_track import registry, sharing
 from isac_track.config import StageSettings, setting_types
 from isac_track.errors import DataError, PluginError, SettingsError

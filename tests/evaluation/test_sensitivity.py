@@ -15,8 +15,8 @@ import pytest
 
 import evaluation
 from evaluation import __main__ as command
-from evaluation.sensitivity import attacks_of, main, settings_of
-from evaluation.sensitivity_table import (
+from evaluation.experiment.variants import BASE, RIDGE, Variant, parse, variants
+from evaluation.reporting.sensitivity_table import (
     COLUMNS,
     changes,
     collect,
@@ -25,8 +25,8 @@ from evaluation.sensitivity_table import (
     read_verdict,
     turned,
 )
-from evaluation.sensitivity_variants import BASE, RIDGE, Variant, parse, variants
-from evaluation.store import read_manifest
+from evaluation.runs.folder import read_manifest
+from evaluation.sensitivity import attacks_of, main, settings_of
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 

@@ -8,9 +8,11 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from evaluation import flags, paper, summary, tables
-from evaluation.terminal import PIPE_WIDTH
-from evaluation.tex import attacks_tex, escape, paper_tex, sweep_tex
+from evaluation.analysis import paper, summary
+from evaluation.analysis import weak_attacks as flags
+from evaluation.reporting import tables
+from evaluation.reporting.latex import attacks_tex, escape, paper_tex, sweep_tex
+from evaluation.reporting.terminal import PIPE_WIDTH
 
 UNITS = {
     "plr": "fraction",

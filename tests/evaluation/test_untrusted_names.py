@@ -321,8 +321,8 @@ class TestTheSource:
         assert found == {
             "evaluation/__init__.py",
             "evaluation/__main__.py",
-            "evaluation/cluster.py",
-            "evaluation/runner.py",
+            "evaluation/runs/dask.py",
+            "evaluation/runs/execute.py",
             "isac_track/registry.py",
             "isac_track/testing/__main__.py",
         }

@@ -8,15 +8,15 @@ import pytest
 from planted_worlds import KINDS, LINKER, PREDICTOR, World, run, simulated
 from scipy.stats import false_discovery_control, t
 
-from evaluation import decision_rules as rules
-from evaluation.decision_rules import Effect, Option, decide, effect
-from evaluation.matching import Measure, Sweeps, comparisons
-from evaluation.strongest import strongest_linkers
-from evaluation.terminal import aligned
-from evaluation.validity import others, validity
-from evaluation.verdict import to_bytes, verdict
-from evaluation.verdict_tables import grids, verdict_tex
-from evaluation.within_level import clustered_mean, partial_correlation
+from evaluation.analysis.matching import Measure, Sweeps, comparisons
+from evaluation.analysis.strongest import strongest_linkers
+from evaluation.reporting.terminal import aligned
+from evaluation.reporting.verdict_tables import grids, verdict_tex
+from evaluation.verdict import rules
+from evaluation.verdict.rules import Effect, Option, decide, effect
+from evaluation.verdict.sections import to_bytes, verdict
+from evaluation.verdict.validity import others, validity
+from evaluation.verdict.within_level import clustered_mean, partial_correlation
 
 
 def of(value, error, n=30):

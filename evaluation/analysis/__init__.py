@@ -1,0 +1,1 @@
+"""Estimates from finished cells: no prose, no ink."""

@@ -1,0 +1,365 @@
+"""What differs between two runs: settings, code, and every number that both have.
+
+Nothing is computed anew: the estimates and their replicates come from the finished cells.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.special import ndtri, stdtr
+
+from evaluation.analysis.levels import level_unit
+from evaluation.analysis.linkability import cards
+from evaluation.analysis.run_changes import (
+    NONE,
+    about,
+    changed,
+    manifest_of,
+    mechanisms,
+    only_in,
+    pairing,
+    short_list,
+    verdicts,
+)
+from evaluation.analysis.summary import estimates, linkage_estimates, to_frame
+from isac_track.errors import DataError, SettingsError
+from isac_track.intervals import CONFIDENCE, percentile_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from evaluation.analysis.summary import Key
+    from isac_track.intervals import Estimate
+    from isac_track.types import Floats
+
+HEADLINE = ("missed_conflict_rate", "false_alarm_rate", "plr", "ael", "mel", "rank1")
+"""Metrics that are tested as one family; all the others are another."""
+IDENTICAL, DIFFERS, UNDECIDED, UNTESTED = "identical", "differs", "undecided", "untested"
+"""Findings of a row."""
+SIGNIFICANCE: Final = 0.05
+"""Of a family, after Holm."""
+COLUMNS = [
+    "mechanism_a",
+    "level_a",
+    "mechanism_b",
+    "level_b",
+    "consumer",
+    "knowledge",
+    "metric",
+    "headline",
+    "a",
+    "b",
+    "difference",
+    "ci_low",
+    "ci_high",
+    "unit",
+    "n",
+    "pairing",
+    "t",
+    "p_value",
+    "p_holm",
+    "finding",
+]
+_BASIC = frozenset({"eer", "cllr_min"})
+"""Metrics whose replicates are biased: their intervals are basic ones (`isac_track.scorecard`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """B - A of one number."""
+
+    value: float
+    ci_low: float
+    ci_high: float
+    t: float
+    """Difference over its standard error, which has n - 1 degrees of freedom."""
+    p_value: float
+    """Two-sided; NaN where there is no interval."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Comparison:
+    """Two runs side by side."""
+
+    a: dict[str, Any]
+    """About run A: `out`, `dataset`, `scenes`, `seed`, `preset`, `mechanism` (if one was named)."""
+    b: dict[str, Any]
+    changed: dict[str, dict[str, tuple[Any, Any]]]
+    """Under data, settings and code: what to its value in A and in B; None where it is unknown."""
+    only: dict[str, tuple[list[str], list[str]]]
+    """By axis: what only A has, and what only B has."""
+    only_numbers: tuple[int, int]
+    """Numbers that only A has, and only B."""
+    rows: pd.DataFrame
+    """A row for each number that both have, the surest difference first; columns `COLUMNS`."""
+    verdicts: dict[str, Any] | None
+    """Decisions that changed; None unless both runs have a verdict."""
+
+
+def compare(
+    out_a: Path,
+    out_b: Path,
+    *,
+    mechanism_a: str | None = None,
+    mechanism_b: str | None = None,
+) -> Comparison:
+    """Return two runs side by side.
+
+    Parameters
+    ----------
+    out_a, out_b : Path
+        Run folders; they may be the same.
+    mechanism_a, mechanism_b : str, optional
+        Both or neither: compare this mechanism of A with that of B instead of each with itself;
+        either as in `summary.csv`, then at every level that both have, or one level as a SPEC.
+
+    Raises
+    ------
+    DataError
+        If a folder holds no run, a cell is missing or broken, or the runs share no number.
+    SettingsError
+        If only one mechanism is named, or a run does not have it.
+    """
+    if (mechanism_a is None) != (mechanism_b is None):
+        raise SettingsError("--mechanism-a and --mechanism-b are named together")
+    first = manifest_of(out_a)
+    second = first if out_a.resolve() == out_b.resolve() else manifest_of(out_b)
+    found_a, found_b = _found(out_a, out_b, first, second)
+    if mechanism_a is None or mechanism_b is None:
+        pairs = [(key, key) for key in found_a if key in found_b]
+        n_a, n_b = len(found_a), len(found_b)
+    else:
+        of_a = _of_mechanism(found_a, mechanism_a, first, option="--mechanism-a", out=out_a)
+        of_b = _of_mechanism(found_b, mechanism_b, second, option="--mechanism-b", out=out_b)
+        pairs = _matched_levels(of_a, of_b)
+        if not pairs:
+            raise DataError(
+                f"{mechanism_a} of A and {mechanism_b} of B have no level and consumer in common; "
+                "name one level of each, such as fid:1000"
+            )
+        n_a, n_b = len(of_a), len(of_b)
+    if not pairs:
+        raise DataError(
+            f"{out_a} and {out_b} share no number: A has {short_list(mechanisms(first))}, "
+            f"B has {short_list(mechanisms(second))}; compare runs with a common mechanism, "
+            "level and consumer, or name --mechanism-a and --mechanism-b"
+        )
+    return Comparison(
+        a=about(out_a, first, mechanism=mechanism_a),
+        b=about(out_b, second, mechanism=mechanism_b),
+        changed=changed(first, second),
+        only=only_in(first, second),
+        only_numbers=(n_a - len(pairs), n_b - len(pairs)),
+        rows=_rows(pairs, found_a, found_b, first=first, second=second),
+        verdicts=None if mechanism_a is not None else verdicts(out_a, out_b),
+    )
+
+
+def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Difference:
+    """Return B - A with its 95 % interval and a two-sided p-value.
+
+    Paired, the interval is that of the replicates' differences, row by row: the same people are
+    drawn for both. Where one of them has no spread (a share of exactly 0 or 1), or nothing is
+    paired, both intervals are combined as of independent estimates (Newcombe 1998; Zou and
+    Donner 2008); what is paired as well errs on the wide side then. The p-value is of Student's t
+    with a degree of freedom less than the smaller number of clusters: a thousand replicates alone
+    could not tell a p-value below 0.002, and Holm needs smaller ones.
+
+    Parameters
+    ----------
+    a, b : Estimate
+    paired : bool
+        Whether row k of both replicates is the same draw. Of unequal numbers the first are used.
+    metric : str
+
+    Returns
+    -------
+    Difference
+        Without interval and p-value for less than two clusters, or where no replicates are kept.
+    """
+    value = b.value - a.value
+    n_clusters = min(a.n, b.n)
+    n_rows = min(a.replicates.size, b.replicates.size)
+    nothing = Difference(value, math.nan, math.nan, math.nan, math.nan)
+    if n_clusters <= 1 or n_rows == 0 or math.isnan(value):
+        return nothing
+    kept = [one.replicates[:n_rows].astype(np.float64) for one in (a, b)]
+    drawn: Floats = kept[1] - kept[0]
+    if np.isnan(drawn).all():
+        return nothing
+    if paired and all(np.nanmin(one) < np.nanmax(one) for one in kept):
+        low, high = percentile_interval(drawn)
+        if metric in _BASIC:
+            low, high = 2.0 * value - high, 2.0 * value - low
+        error = float(np.nanstd(drawn, ddof=1))
+    else:
+        low = value - math.hypot(b.value - b.ci_low, a.ci_high - a.value)
+        high = value + math.hypot(b.ci_high - b.value, a.value - a.ci_low)
+        # What counts is the side of no difference.
+        to_nothing = value - low if value > 0.0 else high - value
+        error = to_nothing / float(ndtri(0.5 + CONFIDENCE / 2.0))
+    if math.isnan(error):
+        return nothing
+    if value == 0.0:
+        return Difference(value, low, high, 0.0, 1.0)
+    ratio = value / error if error > 0.0 else math.copysign(math.inf, value)
+    p_value = float(2.0 * stdtr(n_clusters - 1, -abs(ratio)))
+    return Difference(value, low, high, ratio, p_value)
+
+
+def holm(p_values: Floats) -> Floats:
+    """Return p-values adjusted for all of them, (K,): Holm (Scand. J. Statistics 6, 1979).
+
+    The chance of even one false "differs" is at most the level, however the numbers depend on
+    each other. An unknown one (NaN) stays so and does not count.
+    """
+    adjusted: Floats = np.full(p_values.shape, np.nan)
+    known = np.flatnonzero(~np.isnan(p_values))
+    order = known[np.argsort(p_values[known], kind="stable")]
+    times = np.arange(order.size, 0, -1)
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p_values[order] * times))
+    return adjusted
+
+
+def counts(rows: pd.DataFrame) -> dict[str, int]:
+    """Return how many rows there are of each finding."""
+    found = rows["finding"].value_counts()
+    return {name: int(found.get(name, 0)) for name in (IDENTICAL, DIFFERS, UNDECIDED, UNTESTED)}
+
+
+def _found(
+    out_a: Path, out_b: Path, first: dict[str, Any], second: dict[str, Any]
+) -> tuple[dict[Key, Estimate], dict[Key, Estimate]]:
+    """Return all estimates of both runs; of one recording they draw the same people."""
+    if first is second:
+        found = _estimates(out_a, first)
+        return found, found
+    if first["identity"]["sha256"] == second["identity"]["sha256"]:
+        # A run's draws depend on its seed and on its list of groups: both take one.
+        groups = sorted({*first["groups"], *second["groups"]})
+        seed = first["identity"]["seed"]
+        first, second = (
+            {**one, "groups": groups, "identity": {**one["identity"], "seed": seed}}
+            for one in (first, second)
+        )
+    return _estimates(out_a, first), _estimates(out_b, second)
+
+
+def _estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
+    return {**estimates(out, manifest)[0], **linkage_estimates(cards(out, manifest))}
+
+
+def _of_mechanism(
+    found: Mapping[Key, Estimate],
+    named: str,
+    manifest: Mapping[str, Any],
+    *,
+    option: str,
+    out: Path,
+) -> list[Key]:
+    """Return the keys of a mechanism at all of its levels, or of one level named as a SPEC."""
+    wanted = {
+        (entry["mechanism"], entry["level"])
+        for entry in manifest["cells"]
+        if named in (entry["mechanism"], entry["spec"])
+    }
+    keys = [key for key in found if (key.mechanism, key.level) in wanted]
+    if not keys:
+        known = short_list(mechanisms(manifest))
+        raise SettingsError(
+            f"{option} {named}: {out} has no such mechanism; it has {known}, "
+            "or a level as in manifest.json, such as fid:1000,adding=independent"
+        )
+    return keys
+
+
+def _matched_levels(of_a: Sequence[Key], of_b: Sequence[Key]) -> list[tuple[Key, Key]]:
+    """Return pairs at equal levels; if either side has a single level, those two."""
+    single = all(len({(key.mechanism, key.level) for key in keys}) == 1 for keys in (of_a, of_b))
+    units = {level_unit(keys[0].mechanism) for keys in (of_a, of_b)} - {""}
+    if not single and len(units) > 1:
+        raise SettingsError(
+            f"levels of {of_a[0].mechanism} and {of_b[0].mechanism} are not the same quantity; "
+            "name one level of each, such as fid:1000"
+        )
+    whole = {_without_mechanism(key, level=not single): key for key in of_b}
+    wanted = [(key, _without_mechanism(key, level=not single)) for key in of_a]
+    return [(key, whole[rest]) for key, rest in wanted if rest in whole]
+
+
+def _without_mechanism(key: Key, *, level: bool) -> tuple[float | None, str, str, str]:
+    return key.level if level else None, key.consumer, key.knowledge, key.metric
+
+
+def _rows(
+    pairs: Sequence[tuple[Key, Key]],
+    found_a: Mapping[Key, Estimate],
+    found_b: Mapping[Key, Estimate],
+    *,
+    first: Mapping[str, Any],
+    second: Mapping[str, Any],
+) -> pd.DataFrame:
+    paired_by = {
+        name: pairing(first, second, consumer=name)
+        for name in dict.fromkeys(key.consumer for key, _ in pairs)
+    }
+    units = to_frame({key: found_a[key] for key, _ in pairs}, dataset="")["unit"]
+    rows = []
+    for (key_a, key_b), unit in zip(pairs, units, strict=True):
+        a, b = found_a[key_a], found_b[key_b]
+        if math.isnan(a.value) and math.isnan(b.value):
+            continue
+        paired = paired_by[key_a.consumer] != NONE
+        same = a.value == b.value and (
+            not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
+        )
+        if same and paired:
+            found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
+        else:
+            found = difference(a, b, paired=paired, metric=key_a.metric)
+        rows.append(
+            {
+                "mechanism_a": key_a.mechanism,
+                "level_a": math.nan if key_a.level is None else key_a.level,
+                "mechanism_b": key_b.mechanism,
+                "level_b": math.nan if key_b.level is None else key_b.level,
+                "consumer": key_a.consumer,
+                "knowledge": key_a.knowledge,
+                "metric": key_a.metric,
+                # A control says nothing of an adversary.
+                "headline": key_a.metric in HEADLINE and "/control-" not in key_a.consumer,
+                "a": a.value,
+                "b": b.value,
+                "difference": found.value,
+                "ci_low": found.ci_low,
+                "ci_high": found.ci_high,
+                "unit": unit,
+                "n": min(a.n, b.n),
+                "pairing": paired_by[key_a.consumer],
+                "t": found.t,
+                "p_value": found.p_value,
+                "finding": IDENTICAL if same else UNTESTED,
+            }
+        )
+    return _judged(pd.DataFrame(rows, columns=COLUMNS))
+
+
+def _judged(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows with what Holm says of either family, the surest difference first."""
+    rows["headline"] = rows["headline"].astype(bool)
+    rows["p_holm"] = rows["p_holm"].astype(float)
+    for family in (True, False):
+        of = rows["headline"] == family
+        rows.loc[of, "p_holm"] = holm(rows.loc[of, "p_value"].to_numpy(dtype=np.float64))
+    tested = (rows["finding"] != IDENTICAL) & rows["p_holm"].notna()
+    differs = rows["p_holm"] <= SIGNIFICANCE
+    rows.loc[tested, "finding"] = np.where(differs[tested], DIFFERS, UNDECIDED)
+    # Of p-values too small to tell apart, the larger t is the surer.
+    order = pd.DataFrame({"p": rows["p_value"], "t": -rows["t"].abs()})
+    return rows.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(drop=True)

@@ -1,0 +1,175 @@
+"""The scorecards of a run, and what each says: `linkability.csv`.
+
+An outcome is one of three: *links*, *no link detected* (with the rank-1 rate that would have been
+found), *attack too weak* (it fails even where nothing was added and nothing was sensed: its
+silence is no privacy). A cell whose shortcut audit beats chance is invalid, and says which
+shortcut it was.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+
+from attacks.controls import CONTROLS
+from attacks.linkage.task_list import TASKS
+from evaluation.cells.link_file import read_card
+from isac_track.linkability import LEVEL, outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from evaluation.cells.link_file import Card
+
+CLEAN = "clean"
+"""Mechanism of the ceiling."""
+AUDIT_LEVEL: Final = 0.01
+"""Of the shortcut audit, two-sided, over all audits of a cell (Holm): set before any was run."""
+COLUMNS = [
+    "dataset",
+    "mechanism",
+    "level",
+    "consumer",
+    "knowledge",
+    "cohort",
+    "outcome",
+    "invalid",
+    "p_value",
+    "p_rank1",
+    "rank1",
+    "ci_low",
+    "ci_high",
+    "chance",
+    "minimum_detectable_rank1",
+    "n_probes",
+    "n_mated",
+    "n_clusters",
+    "gallery_min",
+    "gallery_mean",
+    "gallery_max",
+    "realised_fpr_1pct",
+    "realised_fpr_01pct",
+    "d_sys_bins",
+    "inverted",
+]
+AT_CHANCE, BEATS_CHANCE = "at chance", "beats chance"
+"""Outcomes of a control."""
+
+
+TWO_SESSIONS = "plaza-two-sessions"
+"""Data set of a task that only the simulated two-session crowd has."""
+
+
+def dataset_of(consumer: str, *, dataset: str) -> str:
+    """Return the data set that a row is about: a simulated task has its own."""
+    task = TASKS.get(consumer.partition("/")[0])
+    return TWO_SESSIONS if task is not None and task.simulated else dataset
+
+
+def cards(out: Path, manifest: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], Card]]:
+    """Return the card of every linkage cell with its entry in the manifest.
+
+    Raises
+    ------
+    DataError
+        If a cell cannot be read.
+    """
+    return [
+        (entry, read_card(out / "cells" / entry["files"][0]))
+        for entry in manifest["cells"]
+        if entry["kind"] in {"linkage", "control"}
+    ]
+
+
+def linkability(read: Sequence[tuple[Mapping[str, Any], Card]], *, dataset: str) -> pd.DataFrame:
+    """Return what every linkage cell says, a row for each cohort; the columns are `COLUMNS`.
+
+    Parameters
+    ----------
+    read : sequence of (entry, card)
+        As `cards` returns them.
+    dataset : str
+        Of the run.
+    """
+    ceilings = {
+        (entry["consumer"], entry["knowledge"]): card.numbers["p_value"]
+        for entry, card in read
+        if entry["mechanism"] == CLEAN
+    }
+    leaks = _leaks(read)
+    rows = []
+    for entry, card in read:
+        numbers, task = card.numbers, entry["consumer"].partition("/")[0]
+        p_value = numbers["p_value"]
+        if entry["kind"] == "control":
+            found = BEATS_CHANCE if p_value <= LEVEL else AT_CHANCE
+        else:
+            ceiling = ceilings[entry["consumer"], entry["knowledge"]]
+            found = outcome(p_value=p_value, ceiling_p_value=ceiling)
+        rank1, (low, high, mean) = card.estimates["rank1"], numbers["gallery_sizes"]
+        row = {
+            "dataset": dataset_of(entry["consumer"], dataset=dataset),
+            "mechanism": entry["mechanism"],
+            "level": np.nan if entry["level"] is None else entry["level"],
+            "consumer": entry["consumer"],
+            "knowledge": entry["knowledge"],
+            "cohort": "all",
+            "outcome": found,
+            "invalid": ", ".join(leaks.get((entry["spec"], task), ())),
+            "p_value": p_value,
+            "p_rank1": numbers["p_rank1"],
+            "rank1": rank1.value,
+            "ci_low": rank1.ci_low,
+            "ci_high": rank1.ci_high,
+            "chance": card.estimates["chance"].value,
+            "minimum_detectable_rank1": numbers["minimum_detectable_rank1"],
+            "n_probes": numbers["n_probes"],
+            "n_mated": numbers["n_mated"],
+            "n_clusters": numbers["n_clusters"],
+            "gallery_min": low,
+            "gallery_mean": mean,
+            "gallery_max": high,
+            "realised_fpr_1pct": numbers["realised_fpr_1pct"],
+            "realised_fpr_01pct": numbers["realised_fpr_01pct"],
+            "d_sys_bins": numbers["d_sys_bins"],
+            "inverted": numbers["is_inverted"],
+        }
+        rows.append(row)
+        rows += [
+            {key: row[key] for key in COLUMNS[:5]}
+            | {"cohort": name, "invalid": row["invalid"]}
+            | {
+                key: cohort[key]
+                for key in ("rank1", "ci_low", "ci_high", "chance", "p_rank1", "n_mated")
+            }
+            | {"n_clusters": cohort["n_clusters"]}
+            for name, cohort in card.cohorts.items()
+        ]
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _leaks(
+    read: Sequence[tuple[Mapping[str, Any], Card]],
+) -> dict[tuple[str, str], tuple[str, ...]]:
+    """Return which shortcuts beat chance, by mechanism SPEC and task (Holm over the audits)."""
+    audits: dict[tuple[str, str], dict[str, float]] = {}
+    for entry, card in read:
+        task, _, name = entry["consumer"].partition("/control-")
+        if entry["kind"] == "control" and CONTROLS[name].is_audit:
+            # Two-sided: who scores mates low gives them away as well.
+            tails = card.numbers["p_value"], card.numbers["p_value_low"]
+            audits.setdefault((entry["spec"], task), {})[name] = min(1.0, 2.0 * min(tails))
+    leaks = {}
+    for where, p_values in audits.items():
+        in_order = sorted(p_values, key=p_values.__getitem__)
+        beaten = []
+        for place, name in enumerate(in_order):
+            if p_values[name] > AUDIT_LEVEL / (len(in_order) - place):
+                break
+            beaten.append(name)
+        if beaten:
+            leaks[where] = tuple(sorted(beaten))
+    return leaks

@@ -1,0 +1,1 @@
+"""One unit of work's numbers: scenes, adversaries, reconstruction, linkage; no disk."""

@@ -1,0 +1,314 @@
+"""The ground of a linkage task: what all mechanism levels share, before anything is shared.
+
+Both sessions are sensed like everything else. Unless the task shows the scene, every walk is turned
+and shifted by itself and put on a clock of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from attacks.linkage.tasks import build
+from evaluation.cells.left_out import kept, reduced
+from isac_track.datasets import load
+from isac_track.intervals import cluster_weights
+from isac_track.rng import stream
+from isac_track.sensing import draw_channel, sense
+from isac_track.types import Release, Tracks
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from attacks.linkage.sessions import Sessions, Windows
+    from attacks.linkage.task_list import Task
+    from evaluation.cells.link_scores import Linked
+    from isac_track.config import StageSettings
+    from isac_track.types import Bools, Floats, Ints, Sensed
+
+N_REPLICATES = 1000
+SIDES = ("probe", "gallery")
+_FAR_M = 1000.0
+_LONG_S = 86_400.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Frames:
+    """A frame and a clock for each of N walks: turned by the angle, then shifted."""
+
+    cos: Floats
+    """(M,)"""
+    sin: Floats
+    """(M,)"""
+    shift_m: Floats
+    """(M, 2)"""
+    clock_s: Floats
+    """(M,)"""
+
+    def points(self, xy: Floats) -> Floats:
+        """Return positions, (M, 2) m, each in the frame of its walk."""
+        turned = np.empty_like(xy)
+        turned[:, 0] = self.cos * xy[:, 0] - self.sin * xy[:, 1]
+        turned[:, 1] = self.sin * xy[:, 0] + self.cos * xy[:, 1]
+        return turned + self.shift_m
+
+    def release(self, release: Release) -> Release:
+        """Return a release, every walk in its frame and on its clock."""
+        return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)
+
+    def of(self, samples: Ints) -> Frames:
+        """Return the frames of some of the samples."""
+        return Frames(*(getattr(self, item.name)[samples] for item in fields(self)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Part:
+    """Some windows of both sides, and who is who in them: a search, or a training set."""
+
+    probe: Ints
+    """(p,) rows of the probe side."""
+    gallery: Ints
+    """(g,) rows of the gallery side."""
+    mate: Ints
+    """(p,) place in `gallery`, or -1."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Half:
+    """What belongs to one fold: whom its adversary attacks, and from whom it learns."""
+
+    searches: tuple[tuple[int, Part], ...]
+    """Number of the search, and its windows."""
+    learns: Part
+    calibrates: tuple[Part, ...]
+    """Searches of the people on whose scores those of this fold are calibrated."""
+    mate_rate: float
+    """Share of those people's probes that have a mate, kept off 0 and 1."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Ground:
+    """What all levels of a task share."""
+
+    sessions: Sessions
+    sensed: tuple[Sensed, Sensed]
+    """Probe and gallery."""
+    frames: tuple[Frames, Frames] | None
+    """None where the task shows the scene."""
+    halves: tuple[Half, ...]
+    weights: Floats
+    """(B, C) bootstrap weights of the clusters."""
+    cluster: Ints
+    """(K,) cluster of each person: a column of the weights."""
+    controlled: dict[str, Linked]
+    """Controls that are alike at every level, as far as they are known."""
+
+
+def sessions_of(task: Task, *, tracks: Tracks, stages: StageSettings, seed: int) -> Sessions:
+    """Return the sessions of a task: of the recording, or of the two-session crowd.
+
+    Raises
+    ------
+    DataError
+        If there are too few people for the task.
+    """
+    if not task.simulated:
+        return build(task, tracks=tracks, later=None, settings=stages, seed=seed)
+    first, second = _crowd(stages.linkage.trait_strength)
+    return build(task, tracks=first, later=second, settings=stages, seed=seed)
+
+
+def _crowd(trait_strength: float) -> tuple[Tracks, Tracks]:
+    """Return the two sessions of the crowd: the bundled ones, or simulated anew."""
+    if trait_strength == 1.0:
+        return load("plaza").tracks, load("plaza-session2").tracks
+    from isac_track.datasets.crowd import BUNDLED_SEED, generate  # noqa: PLC0415 - seldom needed
+    from isac_track.datasets.crowd_plan import CrowdSettings  # noqa: PLC0415
+
+    crowd = CrowdSettings(trait_strength=trait_strength)
+    first, second = (generate(crowd, seed=BUNDLED_SEED, session=number) for number in (1, 2))
+    return first, second
+
+
+def ground(
+    sessions: Sessions, *, groups: Sequence[str], stages: StageSettings, seed: int
+) -> Ground:
+    """Sense both sessions of a task and prepare its folds.
+
+    Parameters
+    ----------
+    sessions : Sessions
+    groups : sequence of str
+        Clusters of the run's scenes: who is in both is drawn alike in both.
+    stages : StageSettings
+    seed : int
+    """
+    weights, cluster = _weights(sessions, groups=groups, seed=seed)
+    frames = None
+    if not sessions.task.shows_scene:
+        frames = (_frames(sessions, "probe", seed=seed), _frames(sessions, "gallery", seed=seed))
+    return Ground(
+        sessions=sessions,
+        sensed=(
+            _sensed(sessions, "probe", stages=stages, seed=seed),
+            _sensed(sessions, "gallery", stages=stages, seed=seed),
+        ),
+        frames=frames,
+        halves=tuple(_half(sessions, fold) for fold in np.unique(sessions.fold).tolist()),
+        weights=weights,
+        cluster=cluster,
+        controlled={},
+    )
+
+
+def ground_without(ground: Ground, released: Sequence[Release]) -> Ground:
+    """Return a ground as it is for these releases: without the samples that they left out.
+
+    Parameters
+    ----------
+    ground : Ground
+    released : sequence of Release
+        Of the probe and of the gallery side, at the instants of the windows.
+    """
+    sessions, sensed, frames = ground.sessions, list(ground.sensed), ground.frames
+    windows, turned = [sessions.probe, sessions.gallery], [] if frames is None else list(frames)
+    lefts = [kept(one, whole) for one, whole in zip(released, sensed, strict=True)]
+    for side, left in enumerate(lefts):
+        if left is None:
+            continue
+        sensed[side] = reduced(sensed[side], left)
+        windows[side] = reduced(windows[side], left)
+        if turned:
+            turned[side] = turned[side].of(left.samples)
+    if all(left is None for left in lefts):
+        return ground
+    return replace(
+        ground,
+        sessions=replace(sessions, probe=windows[0], gallery=windows[1]),
+        sensed=(sensed[0], sensed[1]),
+        frames=(turned[0], turned[1]) if turned else None,
+        controlled={},  # what only the times tell is no longer what it is at other levels
+    )
+
+
+def samples_of(offsets: Ints, rows: Ints) -> tuple[Ints, Ints]:
+    """Return the samples of some tracks, (m,), and the tracks' offsets among them, (n + 1,)."""
+    sizes = np.diff(offsets)[rows]
+    taken = np.concatenate([[0], np.cumsum(sizes)])
+    return np.repeat(offsets[rows] - taken[:-1], sizes) + np.arange(taken[-1]), taken
+
+
+def taken(release: Release, rows: Ints) -> Release:
+    """Return some tracks of a release."""
+    samples, offsets = samples_of(release.offsets, rows)
+    return Release(
+        t=release.t[samples],
+        xy=release.xy.take(samples, axis=0),
+        sigma=None if release.sigma is None else release.sigma[samples],
+        offsets=offsets,
+        pseudonym=tuple(release.pseudonym[row] for row in rows),
+    )
+
+
+def _half(sessions: Sessions, fold: int) -> Half:
+    mine = np.flatnonzero(sessions.fold == fold)
+    others = np.flatnonzero(sessions.fold != fold)
+
+    def part(searches: Ints, people: Bools | None) -> Part:
+        probe = np.isin(sessions.probe.search, searches)
+        gallery = np.isin(sessions.gallery.search, searches)
+        if people is not None:
+            probe &= people[sessions.probe.person]
+            gallery &= people[sessions.gallery.person]
+        place = np.where(gallery, np.cumsum(gallery) - 1, -1)
+        mate = sessions.mate[probe]
+        return Part(
+            probe=np.flatnonzero(probe),
+            gallery=np.flatnonzero(gallery),
+            mate=np.where(mate >= 0, place[mate], -1),
+        )
+
+    calibrates = [part(np.array([number]), sessions.calibrates[fold]) for number in others]
+    n_probes = sum(one.mate.size for one in calibrates)
+    n_mated = sum(int((one.mate >= 0).sum()) for one in calibrates)
+    return Half(
+        searches=tuple((int(number), part(np.array([number]), None)) for number in mine),
+        learns=part(others, sessions.learns[fold]),
+        calibrates=tuple(one for one in calibrates if (one.mate >= 0).any()),
+        mate_rate=(n_mated + 0.5) / (n_probes + 1.0),
+    )
+
+
+def _weights(sessions: Sessions, *, groups: Sequence[str], seed: int) -> tuple[Floats, Ints]:
+    """Return bootstrap weights, (B, C), and the column of each person, (K,).
+
+    Clusters that the run's scenes have as well are drawn as they are there; the others are drawn
+    among themselves.
+    """
+    names = sorted(set(sessions.group))
+    column = {name: place for place, name in enumerate(names)}
+    weights = np.empty((N_REPLICATES, len(names)))
+    known = {name: place for place, name in enumerate(groups)}
+    again = [name for name in names if name in known]
+    if again:
+        drawn = cluster_weights(n_clusters=len(groups), n_replicates=N_REPLICATES, seed=seed)
+        weights[:, [column[name] for name in again]] = drawn[:, [known[name] for name in again]]
+    further = [column[name] for name in names if name not in known]
+    if further:
+        rng = stream(seed, "bootstrap", "linkage", sessions.task.name)
+        share = np.full(len(further), 1.0 / len(further))
+        weights[:, further] = rng.multinomial(len(further), share, N_REPLICATES)
+    return weights, np.array([column[name] for name in sessions.group], dtype=np.int64)
+
+
+def _side(sessions: Sessions, side: str) -> Windows:
+    return sessions.probe if side == "probe" else sessions.gallery
+
+
+def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) -> Sensed:
+    """Return what the network senses of one side; every window draws from its own streams."""
+    windows, task = _side(sessions, side), sessions.task
+    drawn = []
+    for size, person, search in zip(
+        np.diff(windows.offsets), windows.person, windows.search, strict=True
+    ):
+        # The number of a closed search is a half, which may change with who else is there.
+        key = ("linkage", task.family, side, sessions.source[person])
+        drawn.append(
+            draw_channel(
+                n_samples=np.array([[size]]),
+                keys=[(*key, sessions.searches[search]) if task.shows_scene else key],
+                settings=stages.sensing,
+                seed=seed,
+            )
+        )
+    channel = type(drawn[0])(
+        *(np.concatenate([getattr(one, item.name) for one in drawn]) for item in fields(drawn[0]))
+    )
+    return sense(
+        t=windows.t,
+        xy=windows.xy,
+        offsets=windows.offsets,
+        channel=channel,
+        settings=stages.sensing,
+    )
+
+
+def _frames(sessions: Sessions, side: str, *, seed: int) -> Frames:
+    """Return the frames of one side: those of a walk are its own, whoever else is there."""
+    windows = _side(sessions, side)
+    drawn = np.empty((len(windows), 4))
+    for row, person in enumerate(windows.person):
+        rng = stream(seed, "frames", "linkage", sessions.task.family, side, sessions.source[person])
+        drawn[row] = rng.random(4)
+    sizes = np.diff(windows.offsets)
+    angle, *shift, clock = np.repeat(drawn, sizes, axis=0).T
+    return Frames(
+        cos=np.cos(2.0 * np.pi * angle),
+        sin=np.sin(2.0 * np.pi * angle),
+        shift_m=_FAR_M * (2.0 * np.column_stack(shift) - 1.0),
+        # From the start of each window: a recording may last longer than the draw reaches.
+        clock_s=_LONG_S * clock - np.repeat(windows.t[windows.offsets[:-1]], sizes),
+    )

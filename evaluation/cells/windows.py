@@ -1,0 +1,146 @@
+"""What each window of a linkage task gives away by itself: a cell with a row for every window.
+
+Nobody links here. The rows are what a person's linkability is compared with: how long and fast
+the walk was, how well it was sensed, and the descriptors of what was shared of it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from evaluation.cells.columns import names_column
+from evaluation.cells.link_setup import SIDES
+from evaluation.cells.reconstruction import descriptors
+from isac_track.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    import pandas as pd
+
+    from attacks.linkage.sessions import Sessions, Windows
+    from evaluation.cells.link_setup import Ground
+    from evaluation.cells.reconstruction import Rows
+    from isac_track.types import Floats, Ints, Release, Sensed
+
+_NAMES = ("side", "search", "source", "group")
+
+
+def window_rows(
+    released: Sequence[Release], *, ground: Ground, sessions: Sessions, epsilon_m: float
+) -> Rows:
+    """Return a row for every window of both sides: the columns of `to_parquet`.
+
+    Parameters
+    ----------
+    released : sequence of Release
+        Of the probe and of the gallery side, in the true frame.
+    ground : Ground
+        Of these releases, without the samples that they left out.
+    sessions : Sessions
+        Whole: what the walk was does not depend on which samples were shared.
+    epsilon_m : float
+    """
+    sides = []
+    for side, whole, left, sensed, release in zip(
+        SIDES,
+        (sessions.probe, sessions.gallery),
+        (ground.sessions.probe, ground.sessions.gallery),
+        ground.sensed,
+        released,
+        strict=True,
+    ):
+        known = descriptors(
+            xy=release.xy,
+            truth=left.xy,
+            t=left.t,
+            offsets=left.offsets,
+            epsilon_m=epsilon_m,
+        )
+        sides.append(
+            {
+                "side": np.full(len(whole), side),
+                "search": whole.search,
+                "person": whole.person,
+                "n_samples": np.diff(left.offsets),
+                **_walked(whole),
+                **_noise(release, sensed),
+                **{name: known[name] for name in ("plr", "ael_s", "mel_s")},
+            }
+        )
+    return {name: np.concatenate([one[name] for one in sides]) for name in sides[0]}
+
+
+def to_parquet(rows: Rows, sessions: Sessions) -> bytes:
+    """Return the file of a cell of windows.
+
+    Columns: `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`,
+    `group`; of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where
+    none is declared), `sigma_raw_m` (mean of sensing), `plr`, `ael_s`, `mel_s`; of the true walk,
+    alike at all levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
+    """
+    by_name = {
+        "search": (rows["search"], sessions.searches),
+        "source": (rows["person"], sessions.source),
+        "group": (rows["person"], sessions.group),
+    }
+    columns = {
+        "side": pa.array(rows["side"]).dictionary_encode(),
+        **{name: names_column(row, names) for name, (row, names) in by_name.items()},
+        **{name: rows[name] for name in rows if name not in {"side", "search", "person"}},
+    }
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns), sink, write_statistics=False)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def read_windows(path: Path) -> pd.DataFrame:
+    """Return the rows of a cell of windows; the columns are those of `to_parquet`.
+
+    Raises
+    ------
+    DataError
+        If the cell is missing or broken; the message names it.
+    """
+    try:
+        with pq.ParquetFile(path) as cell:
+            frame = cell.read(use_threads=False).to_pandas()
+    except FileNotFoundError:
+        raise DataError(f"{path} is missing; run the matrix again to compute it") from None
+    except (OSError, pa.ArrowException) as error:
+        raise DataError(
+            f"{path} cannot be read ({error}); delete it and run the matrix again"
+        ) from None
+    windows: pd.DataFrame = frame.astype(dict.fromkeys(_NAMES, "object"))
+    return windows
+
+
+def _walked(windows: Windows) -> Rows:
+    """Return how long each window lasted, how far its walk was and how fast."""
+    step_m = np.zeros(windows.t.size)
+    step_m[1:] = np.hypot(*np.diff(windows.xy, axis=0).T)
+    step_m[windows.offsets[:-1]] = 0.0  # from one window to the next
+    duration_s = windows.t[windows.offsets[1:] - 1] - windows.t[windows.offsets[:-1]]
+    path_m = np.add.reduceat(step_m, windows.offsets[:-1])
+    speed_mps = np.full(duration_s.size, np.nan)
+    np.divide(path_m, duration_s, out=speed_mps, where=duration_s > 0)
+    return {"duration_s": duration_s, "path_m": path_m, "speed_mps": speed_mps}
+
+
+def _noise(release: Release, sensed: Sensed) -> Rows:
+    sigma_m = np.full(release.t.size, np.nan) if release.sigma is None else release.sigma
+    return {
+        "sigma_m": _means(sigma_m, release.offsets),
+        "sigma_raw_m": _means(sensed.sigma_raw, sensed.offsets),
+    }
+
+
+def _means(values: Floats, offsets: Ints) -> Floats:
+    mean: Floats = np.add.reduceat(values, offsets[:-1]) / np.diff(offsets)
+    return mean

@@ -1,0 +1,184 @@
+"""What a run will do, checked before anything is computed or written: data, axes and cells."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from evaluation.cells.link_setup import sessions_of
+from evaluation.experiment.axes import Axes, axes, n_blocks
+from evaluation.experiment.fingerprint import cell_name, code_hash
+from isac_track import datasets
+from isac_track.datasets import crowd
+from isac_track.errors import DataError, PluginError, told
+from isac_track.scenes import cut
+
+if TYPE_CHECKING:
+    from attacks.linkage.sessions import Sessions
+    from evaluation.experiment.axes import Consumer
+    from evaluation.experiment.settings import Settings
+    from isac_track.datasets import Dataset
+    from isac_track.registry import Plugin
+    from isac_track.scenes import Cut
+    from isac_track.types import Tracks
+
+MOST_DEFAULT_JOBS: Final = 8
+"""Unless more are asked for: each takes a few hundred MB."""
+WORTH_WORKERS = 5000
+"""Scenes times levels: below, workers take longer to start than they save."""
+WORTH_WORKERS_LINKED = 400
+"""Linkage cells: the same."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plan:
+    """A run that is ready to start: everything is checked, nothing is written."""
+
+    settings: Settings
+    dataset: Dataset
+    tracks: Cut
+    axes: Axes
+    identity: dict[str, Any]
+    code: str
+    """Version of the code that computes the cells."""
+    jobs: int
+    """Worker processes."""
+    out: Path
+    cells: tuple[tuple[Plugin, Consumer, tuple[str, ...]], ...]
+    """Mechanism, consumer and its files: one a block of scenes, or one for all that is linked."""
+    sessions: tuple[Sessions, ...]
+    """What is linked, by task."""
+
+    @property
+    def n_cells(self) -> int:
+        """Cells of the run, finished or not."""
+        return sum(len(files) for _, _, files in self.cells)
+
+
+def plan(settings: Settings) -> Plan:
+    """Check the settings, find the data set and lay out the cells.
+
+    Raises
+    ------
+    IsacTrackError
+        For anything that a user can mend.
+    """
+    crossed = axes(settings)
+    source: str | Path | None = settings.dataset
+    dataset = datasets.load(source, format=settings.format, fps=settings.fps)
+    tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
+    identity = {
+        "dataset": dataset.name,
+        "sha256": dataset.sha256,
+        "format": dataset.format,
+        "fps": settings.fps,
+        "seed": settings.seed,
+        "scenes": settings.n_scenes,
+        "crowd": _crowd_hash(),
+        **settings.stages.flat(),
+    }
+    code = code_hash()
+    crossed, sessions = _sessions(crossed, settings, tracks=dataset.tracks)
+
+    def files(mechanism: Plugin, consumer: Consumer, count: int) -> tuple[str, ...]:
+        return tuple(
+            cell_name(
+                identity=identity, code=code, block=block, mechanism=mechanism, consumer=consumer
+            )
+            for block in range(count)
+        )
+
+    cells = tuple(
+        (mechanism, consumer, files(mechanism, consumer, count))
+        for mechanisms, consumers, count in (
+            (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
+            *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
+        )
+        for mechanism in mechanisms
+        for consumer in consumers
+    )
+    name = f"{dataset.name}-{settings.preset}-{settings.seed}"
+    jobs = _jobs(
+        settings,
+        n_levels=len(crossed.mechanisms),
+        n_links=sum(len(crossed.linkers(task)) for task in crossed.tasks),
+    )
+    if jobs > 1 or settings.cell_timeout_s is not None or settings.scheduler is not None:
+        _check_sendable(crossed)
+    return Plan(
+        settings=settings,
+        dataset=dataset,
+        tracks=tracks,
+        axes=crossed,
+        identity=identity,
+        code=code,
+        jobs=jobs,
+        out=Path("runs") / name if settings.out is None else Path(settings.out),
+        cells=cells,
+        sessions=sessions,
+    )
+
+
+def _crowd_hash() -> str:
+    """Return a digest of the bundled crowd, which one task always uses."""
+    digest = hashlib.sha256()
+    for session in crowd.SESSIONS:
+        digest.update(crowd.bundled_path(session).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _sessions(
+    crossed: Axes, settings: Settings, *, tracks: Tracks
+) -> tuple[Axes, tuple[Sessions, ...]]:
+    """Return the sessions of every task, and the axes without tasks that cannot be.
+
+    A task that was named must be; one of a preset is left out, with the reason.
+    """
+    sessions = []
+    for task in crossed.tasks:
+        try:
+            sessions.append(
+                sessions_of(task, tracks=tracks, stages=settings.stages, seed=settings.seed)
+            )
+        except DataError as error:
+            if settings.tasks is not None:
+                raise
+            crossed = crossed.without(task, str(error))
+    return crossed, tuple(sessions)
+
+
+def _check_sendable(crossed: Axes) -> None:
+    """Raise PluginError for a plug-in that no other process can be given."""
+    from joblib.externals.loky.backend.reduction import dumps  # noqa: PLC0415 - only with workers
+
+    consumers = [*crossed.consumers]
+    for task in crossed.tasks:
+        consumers += crossed.readers(task)
+    plugins = [*crossed.mechanisms, *crossed.linked_mechanisms]
+    plugins += [part for one in consumers for part in (one.plugin, one.behind) if part is not None]
+    for plugin in {one.spec: one for one in plugins}.values():
+        try:
+            dumps(plugin)
+        except Exception as error:  # noqa: BLE001 - a stranger's __reduce__ may do anything
+            raise PluginError(
+                f"{plugin.spec} cannot be sent to a worker ({told(error)}); "
+                "leave out what cannot be pickled, or run with --jobs 1 and no --cell-timeout"
+            ) from None
+
+
+def _jobs(settings: Settings, *, n_levels: int, n_links: int) -> int:
+    """Return how many workers to use: as asked, or what the work is worth."""
+    if settings.jobs is not None:
+        return settings.jobs
+    if settings.n_scenes * n_levels < WORTH_WORKERS and n_levels * n_links < WORTH_WORKERS_LINKED:
+        return 1
+    return default_jobs()
+
+
+def default_jobs() -> int:
+    """Return how many workers this machine has cores for, at most `MOST_DEFAULT_JOBS`."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return min(cores or 1, MOST_DEFAULT_JOBS)

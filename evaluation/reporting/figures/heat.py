@@ -1,0 +1,255 @@
+"""The heat map of a task: who links at which mechanism level."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.font_manager import FontProperties
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.textpath import TextPath, text_to_path
+from matplotlib.transforms import Affine2D
+
+from evaluation.analysis.levels import INVALID, shortened
+from evaluation.analysis.linkability import CLEAN
+from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures.page_figures import SWEPT, family, parameters_of, rule_of
+from evaluation.reporting.figures.style import Look
+from evaluation.reporting.figures.sweeps import FID, FIXED
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.path import Path
+
+    from evaluation.analysis.levels import LinkedTask, Source, Where
+    from isac_track.types import Floats
+
+_PERCENT = 100.0
+# The page turns pure black and white over in the dark; what stands on a colour must stay.
+_ON_DARK, _ON_BRIGHT = "#fefefe", "#010101"
+_CELL_IN = 0.155
+_CELL_POINTS = 6.2
+_ROOM_IN = 0.06
+_MECHANISMS_IN = 0.43
+"""How far above the numbers the mechanisms stand."""
+_POINTS_PER_IN = 72.0
+_MARK_TOO_WEAK, _MARK_NOTHING = "?", "~"
+_BRIGHT = 0.46
+"""Share of the colour scale above which text is dark."""
+
+
+def heat_figure(task: LinkedTask) -> Figure:
+    """Return rank 1 of every attack and adversary at every level of a task, one block a rule.
+
+    Columns run from no error to the controls. `~`: no link detected, `?`: the attack is too
+    weak, crossed out: a shortcut leaks.
+    """
+    cells = task.cells
+    sources = _by_attack(cells)
+    blocks = {
+        rule: [where for where in _in_order(cells) if rule_of(where[0]) in (rule, "")]
+        for rule in ADDING_SUFFIX
+        if any(rule_of(where[0]) == rule for where in cells)
+    } or {"": _in_order(cells)}
+    names = [shortened(source.label, room=figure_style.NAME_LENGTH) for source in sources]
+    left_in = max(_width_in(name) for name in names) + 0.12
+    n_columns = max(map(len, blocks.values()))
+    cell_in = min(2 * _CELL_IN, (figure_style.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
+    # Above the numbers stand the levels, then the mechanisms that they are of.
+    head_in = 0.2 + max(0.5, *(_width_in(_head(where)) for where in cells))
+    top_in, block_in = 0.22, _CELL_IN * len(sources)
+    height_in = top_in + len(blocks) * (head_in + block_in) + 0.42
+    figure = figure_style.placed_figure(width_in=figure_style.DOUBLE_COLUMN_IN, height_in=height_in)
+    for place, (rule, columns) in enumerate(blocks.items()):
+        y_in = height_in - top_in - (place + 1) * (head_in + block_in)
+        ax = figure.add_axes(
+            (
+                left_in / figure.get_figwidth(),
+                y_in / height_in,
+                cell_in * len(columns) / figure.get_figwidth(),
+                block_in / height_in,
+            )
+        )
+        _draw_heat(ax, cells, sources=sources, columns=columns, cell_in=cell_in)
+        ax.set_yticks(np.arange(len(sources)), names)
+        _head_columns(ax, columns, block_in=block_in, cell_in=cell_in)
+        if rule:
+            # In the corner above the names.
+            figure.text(0.01, (y_in + block_in + _MECHANISMS_IN) / height_in, f"{rule} adding")
+    _heat_legend(figure, cells)
+    of = next(iter(next(iter(cells.values())).values()))["dataset"]
+    figure_style.title(figure, dataset=str(of), what=f"{task.name}, rank 1 in %", one_line=True)
+    return figure
+
+
+def _by_attack(cells: Mapping[Where, Mapping[Source, Any]]) -> list[Source]:
+    """Return who links, the adversaries of one attack together, as in the run."""
+    found = dict.fromkeys(source for block in cells.values() for source in block)
+    attacks = list(dict.fromkeys(source.consumer for source in found))
+    return sorted(found, key=lambda source: attacks.index(source.consumer))
+
+
+def _in_order(cells: Mapping[Where, Any]) -> list[Where]:
+    """Return the columns: no error first, FID with less and less, fixed, then the controls."""
+    kinds = (CLEAN, "raw", FID.name, FIXED.name)
+    names = list(dict.fromkeys(name for name, _ in cells))
+
+    def key(where: Where) -> tuple[int, int, float]:
+        name, level = where
+        kind = kinds.index(family(name)) if family(name) in kinds else len(kinds)
+        at = 0.0 if level is None else level
+        return kind, 0 if kind < 2 else names.index(name), -at if kind == 2 else at  # noqa: PLR2004
+
+    return sorted(cells, key=key)
+
+
+def _draw_heat(
+    ax: Axes,
+    cells: Mapping[Where, Mapping[Source, Any]],
+    *,
+    sources: Sequence[Source],
+    columns: Sequence[Where],
+    cell_in: float,
+) -> None:
+    values = np.full((len(sources), len(columns)), np.nan)
+    texts: dict[tuple[int, int], str] = {}
+    crossed = []
+    for x, where in enumerate(columns):
+        for y, source in enumerate(sources):
+            row = cells[where].get(source)
+            if row is None or not np.isfinite(row["rank1"]):
+                continue
+            values[y, x] = _PERCENT * row["rank1"]
+            texts[y, x] = _cell_text(row)
+            if row["invalid"]:
+                crossed += [[(x - 0.5, y - 0.5), (x + 0.5, y + 0.5)]]
+                crossed += [[(x - 0.5, y + 0.5), (x + 0.5, y - 0.5)]]
+    ax.imshow(
+        values, aspect="auto", cmap="cividis", vmin=0.0, vmax=_PERCENT, interpolation="nearest"
+    )
+    ax.add_collection(LineCollection(crossed, colors="#ff2222", linewidths=0.7))
+    _draw_texts(ax, texts, values, cell_in=cell_in)
+    # Gaps in the colour of the page hide where the pixels of the image end.
+    lines = [[(x - 0.5, -0.5), (x - 0.5, len(sources) - 0.5)] for x in range(len(columns) + 1)]
+    lines += [[(-0.5, y - 0.5), (len(columns) - 0.5, y - 0.5)] for y in range(len(sources) + 1)]
+    ax.add_collection(LineCollection(lines, colors="white", linewidths=0.5))
+    ax.grid(visible=False)
+    ax.spines[:].set_visible(False)
+    ax.tick_params(length=0, pad=2)
+
+
+def _cell_text(row: Mapping[str, Any]) -> str:
+    if row["outcome"] == "attack too weak":
+        return _MARK_TOO_WEAK
+    mark = _MARK_NOTHING if row["outcome"] == "no link detected" else ""
+    return f"{mark}{_PERCENT * row['rank1']:.0f}"
+
+
+def _draw_texts(
+    ax: Axes,
+    texts: Mapping[tuple[int, int], str],
+    values: Floats,
+    *,
+    cell_in: float,
+) -> None:
+    """Print the numbers as markers, one artist for each character: texts would take seconds."""
+    width = {
+        one: _text_width(one, points=_CELL_POINTS) for text in set(texts.values()) for one in text
+    }
+    places: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    per_cell = cell_in * _POINTS_PER_IN
+    for (y, x), text in texts.items():
+        colour = _ON_BRIGHT if values[y, x] > _BRIGHT * _PERCENT else _ON_DARK
+        start = x - 0.5 * sum(width[one] for one in text) / per_cell
+        for one in text:
+            middle = start + 0.5 * width[one] / per_cell
+            places.setdefault((one, colour), []).append((middle, y))
+            start += width[one] / per_cell
+    for (one, colour), at in places.items():
+        # In the middle by the height of a digit, whatever the character.
+        to_middle = Affine2D().translate(-0.5 * width[one], -0.365 * _CELL_POINTS)
+        path: Path = TextPath((0, 0), one, size=_CELL_POINTS).transformed(to_middle)
+        ax.plot(
+            *np.array(at).T,
+            linestyle="",
+            marker=path,
+            markersize=2.0 * float(np.abs(path.vertices).max()),
+            color=colour,
+            markeredgewidth=0,
+        )
+
+
+@functools.cache
+def _text_width(text: str, *, points: float) -> float:
+    """Return how wide a text is set, in points."""
+    font = FontProperties(family="DejaVu Sans", size=points)
+    # Far quicker than the extent of the text's outline.
+    width, _, _ = text_to_path.get_text_width_height_descent(text, font, ismath=False)
+    return float(width)
+
+
+def _width_in(text: str) -> float:
+    return _text_width(text, points=7.0) / _POINTS_PER_IN
+
+
+def _head_columns(ax: Axes, columns: Sequence[Where], *, block_in: float, cell_in: float) -> None:
+    """Write the levels above the columns, and the swept mechanisms above their levels."""
+    ax.xaxis.tick_top()
+    ax.set_xticks(np.arange(len(columns)), [_head(where) for where in columns], rotation=90)
+    swept: dict[str, list[int]] = {}
+    for place, (mechanism, _) in enumerate(columns):
+        if family(mechanism) in SWEPT:
+            swept.setdefault(mechanism, []).append(place)
+    transform = ax.get_xaxis_transform()
+    line = 1.0 + (_MECHANISMS_IN - 0.03) / block_in
+    for mechanism, places in swept.items():
+        ends = places[0] - 0.4, places[-1] + 0.4
+        ax.plot(
+            ends, [line, line], transform=transform, color="black", linewidth=0.5, clip_on=False
+        )
+        names = _names(mechanism)
+        fits = (name for name in names if _width_in(name) <= cell_in * len(places))
+        ax.text(
+            ends[0], 1.0 + _MECHANISMS_IN / block_in, next(fits, names[-1]), transform=transform
+        )
+
+
+def _head(where: Where) -> str:
+    """Return the head of a column: its level, and what it is unless that stands above it."""
+    mechanism, level = where
+    at = "" if level is None else figure_style.number(level)
+    if family(mechanism) in SWEPT:
+        return at
+    return " ".join(filter(None, [family(mechanism), at, parameters_of(mechanism)]))
+
+
+def _names(mechanism: str) -> list[str]:
+    """Return names of a swept mechanism, longest first."""
+    scheme = FID if family(mechanism) == FID.name else FIXED
+    extra = parameters_of(mechanism)
+    tail = f", {extra}" if extra else ""
+    return [f"{scheme.label}{tail}", f"{scheme.name}{tail}", scheme.name]
+
+
+def _heat_legend(figure: Figure, cells: Mapping[Where, Mapping[Source, Any]]) -> None:
+    rows = [row for block in cells.values() for row in block.values()]
+    handles: list[Any] = [Patch(color="#00224e", label="0 %"), Patch(color="#7d7c78", label="50 %")]
+    handles.append(Patch(color="#fee838", label="100 %"))
+    chance = {f"{_PERCENT * row['chance']:.1f}" for row in rows if np.isfinite(row["chance"])}
+    if len(chance) == 1:
+        handles.append(Rectangle((0, 0), 0, 0, alpha=0, label=f"chance: {chance.pop()} %"))
+    outcomes = {row["outcome"] for row in rows}
+    for outcome, mark in (("no link detected", "~"), ("attack too weak", "?")):
+        if outcome in outcomes:
+            handles.append(Rectangle((0, 0), 0, 0, alpha=0, label=f"{mark}  {outcome}"))
+    if any(row[INVALID] for row in rows):
+        handles.append(
+            figure_style.line_handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
+        )
+    figure_style.legend_in_rows(figure, handles, columns=len(handles))

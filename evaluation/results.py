@@ -1,0 +1,217 @@
+"""A run from settings to data frames and files: plan, execute, report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from evaluation.analysis import linkability, paper, summary
+from evaluation.analysis import weak_attacks as flags
+from evaluation.analysis.decisions import decisions
+from evaluation.analysis.matching import MISSED, comparisons, matched
+from evaluation.analysis.strongest import strongest_linkers
+from evaluation.experiment.plan import plan
+from evaluation.experiment.presets import SHARED
+from evaluation.experiment.settings import Settings
+from evaluation.reporting import page, tables
+from evaluation.reporting.figures import draw as figures
+from evaluation.runs import folder
+from evaluation.runs.cell_files import check_sound
+from evaluation.runs.execute import execute
+from evaluation.runs.failures import COLUMNS as FAILED_COLUMNS
+from evaluation.runs.gallery import read_gallery
+from evaluation.runs.lock import locked
+from evaluation.runs.memory import given_back
+from evaluation.verdict import sections as verdict
+from evaluation.verdict.within_level import read_levels
+from isac_track.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from evaluation.experiment.plan import Plan
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Results:
+    """A finished run as data frames; the columns are those of the files in `out`."""
+
+    out: Path
+    manifest: dict[str, Any]
+    summary: pd.DataFrame
+    paper_table: pd.DataFrame
+    claims: pd.DataFrame
+    matched: pd.DataFrame
+    decisions: pd.DataFrame
+    curves: pd.DataFrame
+    flags: pd.DataFrame
+    linkability: pd.DataFrame
+    verdict: dict[str, Any]
+    """As in `verdict.json`."""
+    failed: pd.DataFrame
+    """Cells that could not be computed, and why; no other table holds their levels."""
+
+
+def run(
+    settings: Settings | None = None,
+    *,
+    progress: Callable[[int, int, str], None] | None = None,
+    ready: Plan | None = None,
+    pictures: bool = True,
+) -> Results:
+    """Run the matrix and return its results as data frames.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        By default preset `paper`.
+    progress : callable, optional
+        Called with cells finished, cells to do, and what is under way.
+    ready : Plan, optional
+        A plan of `plan`, instead of settings.
+    pictures : bool
+        Without them there are neither figures nor `report.html`; `evaluation.report` draws them.
+
+    Raises
+    ------
+    IsacTrackError
+        For anything that a user can mend; finished cells are kept.
+    """
+    if ready is None:
+        ready = plan(settings or Settings())
+    folder.check_folder(ready.out)
+    with given_back(), locked(ready.out):
+        execute(ready, progress or (lambda _done, _total, _what: None))
+        return build(ready.out, pictures=pictures, jobs=ready.jobs)
+
+
+def load(out: Path | str, *, pictures: bool = True) -> Results:
+    """Return the results of a run folder, and write its tables, figures and page anew.
+
+    Parameters
+    ----------
+    out : Path or str
+    pictures : bool
+        Without them there are neither figures nor `report.html`.
+
+    Raises
+    ------
+    IsacTrackError
+        If the folder holds no run, or a cell is missing or not as it was written.
+    """
+    out = Path(out)
+    manifest = folder.read_manifest(out)
+    with locked(out):
+        check_sound(out, (name for entry in manifest["cells"] for name in entry["files"]))
+        return build(out, pictures=pictures)
+
+
+def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
+    """Write summary, tables and figures of a run folder and return them.
+
+    Parameters
+    ----------
+    out : Path
+    pictures : bool
+        Without them there are neither figures nor `report.html`.
+    jobs : int
+        Worker processes that draw.
+
+    Raises
+    ------
+    IsacTrackError
+        If the folder holds no run, or a cell is missing or broken.
+    """
+    manifest = folder.read_manifest(out)
+    dataset = manifest["dataset"]["name"]
+    found, scored = summary.estimates(out, manifest)
+    predictors = manifest["settings"]["predictors"]
+    curves, decided, at_raw_alarms = decisions(scored, manifest, found)
+    flagged = flags.flags(
+        found,
+        slow=flags.slow_attacks(manifest),
+        once=flags.on_first_releases(out, manifest),
+    )
+    read = linkability.cards(out, manifest)
+    linked = summary.linkage_estimates(read)
+    everything = {**found, **at_raw_alarms, **linked}
+    compared = tuple(comparisons(everything, predictors=predictors))
+    at_equal = matched(compared, dataset=dataset)
+    said = verdict.verdict(
+        everything,
+        compared,
+        read_levels(out, manifest, success=strongest_linkers(everything)),
+        manifest=manifest,
+    )
+    results = Results(
+        out=out,
+        manifest=manifest,
+        summary=summary.to_frame({**found, **linked}, dataset=dataset),
+        paper_table=paper.paper_table(found, dataset=dataset),
+        claims=paper.claims(
+            found,
+            at_equal,
+            dataset=dataset,
+            history_points=manifest["history"]["points"],
+            history_interval_s=manifest["history"]["interval_s"],
+        ),
+        matched=at_equal,
+        decisions=decided,
+        curves=curves,
+        flags=flagged.rows,
+        linkability=linkability.linkability(read, dataset=dataset),
+        verdict=said,
+        failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
+    )
+    for frame, name in (
+        (results.summary, "summary.csv"),
+        (results.paper_table, "paper_table.csv"),
+        (results.claims, "paper_claims.csv"),
+        (results.matched, "matched.csv"),
+        (results.decisions, "decisions.csv"),
+        (results.curves, "curves.csv"),
+        (results.linkability, "linkability.csv"),
+        (results.failed, "failed.csv"),
+    ):
+        folder.write_whole(out / name, frame.to_csv(index=False).encode())
+    folder.write_whole(out / "flags.json", flags.to_json(flagged))
+    folder.write_whole(out / "verdict.json", verdict.to_bytes(said))
+    tables.write_tex(
+        results.summary,
+        results.paper_table,
+        folder=out / "tables",
+        linkability=results.linkability,
+        said=said,
+    )
+    _remove_pictures(out)  # those of an earlier report tell of other results
+    if pictures:
+        _draw(results, jobs=jobs)
+    return results
+
+
+def _remove_pictures(out: Path) -> None:
+    for path in (out / page.PAGE, *folder.figure_paths(out / "figures")):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise DataError(
+                f"cannot replace {path}: {error.strerror}; finished cells are kept"
+            ) from None
+
+
+def _draw(results: Results, *, jobs: int) -> None:
+    at_equal = results.matched
+    drawn = figures.draw_all(
+        results.summary,
+        at_equal[(at_equal["criterion"] == MISSED) & (at_equal["consumer"] == SHARED)],
+        folder=results.out / "figures",
+        dataset=results.manifest["dataset"]["name"],
+        linkability=results.linkability,
+        curves=results.curves,
+        gallery=read_gallery(results.out),
+        jobs=jobs,
+    )
+    page.write(results, drawn=drawn, verdict=results.verdict)

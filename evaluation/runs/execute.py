@@ -1,0 +1,206 @@
+"""The work of a run: what is missing is computed, and what could not be is named."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections import deque
+from contextlib import closing
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from evaluation.runs import folder as store
+from evaluation.cells.scenes import LinkWork, attempt
+from evaluation.runs.cell_files import read_cells, sound_cells, write_cell
+from evaluation.runs.failures import FailedCell, Failures
+from evaluation.runs.missing_work import cut_for_cluster, missing_work
+from evaluation.cells.sample_tracks import chosen, gallery_rows
+from evaluation.runs.gallery import write_gallery
+from evaluation.runs.manifest import (
+    describe,
+    described_failure,
+    failed_earlier,
+    merged_cells,
+    whole_cells,
+)
+from evaluation.cells.progress import Failed, note, noted
+from evaluation.runs.workers import spread
+from isac_track import kernels
+from isac_track.command_line import check_interrupt
+from isac_track.errors import PluginError, told
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Iterator
+    from collections.abc import Set as AbstractSet
+    from pathlib import Path
+
+    import pandas as pd
+
+    from evaluation.cells.scenes import Item
+    from evaluation.runs.failures import Work
+    from evaluation.experiment.axes import Consumer
+    from evaluation.experiment.plan import Plan
+    from isac_track.registry import Plugin
+
+
+class FailedCellsWarning(UserWarning):
+    """Some cells of a run could not be computed; `Results.failed` names them."""
+
+
+def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
+    """Compute what a run's folder misses; the folder is locked by who calls.
+
+    Parameters
+    ----------
+    ready : Plan
+    tell : callable
+        Called with cells finished, cells to do, and what is under way.
+
+    Raises
+    ------
+    IsacTrackError
+        For anything that a user can mend; finished cells are kept.
+    """
+    started = time.monotonic()
+    manifest = store.open_run(
+        ready.out, identity=ready.identity, code=ready.code, fresh=ready.settings.fresh
+    )
+    earlier_s = float(manifest.get("wall_time_s", 0.0))
+    earlier = [name for entry in manifest["cells"] for name in entry["files"]]
+    ours = [name for _, _, names in ready.cells for name in names]
+    sound, damaged = sound_cells(ready.out, (*earlier, *ours))
+    manifest |= describe(ready)
+    manifest["damaged_cells"] = damaged
+    manifest["failed"] = failed_earlier(manifest, ready)
+    manifest["cells"] = merged_cells(manifest["cells"], ready, sound=sound)
+    store.write_manifest(ready.out, manifest | {"state": "running"})
+    failed = _compute_missing(ready, tell, sound=sound)
+    if failed:
+        manifest["failed"] += [described_failure(one) for one in failed]
+        manifest["cells"] = whole_cells(manifest["cells"], failed, ready)
+        if not manifest["cells"]:
+            store.write_manifest(ready.out, manifest | {"state": "failed"})
+            raise PluginError(failed[0].why)
+        warnings.warn(_summed_up(failed), FailedCellsWarning, stacklevel=4)
+    tell(ready.n_cells, ready.n_cells, "intervals, verdict, figures and report")
+    manifest["gallery_without"] = _write_gallery(ready, failed)
+    manifest["exhausted_redraws"] = _exhausted_redraws(ready.out, manifest["cells"])
+    manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
+    store.write_manifest(ready.out, manifest | {"state": "finished"})
+
+
+def _summed_up(failed: list[FailedCell]) -> str:
+    reasons = list(dict.fromkeys(one.why for one in failed))
+    more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
+    return f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
+
+
+def _write_gallery(ready: Plan, failed: list[FailedCell]) -> list[str]:
+    """Keep some tracks to look at, from plug-ins that have not failed; return what fails here."""
+    named = {one.mechanism.spec for one in failed} | {one.consumer.spec for one in failed}
+    compute = partial(
+        _gallery_part,
+        tracks=ready.tracks,
+        attacks=[one for one in ready.axes.attacks if one.spec not in named],
+        stages=ready.settings.stages,
+        seed=ready.settings.seed,
+    )
+    mechanisms = chosen([one for one in ready.axes.mechanisms if one.spec not in named])
+    parts: list[pd.DataFrame] = []
+    without = []
+    limit_s = ready.settings.cell_timeout_s
+    for mechanism, found in spread(compute, deque(mechanisms), jobs=1, limit_s=limit_s):
+        for part in found:
+            if isinstance(part, Failed):
+                without.append(f"{mechanism.spec}: {part.why}")
+            else:
+                parts.append(part)
+    write_gallery(parts, out=ready.out)
+    return without
+
+
+def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | Failed]:  # noqa: ANN401 - handed on
+    note(mechanism.spec, "gallery")
+    try:
+        yield gallery_rows(mechanisms=[mechanism], **options)
+    except PluginError as error:
+        yield Failed(noted(), str(error))
+    except Exception as error:  # noqa: BLE001 - the cells are finished: no picture may cost them
+        yield Failed(noted(), told(error))
+
+
+def _compute_missing(
+    ready: Plan, tell: Callable[[int, int, str], None], *, sound: AbstractSet[str]
+) -> list[FailedCell]:
+    """Compute what is missing, and return what could not be."""
+    works = deque(missing_work(ready, sound=sound))
+    total = sum(len(consumers) for work in works for _, consumers in work.levels)
+    files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
+    done = 0
+    failures = Failures()
+    if not works:
+        return failures.cells
+    tell(done, total, "starting")
+    if any(_uses_kernels(consumer) for _, consumer, _ in ready.cells):
+        kernels.prepare()  # before workers start: each would compile for itself
+        import_module("attacks.reconstruction._parabola_loop")
+    if any(isinstance(work, LinkWork) for work in works):
+        for loops in ("isac_track._linkability_loops", "attacks.linkage._lag_loop"):
+            import_module(loops)
+    with closing(_computed(works, ready)) as computed:
+        for work, items in computed:
+            finished: set[tuple[str, str]] = set()
+            for item in items:
+                if isinstance(item, Failed):
+                    before = len(failures.cells)
+                    works.extend(failures.rest(work, item, finished=finished))
+                    done += len(failures.cells) - before
+                    continue
+                block, mechanism, consumer, rows = item
+                write_cell(
+                    ready.out,
+                    files[mechanism.spec, consumer.label][block],
+                    rows,
+                    tracks=ready.tracks,
+                )
+                finished.add((mechanism.spec, consumer.label))
+                done += 1
+                check_interrupt()
+                tell(done, total, f"{mechanism.spec} > {consumer.label}")
+    return failures.cells
+
+
+def _uses_kernels(consumer: Consumer) -> bool:
+    origin = "" if consumer.plugin is None else consumer.plugin.origin
+    links = consumer.kind in {"linkage", "control"}
+    return links or origin.startswith(("predictors.kalman", "attacks."))
+
+
+def _exhausted_redraws(out: Path, entries: list[dict[str, Any]]) -> int | None:
+    """Return how many agents kept a place without clearance; None if no cell tells."""
+    for entry in entries:
+        if entry["kind"] == "predictor":
+            paths = [out / "cells" / name for name in entry["files"]]
+            table = read_cells(paths, columns=["exhausted"])
+            return int(table["exhausted"].to_numpy().sum())
+    return None
+
+
+def _computed(works: deque[Work], ready: Plan) -> Generator[tuple[Work, Iterable[Item | Failed]]]:
+    """Yield every work with its cells, from this process or from workers; works may be added."""
+    compute = partial(
+        attempt, tracks=ready.tracks, stages=ready.settings.stages, seed=ready.settings.seed
+    )
+    settings = ready.settings
+    if settings.scheduler is None:
+        return spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
+    from evaluation.runs.dask import own_modules, spread_on_cluster  # noqa: PLC0415 - only there
+
+    cut_for_cluster(works)
+    return spread_on_cluster(
+        compute,
+        works,
+        scheduler=settings.scheduler,
+        modules=own_modules((one, consumer) for one, consumer, _ in ready.cells),
+    )

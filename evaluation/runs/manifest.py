@@ -1,0 +1,163 @@
+"""What the manifest says of a run: what it was made from, its cells, and what failed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evaluation.runs import folder as store
+from isac_track.privacy import mean_interval_s
+
+if TYPE_CHECKING:
+    from collections.abc import Set as AbstractSet
+
+    from attacks.linkage.sessions import Sessions
+    from evaluation.runs.failures import FailedCell
+    from evaluation.experiment.plan import Plan
+
+
+def failed_earlier(manifest: dict[str, Any], ready: Plan) -> list[dict[str, Any]]:
+    """Return what failed when other axes were run, whose finished levels stay in the tables."""
+    if not manifest["cells"]:
+        return []
+    ours = {(mech.spec, consumer.spec, consumer.knowledge) for mech, consumer, _ in ready.cells}
+    return [entry for entry in manifest.get("failed", []) if _cell_key(entry) not in ours]
+
+
+def describe(ready: Plan) -> dict[str, Any]:
+    """Return what a run is made from: code, settings, data set, what is linked."""
+    tracks, dataset, settings = ready.tracks, ready.dataset, ready.settings
+    return {
+        "environment": store.environment(),
+        "code": ready.code,
+        "settings": {
+            "preset": settings.preset,
+            "scenes": settings.n_scenes,
+            "seed": settings.seed,
+            "mechanisms": [plugin.spec for plugin in ready.axes.mechanisms],
+            "predictors": [plugin.spec for plugin in ready.axes.predictors],
+            "attacks": [
+                *(plugin.spec for plugin in ready.axes.attacks),
+                *dict.fromkeys(link.spec for _, link in ready.axes.links),
+            ],
+            "tasks": [task.name for task in ready.axes.tasks],
+            "stages": settings.stages.flat(),
+        },
+        "granted": {
+            plugin.spec: sorted(one.name for one in plugin.instance.requires)
+            for plugin in ready.axes.predictors
+            if plugin.instance.requires
+        },
+        "dataset": {
+            "name": dataset.name,
+            "path": str(dataset.path),
+            "sha256": dataset.sha256,
+            "format": dataset.format,
+            "simulated": dataset.simulated,
+            "notice": dataset.notice,
+            "tracks": len(dataset.tracks),
+            "tracks_used": len(tracks),
+            "too_short": tracks.too_short,
+            "no_future": tracks.no_future,
+            "repairs": [
+                {"kind": repair.kind, "count": repair.count, "detail": repair.detail}
+                for repair in dataset.repairs
+            ],
+        },
+        "history": {
+            "points": float(np.diff(tracks.offsets).mean()),
+            "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),
+        },
+        "groups": sorted(set(tracks.group)),
+        "linkage": {
+            "skipped": dict(ready.axes.skipped),
+            "tasks": {sessions.task.name: _described(sessions) for sessions in ready.sessions},
+        },
+    }
+
+
+def _described(sessions: Sessions) -> dict[str, Any]:
+    """Return what is linked in a task: who, among how many, and who learns from whom."""
+    galleries = np.bincount(sessions.gallery.search, minlength=len(sessions.searches))
+    return {
+        "about": sessions.task.about,
+        "people": len(sessions.source),
+        "too_short": sessions.too_short,
+        "not_drawn": sessions.not_drawn,
+        "clusters": len(set(sessions.group)),
+        "in_groups": int((~sessions.alone).sum()),
+        "frozen": int((~sessions.moving).sum()),
+        "probes": len(sessions.probe),
+        "mated": int((sessions.mate >= 0).sum()),
+        "candidates": dict(zip(sessions.searches, galleries.tolist(), strict=True)),
+        "learnt_from": sessions.learns.sum(axis=1).tolist(),
+        "calibrated_on": sessions.calibrates.sum(axis=1).tolist(),
+    }
+
+
+def merged_cells(
+    earlier: list[dict[str, Any]], ready: Plan, *, sound: AbstractSet[str]
+) -> list[dict[str, Any]]:
+    """Return the index of cells: those of this run, and finished ones of earlier axes.
+
+    An earlier level that was never finished (interrupted, or a plug-in that failed) is left out.
+    """
+    ours = [
+        {
+            "mechanism": mechanism.name,
+            "level": mechanism.level,
+            "spec": mechanism.spec,
+            "kind": consumer.kind,
+            "consumer": consumer.spec,
+            "knowledge": consumer.knowledge,
+            "slow": consumer.is_slow,
+            "files": list(names),
+        }
+        for mechanism, consumer, names in ready.cells
+    ]
+    known = {_cell_key(entry) for entry in ours}
+    merged = ours + [
+        entry for entry in earlier if _cell_key(entry) not in known and sound >= set(entry["files"])
+    ]
+    return _with_ceiling(merged)
+
+
+def _with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the index without what is linked without a ceiling.
+
+    What an attack says when it finds nothing depends on it.
+    """
+    ceilings = {
+        (entry["consumer"], entry["knowledge"]) for entry in entries if entry["spec"] == "clean"
+    }
+    return [
+        entry
+        for entry in entries
+        if entry["kind"] != "linkage" or (entry["consumer"], entry["knowledge"]) in ceilings
+    ]
+
+
+def whole_cells(
+    entries: list[dict[str, Any]], failed: list[FailedCell], ready: Plan
+) -> list[dict[str, Any]]:
+    """Return the index without entries that miss a cell: nothing is averaged over less."""
+    files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
+    missing = {files[one.mechanism.spec, one.consumer.label][one.block] for one in failed}
+    return _with_ceiling([entry for entry in entries if missing.isdisjoint(entry["files"])])
+
+
+def described_failure(one: FailedCell) -> dict[str, Any]:
+    """Return the entry of a cell that could not be computed."""
+    return {
+        "spec": one.mechanism.spec,
+        "kind": one.consumer.kind,
+        "consumer": one.consumer.spec,
+        "knowledge": one.consumer.knowledge,
+        "block": one.block,
+        "why": one.why,
+    }
+
+
+def _cell_key(entry: dict[str, Any]) -> tuple[str, str, str]:
+    return entry["spec"], entry["consumer"], entry["knowledge"]

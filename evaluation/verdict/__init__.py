@@ -1,0 +1,1 @@
+"""What the estimates answer: items, rules, sentences, a level for a site."""

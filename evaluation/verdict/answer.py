@@ -1,0 +1,183 @@
+"""The verdict in three sentences: whether descriptors track, FID pays, attacks undo."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from evaluation.analysis.matching import ADDING_SUFFIX, DESCRIPTORS, MISSED
+from evaluation.verdict.items import NAME
+from evaluation.verdict.rules import (
+    DOES_NOT,
+    HOLDS,
+    INFLATED,
+    REVERSED,
+    SUCCESS_MARGIN,
+    TRACKS,
+    UNDECIDED,
+    WEAKLY,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    Items = Sequence[dict[str, Any]]
+
+_ORDER: Final = (DOES_NOT, WEAKLY, TRACKS)
+"""What is said of a descriptor that fares differently in different tasks: the worst."""
+_PLURAL: Final = {
+    DOES_NOT: ("does not track", "do not track"),
+    WEAKLY: ("tracks weakly", "track weakly"),
+    TRACKS: ("tracks", "track"),
+}
+
+
+def answer(items: Items, *, dataset: str) -> list[str]:
+    """Return three sentences for the first screen.
+
+    Parameters
+    ----------
+    items : sequence of dict
+        As in `verdict.json`.
+    dataset : str
+    """
+    return [_tracking(items, dataset=dataset), _claim(items), _inflation(items)]
+
+
+def _tracking(items: Items, *, dataset: str) -> str:
+    mine = [one for one in items if one["section"] == "validity"]
+    decided = {
+        descriptor: next(
+            (
+                decision
+                for decision in _ORDER
+                if any(
+                    one["descriptor"] == descriptor and one["decision"] == decision for one in mine
+                )
+            ),
+            UNDECIDED,
+        )
+        for descriptor in DESCRIPTORS
+    }
+    if not mine:
+        return (
+            f"Whether PLR, AEL and MEL track linkability in {dataset} was not tested: the run "
+            "has no sweep of fixed noise, or nobody links."
+        )
+    parts = []
+    for decision in _ORDER:
+        names = [NAME[one] for one in DESCRIPTORS if decided[one] == decision]
+        if names:
+            parts.append(
+                f"{_listed(names)} {_PLURAL[decision][len(names) > 1]} how linkable people are"
+            )
+    open_ones = [NAME[one] for one in DESCRIPTORS if decided[one] == UNDECIDED]
+    if open_ones:
+        parts.append(f"of {_listed(open_ones)} it is undecided whether")
+        if len(parts) == 1:
+            parts = [f"whether {_listed(open_ones)} track how linkable people are is undecided"]
+        else:
+            parts[-1] = f"for {_listed(open_ones)} that is undecided"
+    said = f"In {dataset}, " + "; ".join(parts)
+    against = [one for one in mine if one["decision"] == DOES_NOT]
+    if against:
+        said += f": {_evidence(against)}"
+    return said + "."
+
+
+def _evidence(against: Items) -> str:
+    """Return what speaks most against a descriptor: the largest differences either way."""
+    surest = max(
+        against,
+        key=lambda one: max((abs(gap["effect"]) for gap in _differing(one)), default=0.0),
+    )
+    gaps = _differing(surest)
+    if not gaps:
+        return f"they fall with the noise, success in {surest['task']} hardly does"
+    more = max(gaps, key=lambda gap: gap["effect"])
+    fewer = min(gaps, key=lambda gap: gap["effect"])
+    words = [
+        f"{_label(gap)} lets {100 * abs(gap['effect']):.0f} of 100 people {word} be linked"
+        for gap, word in ((more, "more"), (fewer, "fewer"))
+        if (gap["effect"] > 0) == (word == "more")
+    ]
+    alike = any(gap["level"] is None and gap["reading"] == "equal" for gap in surest["contrasts"])
+    margin = f"{100 * SUCCESS_MARGIN:.0f} of 100"
+    return (
+        f"at equal {NAME[surest['descriptor']]}, {_listed(words)} than fixed noise "
+        f"({surest['task']}, {surest['adding']} adding"
+        + (f"; FID and fixed noise alone are alike to within {margin})" if alike else ")")
+    )
+
+
+def _differing(one: dict[str, Any]) -> list[dict[str, Any]]:
+    return [gap for gap in one["contrasts"] if gap["reading"] == "differs"]
+
+
+def _label(gap: dict[str, Any]) -> str:
+    return gap["mechanism"] if gap["level"] is None else f"{gap['mechanism']} {gap['level']:g}"
+
+
+def _claim(items: Items) -> str:
+    mine = [one for one in items if one["section"] == "claim" and one["criterion"] == MISSED]
+    if not mine:
+        return "The run does not compare FID with fixed noise."
+    parts = []
+    for adding in ADDING_SUFFIX:
+        words = []
+        for of, where in (
+            ("as-shared", "as shared"),
+            ("after-attack", "after the strongest smoother"),
+            ("linkage", "in linkage"),
+        ):
+            one_rule = [one for one in mine if one["adding"] == adding and one["of"] == of]
+            if one_rule:
+                words.append(f"{where} {_fares(one_rule)}")
+        if words and all(word.endswith(UNDECIDED) for word in words):
+            parts.append(f"under {adding} adding it is undecided throughout")
+        elif words:
+            parts.append(f"under {adding} adding it is {_listed(words)}")
+    return "FID against fixed noise at equal missed-conflict rate: " + "; ".join(parts) + "."
+
+
+def _fares(items: Items) -> str:
+    better = [one for one in items if one["decision"] == HOLDS]
+    worse = [one for one in items if one["decision"] == REVERSED]
+    if not better and not worse:
+        return "undecided"
+    parts = []
+    for ones, word in ((better, "better"), (worse, "worse")):
+        if ones:
+            names = [str(NAME.get(one["descriptor"], one["task"])) for one in ones]
+            all_of = "" if len(ones) < len(items) or len(ones) == 1 else "all of "
+            parts.append(f"{word} in {all_of}{_listed(names)}")
+    return " but ".join(parts)
+
+
+def _inflation(items: Items) -> str:
+    mine = [one for one in items if one["section"] == "inflation" and one["decision"] == INFLATED]
+    if not any(one["section"] == "inflation" for one in items):
+        return "What an attack makes of the descriptors was not tested: no attack was run."
+    if not mine:
+        return "That an attack raises the descriptors is undecided."
+    subject = mine[0]["subject"]
+    parts = []
+    for descriptor in DESCRIPTORS:
+        ratios = [one["effect"] for one in mine if one["descriptor"] == descriptor]
+        if ratios:
+            low, high = min(ratios), max(ratios)
+            span = f"{low:.1f}" if f"{low:.1f}" == f"{high:.1f}" else f"{low:.1f} to {high:.1f}"
+            parts.append(f"{NAME[descriptor]} by {span} times")
+    return (
+        f"The values as shared understate what is left to an adversary: {subject} raises "
+        f"{_listed(parts)}."
+    )
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _listed(words: Sequence[str]) -> str:
+    if len(words) == 1:
+        return words[0]
+    return ", ".join(words[:-1]) + " and " + words[-1]

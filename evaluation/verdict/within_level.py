@@ -1,0 +1,304 @@
+"""Section b of the verdict: whether a track's own PLR, AEL or MEL tells that it is linked.
+
+Within one mechanism level some tracks are linked and some are not. A designer who reads a
+descriptor track by track wants to know whether it tells which, beyond what anybody sees without
+it: how long the track is, how fast, and how noisy in both releases.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pandas as pd
+from scipy.special import stdtrit
+
+from evaluation.analysis.matching import ADDING_SUFFIX, DESCRIPTORS
+from evaluation.runs.cell_files import read_cells
+from evaluation.verdict.items import NAME, Draft, known, with_interval
+from evaluation.verdict.rules import (
+    DOES_NOT,
+    LEAST_CORRELATION,
+    SUCCESS_MARGIN,
+    TRACKS,
+    UNDECIDED,
+    WEAKLY,
+    Effect,
+    Option,
+    p_above,
+    p_below,
+)
+from isac_track.intervals import CONFIDENCE
+from isac_track.linkability import rank1
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from evaluation.analysis.matching import Measure
+    from isac_track.types import Floats, Ints
+
+COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
+"""Of either release: length, speed and mean noise."""
+COLUMNS: Final = {"plr": "plr", "ael": "ael_s", "mel": "mel_s"}
+_SIDES: Final = ("probe", "gallery")
+_FEW = 3
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LevelTracks:
+    """Who is linked at one mechanism level, and what their own tracks say."""
+
+    mechanism: str
+    hit: Floats
+    """(N,) expected share of cases in which the mate comes first"""
+    chance: Floats
+    """(N,)"""
+    cluster: Ints
+    """(N,)"""
+    descriptors: Mapping[str, Floats]
+    """By descriptor, (N, 2): in the probe and in the gallery release"""
+    covariates: Floats
+    """(N, K)"""
+
+
+def read_levels(
+    out: Path, manifest: Mapping[str, Any], *, success: Mapping[str, Measure]
+) -> dict[str, list[LevelTracks]]:
+    """Return the tracks of every level of a task, by task.
+
+    Parameters
+    ----------
+    out : Path
+    manifest : mapping
+    success : mapping
+        By task: its strongest linker.
+
+    Raises
+    ------
+    DataError
+        If a cell cannot be read.
+    """
+    files = {
+        (entry["spec"], entry["consumer"], entry["knowledge"]): entry for entry in manifest["cells"]
+    }
+    found: dict[str, list[LevelTracks]] = {}
+    for task, measure in success.items():
+        for (spec, consumer, _), entry in files.items():
+            linked = files.get((spec, measure.consumer, measure.knowledge))
+            is_level = entry["mechanism"].partition(":")[0] in {"raw", "fixed", "fid"}
+            if entry["kind"] != "windows" or consumer.partition("/")[0] != task or linked is None:
+                continue
+            if is_level:
+                found.setdefault(task, []).append(
+                    _level(
+                        out / "cells" / linked["files"][0],
+                        out / "cells" / entry["files"][0],
+                        mechanism=entry["mechanism"],
+                    )
+                )
+    return found
+
+
+def _level(scores: Path, windows: Path, *, mechanism: str) -> LevelTracks:
+    table = read_cells([scores], columns=["search", "source", "group", "mate", "scores"])
+    search = np.asarray(table["search"].to_pylist())
+    source = np.asarray(table["source"].to_pylist())
+    mate = table["mate"].to_numpy()
+    flat = table["scores"].combine_chunks()
+    values, ends = flat.values.to_numpy(), flat.offsets.to_numpy()
+    hit, chance = np.zeros(mate.size), np.zeros(mate.size)
+    for name in dict.fromkeys(search.tolist()):
+        rows = np.flatnonzero(search == name)
+        sizes = np.diff(ends)[rows]
+        block = values[ends[rows[0]] : ends[rows[-1] + 1]].reshape(rows.size, sizes[0])
+        hit[rows] = rank1(scores=block.astype(np.float64), mate=mate[rows])
+        chance[rows] = 1.0 / sizes[0]
+    keys = ("side", "search", "source")
+    seen = read_cells([windows], columns=[*keys, *COLUMNS.values(), *COVARIATES])
+    # Looked up by hand: thousands of labels in a MultiIndex take most of a report's time.
+    place = {
+        key: row
+        for row, key in enumerate(zip(*(seen[name].to_pylist() for name in keys), strict=True))
+    }
+    has = np.flatnonzero(mate >= 0)
+    sides = np.array([[place[side, search[row], source[row]] for row in has] for side in _SIDES])
+    groups, cluster = np.unique(np.asarray(table["group"].to_pylist())[has], return_inverse=True)
+    assert groups.size
+
+    def both(column: str) -> Floats:
+        values: Floats = seen[column].to_numpy().astype(np.float64)[sides].T
+        return values
+
+    return LevelTracks(
+        mechanism=mechanism,
+        hit=hit[has],
+        chance=chance[has],
+        cluster=cluster.astype(np.int64),
+        descriptors={name: both(column) for name, column in COLUMNS.items()},
+        covariates=np.column_stack([both(column) for column in COVARIATES]),
+    )
+
+
+def within(
+    levels: Mapping[str, Sequence[LevelTracks]], *, success: Mapping[str, Measure]
+) -> Iterator[Draft]:
+    """Yield an item for every adding rule, descriptor and task.
+
+    Parameters
+    ----------
+    levels : mapping
+        By task, of all adding rules. Clusters are numbered alike at all levels of a task.
+    success : mapping
+        By task: the linker that it is about.
+    """
+    for adding in ADDING_SUFFIX:
+        for descriptor in DESCRIPTORS:
+            for task, measure in success.items():
+                mine = _distinct(levels.get(task, ()), adding=adding)
+                if any(one.mechanism != "raw" for one in mine):
+                    yield _item(
+                        mine, adding=adding, descriptor=descriptor, task=task, success=measure
+                    )
+
+
+def _distinct(levels: Sequence[LevelTracks], *, adding: str) -> list[LevelTracks]:
+    """Return the levels of an adding rule, each release once: several eta may share the same."""
+    kept: dict[bytes, LevelTracks] = {}
+    for one in levels:
+        is_independent = one.mechanism.endswith(ADDING_SUFFIX["independent"])
+        if one.mechanism == "raw" or is_independent == (adding == "independent"):
+            shown = np.column_stack([one.hit, *one.descriptors.values()])
+            kept.setdefault(shown.tobytes(), one)
+    return list(kept.values())
+
+
+def _item(
+    levels: Sequence[LevelTracks],
+    *,
+    adding: str,
+    descriptor: str,
+    task: str,
+    success: Measure,
+) -> Draft:
+    works = clustered_mean(
+        np.concatenate([one.hit - one.chance for one in levels]),
+        np.concatenate([one.cluster for one in levels]),
+    )
+    found = partial_correlation(
+        [(one.descriptors[descriptor], one.hit, one.covariates, one.cluster) for one in levels]
+    )
+    condition = p_above(works, SUCCESS_MARGIN)
+    name = NAME[descriptor]
+    said = (
+        f"In {task}, among tracks of like length, speed and noise, a track's own {name} and "
+        f"whether it is linked go together by "
+        f"{with_interval(found, 'correlation')} (rank correlation)"
+    )
+    if condition > 0.05:  # noqa: PLR2004
+        why = "the strongest attack hardly links anybody: nothing could be seen"
+    elif not found.is_known:
+        why = f"{name} hardly varies beyond length, speed and noise, or there are too few people"
+    else:
+        why = "the interval reaches on both sides of the bound"
+    return Draft(
+        section="within",
+        adding=adding,
+        descriptor=descriptor,
+        task=task,
+        subject=f"{success.consumer.partition('/')[2]} ({success.knowledge})",
+        criterion="",
+        effect=found,
+        unit="correlation",
+        options=(
+            Option(DOES_NOT, max(condition, p_below(found, LEAST_CORRELATION))),
+            Option(TRACKS, max(condition, p_above(found, LEAST_CORRELATION))),
+            Option(WEAKLY, max(condition, p_above(found, 0.0))),
+        ),
+        sentences={
+            DOES_NOT: f"{said}: less than {LEAST_CORRELATION:g}, it does not tell.",
+            TRACKS: f"{said}: it tells.",
+            WEAKLY: f"{said}: it tells a little.",
+            UNDECIDED: f"{said}.",
+        },
+        why_undecided=why,
+        details={"levels": len(levels), "linked": known(works.value)},
+    )
+
+
+def clustered_mean(values: Floats, cluster: Ints) -> Effect:
+    """Return the mean of values with its clustered standard error (Liang and Zeger 1986)."""
+    mean = float(values.mean())
+    return _with_error(mean, (values - mean) / values.size, cluster)
+
+
+def partial_correlation(
+    levels: Sequence[tuple[Floats, Floats, Floats, Ints]],
+) -> Effect:
+    """Return the rank correlation of descriptor and hit within levels, beyond the covariates.
+
+    At each level all are put in ranks; the mean rank of the descriptor in both releases, and the
+    rank of the hit, are regressed on the ranks of the covariates and their squares; what is left
+    of either is correlated, over all levels together. The standard error is the clustered sandwich
+    of the correlation (its influence function), so that a person who occurs at every level counts
+    once.
+
+    Parameters
+    ----------
+    levels : sequence of (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,))
+        Rows in which anything is unknown are left out.
+    """
+    left: list[Floats] = []
+    right: list[Floats] = []
+    clusters: list[Ints] = []
+    for descriptor, hit, covariates, cluster in levels:
+        whole = np.isfinite(descriptor).all(axis=1) & np.isfinite(covariates).all(axis=1)
+        if whole.sum() < _FEW:
+            continue
+        mine = _ranks(_ranks(descriptor[whole]).mean(axis=1, keepdims=True))[:, 0]
+        design = _design(_ranks(covariates[whole]))
+        if whole.sum() <= design.shape[1] + _FEW:
+            continue
+        both = np.column_stack([mine, _ranks(hit[whole, None])[:, 0]])
+        rest = both - design @ np.linalg.lstsq(design, both, rcond=None)[0]
+        left.append(rest[:, 0])
+        right.append(rest[:, 1])
+        clusters.append(cluster[whole])
+    if not left:
+        return Effect(np.nan, np.nan, np.nan, np.nan, 0)
+    x, y, cluster = np.concatenate(left), np.concatenate(right), np.concatenate(clusters)
+    scale = np.sqrt((x @ x) * (y @ y)) / x.size
+    few = 1e-12
+    if scale < few:
+        return Effect(np.nan, np.nan, np.nan, np.nan, int(np.unique(cluster).size))
+    value = float(x @ y / x.size / scale)
+    influence = x * y / scale - value / 2.0 * (x * x / (x @ x) + y * y / (y @ y)) * x.size
+    return _with_error(value, influence / x.size, cluster)
+
+
+def _design(ranks: Floats) -> Floats:
+    """Return intercept, ranks and their squares, without columns that do not vary."""
+    columns = np.column_stack([ranks, ranks**2])
+    few = 1e-9
+    return np.column_stack([np.ones(len(ranks)), columns[:, np.ptp(columns, axis=0) > few]])
+
+
+def _ranks(values: Floats) -> Floats:
+    """Return ranks of each column, ties at their mean, within -1..1."""
+    ranks = pd.DataFrame(values).rank().to_numpy()
+    n = values.shape[0]
+    scaled: Floats = (2.0 * ranks - (n + 1.0)) / max(n - 1.0, 1.0)
+    return scaled
+
+
+def _with_error(value: float, parts: Floats, cluster: Ints) -> Effect:
+    """Return an effect whose influence, (N,), sums up within clusters."""
+    names, column = np.unique(cluster, return_inverse=True)
+    n = names.size
+    if n < 2:  # noqa: PLR2004
+        return Effect(value, np.nan, np.nan, np.nan, n)
+    sums = np.bincount(column, weights=parts, minlength=n)
+    error = float(np.sqrt(n / (n - 1.0) * (sums @ sums)))
+    half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * error
+    return Effect(value, value - half, value + half, error, n)
