@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import MaxNLocator
 
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.task_list import TASKS
 from evaluation import figure_style
 from evaluation.drawing import FID, FIXED
 from evaluation.figure_style import LOOKS, Look

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.task_list import TASKS
 from evaluation import flags as flagging
 from evaluation import page_cells, page_tables, page_words
 from evaluation.failures import failed_lines

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from attacks.tasks.build import sessions_of
 from evaluation import store
 from evaluation.grid import Axes, Settings, axes, n_blocks
-from evaluation.linkage_ground import sessions_of
 from evaluation.workers import default_jobs
 from isac_track import datasets
 from isac_track.datasets import crowd
@@ -17,7 +17,7 @@ from isac_track.errors import DataError, PluginError, told
 from isac_track.scenes import cut
 
 if TYPE_CHECKING:
-    from attacks.linkage.sessions import Sessions
+    from attacks.tasks.sessions import Sessions
     from evaluation.grid import Consumer
     from isac_track.datasets import Dataset
     from isac_track.registry import Plugin

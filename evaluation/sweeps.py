@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.task_list import TASKS
 from evaluation.grid import SHARED
 from evaluation.linkability import CLEAN
 from evaluation.matching import ADDING_SUFFIX

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import evaluation
-from attacks.linkage.sessions import Windows
-from attacks.linkage.task_list import TASKS
-from attacks.linkage.tasks import build
+from attacks.tasks.build import build
+from attacks.tasks.sessions import Windows
+from attacks.tasks.task_list import TASKS
 from evaluation.cell import Block, LinkWork, _share, cells, compute_block
 from evaluation.grid import DISSOCIATION, Axes, Consumer, Link, Settings, axes
 from evaluation.kept import kept, reduced

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from attacks.linkage.draft import LEAST_PEOPLE
-from attacks.linkage.task_list import TASKS
-from attacks.linkage.tasks import build
+from attacks.tasks.build import build
+from attacks.tasks.draft import LEAST_PEOPLE
+from attacks.tasks.task_list import TASKS
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 from isac_track.rng import stream
