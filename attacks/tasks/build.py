@@ -8,14 +8,14 @@ the noise depends. `attacks.tasks.task_list` says which tasks there are.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.tasks.closed_set import new_traversal, rerelease, split
 from attacks.tasks.draft import Draft
-from attacks.tasks.handover import handover
 from attacks.tasks.sessions import N_FOLDS
+from attacks.tasks.task_list import task_named
 from isac_track.datasets import load
 from isac_track.errors import DataError
 
@@ -73,14 +73,12 @@ def build(
     ------
     DataError
         If the recording has too few people for the task.
+    SettingsError
+        If there is no task of this name.
     """
-    draft = Draft(task=task, tracks=tracks, later=later, settings=settings, seed=seed)
-    make: dict[str, Callable[[Draft], Sessions]] = {
-        "rerelease": rerelease,
-        "split": split,
-        "new_traversal": new_traversal,
-    }
-    found = make.get(task.name, handover)(draft)
+    module, _, function = task_named(task.name).maker.partition(":")
+    make: Callable[[Draft], Sessions] = getattr(import_module(module), function)
+    found = make(Draft(task=task, tracks=tracks, later=later, settings=settings, seed=seed))
     _need_halves(found)
     return found
 
