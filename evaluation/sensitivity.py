@@ -174,8 +174,8 @@ def _too_small(
     tasks: Iterable[str], *, tracks: Tracks, stages: StageSettings, seed: int
 ) -> dict[str, str]:
     """Return the tasks that a recording has too few people for, each with why."""
-    from attacks.linkage.task_list import TASKS  # noqa: PLC0415 - as above
-    from evaluation.cells.link_setup import sessions_of  # noqa: PLC0415
+    from attacks.tasks.build import sessions_of  # noqa: PLC0415
+    from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - as above
 
     found = {}
     for name in sorted(tasks):

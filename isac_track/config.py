@@ -206,7 +206,7 @@ class PrivacySettings:
 
 @dataclass(frozen=True, slots=True)
 class LinkageSettings:
-    """What an adversary is given to link: windows of walks (`attacks.linkage.tasks`)."""
+    """What an adversary is given to link: windows of walks (`attacks.tasks.build`)."""
 
     window_s: float = 12.0
     """length of a release in rerelease and new_traversal, the same for everyone"""

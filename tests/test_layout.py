@@ -129,11 +129,11 @@ def test_no_module_imports_itself_by_a_detour(tree):
             "isac_track.rng",
             "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from attacks import controls",
         ),
-        ("predictors.recent", "import attacks.controls"),
+        ("predictors.recent", "import attacks.tasks.controls"),
     ],
 )
 def test_a_planted_import_against_the_order_is_found(tree, module, line):
-    planted = tree | {module: f"{tree[module]}\n{line}\n", "attacks.controls": ""}
+    planted = tree | {module: f"{tree[module]}\n{line}\n", "attacks.tasks.controls": ""}
     found = set(against_the_order(planted)) - set(against_the_order(tree))
     assert [pair.partition(" -> ")[0] for pair in found] == [module]
 

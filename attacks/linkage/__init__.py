@@ -1,1 +1,1 @@
-"""Linkage attacks: whose release is it? Tasks, and one attack a file."""
+"""Linkage attacks: whose release is it? One attack a file."""

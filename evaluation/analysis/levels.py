@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.task_list import TASKS
 from evaluation.analysis.linkability import CLEAN
 from evaluation.analysis.matching import ADDING_SUFFIX
 from evaluation.experiment.presets import SHARED

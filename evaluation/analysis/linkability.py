@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from attacks.controls import CONTROLS
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.controls import CONTROLS
+from attacks.tasks.task_list import TASKS
 from evaluation.cells.link_file import read_card
 from isac_track.linkability import LEVEL, outcome
 

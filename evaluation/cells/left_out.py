@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from attacks.linkage.sessions import Windows
+from attacks.tasks.sessions import Windows
 from isac_track.types import Scenes, Sensed
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from attacks.linkage.sessions import Sessions
+    from attacks.tasks.sessions import Sessions
     from evaluation.cells.link_scores import Linked
 
 _METADATA = b"isac_track.linkage"

@@ -11,19 +11,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.linkage.tasks import build
 from evaluation.cells.left_out import kept, reduced
-from isac_track.datasets import load
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense
-from isac_track.types import Release, Tracks
+from isac_track.types import Release
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from attacks.linkage.sessions import Sessions, Windows
-    from attacks.linkage.task_list import Task
+    from attacks.tasks.sessions import Sessions, Windows
     from evaluation.cells.link_scores import Linked
     from isac_track.config import StageSettings
     from isac_track.types import Bools, Floats, Ints, Sensed
@@ -104,32 +101,6 @@ class Ground:
     """(K,) cluster of each person: a column of the weights."""
     controlled: dict[str, Linked]
     """Controls that are alike at every level, as far as they are known."""
-
-
-def sessions_of(task: Task, *, tracks: Tracks, stages: StageSettings, seed: int) -> Sessions:
-    """Return the sessions of a task: of the recording, or of the two-session crowd.
-
-    Raises
-    ------
-    DataError
-        If there are too few people for the task.
-    """
-    if not task.simulated:
-        return build(task, tracks=tracks, later=None, settings=stages, seed=seed)
-    first, second = _crowd(stages.linkage.trait_strength)
-    return build(task, tracks=first, later=second, settings=stages, seed=seed)
-
-
-def _crowd(trait_strength: float) -> tuple[Tracks, Tracks]:
-    """Return the two sessions of the crowd: the bundled ones, or simulated anew."""
-    if trait_strength == 1.0:
-        return load("plaza").tracks, load("plaza-session2").tracks
-    from isac_track.datasets.crowd import BUNDLED_SEED, generate  # noqa: PLC0415 - seldom needed
-    from isac_track.datasets.crowd_plan import CrowdSettings  # noqa: PLC0415
-
-    crowd = CrowdSettings(trait_strength=trait_strength)
-    first, second = (generate(crowd, seed=BUNDLED_SEED, session=number) for number in (1, 2))
-    return first, second
 
 
 def ground(

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from attacks.controls import CONTROLS
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.shape import Shape
+from attacks.tasks.controls import CONTROLS
 from evaluation.cells.link_scores import (
     AUDIT_SHUFFLES,
     SHUFFLES,

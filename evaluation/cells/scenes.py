@@ -39,7 +39,7 @@ from isac_track.types import SHARED_LIMIT_M, Knowledge, Prediction, Release, wit
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from attacks.linkage.sessions import Sessions
+    from attacks.tasks.sessions import Sessions
     from evaluation.cells.reconstruction import Rows
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings

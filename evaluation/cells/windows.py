@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from attacks.linkage.sessions import Sessions, Windows
+    from attacks.tasks.sessions import Sessions, Windows
     from evaluation.cells.link_setup import Ground
     from evaluation.cells.reconstruction import Rows
     from isac_track.types import Floats, Ints, Release, Sensed

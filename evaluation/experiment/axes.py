@@ -13,7 +13,7 @@ from isac_track.errors import SettingsError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from attacks.linkage.task_list import Task
+    from attacks.tasks.task_list import Task
     from evaluation.experiment.settings import Settings
     from isac_track.registry import Plugin
     from isac_track.types import Knowledge
@@ -138,7 +138,7 @@ class Axes:
 
     def linkers(self, task: Task) -> tuple[Consumer, ...]:
         """Return who links in a task: the controls, then the attacks by adversary."""
-        from attacks.controls import CONTROLS  # noqa: PLC0415 - as above
+        from attacks.tasks.controls import CONTROLS  # noqa: PLC0415 - as above
         from isac_track.protocols import grants  # noqa: PLC0415
 
         return (
@@ -233,7 +233,7 @@ def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ..
 
 
 def _tasks(settings: Settings) -> tuple[Task, ...]:
-    from attacks.linkage.task_list import TASKS  # noqa: PLC0415 - --help needs no numpy
+    from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - --help needs no numpy
 
     names = PRESETS[settings.preset].tasks if settings.tasks is None else settings.tasks
     for name in names:

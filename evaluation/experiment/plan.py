@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.cells.link_setup import sessions_of
+from attacks.tasks.build import sessions_of
 from evaluation.experiment.axes import Axes, axes, n_blocks
 from evaluation.experiment.fingerprint import cell_name, code_hash
 from isac_track import datasets
@@ -17,7 +17,7 @@ from isac_track.errors import DataError, PluginError, told
 from isac_track.scenes import cut
 
 if TYPE_CHECKING:
-    from attacks.linkage.sessions import Sessions
+    from attacks.tasks.sessions import Sessions
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.settings import Settings
     from isac_track.datasets import Dataset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from attacks.controls import CONTROLS
+from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.levels import (
     INVALID,
     REMARKS,

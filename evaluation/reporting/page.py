@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks as flagging
 from evaluation.reporting import page_cells, page_tables, page_words
 from evaluation.reporting.figures.page_figures import tasks_of

@@ -22,7 +22,7 @@ import isac_track
 from evaluation.runs.manifest_shape import CELL_NAME, defect_of
 from evaluation.experiment.fingerprint import source_digest
 from evaluation.runs.lock import LOCK
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.task_list import TASKS
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:

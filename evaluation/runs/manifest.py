@@ -12,7 +12,7 @@ from isac_track.privacy import mean_interval_s
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
-    from attacks.linkage.sessions import Sessions
+    from attacks.tasks.sessions import Sessions
     from evaluation.runs.failures import FailedCell
     from evaluation.experiment.plan import Plan
 

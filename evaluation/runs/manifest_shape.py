@@ -140,7 +140,7 @@ def defect_of(manifest: dict[str, Any]) -> str:
 
 def _unmatched(entries: list[dict[str, Any]]) -> str:
     """Return which cell is of nobody that there is, or lacks its ceiling; "" if none."""
-    from attacks.controls import CONTROLS  # noqa: PLC0415 - most of this module needs no attacks
+    from attacks.tasks.controls import CONTROLS  # noqa: PLC0415 - most of this module needs no attacks
     from isac_track.protocols import ADVERSARIES  # noqa: PLC0415
 
     ceilings = {

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import evaluation
-from attacks.linkage.sessions import Windows
-from attacks.linkage.task_list import TASKS
-from attacks.linkage.tasks import build
+from attacks.tasks.build import build
+from attacks.tasks.sessions import Windows
+from attacks.tasks.task_list import TASKS
 from evaluation.cells.left_out import kept, reduced
 from evaluation.cells.link_setup import ground
 from evaluation.cells.linkage import link_level

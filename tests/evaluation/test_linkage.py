@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import evaluation
-from attacks.controls import CONTROLS
-from attacks.linkage.task_list import TASKS
-from attacks.linkage.tasks import build
+from attacks.tasks.build import build
+from attacks.tasks.controls import CONTROLS
+from attacks.tasks.task_list import TASKS
 from evaluation import matrix
 from evaluation.analysis import linkability
 from evaluation.cells.link_file import read_card, to_parquet

@@ -106,7 +106,7 @@ def test_every_setting_is_in_the_list_below():
         "conflict.decision",
         "conflict.probability_threshold",
     }
-    # What is linked passes through no scene: tests/attacks/linkage/test_tasks.py.
+    # What is linked passes through no scene: tests/attacks/tasks/test_build.py.
     linked = {name for name in setting_types() if name.startswith("linkage.")}
     assert CHANGES.keys() == setting_types().keys() - others - linked
 

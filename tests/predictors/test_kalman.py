@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.tune import TUNED, releases, tune
 from scipy.stats import chi2
 
+from benchmarks.tune import TUNED, releases, tune
 from isac_track import datasets, registry
 from isac_track.noise import UNKNOWN_VARIANCE_M2, innovation_variance_m2
 from isac_track.rng import stream

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import MaxNLocator
 
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.task_list import TASKS
 from evaluation.analysis.levels import linked_tasks, remarks, shortened
 from evaluation.analysis.linkability import CLEAN, dataset_of
 from evaluation.analysis.matching import ADDING_SUFFIX

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.linkage.draft import windows_of
-from attacks.linkage.roles import alone, roles
-from attacks.linkage.sessions import N_FOLDS, Sessions
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.draft import windows_of
+from attacks.tasks.roles import alone, roles
+from attacks.tasks.sessions import N_FOLDS, Sessions
+from attacks.tasks.task_list import TASKS
 from isac_track.datasets.summary import summarise
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from attacks.linkage.draft import Draft
-    from attacks.linkage.sessions import Windows
+    from attacks.tasks.draft import Draft
+    from attacks.tasks.sessions import Windows
     from isac_track.types import Bools, Floats, Ints
 
 

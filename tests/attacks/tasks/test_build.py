@@ -1,13 +1,14 @@
 """What is linked: whose windows, when, and who may learn from whom."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from attacks.linkage.draft import LEAST_PEOPLE
-from attacks.linkage.task_list import TASKS
-from attacks.linkage.tasks import build
+from attacks.tasks.build import build
+from attacks.tasks.draft import LEAST_PEOPLE
+from attacks.tasks.task_list import TASKS, task_named
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 from isac_track.rng import stream
@@ -352,6 +353,18 @@ def test_people_who_are_there_all_the_time_teach_nobody_and_are_refused():
     )
     with pytest.raises(DataError, match="are there all the time"):
         sessions("handover-1s", tracks=always)
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [("handover-3s", "did you mean 'handover-"), ("resplit", "'split'"), ("?", "known: rerelease")],
+)
+def test_an_unknown_task_is_refused_with_what_may_be_meant(name, hint):
+    with pytest.raises(SettingsError, match=f"unknown task {re.escape(repr(name))}; .*{hint}"):
+        task_named(name)
+    unknown = replace(TASKS["split"], name=name)
+    with pytest.raises(SettingsError, match="unknown task"):
+        build(unknown, tracks=crowd(), later=None, settings=STAGES, seed=0)
 
 
 def test_too_small_a_draw_is_refused():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.linkage.sessions import Windows
+from attacks.tasks.sessions import Windows
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from attacks.linkage.task_list import Task
+    from attacks.tasks.task_list import Task
     from isac_track.config import StageSettings
     from isac_track.types import Floats, Ints, Tracks
 

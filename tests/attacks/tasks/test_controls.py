@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from attacks.controls import CONTROLS
-from attacks.linkage.task_list import TASKS
+from attacks.tasks.controls import CONTROLS
+from attacks.tasks.task_list import TASKS
 from isac_track.linkability import Search, permutation_p
 from isac_track.types import Release
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from attacks.linkage.task_list import Task
+    from attacks.tasks.task_list import Task
     from isac_track.types import Floats, Ints, Release
 
 Score: TypeAlias = "Callable[[Release, Release, Generator], Floats]"

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.linkage.draft import CLOCK_S, elsewhere, windows_of
-from attacks.linkage.roles import alone, halves, joined, roles
-from attacks.linkage.sessions import N_FOLDS, Sessions
+from attacks.tasks.draft import CLOCK_S, elsewhere, windows_of
+from attacks.tasks.roles import alone, halves, joined, roles
+from attacks.tasks.sessions import N_FOLDS, Sessions
 from isac_track.datasets.summary import summarise
 
 if TYPE_CHECKING:
-    from attacks.linkage.draft import Draft
+    from attacks.tasks.draft import Draft
     from isac_track.types import Floats, Ints
 
 

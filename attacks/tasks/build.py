@@ -3,28 +3,55 @@
 All start from the recorded tracks; sensing, sharing and the frames that an adversary sees come
 later. Where a task hides the frame, each window is first put in another place of the recording:
 sensed twice in one place, a walk would be known by its distance from the base station, on which
-the noise depends. `attacks.linkage.task_list` says which tasks there are.
+the noise depends. `attacks.tasks.task_list` says which tasks there are.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.linkage.closed_set import new_traversal, rerelease, split
-from attacks.linkage.draft import Draft
-from attacks.linkage.handover import handover
-from attacks.linkage.sessions import N_FOLDS
+from attacks.tasks.draft import Draft
+from attacks.tasks.sessions import N_FOLDS
+from attacks.tasks.task_list import task_named
+from isac_track.datasets import load
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from attacks.linkage.sessions import Sessions
-    from attacks.linkage.task_list import Task
+    from attacks.tasks.sessions import Sessions
+    from attacks.tasks.task_list import Task
     from isac_track.config import StageSettings
     from isac_track.types import Tracks
+
+
+def sessions_of(task: Task, *, tracks: Tracks, stages: StageSettings, seed: int) -> Sessions:
+    """Return the sessions of a task: of the recording, or of the two-session crowd.
+
+    Raises
+    ------
+    DataError
+        If there are too few people for the task.
+    """
+    if not task.simulated:
+        return build(task, tracks=tracks, later=None, settings=stages, seed=seed)
+    first, second = _crowd(stages.linkage.trait_strength)
+    return build(task, tracks=first, later=second, settings=stages, seed=seed)
+
+
+def _crowd(trait_strength: float) -> tuple[Tracks, Tracks]:
+    """Return the two sessions of the crowd: the bundled ones, or simulated anew."""
+    if trait_strength == 1.0:
+        return load("plaza").tracks, load("plaza-session2").tracks
+    from isac_track.datasets.crowd import BUNDLED_SEED, generate  # noqa: PLC0415 - seldom needed
+    from isac_track.datasets.crowd_plan import CrowdSettings  # noqa: PLC0415
+
+    crowd = CrowdSettings(trait_strength=trait_strength)
+    first, second = (generate(crowd, seed=BUNDLED_SEED, session=number) for number in (1, 2))
+    return first, second
 
 
 def build(
@@ -46,14 +73,12 @@ def build(
     ------
     DataError
         If the recording has too few people for the task.
+    SettingsError
+        If there is no task of this name.
     """
-    draft = Draft(task=task, tracks=tracks, later=later, settings=settings, seed=seed)
-    make: dict[str, Callable[[Draft], Sessions]] = {
-        "rerelease": rerelease,
-        "split": split,
-        "new_traversal": new_traversal,
-    }
-    found = make.get(task.name, handover)(draft)
+    module, _, function = task_named(task.name).maker.partition(":")
+    make: Callable[[Draft], Sessions] = getattr(import_module(module), function)
+    found = make(Draft(task=task, tracks=tracks, later=later, settings=settings, seed=seed))
     _need_halves(found)
     return found
 

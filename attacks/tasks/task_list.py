@@ -13,7 +13,10 @@ Every task shows walks twice, before and after the pseudonyms change: as probe a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
+
+from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,6 +30,8 @@ class Task:
 
     name: str
     about: str
+    maker: str
+    """``module:function`` that makes its sessions from an `attacks.tasks.draft.Draft`."""
     shows_scene: bool = False
     """Whether the releases come in the true frame and on the true clock."""
     gap_s: float = 0.0
@@ -58,17 +63,46 @@ class Task:
 TASKS: Final[Mapping[str, Task]] = {
     task.name: task
     for task in (
-        Task("rerelease", "one walk sensed and shared twice: an upper bound"),
-        Task("split", "two windows of one walk that do not touch: behaviour only"),
+        Task(
+            "rerelease",
+            "one walk sensed and shared twice: an upper bound",
+            "attacks.tasks.closed_set:rerelease",
+        ),
+        Task(
+            "split",
+            "two windows of one walk that do not touch: behaviour only",
+            "attacks.tasks.closed_set:split",
+        ),
         *(
             Task(
                 f"handover-{gap_s:g}s",
                 f"all pseudonyms rotate after {gap_s:g} s of silence, in the true frame",
+                "attacks.tasks.handover:handover",
                 shows_scene=True,
                 gap_s=gap_s,
             )
             for gap_s in (1.0, 2.0, 5.0)
         ),
-        Task("new_traversal", "the same person on another day, simulated", simulated=True),
+        Task(
+            "new_traversal",
+            "the same person on another day, simulated",
+            "attacks.tasks.closed_set:new_traversal",
+            simulated=True,
+        ),
     )
 }
+
+
+def task_named(name: str) -> Task:
+    """Return the task of a name.
+
+    Raises
+    ------
+    SettingsError
+        If there is none, with what may have been meant.
+    """
+    if name not in TASKS:
+        near = get_close_matches(name, TASKS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(TASKS)}"
+        raise SettingsError(f"unknown task {name!r}; {hint}")
+    return TASKS[name]

@@ -10,7 +10,7 @@ import numpy as np
 from isac_track.types import read_only
 
 if TYPE_CHECKING:
-    from attacks.linkage.task_list import Task
+    from attacks.tasks.task_list import Task
     from isac_track.types import Bools, Floats, Ints
 
 N_FOLDS = 2

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from attacks.linkage.roles import joined
+from attacks.tasks.roles import joined
 
 GROUP = st.sampled_from("abcdef")
 PEOPLE = st.lists(st.tuples(GROUP, GROUP), min_size=1, max_size=12)
