@@ -7,7 +7,7 @@ Prints the table of ``docs/plaza.md``. Real recordings take part where they are 
 from __future__ import annotations
 
 from isac_track.datasets import load, registry
-from isac_track.datasets.crowd_stats import statistics
+from isac_track.datasets.crowd.stats import statistics
 
 COLUMNS = ("plaza", "plaza-session2", "students03", "zara01")
 

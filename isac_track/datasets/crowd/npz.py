@@ -1,92 +1,34 @@
-"""The project's own pedestrian crowd: a generator, and the two sessions that are bundled.
-
-``plaza.npz`` and ``plaza_session2.npz`` are the output of ``python -m isac_track.datasets.crowd
---out DIR``. ``docs/plaza.md`` describes the model, how it was tuned and what it must not be
-used for. Same settings, seed and session give the same millimetres. A crowd is chaotic, and
-two machines' mathematical functions may differ in the last bit; the state is therefore rounded
-to a micrometre in every step, which makes such a difference very unlikely to survive.
-"""
+"""The files of the crowd: whole millimetres in a compressed archive, and the two bundled ones."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import zipfile
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isac_track.datasets.crowd_model import simulate
-from isac_track.datasets.crowd_plan import CrowdSettings, draw_traits, person_id, plan_session
 from isac_track.datasets.registry import shown
 from isac_track.datasets.rows import brief
 from isac_track.errors import DataError
 from isac_track.types import Tracks
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from isac_track.types import Ints
 
-BUNDLED_SEED = 1
-SESSIONS = (1, 2)
-_FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}
+FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}
+"""Name of each bundled session's file, in the package `isac_track.datasets`."""
+SESSIONS = tuple(FILES)
 _FORMAT = 1
 _MM = np.iinfo(np.int16)
 _MOST_BYTES = 16_000_000
 """A bundled session is a tenth of this when unpacked; an archive can claim anything."""
 _LONGEST_FRAME_S = 3600.0
-
-
-def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
-    """Simulate one session of the crowd.
-
-    The same seed gives the same people with the same traits in every session, on new routes,
-    at other times, in other company. Traits of a person do not depend on how many others
-    there are.
-
-    Parameters
-    ----------
-    settings : CrowdSettings
-        The scenario.
-    seed : int
-        Base seed, not negative.
-    session : int
-        Number of the session, from 1.
-
-    Returns
-    -------
-    Tracks
-        One walk a person, in whole millimetres at multiples of ``settings.frame_s`` seconds.
-        `source` is the persistent id of the person (``p0001``), `group` the party that he or
-        she walks with in this session (``s1g001``).
-
-    Raises
-    ------
-    ValueError
-        If `session` is below 1 or `seed` negative.
-    """
-    if session < 1:
-        raise ValueError(f"sessions are numbered from 1, got {session}")
-    traits = draw_traits(settings, seed=seed)
-    plan = plan_session(settings, traits, seed=seed, session=session)
-    frame, person, xy = simulate(settings, traits, plan, seed=seed, session=session)
-    order = np.lexsort((frame, person))
-    rows, first = np.unique(person[order], return_index=True)
-    party = np.empty(settings.n_people, dtype=np.int64)
-    for number, members in enumerate(party.members for party in plan.parties):
-        party[members] = number
-    return Tracks(
-        t=frame[order].astype(np.float64) * settings.frame_s,
-        xy=np.rint(xy[order] * 1e3) / 1e3,
-        offsets=np.append(first, frame.size),
-        source=tuple(person_id(row) for row in rows),
-        group=tuple(f"s{session}g{party[row] + 1:03d}" for row in rows),
-    )
 
 
 def bundled(session: int) -> Tracks:
@@ -102,9 +44,9 @@ def bundled_path(session: int) -> Path:
     ValueError
         If there is no such session.
     """
-    if session not in _FILES:
+    if session not in FILES:
         raise ValueError(f"the bundled plaza has sessions 1 and 2, not {session}")
-    return Path(__file__).with_name(_FILES[session])
+    return Path(__file__).parents[1] / FILES[session]
 
 
 def write_npz(
@@ -210,26 +152,3 @@ def _whole(values: NDArray[Any], *, name: str, n_dimensions: int) -> Ints:
     if values.dtype.kind != "i" or values.ndim != n_dimensions:
         raise ValueError(f"{name} must hold whole numbers in {n_dimensions} dimension(s)")
     return values.astype(np.int64)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write both sessions of the crowd to a folder."""
-    parser = argparse.ArgumentParser(
-        prog="python -m isac_track.datasets.crowd", description=main.__doc__
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--seed", type=int, default=BUNDLED_SEED)
-    parser.add_argument("--trait-strength", type=float, default=1.0, metavar="S")
-    options = parser.parse_args(arguments)
-    settings = CrowdSettings(trait_strength=options.trait_strength)
-    options.out.mkdir(parents=True, exist_ok=True)
-    for session, name in _FILES.items():
-        tracks = generate(settings, seed=options.seed, session=session)
-        about = {"settings": asdict(settings), "seed": options.seed, "session": session}
-        write_npz(options.out / name, tracks, frame_s=settings.frame_s, about=about)
-        print(f"{options.out / name}: {len(tracks)} tracks")  # noqa: T201 - the command's output
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

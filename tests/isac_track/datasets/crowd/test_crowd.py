@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isac_track.datasets import crowd, crowd_model, crowd_plan, crowd_stats
-from isac_track.datasets.crowd import CrowdSettings
+from isac_track.datasets import crowd
+from isac_track.datasets.crowd import CrowdSettings, __main__, model, plan, stats
 from isac_track.errors import DataError, SettingsError
 from isac_track.types import Tracks
 
 SHORT = CrowdSettings(duration_s=40.0, n_people=70)
 CONSTANT_DENSITY = CrowdSettings(duration_s=150.0, n_people=280)
 
-# Measured on Students03 by crowd_stats.statistics (see docs/plaza.md).
+# Measured on Students03 by crowd.stats.statistics (see docs/plaza.md).
 STUDENTS03 = {
     "step speed, mean [m/s]": 0.610,
     "step speed, sd [m/s]": 0.464,
@@ -42,7 +42,7 @@ def plaza():
 
 @pytest.fixture(scope="module")
 def plaza_statistics(plaza):
-    return crowd_stats.statistics(plaza)
+    return stats.statistics(plaza)
 
 
 def make_tracks(*walks, frame_s=0.4):
@@ -80,28 +80,28 @@ def test_another_seed_or_session_is_another_recording(change):
 
 def test_last_bits_of_the_machine_do_not_reach_the_tracks(monkeypatch):
     exact = crowd.generate(SHORT, seed=5)
-    noise, avoidance = np.random.default_rng(0), crowd_model._avoidance
+    noise, avoidance = np.random.default_rng(0), model._avoidance
 
     def with_other_last_bits(*args, **kwargs):
         force = avoidance(*args, **kwargs)
         return force * (1 + 4e-16 * noise.standard_normal(force.shape))
 
-    monkeypatch.setattr(crowd_model, "_avoidance", with_other_last_bits)
+    monkeypatch.setattr(model, "_avoidance", with_other_last_bits)
     assert same(exact, crowd.generate(SHORT, seed=5))
 
 
 def test_traits_do_not_depend_on_how_many_others_there_are():
-    few = crowd_plan.draw_traits(replace(SHORT, n_people=10), seed=5)
-    many = crowd_plan.draw_traits(replace(SHORT, n_people=30), seed=5)
-    for name in crowd_plan.TRAIT_MEDIAN_AND_SPREAD:
+    few = plan.draw_traits(replace(SHORT, n_people=10), seed=5)
+    many = plan.draw_traits(replace(SHORT, n_people=30), seed=5)
+    for name in plan.TRAIT_MEDIAN_AND_SPREAD:
         assert np.array_equal(getattr(few, name), getattr(many, name)[:10])
 
 
 def test_trait_strength_scales_the_spread_about_the_same_median():
-    usual = crowd_plan.draw_traits(CrowdSettings(), seed=5)
-    alike = crowd_plan.draw_traits(CrowdSettings(trait_strength=0.0), seed=5)
-    double = crowd_plan.draw_traits(CrowdSettings(trait_strength=2.0), seed=5)
-    for name, (median, spread) in crowd_plan.TRAIT_MEDIAN_AND_SPREAD.items():
+    usual = plan.draw_traits(CrowdSettings(), seed=5)
+    alike = plan.draw_traits(CrowdSettings(trait_strength=0.0), seed=5)
+    double = plan.draw_traits(CrowdSettings(trait_strength=2.0), seed=5)
+    for name, (median, spread) in plan.TRAIT_MEDIAN_AND_SPREAD.items():
         logs = np.log(getattr(usual, name) / median)
         assert logs.std() == pytest.approx(spread, rel=0.1)
         assert np.allclose(np.log(getattr(double, name) / median), 2 * logs)
@@ -111,13 +111,13 @@ def test_trait_strength_scales_the_spread_about_the_same_median():
 def test_everybody_walks_once_in_every_session():
     for session in (1, 2):
         tracks = crowd.generate(SHORT, seed=5, session=session)
-        assert tracks.source == tuple(crowd_plan.person_id(row) for row in range(SHORT.n_people))
+        assert tracks.source == tuple(plan.person_id(row) for row in range(SHORT.n_people))
 
 
 def test_without_traits_nobody_is_recognised_by_speed():
     settings = replace(CONSTANT_DENSITY, trait_strength=0.0)
     one, two = (
-        crowd_stats.moving_speeds_mps(crowd.generate(settings, seed=5, session=session))
+        stats.moving_speeds_mps(crowd.generate(settings, seed=5, session=session))
         for session in (1, 2)
     )
     walked = np.isfinite(one) & np.isfinite(two)
@@ -151,7 +151,7 @@ def test_sessions_are_numbered_from_one():
 def test_walkers_on_a_collision_course_are_pushed_apart_and_slowed():
     x = np.array([[0.0, 0.0], [3.0, 0.1]])
     v = np.array([[1.0, 0.0], [-1.0, 0.0]])
-    force = crowd_model._avoidance(x, v, together=np.eye(2, dtype=bool))
+    force = model._avoidance(x, v, together=np.eye(2, dtype=bool))
     assert np.allclose(force[0], -force[1])
     assert force[0, 0] < 0
     assert force[0, 1] < 0 < force[1, 1]
@@ -163,25 +163,23 @@ def test_anticipation_is_the_gradient_of_the_time_to_collision_energy():
     def energy(x):
         dx, dv = x[0] - x[1], v[0] - v[1]
         a, b = dv @ dv, -dx @ dv
-        tau = (b - np.sqrt(b**2 - a * (dx @ dx - crowd_model.COLLISION_M**2))) / a
-        return crowd_model.ENERGY_M2 / tau**2 * np.exp(-tau / crowd_model.FORESIGHT_S)
+        tau = (b - np.sqrt(b**2 - a * (dx @ dx - model.COLLISION_M**2))) / a
+        return model.ENERGY_M2 / tau**2 * np.exp(-tau / model.FORESIGHT_S)
 
     x = np.array([[0.0, 0.0], [4.0, 0.3]])
     step = 1e-6 * np.eye(2)
     first = np.array([[1.0], [0.0]])
     slope = [(energy(x + first * shift) - energy(x - first * shift)) / 2e-6 for shift in step]
-    force = crowd_model._avoidance(x, v, together=np.eye(2, dtype=bool))[0]
+    force = model._avoidance(x, v, together=np.eye(2, dtype=bool))[0]
     assert np.allclose(force, -np.array(slope), rtol=1e-5)
 
 
 def test_people_who_walk_together_or_apart_do_not_anticipate():
     x = np.array([[0.0, 0.0], [3.0, 0.1]])
     apart = np.array([[-1.0, 0.0], [1.0, 0.0]])
+    assert np.allclose(model._avoidance(x, apart, together=np.eye(2, dtype=bool)), 0, atol=1e-6)
     assert np.allclose(
-        crowd_model._avoidance(x, apart, together=np.eye(2, dtype=bool)), 0, atol=1e-6
-    )
-    assert np.allclose(
-        crowd_model._avoidance(x, -apart, together=np.ones((2, 2), dtype=bool)), 0, atol=1e-6
+        model._avoidance(x, -apart, together=np.ones((2, 2), dtype=bool)), 0, atol=1e-6
     )
 
 
@@ -218,13 +216,13 @@ def test_plaza_resembles_students03(plaza_statistics, name):
 
 
 def test_plaza_offers_a_few_hundred_long_tracks(plaza):
-    assert 200 < crowd_stats.line_errors_m(plaza).size < 400
+    assert 200 < stats.line_errors_m(plaza).size < 400
 
 
 def test_people_keep_their_speed_between_the_bundled_sessions(plaza):
     second = crowd.bundled(2)
     assert second.source == plaza.source
-    one, two = crowd_stats.moving_speeds_mps(plaza), crowd_stats.moving_speeds_mps(second)
+    one, two = stats.moving_speeds_mps(plaza), stats.moving_speeds_mps(second)
     sizes = [Counter(tracks.group) for tracks in (plaza, second)]
     walked = np.isfinite(one) & np.isfinite(two)
     alone = np.array(
@@ -265,7 +263,7 @@ def test_company_is_new_in_the_second_session(plaza):
 
 
 def test_the_table_in_the_document_is_that_of_the_bundled_files(plaza_statistics):
-    text = Path(__file__).parents[3].joinpath("docs", "plaza.md").read_text()
+    text = Path(__file__).parents[4].joinpath("docs", "plaza.md").read_text()
     rows = [line.split("|")[1:3] for line in text.splitlines() if line.startswith("| ")]
     table = {name.strip(): value for name, value in rows}
     for name, value in plaza_statistics.items():
@@ -309,8 +307,8 @@ def test_a_file_of_another_kind_is_an_error_that_names_it(tmp_path):
 
 
 def test_the_command_writes_both_sessions(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(crowd, "CrowdSettings", lambda **changes: replace(SHORT, **changes))
-    assert crowd.main(["--out", str(tmp_path / "new"), "--seed", "5"]) == 0
+    monkeypatch.setattr(__main__, "CrowdSettings", lambda **changes: replace(SHORT, **changes))
+    assert __main__.main(["--out", str(tmp_path / "new"), "--seed", "5"]) == 0
     made = crowd.read_npz(tmp_path / "new" / "plaza_session2.npz")
     assert same(made, crowd.generate(SHORT, seed=5, session=2))
     assert capsys.readouterr().out.count("70 tracks") == 2
@@ -322,20 +320,20 @@ def test_the_command_writes_both_sessions(tmp_path, monkeypatch, capsys):
 def test_speeds_and_turns_of_a_square_corner():
     # 1 m/s east for 1.6 s, then north: one turn of 90 degrees, sampled across the corner.
     tracks = make_tracks([(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)])
-    assert np.allclose(crowd_stats.step_speeds_mps(tracks), 1.0)
-    assert np.allclose(crowd_stats.turn_rates_dps(tracks), 90 / 0.8)
-    assert np.allclose(crowd_stats.moving_speeds_mps(tracks), 1.0)
+    assert np.allclose(stats.step_speeds_mps(tracks), 1.0)
+    assert np.allclose(stats.turn_rates_dps(tracks), 90 / 0.8)
+    assert np.allclose(stats.moving_speeds_mps(tracks), 1.0)
 
 
 def test_nobody_turns_who_stands_and_steps_never_cross_tracks():
     tracks = make_tracks([(0, 0)] * 6, [(5, 5)] * 6)
-    assert crowd_stats.turn_rates_dps(tracks).size == 0
-    assert crowd_stats.step_speeds_mps(tracks).size == 10
-    assert np.isnan(crowd_stats.moving_speeds_mps(tracks)).all()
+    assert stats.turn_rates_dps(tracks).size == 0
+    assert stats.step_speeds_mps(tracks).size == 10
+    assert np.isnan(stats.moving_speeds_mps(tracks)).all()
 
 
 def test_neighbours_are_counted_per_frame():
-    nearest, present = crowd_stats.neighbour_distances_m(
+    nearest, present = stats.neighbour_distances_m(
         make_tracks([(0, 0), (0, 0)], [(3, 4), (0, 1)], [(9, 9)])
     )
     assert present.tolist() == [3, 2]
@@ -345,15 +343,15 @@ def test_neighbours_are_counted_per_frame():
 def test_a_straight_walk_is_predicted_by_a_line_and_a_bent_one_is_not():
     t = 0.4 * np.arange(80)
     straight = make_tracks(np.stack([t, -0.5 * t], axis=1))
-    assert crowd_stats.line_errors_m(straight) == pytest.approx([0.0], abs=1e-9)
-    assert crowd_stats.line_errors_m(straight, everywhere=True).size > 10
+    assert stats.line_errors_m(straight) == pytest.approx([0.0], abs=1e-9)
+    assert stats.line_errors_m(straight, everywhere=True).size > 10
     # x = a t^2 / 2: the line through a window of length w, at h past its end, errs by
     # a / 2 * (h^2 + h w + w^2 / 6) in the limit of many samples.
     bent = make_tracks(np.stack([0.05 * t**2, 0 * t], axis=1))
-    assert crowd_stats.line_errors_m(bent)[0] == pytest.approx(
+    assert stats.line_errors_m(bent)[0] == pytest.approx(
         0.05 * (0.917**2 + 0.917 * 1.25 + 1.25**2 / 6), rel=0.25
     )
 
 
 def test_short_tracks_have_no_line_error():
-    assert crowd_stats.line_errors_m(make_tracks([(0, 0)] * 54)).size == 0
+    assert stats.line_errors_m(make_tracks([(0, 0)] * 54)).size == 0

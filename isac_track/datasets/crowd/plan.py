@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CrowdSettings:
-    """Scenario of the simulated crowd. The physics are constants of `crowd_model`."""
+    """Scenario of the simulated crowd. The physics are constants of `model`."""
 
     duration_s: float = 600.0
     """length of the recording"""

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets.crowd_plan import Party, Plan, person_id
+from isac_track.datasets.crowd.plan import Party, Plan, person_id
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from isac_track.datasets.crowd_plan import CrowdSettings, Traits
+    from isac_track.datasets.crowd.plan import CrowdSettings, Traits
     from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6
