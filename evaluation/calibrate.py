@@ -23,7 +23,8 @@ from scipy.optimize import brentq
 from evaluation.cell import Block, compute_block
 from evaluation.grid import BLOCK_SCENES, Consumer, n_blocks
 from evaluation.paper import PREDICTOR, PUBLISHED
-from isac_track import datasets, privacy, registry, sensing, sharing
+from isac_track import datasets, privacy, sensing, sharing
+from isac_track import plugins as registry
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import SensingSettings, StageSettings
 from isac_track.errors import DataError, SettingsError

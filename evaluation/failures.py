@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from evaluation.cell import LinkWork
     from evaluation.grid import Consumer
     from evaluation.workers import Failed
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
 
 Work: TypeAlias = "Block | LinkWork"
 Cell: TypeAlias = "tuple[int, Plugin, Consumer]"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Literal
 
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from attacks.linkage.task_list import Task
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
     from isac_track.types import Knowledge
 
 SHARED = "shared"

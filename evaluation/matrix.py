@@ -329,7 +329,7 @@ class _Bar:
 
 def _list() -> None:
     from attacks.linkage.task_list import TASKS  # noqa: PLC0415
-    from isac_track import registry  # noqa: PLC0415
+    from isac_track import plugins as registry  # noqa: PLC0415
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
 
     defaults = StageSettings().flat()

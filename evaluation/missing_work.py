@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from evaluation.failures import Work
     from evaluation.grid import Consumer
     from evaluation.plan import Plan
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
 
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from attacks.linkage.sessions import Sessions
     from evaluation.grid import Consumer
     from isac_track.datasets import Dataset
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
     from isac_track.types import Tracks
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from evaluation.grid import Consumer
     from evaluation.kept import Kept
     from isac_track.config import StageSettings
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Scenes, Sensed
 

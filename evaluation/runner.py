@@ -29,7 +29,7 @@ from evaluation.run_index import (
 )
 from evaluation.run_lock import locked
 from evaluation.workers import Failed, note, noted, spread
-from isac_track import kernels
+from isac_track import kalman as kernels
 from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from evaluation.failures import Work
     from evaluation.grid import Consumer
     from evaluation.plan import Plan
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
 
 
 class FailedCellsWarning(UserWarning):
@@ -170,7 +170,7 @@ def _compute_missing(
         kernels.prepare()  # before workers start: each would compile for itself
         import_module("attacks.reconstruction._parabola_loop")
     if any(isinstance(work, LinkWork) for work in works):
-        for loops in ("isac_track._linkability_loops", "attacks.linkage._lag_loop"):
+        for loops in ("isac_track.linkability._loops", "attacks.linkage._lag_loop"):
             import_module(loops)
     with closing(_computed(works, ready)) as computed:
         for work, items in computed:

@@ -26,7 +26,7 @@ from evaluation.failures import Failures, cells_of, specs_of
 from evaluation.grid import Consumer, Settings
 from evaluation.runner import FailedCellsWarning
 from evaluation.workers import Failed, note, noted
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.errors import SettingsError
 
 distributed = pytest.importorskip("distributed")

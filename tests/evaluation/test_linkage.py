@@ -20,13 +20,13 @@ from evaluation.grid import Axes, Link, Settings, axes
 from evaluation.linkage import link_level
 from evaluation.linkage_cell import read_card, to_parquet
 from evaluation.linkage_ground import ground
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.intervals import cluster_weights
 from isac_track.linkability import rank1
+from isac_track.plugins import Plugin
 from isac_track.protocols import LinkageTrainingSet
-from isac_track.registry import Plugin
 from isac_track.rng import stream
 from isac_track.types import Knowledge, Reconstruction, Tracks
 

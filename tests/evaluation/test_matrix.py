@@ -9,7 +9,7 @@ import pytest
 
 from evaluation import matrix, report
 from evaluation.grid import DISSOCIATION, PRESETS, Settings, axes
-from isac_track import registry
+from isac_track import plugins as registry
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -31,7 +31,7 @@ from evaluation.grid import Settings
 from evaluation.plan import plan
 from evaluation.report import Results
 from evaluation.sweeps import Source
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError
 

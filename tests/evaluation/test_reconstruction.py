@@ -15,11 +15,11 @@ from evaluation import reconstruction
 from evaluation.cell import Block, compute_block
 from evaluation.grid import Axes, Settings
 from evaluation.reconstruction import TRAINING_PEOPLE, benchmark, descriptors, folds, ground
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError
+from isac_track.plugins import Plugin
 from isac_track.protocols import grants
-from isac_track.registry import Plugin
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import fisher_information_density, sense_scenes

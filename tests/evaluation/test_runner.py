@@ -14,7 +14,8 @@ from evaluation.grid import Consumer, Settings
 from evaluation.plan import plan
 from evaluation.report import build
 from evaluation.runner import FailedCellsWarning
-from isac_track import registry, sharing
+from isac_track import plugins as registry
+from isac_track import sharing
 from isac_track.config import StageSettings, setting_types
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.rng import stream

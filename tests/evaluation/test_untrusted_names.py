@@ -323,6 +323,6 @@ class TestTheSource:
             "evaluation/__main__.py",
             "evaluation/cluster.py",
             "evaluation/runner.py",
-            "isac_track/registry.py",
+            "isac_track/plugins.py",
             "isac_track/testing/__main__.py",
         }
