@@ -98,7 +98,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _list() -> None:
     from attacks.testing import adversaries_of  # noqa: PLC0415 - `--help` stays quick
-    from isac_track import registry  # noqa: PLC0415 - as above
+    from isac_track import plugins as registry  # noqa: PLC0415 - as above
     from isac_track.protocols import kind_of  # noqa: PLC0415 - it needs numpy, as above
 
     lines = [("attack", "kind", "adversaries", "", "")]
@@ -141,7 +141,7 @@ def _check(spec: str) -> int:
         checks_for,
         run_checks,
     )
-    from isac_track import registry  # noqa: PLC0415 - as above
+    from isac_track import plugins as registry  # noqa: PLC0415 - as above
 
     words = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
     failed = False
@@ -207,7 +207,7 @@ def _reject_taken(name: str, *, class_name: str, folder: Path) -> None:
         )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SettingsError(f"{folder} is there already; take another name, or --into DIR")
-    from isac_track.registry import names  # noqa: PLC0415 - `--help` stays quick
+    from isac_track.plugins import names  # noqa: PLC0415 - `--help` stays quick
 
     if name in names("attacks"):
         raise SettingsError(f"{name!r} is the name of an attack already; take another name")

@@ -11,10 +11,11 @@ import sys
 
 import numpy as np
 
-from isac_track import datasets, registry
+from isac_track import datasets
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError
-from isac_track.kernels import kalman_filter
+from isac_track.kalman import kalman_filter
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes

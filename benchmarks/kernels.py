@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isac_track import imm_kernels, kernels
+from isac_track import kalman
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -102,14 +102,14 @@ def matrices(steps: Floats) -> tuple[Floats, Floats]:
 
 def ours(batch: Walks) -> tuple[Floats, Floats]:
     """Filter and smooth in one call; (M, 4) means and (M, 2, 2) covariances per axis."""
-    smoothed = kernels.kalman_smoother(**settings(batch))
+    smoothed = kalman.kalman_smoother(**settings(batch))
     return smoothed.mean.reshape(-1, 4), smoothed.cov
 
 
 def in_two_calls(batch: Walks) -> tuple[Floats, Floats]:
     """Filter, keep all that it finds, and smooth."""
-    filtered = kernels.kalman_filter(**settings(batch))
-    smoothed = kernels.rts_smoother(
+    filtered = kalman.kalman_filter(**settings(batch))
+    smoothed = kalman.rts_smoother(
         model="cv", t=batch.t, offsets=batch.offsets, q=Q, filtered=filtered
     )
     return smoothed.mean.reshape(-1, 4), smoothed.cov
@@ -296,7 +296,7 @@ def compare(title: str, batch: Walks, peers: dict[str, tuple[Any, int]]) -> None
     print(f"\n{title}: {batch.offsets.size - 1:,} walks, {batch.t.size:,} samples\n")
     print("| library | us per sample | ratio | largest difference |")
     print("|---|---:|---:|---:|")
-    print(f"| isac_track.kernels | {1e6 * mine:.4f} | 1 | |")
+    print(f"| isac_track.kalman | {1e6 * mine:.4f} | 1 | |")
     worst = check("two calls", in_two_calls(batch), batch)
     twice = best(lambda: in_two_calls(batch), repeats=50) / batch.t.size
     print(f"| the same in two calls | {1e6 * twice:.4f} | {twice / mine:.1f} | {worst:.0e} |")
@@ -327,9 +327,9 @@ def all_models(batch: Walks) -> None:
     }
     del imm["model"]
     rows = {
-        "cv": functions(kernels.kalman_filter, kernels.kalman_last, settings(batch)),
-        "ca": functions(kernels.kalman_filter, kernels.kalman_last, ca),
-        "imm, 2 modes": functions(imm_kernels.imm_filter, imm_kernels.imm_last, imm),
+        "cv": functions(kalman.kalman_filter, kalman.kalman_last, settings(batch)),
+        "ca": functions(kalman.kalman_filter, kalman.kalman_last, ca),
+        "imm, 2 modes": functions(kalman.imm_filter, kalman.imm_last, imm),
     }
     print("\nEvery model, us per sample\n")
     print("| model | filter | last state only | smoother |")
@@ -346,9 +346,7 @@ def functions(
     filtered = run_filter(**chosen)
     names = [name for name in ("model", "t", "offsets", "q", "rates") if name in chosen]
     rest = {name: chosen[name] for name in names}
-    smoother: Callable[..., Any] = (
-        kernels.rts_smoother if "model" in chosen else imm_kernels.imm_smoother
-    )
+    smoother: Callable[..., Any] = kalman.rts_smoother if "model" in chosen else kalman.imm_smoother
     return (
         lambda: run_filter(**chosen),
         lambda: run_last(**chosen),
@@ -362,7 +360,7 @@ def main() -> None:
     parser.add_argument("--walks", type=int, default=1000, help="default: %(default)s")
     parser.add_argument("--samples", type=int, default=366, help="each; default: %(default)s")
     options = parser.parse_args()
-    kernels.prepare()
+    kalman.prepare()
     load = os.getloadavg()[0]
     print(f"Python {python_version()}, {processor() or 'processor unknown'}, ", end="")
     print(f"{os.cpu_count()} cores, load {load:.1f}; one process, one thread")

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isac_track import datasets, registry
+from isac_track import datasets
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.protocols import AttackContext
 from isac_track.resample import sampling_times, walk

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from scipy.optimize import minimize
 
-from isac_track import datasets, registry
+from isac_track import datasets
+from isac_track import plugins as registry
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError

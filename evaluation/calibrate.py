@@ -24,7 +24,8 @@ from evaluation.analysis.paper import PREDICTOR, PUBLISHED
 from evaluation.cells.scenes import Block, compute_block
 from evaluation.experiment.axes import Consumer, n_blocks
 from evaluation.experiment.presets import BLOCK_SCENES
-from isac_track import datasets, privacy, registry, sensing, sharing
+from isac_track import datasets, privacy, sensing, sharing
+from isac_track import plugins as registry
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import SensingSettings, StageSettings
 from isac_track.errors import DataError, SettingsError

@@ -331,7 +331,7 @@ class _Bar:
 
 def _list() -> None:
     from attacks.tasks.task_list import TASKS  # noqa: PLC0415
-    from isac_track import registry  # noqa: PLC0415
+    from isac_track import plugins as registry  # noqa: PLC0415
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
 
     defaults = StageSettings().flat()

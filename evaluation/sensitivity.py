@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from evaluation.experiment.plan import Plan
     from evaluation.experiment.settings import Settings
     from isac_track.config import StageSettings
-    from isac_track.registry import Kind
+    from isac_track.plugins import Kind
     from isac_track.types import Tracks
 
 _EXIT = """\
@@ -160,7 +160,7 @@ def settings_of(
 
 def _refuse_own_classes(kind: Kind, specs: Iterable[str], *, trust: Sequence[str]) -> None:
     """Let only the user's own command line decide what is imported, never a file."""
-    from isac_track import registry  # noqa: PLC0415 - as above
+    from isac_track import plugins as registry  # noqa: PLC0415 - as above
 
     for spec in (part for whole in specs for part in whole.split("@")):
         if registry.is_own_class(kind, spec) and spec not in trust:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.kernels import floats, ragged_times
+from isac_track.kalman.arguments import floats, ragged_times
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
@@ -43,7 +43,7 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     """
     t, offsets = ragged_times(t, offsets)
     variance = np.empty(offsets.size - 1)
-    loops = import_module("isac_track._kalman_loops")
+    loops = import_module("isac_track.kalman._linear_loops")
     loops.innovation_level(t, floats("xy", xy, (t.size, 2)), offsets, variance)
     variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
     found: Floats = np.maximum(variance, MIN_VARIANCE_M2)

@@ -1,6 +1,6 @@
 """The trackers run by filterpy itself, a loop per track: the readable reference.
 
-The compiled kernels of `isac_track.kernels` give the same numbers much faster;
+The compiled kernels of `isac_track.kalman` give the same numbers much faster;
 ``kalman_cv:engine=filterpy`` runs this instead. Traps of filterpy 2.0.0 are heeded here: F, Q and
 H are written out, H is set once, x stays one-dimensional, Q is that of continuous white noise
 (which composes over steps), M is row-stochastic, a rejected sample never reaches `update`.

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from isac_track.imm_kernels import imm_last
-from isac_track.kernels import MAX_REJECTIONS, kalman_last
+from isac_track.kalman import MAX_REJECTIONS, imm_last, kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import ErrorLaw, Knowledge, Prediction
 from predictors.recent import Recent, recent

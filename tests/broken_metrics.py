@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import exp, nan
 
 import numpy as np
-import oracles
+from helpers import oracles
 
 
 def distance(shared_xy, true_xy):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track._compiling import (
+from isac_track.compiling import (
     BOOL,
     FLOAT,
     FLOATS1,

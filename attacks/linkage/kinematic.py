@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.linkage.signals import learn, log_rank, mated, positive, teaches
-from isac_track.kernels import kalman_last
+from isac_track.kalman import kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from isac_track.kernels import LastState
+    from isac_track.kalman import LastState
     from isac_track.protocols import AttackContext, LinkageTrainingSet
     from isac_track.types import Bools, Floats, Ints, Release
 

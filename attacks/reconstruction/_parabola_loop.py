@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track._compiling import FLOATS1, FLOATS2, INTS1, OUT_FLOATS2, compiled, part_of_loop
+from isac_track.compiling import FLOATS1, FLOATS2, INTS1, OUT_FLOATS2, compiled, part_of_loop
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints

@@ -10,7 +10,7 @@ import numpy as np
 
 from attacks.reconstruction.learning import around, choose
 from attacks.reconstruction.noise import learn_variance
-from isac_track.imm_kernels import imm_filter, imm_smoother
+from isac_track.kalman import imm_filter, imm_smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class ImmRTS:
 
     The default densities reconstruct the bundled crowd best; the robot's tracker `kalman_imm`
     foresees a second and has a calmer first mode. The smoother is Barber's expectation
-    correction; see `isac_track.imm_kernels`.
+    correction; see `isac_track.kalman`.
 
     References
     ----------

@@ -9,7 +9,7 @@ import numpy as np
 
 from attacks.reconstruction.learning import around, choose
 from attacks.reconstruction.noise import learn_variance
-from isac_track.kernels import smooth_positions
+from isac_track.kalman import smooth_positions
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def fitted(
     candidates : sequence of float
         With one.
     passes, anneal
-        Of `isac_track.kernels.smooth_positions`.
+        Of `isac_track.kalman.smooth_positions`.
     """
     variance = learn_variance(context)
     if q is None and Knowledge.TRAIN in context.granted:
@@ -92,7 +92,7 @@ def smooth(
 ) -> Reconstruction:
     """Return smoothed positions of a release with error variance per axis `variance`, (M,) m^2.
 
-    `passes` and `anneal` are those of `isac_track.kernels.smooth_positions`.
+    `passes` and `anneal` are those of `isac_track.kalman.smooth_positions`.
     """
     mean, cov = diffuse_prior(release)
     position, spread = smooth_positions(

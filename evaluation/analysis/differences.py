@@ -67,7 +67,7 @@ COLUMNS = [
     "finding",
 ]
 _BASIC = frozenset({"eer", "cllr_min"})
-"""Metrics whose replicates are biased: their intervals are basic ones (`isac_track.scorecard`)."""
+"""Metrics whose replicates are biased: their intervals are basic ones (`linkability.scoring`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,12 +10,13 @@ import numpy as np
 from isac_track.intervals import Estimate, cluster_sums, ratio_estimate
 from isac_track.linkability import (
     Calibration,
+    Scorecard,
     Search,
     fit_calibration,
     rank1,
     rank1_p,
+    scorecard,
 )
-from isac_track.scorecard import Scorecard, scorecard
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

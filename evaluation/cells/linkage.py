@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from evaluation.cells.reconstruction import Rows
     from evaluation.experiment.axes import Consumer
     from isac_track.linkability import Calibration
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
     from isac_track.types import Floats, Ints, Sensed
 
 Linker: TypeAlias = "Callable[[Release, Release], Floats]"

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from evaluation.cells.left_out import Kept
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Scenes, Sensed
 

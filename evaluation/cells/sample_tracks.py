@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from isac_track.config import StageSettings
+    from isac_track.plugins import Plugin
     from isac_track.protocols import ReconstructionAttack
-    from isac_track.registry import Plugin
     from isac_track.scenes import Cut
     from isac_track.types import Bools, Floats, Release, Scenes, Sensed
 

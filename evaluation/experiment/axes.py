@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING, Literal
 
 from evaluation.experiment.presets import BLOCK_SCENES, PRESETS, SHARED, WINDOWS
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from attacks.tasks.task_list import Task
     from evaluation.experiment.settings import Settings
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
     from isac_track.types import Knowledge
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from evaluation.experiment.axes import Consumer
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
 
 _COMPUTING = ("isac_track", "predictors", "attacks")
 _CELL_SOURCES = ("experiment", "cells")

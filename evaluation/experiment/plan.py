@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.settings import Settings
     from isac_track.datasets import Dataset
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
     from isac_track.types import Tracks
 

@@ -155,7 +155,7 @@ def parse(name: str) -> Variant:
         changed = StageSettings().changed({setting: value}).flat()
         return Variant(f"{key}={value}", {setting: changed[setting]})
     if value and key == _PREDICTOR:
-        from isac_track import registry  # noqa: PLC0415 - seldom needed
+        from isac_track import plugins as registry  # noqa: PLC0415 - seldom needed
 
         plugins = registry.parse("predictors", value)
         if len(plugins) > 1:

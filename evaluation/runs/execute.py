@@ -26,7 +26,7 @@ from evaluation.runs.manifest import (
 )
 from evaluation.cells.progress import Failed, note, noted
 from evaluation.runs.workers import spread
-from isac_track import kernels
+from isac_track import kalman as kernels
 from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from evaluation.runs.failures import Work
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
 
 
 class FailedCellsWarning(UserWarning):
@@ -146,7 +146,7 @@ def _compute_missing(
         kernels.prepare()  # before workers start: each would compile for itself
         import_module("attacks.reconstruction._parabola_loop")
     if any(isinstance(work, LinkWork) for work in works):
-        for loops in ("isac_track._linkability_loops", "attacks.linkage._lag_loop"):
+        for loops in ("isac_track.linkability._loops", "attacks.linkage._lag_loop"):
             import_module(loops)
     with closing(_computed(works, ready)) as computed:
         for work, items in computed:

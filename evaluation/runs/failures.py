@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from evaluation.cells.scenes import LinkWork
     from evaluation.experiment.axes import Consumer
     from evaluation.cells.progress import Failed
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
 
 Work: TypeAlias = "Block | LinkWork"
 Cell: TypeAlias = "tuple[int, Plugin, Consumer]"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from evaluation.runs.failures import Work
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan
-    from isac_track.registry import Plugin
+    from isac_track.plugins import Plugin
 
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12

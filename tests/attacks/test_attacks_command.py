@@ -13,7 +13,7 @@ import pytest
 from attacks import __main__ as command
 from attacks.__main__ import main
 from attacks.testing import CHECKS, LINKAGE_CHECKS
-from isac_track import registry
+from isac_track import plugins as registry
 
 TESTS = Path(__file__).parents[1]
 DOCS = TESTS.parent / "docs" / "attacks.md"

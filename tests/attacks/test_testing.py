@@ -14,7 +14,7 @@ from broken_attacks import BROKEN, Base
 from attacks.testing import CHECKS, CheckResult, parametrize_attack_checks, run_checks
 from attacks.testing import _cases as cases
 from attacks.testing._releases import BOX_M, RAW_SIGMA_M, Motion
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.errors import PluginError, SettingsError
 from isac_track.types import Knowledge, Reconstruction
 

@@ -19,11 +19,12 @@ from evaluation.cells.windows import read_windows
 from evaluation.experiment.axes import Axes, Consumer, Link, axes
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
-from isac_track import privacy, registry
+from isac_track import plugins as registry
+from isac_track import privacy
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError
+from isac_track.plugins import Plugin
 from isac_track.protocols import grants
-from isac_track.registry import Plugin
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, predicted_separation, track_order
 from isac_track.sensing import sense_scenes

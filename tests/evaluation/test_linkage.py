@@ -22,13 +22,13 @@ from evaluation.cells.linkage import link_level
 from evaluation.cells.scenes import _share
 from evaluation.experiment.axes import Axes, Link, axes
 from evaluation.experiment.settings import Settings
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.intervals import cluster_weights
 from isac_track.linkability import rank1
+from isac_track.plugins import Plugin
 from isac_track.protocols import LinkageTrainingSet
-from isac_track.registry import Plugin
 from isac_track.rng import stream
 from isac_track.types import Knowledge, Reconstruction, Tracks
 

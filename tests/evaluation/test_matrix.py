@@ -11,7 +11,7 @@ from evaluation import matrix, report
 from evaluation.experiment.axes import axes
 from evaluation.experiment.presets import DISSOCIATION, PRESETS
 from evaluation.experiment.settings import Settings
-from isac_track import registry
+from isac_track import plugins as registry
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -22,7 +22,7 @@ from evaluation.reporting.figures import page_figures
 from evaluation.reporting.figures import style as figure_style
 from evaluation.results import Results
 from evaluation.runs.failures import COLUMNS as FAILED_COLUMNS
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError
 

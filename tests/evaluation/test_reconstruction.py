@@ -16,11 +16,11 @@ from evaluation.cells.reconstruction import TRAINING_PEOPLE, benchmark, descript
 from evaluation.cells.scenes import Block, compute_block
 from evaluation.experiment.axes import Axes
 from evaluation.experiment.settings import Settings
-from isac_track import registry
+from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError
+from isac_track.plugins import Plugin
 from isac_track.protocols import grants
-from isac_track.registry import Plugin
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import fisher_information_density, sense_scenes

@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers.strategies import reproducible
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from strategies import reproducible
 
 import evaluation
 from evaluation import matrix, report

@@ -16,7 +16,8 @@ from evaluation.experiment.settings import Settings
 from evaluation.results import build
 from evaluation.runs import folder as store
 from evaluation.runs.execute import FailedCellsWarning
-from isac_track import registry, sharing
+from isac_track import plugins as registry
+from isac_track import sharing
 from isac_track.config import StageSettings, setting_types
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.rng import stream

@@ -4,11 +4,11 @@ import re
 from itertools import pairwise
 
 import numpy as np
-import oracles
 import pytest
+from helpers import oracles
+from helpers.strategies import batches, points, reproducible
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from strategies import batches, points, reproducible
 
 from isac_track.conflict import (
     distance_mae_m,

@@ -4,11 +4,11 @@ import re
 from math import pi
 
 import numpy as np
-import oracles
 import pytest
+from helpers import oracles
+from helpers.strategies import batches, points, reproducible
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import batches, points, reproducible
 
 from isac_track.privacy import exposure, leakage_indicator, mean_interval_s
 

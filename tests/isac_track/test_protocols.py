@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from isac_track import registry
+from isac_track import plugins
 from isac_track.errors import KnowledgeDenied
 from isac_track.protocols import (
     ADVERSARIES,
@@ -179,6 +179,6 @@ def test_a_row_is_named_after_the_weakest_adversary_that_gets_as_much(requires, 
     ],
 )
 def test_the_rows_of_the_built_in_attacks(name, adversaries):
-    (plugin,) = registry.parse("attacks", name)
+    (plugin,) = plugins.parse("attacks", name)
     assert list(grants(plugin.instance)) == adversaries
     assert isinstance(plugin.instance, ReconstructionAttack)

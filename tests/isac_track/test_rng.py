@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import reproducible
 
 from isac_track.rng import stream
 

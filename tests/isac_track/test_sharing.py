@@ -5,12 +5,12 @@ from dataclasses import FrozenInstanceError
 from math import exp, inf, sqrt
 
 import numpy as np
-import oracles
 import pytest
+from helpers import oracles
+from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from strategies import reproducible
 
 from isac_track.protocols import Mechanism
 from isac_track.rng import stream

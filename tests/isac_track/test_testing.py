@@ -11,9 +11,9 @@ from math import nan
 from pathlib import Path
 
 import numpy as np
-import oracles
 import pytest
 from broken_metrics import BROKEN
+from helpers import oracles
 
 from isac_track.errors import SettingsError
 from isac_track.testing import (

@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from benchmarks.tune import TUNED, releases, tune
-from isac_track import datasets, registry
+from isac_track import datasets
+from isac_track import plugins as registry
 from isac_track.noise import UNKNOWN_VARIANCE_M2, innovation_variance_m2
 from isac_track.rng import stream
 from isac_track.types import Knowledge, Release

@@ -12,12 +12,13 @@ and 1.12; savgol 1.17, moving_average 1.39, averaging 4.8 and identity 5.4.
 
 from functools import cache
 
-import kernel_oracles as oracle
 import numpy as np
 import pytest
+from helpers import kernel_oracles as oracle
 
 from attacks.reconstruction.kalman_rts import KalmanRTS
-from isac_track import kernels, registry
+from isac_track import kalman as kernels
+from isac_track import plugins as registry
 from isac_track.protocols import AttackContext, TrainingSet, grants
 from isac_track.rng import stream
 from isac_track.sharing import Raw

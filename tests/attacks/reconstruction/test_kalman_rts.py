@@ -2,9 +2,9 @@
 
 from itertools import pairwise
 
-import kernel_oracles as oracle
 import numpy as np
 import pytest
+from helpers import kernel_oracles as oracle
 
 from attacks.reconstruction.kalman_rts import CANDIDATES, PRIOR_STD, KalmanRTS
 from isac_track.protocols import AttackContext, TrainingSet

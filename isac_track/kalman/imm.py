@@ -30,7 +30,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isac_track import kernels
+from isac_track.kalman.arguments import covariances, floats, positive, ragged_times, variances
+from isac_track.kalman.linear import MAX_REJECTIONS
 
 if TYPE_CHECKING:
     from isac_track.types import Bools, Floats, Ints
@@ -133,7 +134,7 @@ def imm_filter(
         Of the modes before the first sample; adds up to 1.
     gate : float, optional
         A sample is not used if its normalised innovation squared exceeds this under every mode,
-        unless `kernels.MAX_REJECTIONS` samples before it were not. Default: all are used.
+        unless `MAX_REJECTIONS` samples before it were not. Default: all are used.
 
     Raises
     ------
@@ -203,7 +204,7 @@ def imm_smoother(
     Barber, "Expectation correction for smoothed inference in switching linear dynamical
     systems", J. Machine Learning Research 7, 2006, 2515-2540.
     """
-    t, offsets = kernels.ragged_times(t, offsets)
+    t, offsets = ragged_times(t, offsets)
     density, generator = _modes(q, rates)
     n_samples, modes = t.size, density.size
     mean, mixed_mean = np.empty((n_samples, modes, 4)), np.empty((n_samples, 4))
@@ -211,11 +212,9 @@ def imm_smoother(
     probability = np.empty((n_samples, modes))
     _loops().imm_smoother(
         *(t, offsets, density, generator),
-        kernels.floats("filtered.mean", filtered.mean, (n_samples, modes, 2, 2)).reshape(
-            mean.shape
-        ),
-        kernels.floats("filtered.cov", filtered.cov, cov.shape),
-        kernels.floats("filtered.probability", filtered.probability, probability.shape),
+        floats("filtered.mean", filtered.mean, (n_samples, modes, 2, 2)).reshape(mean.shape),
+        floats("filtered.cov", filtered.cov, cov.shape),
+        floats("filtered.probability", filtered.probability, probability.shape),
         *(mean, cov, probability, mixed_mean, mixed_cov),
     )
     return ImmSmoothed(
@@ -228,7 +227,7 @@ def imm_smoother(
 
 
 def _loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
-    return import_module("isac_track._imm_loops")
+    return import_module("isac_track.kalman._imm_loops")
 
 
 def _filter(arrays: tuple[Any, ...], *, every: bool) -> tuple[Any, ...]:
@@ -243,7 +242,7 @@ def _filter(arrays: tuple[Any, ...], *, every: bool) -> tuple[Any, ...]:
     log_likelihood = np.zeros(n_tracks)
     _loops().imm_filter(
         *arrays,
-        *(kernels.MAX_REJECTIONS, every, mean, cov, probability, mixed_mean, mixed_cov),
+        *(MAX_REJECTIONS, every, mean, cov, probability, mixed_mean, mixed_cov),
         *(nis, accepted, log_likelihood),
     )
     return (
@@ -270,27 +269,27 @@ def _arguments(
     initial_probability: Floats,
     gate: float,
 ) -> tuple[Any, ...]:
-    t, offsets = kernels.ragged_times(t, offsets)
+    t, offsets = ragged_times(t, offsets)
     n_tracks = offsets.size - 1
     density, generator = _modes(q, rates)
-    per_axis = kernels.covariances("initial_cov", initial_cov, (n_tracks, 2, 2))
+    per_axis = covariances("initial_cov", initial_cov, (n_tracks, 2, 2))
     cov = np.zeros((n_tracks, 4, 4))
     cov[:, :2, :2] = cov[:, 2:, 2:] = per_axis
-    mean = kernels.floats("initial_mean", initial_mean, (n_tracks, 2, 2)).reshape(-1, 4)
-    prior = kernels.floats("initial_probability", initial_probability, density.shape)
+    mean = floats("initial_mean", initial_mean, (n_tracks, 2, 2)).reshape(-1, 4)
+    prior = floats("initial_probability", initial_probability, density.shape)
     if not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, rtol=0, atol=1e-9):
         raise ValueError("initial_probability must not be negative and must add up to 1")
     return (
         t,
-        kernels.floats("xy", xy, (t.size, 2)),
-        kernels.variances(variance, t.size),
+        floats("xy", xy, (t.size, 2)),
+        variances(variance, t.size),
         offsets,
         density,
         generator,
         mean,
         cov,
         prior / prior.sum(),
-        kernels.positive("gate", gate, finite=False),
+        positive("gate", gate, finite=False),
     )
 
 
@@ -299,7 +298,7 @@ def _modes(q: Floats, rates: Floats) -> tuple[Floats, Floats]:
     density = np.ascontiguousarray(q, dtype=np.float64)
     if density.ndim != 1 or density.size < 2:  # noqa: PLR2004 - one mode is a Kalman filter
         raise ValueError(f"q must have shape (J,) with J >= 2, got {density.shape}")
-    density = kernels.floats("q", density, density.shape)
+    density = floats("q", density, density.shape)
     if not (density > 0).all():
         raise ValueError("q must be positive")
     generator = np.array(rates, dtype=np.float64)

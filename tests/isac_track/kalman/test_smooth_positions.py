@@ -3,14 +3,14 @@
 from fractions import Fraction
 from itertools import pairwise
 
-import kernel_oracles as oracle
 import numpy as np
 import pytest
+from helpers import kernel_oracles as oracle
+from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import reproducible
 
-from isac_track import kernels
+from isac_track import kalman
 from isac_track.rng import stream
 
 SIZES = (1, 2, 3, 7, 8, 9, 100)
@@ -116,14 +116,14 @@ class TestOnePass:
     def test_is_the_smoother_with_velocities(self):
         for cov in (None, VAGUE):
             case = batch(*SIZES, cov=cov)
-            position, variance = kernels.smooth_positions(**case)
-            expected = kernels.kalman_smoother(model="cv", **case)
+            position, variance = kalman.smooth_positions(**case)
+            expected = kalman.kalman_smoother(model="cv", **case)
             np.testing.assert_allclose(position, expected.mean[:, :, 0], rtol=1e-9)
             np.testing.assert_allclose(variance, expected.cov[:, 0, 0], rtol=1e-9)
 
     def test_is_the_dense_posterior(self):
         case = batch(12, 1, 5, 2, 9)
-        position, variance = kernels.smooth_positions(**case)
+        position, variance = kalman.smooth_positions(**case)
         for rows, track in one_by_one(case):
             mean, cov, _ = oracle.joint_posterior(**track)
             np.testing.assert_allclose(position[rows], mean[:, :, 0], rtol=0, atol=1e-9)
@@ -131,7 +131,7 @@ class TestOnePass:
 
     def test_by_hand(self):
         # A walk that stands still (q so small, prior velocity 0): the mean of three samples.
-        position, variance = kernels.smooth_positions(
+        position, variance = kalman.smooth_positions(
             t=np.array([0.0, 1.0, 2.0]),
             xy=np.array([[1.0, 0.0], [2.0, 0.0], [6.0, 3.0]]),
             variance=np.full(3, 0.3),
@@ -149,7 +149,7 @@ class TestOnePass:
         case = batch(
             6, 5, cov=VAGUE, step_s=(step_s, 1.5 * step_s), variance=(sigma_m**2, 2 * sigma_m**2)
         )
-        position, variance = kernels.smooth_positions(**case)
+        position, variance = kalman.smooth_positions(**case)
         for rows, track in one_by_one(case):
             for axis in range(2):
                 alone = track | {"xy": track["xy"][:, axis], "mean": track["mean"][axis]}
@@ -165,7 +165,7 @@ class TestSeveralPasses:
     @pytest.mark.parametrize("anneal", [0.0, 0.15, 0.7])
     def test_are_the_documented_iteration(self, passes, anneal):
         case = batch(10, 1, 4, 2)
-        position, variance = kernels.smooth_positions(**case, passes=passes, anneal=anneal)
+        position, variance = kalman.smooth_positions(**case, passes=passes, anneal=anneal)
         for rows, track in one_by_one(case):
             expected, spread = reweighted(**track, passes=passes, anneal=anneal)
             np.testing.assert_allclose(position[rows], expected, rtol=0, atol=1e-9)
@@ -173,8 +173,8 @@ class TestSeveralPasses:
 
     def test_the_annealing_begins_with_the_third(self):
         case = batch(10, 4)
-        second = [kernels.smooth_positions(**case, passes=2, anneal=a)[0] for a in (0.0, 0.7)]
-        third = [kernels.smooth_positions(**case, passes=3, anneal=a)[0] for a in (0.0, 0.7)]
+        second = [kalman.smooth_positions(**case, passes=2, anneal=a)[0] for a in (0.0, 0.7)]
+        third = [kalman.smooth_positions(**case, passes=3, anneal=a)[0] for a in (0.0, 0.7)]
         np.testing.assert_array_equal(*second)
         assert np.abs(third[0] - third[1]).max() > 1e-3
 
@@ -192,8 +192,8 @@ class TestSeveralPasses:
             "initial_mean": np.zeros((1, 2, 2)),
             "initial_cov": VAGUE[None],
         }
-        gaussian, before = kernels.smooth_positions(**case)
-        radial, after = kernels.smooth_positions(**case, passes=6)
+        gaussian, before = kalman.smooth_positions(**case)
+        radial, after = kalman.smooth_positions(**case, passes=6)
         assert gaussian[10, 1] > 0.1
         assert radial[10, 1] < 0.3 * gaussian[10, 1]
         assert after[3] < 0.5 * before[3]
@@ -206,18 +206,18 @@ class TestNeighbours:
     def test_alone_a_track_is_bit_for_bit_what_it_is_among_others(self, passes):
         for seed in range(8):
             case = batch(*SIZES, 40, 5, 6, seed=seed, cov=VAGUE)
-            position, variance = kernels.smooth_positions(**case, passes=passes, anneal=0.15)
+            position, variance = kalman.smooth_positions(**case, passes=passes, anneal=0.15)
             for i, (lo, hi) in enumerate(pairwise(case["offsets"])):
-                alone = kernels.smooth_positions(**taken(case, [i]), passes=passes, anneal=0.15)
+                alone = kalman.smooth_positions(**taken(case, [i]), passes=passes, anneal=0.15)
                 np.testing.assert_array_equal(alone[0], position[lo:hi])
                 np.testing.assert_array_equal(alone[1], variance[lo:hi])
 
     @pytest.mark.parametrize("passes", [1, 5])
     def test_the_order_of_the_tracks_changes_no_bit(self, passes):
         case = batch(1, 2, 3, 7, 7, 7, 7, 7, 7, 7, 30, cov=VAGUE)  # ties across full lanes
-        position, variance = kernels.smooth_positions(**case, passes=passes, anneal=0.15)
+        position, variance = kalman.smooth_positions(**case, passes=passes, anneal=0.15)
         order = stream(0, "test", "order").permutation(11)
-        turned = kernels.smooth_positions(**taken(case, order), passes=passes, anneal=0.15)
+        turned = kalman.smooth_positions(**taken(case, order), passes=passes, anneal=0.15)
         rows = np.concatenate([np.arange(*case["offsets"][i : i + 2]) for i in order])
         np.testing.assert_array_equal(turned[0], position[rows])
         np.testing.assert_array_equal(turned[1], variance[rows])
@@ -226,9 +226,9 @@ class TestNeighbours:
     def test_full_and_partly_filled_lanes_give_every_track_its_own_result(self, n_tracks):
         case = batch(*[5, 2, 11, 1, 7, 3][:n_tracks], *[6] * (n_tracks - 6))
         assert case["offsets"].size == n_tracks + 1
-        position, variance = kernels.smooth_positions(**case, passes=3, anneal=0.15)
+        position, variance = kalman.smooth_positions(**case, passes=3, anneal=0.15)
         for i, (lo, hi) in enumerate(pairwise(case["offsets"])):
-            alone = kernels.smooth_positions(**taken(case, [i]), passes=3, anneal=0.15)
+            alone = kalman.smooth_positions(**taken(case, [i]), passes=3, anneal=0.15)
             np.testing.assert_allclose(position[lo:hi], alone[0], rtol=1e-12)
             np.testing.assert_allclose(variance[lo:hi], alone[1], rtol=1e-12)
 
@@ -236,7 +236,7 @@ class TestNeighbours:
         none = taken(batch(3, 4), [0])
         none |= {name: none[name][:0] for name in ("t", "xy", "variance")}
         none |= {"initial_mean": np.empty((0, 2, 2)), "initial_cov": np.empty((0, 2, 2))}
-        position, variance = kernels.smooth_positions(**none | {"offsets": np.array([0])})
+        position, variance = kalman.smooth_positions(**none | {"offsets": np.array([0])})
         assert position.shape == (0, 2)
         assert variance.shape == (0,)
 
@@ -261,7 +261,7 @@ def test_any_noise_and_any_step_give_a_sound_result(
         step_s=(0.1 * step_s, step_s),
         variance=(0.01 * square, square),
     )
-    position, variance = kernels.smooth_positions(**case, passes=passes, anneal=anneal)
+    position, variance = kalman.smooth_positions(**case, passes=passes, anneal=anneal)
     assert np.isfinite(position).all()
     assert (variance > 0).all()
     # A sample's weight is at least 1 / sigma^2 per axis in every pass, 2 / sigma^2 in the first.
@@ -278,20 +278,20 @@ def test_turned_and_shifted_walks_are_turned_and_shifted_alike(passes):
     moved = case | {"xy": case["xy"] @ turn.T + [300.0, -70.0]}
     moved["initial_mean"] = np.zeros_like(case["initial_mean"])
     moved["initial_mean"][:, :, 0] = moved["xy"][case["offsets"][:-1]]
-    position, variance = kernels.smooth_positions(**case, passes=passes, anneal=0.15)
-    there, spread = kernels.smooth_positions(**moved, passes=passes, anneal=0.15)
+    position, variance = kalman.smooth_positions(**case, passes=passes, anneal=0.15)
+    there, spread = kalman.smooth_positions(**moved, passes=passes, anneal=0.15)
     np.testing.assert_allclose(there, position @ turn.T + [300.0, -70.0], rtol=0, atol=1e-9)
     np.testing.assert_allclose(spread, variance, rtol=1e-9)
 
 
 def test_inputs_stay_as_they_are_and_may_be_read_only():
     case = batch(*SIZES)
-    expected = kernels.smooth_positions(**case, passes=3)
+    expected = kalman.smooth_positions(**case, passes=3)
     kept = {name: np.copy(value) for name, value in case.items()}
     for value in case.values():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
-    for one, other in zip(kernels.smooth_positions(**case, passes=3), expected, strict=True):
+    for one, other in zip(kalman.smooth_positions(**case, passes=3), expected, strict=True):
         np.testing.assert_array_equal(one, other)
     for name, value in kept.items():
         np.testing.assert_array_equal(case[name], value)
@@ -320,4 +320,4 @@ def test_inputs_stay_as_they_are_and_may_be_read_only():
 def test_what_cannot_be_smoothed_is_refused(change, message):
     case = batch(3, 4)
     with pytest.raises(ValueError, match=message):
-        kernels.smooth_positions(**case | change)
+        kalman.smooth_positions(**case | change)

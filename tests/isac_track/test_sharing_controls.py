@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from isac_track import registry
-from isac_track.dissociation import Correlated, Offset, Thin, correlated_errors
+from isac_track import plugins
 from isac_track.errors import SettingsError
 from isac_track.protocols import Mechanism
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
 from isac_track.sharing import Fixed, perturb
+from isac_track.sharing_controls import Correlated, Offset, Thin, correlated_errors
 from isac_track.types import Sensed
 
 LAWS = ["radial", "isotropic"]
@@ -277,20 +277,20 @@ class TestByName:
         ],
     )
     def test_a_spec_gives_the_mechanism_its_column_and_level(self, spec, name, level, instance):
-        (plugin,) = registry.parse("mechanisms", spec)
+        (plugin,) = plugins.parse("mechanisms", spec)
         assert (plugin.name, plugin.level, plugin.spec) == (name, level, spec)
         assert plugin.instance == instance
         assert isinstance(plugin.instance, Mechanism)
 
     def test_the_order_of_the_parameters_does_not_matter(self):
         one, other = (
-            registry.parse("mechanisms", f"thin:4,{parameters}")
+            plugins.parse("mechanisms", f"thin:4,{parameters}")
             for parameters in ("d_sigma=0.75,adding=independent", "adding=independent,d_sigma=0.75")
         )
         assert one == other
 
     def test_they_sweep(self):
-        levels = [one.level for one in registry.parse("mechanisms", "thin:1..8/8")]
+        levels = [one.level for one in plugins.parse("mechanisms", "thin:1..8/8")]
         assert levels == [1, 2, 3, 4, 5, 6, 7, 8]
 
     @pytest.mark.parametrize(
@@ -311,7 +311,7 @@ class TestByName:
     )
     def test_a_wrong_one_is_refused_in_words(self, spec, message):
         with pytest.raises(SettingsError, match=re.escape(message)):
-            registry.parse("mechanisms", spec)
+            plugins.parse("mechanisms", spec)
 
     @pytest.mark.parametrize("instance", [Correlated, Offset])
     @pytest.mark.parametrize("value", [np.inf, np.nan])

@@ -1,4 +1,4 @@
-"""Compiled loops of `isac_track.imm_kernels`: several constant-velocity models that interact.
+"""Compiled loops of `isac_track.kalman`: several constant-velocity models that interact.
 
 The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance per mode.
 """
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track._compiling import (
+from isac_track.compiling import (
     BOOL,
     FLOAT,
     FLOATS1,

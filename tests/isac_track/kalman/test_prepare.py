@@ -17,8 +17,8 @@ import isac_track
 PACKAGE = Path(isac_track.__file__).parent
 USE = """
 import numpy as np
-from isac_track import kernels
-last = kernels.kalman_last(
+from isac_track import kalman
+last = kalman.kalman_last(
     model="cv", t=np.arange(3.0), xy=np.ones((3, 2)), variance=np.ones(3),
     offsets=np.array([0, 3]), q=1.0, initial_mean=np.zeros((1, 2, 2)),
     initial_cov=np.eye(2)[None],
@@ -46,7 +46,7 @@ def run(code, *, user=None, cwd=None, **environment):
 def test_numba_is_not_imported_before_it_is_needed(tmp_path):
     code = (
         "import sys\n"
-        "from isac_track import kernels, imm_kernels\n"
+        "from isac_track import kalman\n"
         "print(sorted({'numba', 'filterpy', 'scipy'} & sys.modules.keys()))"
     )
     done = run(code, HOME=str(tmp_path))
@@ -75,15 +75,16 @@ def test_first_use_compiles_for_seconds_and_says_so_and_later_use_is_silent(tmp_
 @pytest.mark.slow
 def test_first_use_of_interacting_models_compiles_for_seconds(tmp_path):
     environment = {"NUMBA_CACHE_DIR": str(tmp_path), "HOME": str(tmp_path)}
-    done, spent_s = processor_s("import isac_track._imm_loops", **environment)
+    done, spent_s = processor_s("import isac_track.kalman._imm_loops", **environment)
     assert (done.returncode, done.stderr) == (0, NOTICE)
     assert spent_s < 10.0
 
 
 def test_prepare_brings_in_all_loops(tmp_path):
     code = (
-        "import sys; from isac_track import kernels; kernels.prepare()\n"
-        "print({'isac_track._kalman_loops', 'isac_track._imm_loops'} <= sys.modules.keys())"
+        "import sys; from isac_track import kalman; kalman.prepare()\n"
+        "loops = {f'isac_track.kalman._{name}_loops' for name in ('linear', 'imm')}\n"
+        "print(loops <= sys.modules.keys())"
     )
     done = run(code, HOME=str(tmp_path))
     assert done.stdout == "True\n", done.stderr

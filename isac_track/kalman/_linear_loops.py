@@ -1,4 +1,4 @@
-"""Compiled loops of `isac_track.kernels`: constant velocity and constant acceleration.
+"""Compiled loops of `isac_track.kalman`: constant velocity and constant acceleration.
 
 The forms avoid every subtraction of nearly equal numbers that can be avoided, so that the
 covariance stays positive over ten decades of noise and step without a square-root filter.
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track._compiling import (
+from isac_track.compiling import (
     BOOL,
     FLOAT,
     FLOATS1,

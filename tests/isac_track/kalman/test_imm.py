@@ -2,17 +2,18 @@
 
 from itertools import pairwise
 
-import kernel_oracles as oracle
 import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import IMMEstimator, KalmanFilter
+from helpers import kernel_oracles as oracle
+from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
-from strategies import reproducible
 
-from isac_track import imm_kernels, kernels
+from isac_track import kalman
+from isac_track.kalman import imm
 from isac_track.rng import stream
 
 TWO = {"q": np.array([0.05, 4.0]), "rates": np.array([[0.0, 0.4], [0.8, 0.0]])}
@@ -60,7 +61,7 @@ def one_by_one(case):
 
 def smooth(case, filtered):
     chosen = {name: case[name] for name in ("t", "offsets", "q", "rates")}
-    return imm_kernels.imm_smoother(filtered=filtered, **chosen)
+    return kalman.imm_smoother(filtered=filtered, **chosen)
 
 
 def close(value, expected, tolerance=1e-9):
@@ -105,7 +106,7 @@ def case(request):
 
 class TestAgainstFilterpy:
     def test_equal_where_mixing_is_done_with_the_step_s_own_chances(self, case):
-        result = imm_kernels.imm_filter(**case)
+        result = kalman.imm_filter(**case)
         for rows, track in one_by_one(case):
             theirs = filterpy_imm(track)
             close(result.mean[rows].reshape(theirs["mean"].shape), theirs["mean"])
@@ -115,13 +116,13 @@ class TestAgainstFilterpy:
 
     def test_constant_steps_need_no_correction_after_the_first(self):
         case = batch(sizes=(25,)) | {"t": np.arange(25) * 0.4}
-        result = imm_kernels.imm_filter(**case)
+        result = kalman.imm_filter(**case)
         track = next(one_by_one(case))[1]
         theirs = filterpy_imm(track)
         close(result.probability, theirs["probability"])
 
     def test_filterpy_s_chances_lag_one_step_behind(self, case):
-        result = imm_kernels.imm_filter(**case)
+        result = kalman.imm_filter(**case)
         rows, track = next(one_by_one(case))
         lagging = filterpy_imm(track, refresh=False)
         assert np.abs(result.probability[rows] - lagging["probability"]).max() > 0.01
@@ -143,7 +144,7 @@ class TestAgainstFilterpy:
         case = batch(sizes=(12,))
         case["xy"] = case["xy"].copy()
         case["xy"][6] += 1e3
-        result = imm_kernels.imm_filter(**case)
+        result = kalman.imm_filter(**case)
         _, track = next(one_by_one(case))
         expected = oracle.imm_track(**track)["probability"]
         assert expected[6, 1] > 0.999999  # only the restless mode can have done that
@@ -155,7 +156,7 @@ class TestAgainstFilterpy:
 class TestAgainstTheTextbook:
     @pytest.mark.parametrize("gate", [np.inf, 8.0])
     def test_filter(self, case, gate):
-        result = imm_kernels.imm_filter(**case, gate=gate)
+        result = kalman.imm_filter(**case, gate=gate)
         assert result.accepted.all() == (gate == np.inf)
         for i, (rows, track) in enumerate(one_by_one(case)):
             slow = oracle.imm_track(**track, gate=gate)
@@ -166,7 +167,7 @@ class TestAgainstTheTextbook:
             close(result.log_likelihood[i], slow["log_likelihood"])
 
     def test_mixed_states_add_the_spread_between_modes(self, case):
-        result = imm_kernels.imm_filter(**case)
+        result = kalman.imm_filter(**case)
         for k in range(len(case["t"])):
             flat = result.mean[k].reshape(-1, 4)
             mean, cov = oracle.collapse(result.probability[k], flat, result.cov[k])
@@ -175,7 +176,7 @@ class TestAgainstTheTextbook:
 
     @pytest.mark.parametrize("gate", [np.inf, 8.0])
     def test_smoother(self, case, gate):
-        filtered = imm_kernels.imm_filter(**case, gate=gate)
+        filtered = kalman.imm_filter(**case, gate=gate)
         result = smooth(case, filtered)
         for rows, track in one_by_one(case):
             slow = oracle.imm_smooth(
@@ -203,7 +204,7 @@ class TestAgainstTheTextbook:
             case = batch(sizes=(8,), seed=seed)
             track = next(one_by_one(case))[1]
             mean, modes = oracle.imm_exact(**track)
-            filtered = imm_kernels.imm_filter(**case)
+            filtered = kalman.imm_filter(**case)
             results = {"filter": filtered, "smoother": smooth(case, filtered)}
             for name, result in results.items():
                 scale = np.sqrt(np.diagonal(results["smoother"].mixed_cov, axis1=1, axis2=2))
@@ -217,16 +218,16 @@ class TestAgainstTheTextbook:
 
     def test_equal_modes_are_one_kalman_filter(self):
         case = batch() | {"q": np.array([0.7, 0.7])}
-        filtered = imm_kernels.imm_filter(**case)
+        filtered = kalman.imm_filter(**case)
         smoothed = smooth(case, filtered)
         shared = ("t", "xy", "variance", "offsets", "initial_mean", "initial_cov")
         plain = {name: case[name] for name in shared} | {"model": "cv", "q": 0.7}
-        kalman = kernels.kalman_filter(**plain)
-        close(filtered.mixed_mean, kalman.mean)
-        close(filtered.mixed_cov, np.kron(np.eye(2), kalman.cov))
-        close(filtered.nis, kalman.nis)
-        close(filtered.log_likelihood, kalman.log_likelihood)
-        rts = kernels.kalman_smoother(**plain)
+        one = kalman.kalman_filter(**plain)
+        close(filtered.mixed_mean, one.mean)
+        close(filtered.mixed_cov, np.kron(np.eye(2), one.cov))
+        close(filtered.nis, one.nis)
+        close(filtered.log_likelihood, one.log_likelihood)
+        rts = kalman.kalman_smoother(**plain)
         close(smoothed.mixed_mean, rts.mean)
         close(smoothed.mixed_cov, np.kron(np.eye(2), rts.cov))
         # The samples say nothing about the mode: its chances are those of the chain.
@@ -238,13 +239,13 @@ class TestAgainstTheTextbook:
     def test_modes_that_never_change(self):
         """Zero rates: independent filters, weighted by their likelihood; impossible modes stay."""
         case = batch() | {"rates": np.zeros((2, 2)), "initial_probability": np.array([1.0, 0.0])}
-        filtered = imm_kernels.imm_filter(**case)
+        filtered = kalman.imm_filter(**case)
         smoothed = smooth(case, filtered)
         shared = ("t", "xy", "variance", "offsets", "initial_mean", "initial_cov")
         plain = {name: case[name] for name in shared} | {"model": "cv"}
         for mode, q in enumerate(case["q"]):
-            close(filtered.mean[:, mode], kernels.kalman_filter(**plain, q=q).mean)
-            close(smoothed.mean[:, mode], kernels.kalman_smoother(**plain, q=q).mean)
+            close(filtered.mean[:, mode], kalman.kalman_filter(**plain, q=q).mean)
+            close(smoothed.mean[:, mode], kalman.kalman_smoother(**plain, q=q).mean)
         for result in (filtered, smoothed):
             close(result.probability, np.tile([1.0, 0.0], (len(case["t"]), 1)))
 
@@ -256,7 +257,7 @@ class TestChances:
         generator = rates - np.diag(rates.sum(axis=1))
         expected = expm(generator * step_s)
         matrix = np.empty_like(generator)
-        loops = imm_kernels._loops()
+        loops = imm._loops()
         loops._transition(step_s, generator, np.empty((3, *generator.shape)), matrix)
         close(matrix, expected, 1e-11)  # scipy's own error over 1e5 jumps
         close(matrix.sum(axis=1), 1.0, 1e-15)
@@ -269,7 +270,7 @@ class TestChances:
         rates[:2, :2] = case["rates"]
         more = case | {"q": np.array([*case["q"], 1.0]), "rates": rates}
         more["initial_probability"] = np.array([*case["initial_probability"], 0.0])
-        two, three = imm_kernels.imm_filter(**case), imm_kernels.imm_filter(**more)
+        two, three = kalman.imm_filter(**case), kalman.imm_filter(**more)
         close(three.mixed_mean, two.mixed_mean)
         close(three.probability[:, :2], two.probability)
         close(smooth(more, three).mixed_mean, smooth(case, two).mixed_mean)
@@ -278,27 +279,27 @@ class TestChances:
         case = batch()
         other = case | {"rates": case["rates"] + np.diag([7.0, np.nan])}
         np.testing.assert_array_equal(
-            imm_kernels.imm_filter(**other).mean, imm_kernels.imm_filter(**case).mean
+            kalman.imm_filter(**other).mean, kalman.imm_filter(**case).mean
         )
 
 
 class TestBatches:
     def test_last_is_the_last_of_the_filter(self, case):
-        filtered = imm_kernels.imm_filter(**case, gate=8.0)
-        last = imm_kernels.imm_last(**case, gate=8.0)
+        filtered = kalman.imm_filter(**case, gate=8.0)
+        last = kalman.imm_last(**case, gate=8.0)
         rows = case["offsets"][1:] - 1
         for name in ("mean", "cov", "probability", "mixed_mean", "mixed_cov"):
             np.testing.assert_array_equal(getattr(last, name), getattr(filtered, name)[rows])
         np.testing.assert_array_equal(last.log_likelihood, filtered.log_likelihood)
 
     def test_a_batch_is_its_tracks_one_by_one(self, case):
-        filtered = imm_kernels.imm_filter(**case)
+        filtered = kalman.imm_filter(**case)
         smoothed = smooth(case, filtered)
         for i, (lo, hi) in enumerate(pairwise(case["offsets"])):
             alone = case | {"offsets": np.array([0, hi - lo])}
             alone |= {name: case[name][lo:hi] for name in ("t", "xy", "variance")}
             alone |= {name: case[name][i : i + 1] for name in ("initial_mean", "initial_cov")}
-            single = imm_kernels.imm_filter(**alone)
+            single = kalman.imm_filter(**alone)
             np.testing.assert_array_equal(single.mixed_cov, filtered.mixed_cov[lo:hi])
             np.testing.assert_array_equal(smooth(alone, single).cov, smoothed.cov[lo:hi])
 
@@ -306,21 +307,21 @@ class TestBatches:
         copies = {name: value.copy() for name, value in case.items()}
         for value in case.values():
             value.flags.writeable = False
-        filtered = imm_kernels.imm_filter(**case)
+        filtered = kalman.imm_filter(**case)
         smooth(case, filtered)
-        imm_kernels.imm_last(**case)
+        kalman.imm_last(**case)
         for name, value in copies.items():
             np.testing.assert_array_equal(case[name], value)
             value.flags.writeable = True
-        np.testing.assert_array_equal(imm_kernels.imm_filter(**copies).cov, filtered.cov)
+        np.testing.assert_array_equal(kalman.imm_filter(**copies).cov, filtered.cov)
 
     def test_no_track_at_all(self, case):
         none = {name: case[name][:0] for name in ("t", "xy", "variance")}
         none |= {name: case[name][:0] for name in ("initial_mean", "initial_cov")}
         empty = case | none | {"offsets": np.array([0])}
-        filtered = imm_kernels.imm_filter(**empty)
+        filtered = kalman.imm_filter(**empty)
         assert smooth(empty, filtered).mixed_mean.shape == (0, 2, 2)
-        assert imm_kernels.imm_last(**empty).mixed_mean.shape == (0, 2, 2)
+        assert kalman.imm_last(**empty).mixed_mean.shape == (0, 2, 2)
 
 
 @st.composite
@@ -347,7 +348,7 @@ def hard_tracks(draw):
 @reproducible
 @given(case=hard_tracks())
 def test_sound_over_five_decades_of_noise_and_four_of_steps(case):
-    filtered = imm_kernels.imm_filter(**case)
+    filtered = kalman.imm_filter(**case)
     assert np.isfinite(filtered.log_likelihood).all()
     for result in (filtered, smooth(case, filtered)):
         assert (result.probability >= 0).all()
@@ -380,10 +381,10 @@ WRONG = {
 def test_wrong_arguments_are_named(run, what):
     change, message = WRONG[what]
     with pytest.raises(ValueError, match=message):
-        getattr(imm_kernels, run)(**batch() | change)
+        getattr(kalman, run)(**batch() | change)
 
 
 def test_the_smoother_checks_that_the_filter_ran_on_these_samples():
-    filtered = imm_kernels.imm_filter(**batch())
+    filtered = kalman.imm_filter(**batch())
     with pytest.raises(ValueError, match=r"filtered\.mean must have shape"):
         smooth(batch(sizes=(5,)), filtered)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from isac_track import errors, registry
+from isac_track import errors, plugins
 from isac_track.errors import PluginError, SettingsError
 from isac_track.sharing import Fid, Fixed, Raw
 
@@ -114,7 +114,7 @@ def here(monkeypatch):
 
 
 def one(kind, spec):
-    (plugin,) = registry.parse(kind, spec)
+    (plugin,) = plugins.parse(kind, spec)
     return plugin
 
 
@@ -144,17 +144,17 @@ def test_levels_are_rounded_to_twelve_digits():
 
 
 def test_a_logarithmic_and_a_linear_sweep():
-    levels = [plugin.level for plugin in registry.parse("mechanisms", "fid:1..1000/4")]
+    levels = [plugin.level for plugin in plugins.parse("mechanisms", "fid:1..1000/4")]
     assert levels == [1.0, 10.0, 100.0, 1000.0]
-    levels = [plugin.level for plugin in registry.parse("mechanisms", "fixed:0.1..1/10")]
+    levels = [plugin.level for plugin in plugins.parse("mechanisms", "fixed:0.1..1/10")]
     assert levels == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
-    down = [plugin.level for plugin in registry.parse("mechanisms", "fid:100..1/3")]
+    down = [plugin.level for plugin in plugins.parse("mechanisms", "fid:100..1/3")]
     assert down == [100.0, 10.0, 1.0]
 
 
 def test_what_is_named_twice_is_there_once():
-    plugins = registry.parse_all("mechanisms", ("fid:1", "fid:1..100/3", "raw", "raw"))
-    assert [plugin.spec for plugin in plugins] == ["fid:1", "fid:10", "fid:100", "raw"]
+    found = plugins.parse_all("mechanisms", ("fid:1", "fid:1..100/3", "raw", "raw"))
+    assert [plugin.spec for plugin in found] == ["fid:1", "fid:10", "fid:100", "raw"]
 
 
 def test_a_predictor_has_no_level_and_keeps_its_value_in_the_name():
@@ -170,7 +170,7 @@ def test_a_class_by_its_path(here):
     assert plugin.name == f"{here}:Odd:word=hard,count=5,loud=True,limit=2.5"
     assert one("mechanisms", f"{here}:Odd:limit=none").instance == Odd()
     assert one("mechanisms", plugin.spec).instance == plugin.instance
-    swept = registry.parse("mechanisms", f"{here}:Stepped:1..100/3")
+    swept = plugins.parse("mechanisms", f"{here}:Stepped:1..100/3")
     assert [plugin.level for plugin in swept] == [1.0, 10.0, 100.0]
 
 
@@ -214,13 +214,13 @@ def test_a_class_by_its_path(here):
 )
 def test_a_wrong_spec_says_what_is_wrong(spec, message):
     with pytest.raises(SettingsError, match=re.escape(message)):
-        registry.parse("mechanisms", spec)
+        plugins.parse("mechanisms", spec)
 
 
 @pytest.mark.parametrize("spec", ["thin:" + "9" * 5000, "q" * 5000, "fid:1," + "z" * 5000])
 def test_what_was_typed_is_not_repeated_at_length(spec):
     with pytest.raises(SettingsError) as told:
-        registry.parse("mechanisms", spec)
+        plugins.parse("mechanisms", spec)
     assert len(str(told.value)) < 400
 
 
@@ -242,9 +242,9 @@ def test_whole_numbers_up_to_the_limit_give_themselves_again():
 )
 def test_a_plugin_that_cannot_be_made_says_why(here, what, error, message):
     with pytest.raises(error, match=re.escape(message)):
-        registry.parse("mechanisms", f"{here}:Picky:{what}")
+        plugins.parse("mechanisms", f"{here}:Picky:{what}")
     with pytest.raises(SettingsError, match=r"Picky needs a value for what, as in .*Picky:VALUE"):
-        registry.parse("mechanisms", f"{here}:Picky")
+        plugins.parse("mechanisms", f"{here}:Picky")
 
 
 def test_inherited_parameters_are_read_where_they_are_declared(here):
@@ -254,7 +254,7 @@ def test_inherited_parameters_are_read_where_they_are_declared(here):
     later = one("mechanisms", f"{here}:LaterHeir:3,extra=none,law=none")
     assert later.instance == LaterHeir(3, extra=None)
     with pytest.raises(SettingsError, match="d_sigma must be a whole number"):  # its own, now
-        registry.parse("mechanisms", f"{here}:LaterHeir:0.5")
+        plugins.parse("mechanisms", f"{here}:LaterHeir:0.5")
 
 
 @pytest.mark.parametrize(
@@ -289,7 +289,7 @@ def test_a_strangers_error_is_told_on_one_line(error, message):
 @pytest.mark.usefixtures("here")
 def test_a_broken_plugin_is_named(kind, name, message):
     with pytest.raises(PluginError, match=re.escape(message)):
-        registry.parse(kind, name)
+        plugins.parse(kind, name)
 
 
 def test_an_installed_third_party_plugin_is_found_by_name(tmp_path):
@@ -311,9 +311,9 @@ def test_an_installed_third_party_plugin_is_found_by_name(tmp_path):
         "[isac_track.mechanisms]\nblur = blur:Blur\ntorn = blur:Nothing\n"
     )
     script = (
-        "from isac_track import registry\n"
-        "print(registry.parse('mechanisms', 'blur:0.2')[0])\n"
-        "print(registry.broken('mechanisms'))\n"
+        "from isac_track import plugins\n"
+        "print(plugins.parse('mechanisms', 'blur:0.2')[0])\n"
+        "print(plugins.broken('mechanisms'))\n"
     )
     answer = subprocess.run(
         [sys.executable, "-c", script],

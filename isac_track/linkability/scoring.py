@@ -1,4 +1,4 @@
-"""The scorecard of one linkage attack: every metric of `linkability`, with its interval.
+"""The scorecard of one linkage attack: every metric of `metrics`, with its interval.
 
 Numba is imported, and its loops compiled, at the first scorecard, not before.
 
@@ -23,7 +23,7 @@ from isac_track.intervals import (
     percentile_interval,
     wilson,
 )
-from isac_track.linkability import (
+from isac_track.linkability.metrics import (
     add_shuffles,
     assign,
     chances_of,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from isac_track.linkability import Calibration, RankedScores, Search
+    from isac_track.linkability.metrics import Calibration, RankedScores, Search
     from isac_track.types import Floats, Ints
 
 SCORE_REPLICATES = 200
@@ -121,7 +121,7 @@ class _Trial:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Cells:
-    """The cells of one scale, as `_linkability_loops` has them, and what falls into them."""
+    """The cells of one scale, as `_loops` has them, and what falls into them."""
 
     breaks: Floats
     bins: NDArray[np.uint8]

@@ -41,9 +41,9 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "fixed": "isac_track.sharing:Fixed",
         "fid": "isac_track.sharing:Fid",
         "clean": "isac_track.sharing:Clean",
-        "correlated": "isac_track.dissociation:Correlated",
-        "offset": "isac_track.dissociation:Offset",
-        "thin": "isac_track.dissociation:Thin",
+        "correlated": "isac_track.sharing_controls:Correlated",
+        "offset": "isac_track.sharing_controls:Offset",
+        "thin": "isac_track.sharing_controls:Thin",
     },
     "predictors": {
         "least_squares": "predictors.least_squares:LeastSquares",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from isac_track._compiling import (
+from isac_track.compiling import (
     FLOAT,
     FLOATS1,
     FLOATS2,

@@ -2,17 +2,17 @@
 
 from itertools import pairwise
 
-import kernel_oracles as oracle
 import numpy as np
 import pytest
 from filterpy.common import Q_discrete_white_noise
 from filterpy.kalman import rts_smoother as filterpy_module_smoother
+from helpers import kernel_oracles as oracle
+from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
-from strategies import reproducible
 
-from isac_track import kernels
+from isac_track import kalman
 from isac_track.rng import stream
 
 MODELS = {"cv": 2, "ca": 3}
@@ -59,7 +59,7 @@ def one_by_one(case):
 
 def smooth(case, filtered):
     rest = {name: case[name] for name in ("model", "t", "offsets", "q")}
-    return kernels.rts_smoother(filtered=filtered, **rest)
+    return kalman.rts_smoother(filtered=filtered, **rest)
 
 
 def same(result, other):
@@ -78,7 +78,7 @@ def case(request):
 
 class TestAgainstFilterpy:
     def test_filter(self, case):
-        result = kernels.kalman_filter(**case)
+        result = kalman.kalman_filter(**case)
         d = result.cov.shape[-1]
         for i, (rows, track) in enumerate(one_by_one(case)):
             theirs = oracle.filterpy_track(**track)
@@ -89,7 +89,7 @@ class TestAgainstFilterpy:
         assert result.accepted.all()
 
     def test_smoother_is_their_method_and_not_their_module_function(self, case):
-        result = smooth(case, kernels.kalman_filter(**case))
+        result = smooth(case, kalman.kalman_filter(**case))
         d = result.cov.shape[-1]
         worst = 0.0
         for rows, track in one_by_one(case):
@@ -106,7 +106,7 @@ class TestAgainstFilterpy:
         case = batch(model="cv", sizes=(60, 60), seed=3)
         jumps = stream(0, "test", "jumps").uniform(size=120) < 0.3
         case["xy"] = case["xy"] + 4.0 * jumps[:, None]
-        result = kernels.kalman_filter(**case, gate=6.0)
+        result = kalman.kalman_filter(**case, gate=6.0)
         assert 5 < (~result.accepted).sum() < 100
         for i, (rows, track) in enumerate(one_by_one(case)):
             theirs = oracle.filterpy_track(**track, gate=6.0)
@@ -120,7 +120,7 @@ class TestAgainstTheDensePosterior:
     def test_smoothed_states_and_likelihood(self):
         for model in MODELS:
             case = batch(model=model, sizes=(12, 1, 5), seed=1)
-            filtered = kernels.kalman_filter(**case)
+            filtered = kalman.kalman_filter(**case)
             smoothed = smooth(case, filtered)
             for i, (rows, track) in enumerate(one_by_one(case)):
                 mean, cov, density = oracle.joint_posterior(**track)
@@ -131,7 +131,7 @@ class TestAgainstTheDensePosterior:
                 close(filtered.log_likelihood[i], density)
 
     def test_every_filtered_state_is_the_posterior_of_the_samples_so_far(self, case):
-        result = kernels.kalman_filter(**case)
+        result = kalman.kalman_filter(**case)
         for rows, track in one_by_one(case):
             for k in range(min(6, len(track["t"]))):
                 known = {name: track[name][: k + 1] for name in ("t", "xy", "variance")}
@@ -142,7 +142,7 @@ class TestAgainstTheDensePosterior:
     def test_gated_samples_are_as_if_never_seen(self, case):
         case["xy"] = case["xy"].copy()
         case["xy"][[10, 11, 25]] += 100.0
-        filtered = kernels.kalman_filter(**case, gate=50.0)
+        filtered = kalman.kalman_filter(**case, gate=50.0)
         assert np.flatnonzero(~filtered.accepted).tolist() == [10, 11, 25]
         smoothed = smooth(case, filtered)
         rows, track = next(one_by_one(case))
@@ -153,10 +153,10 @@ class TestAgainstTheDensePosterior:
 
     def test_one_call_equals_two(self, case):
         case["xy"] = case["xy"] + 5.0 * (np.arange(50) % 7 == 3)[:, None]
-        filtered = kernels.kalman_filter(**case, gate=9.0)
+        filtered = kalman.kalman_filter(**case, gate=9.0)
         assert not filtered.accepted.all()
         twice = smooth(case, filtered)
-        once = kernels.kalman_smoother(**case, gate=9.0)
+        once = kalman.kalman_smoother(**case, gate=9.0)
         close(once.mean, twice.mean, 1e-11)
         close(once.cov, twice.cov, 1e-11)
 
@@ -177,7 +177,7 @@ class TestGate:
             "initial_cov": np.diag([1.0, 1e-12])[None],
             "gate": 9.0,
         }
-        return kernels.kalman_filter(**case | changes)
+        return kalman.kalman_filter(**case | changes)
 
     def test_by_hand(self):
         # Predicted variance 1, 1/2, 1/2: the sample at 1 s is 10 m off, 100 / 1.5 > 9.
@@ -198,7 +198,7 @@ class TestGate:
         # The fourth sample in a row that is far away is believed.
         x = np.array([0.0, 31.0, 32.0, 33.0, 34.0, 35.0])
         result = self.run(x, q=1.0, initial_cov=np.diag([1.0, 1.0])[None], gate=1e-3)
-        assert kernels.MAX_REJECTIONS == 3
+        assert kalman.MAX_REJECTIONS == 3
         assert result.accepted.tolist() == [True, False, False, False, True, False]
         assert result.mean[4, 0, 0] > 25
 
@@ -211,24 +211,24 @@ class TestGate:
 
 class TestBatches:
     def test_a_batch_is_its_tracks_one_by_one(self, case):
-        whole = kernels.kalman_filter(**case)
+        whole = kalman.kalman_filter(**case)
         smoothed = smooth(case, whole)
-        both = kernels.kalman_smoother(**case)
+        both = kalman.kalman_smoother(**case)
         for i, (lo, hi) in enumerate(pairwise(case["offsets"])):
             alone = dict(case, offsets=np.array([0, hi - lo]))
             for name in ("t", "xy", "variance"):
                 alone[name] = case[name][lo:hi]
             for name in ("initial_mean", "initial_cov"):
                 alone[name] = case[name][i : i + 1]
-            single = kernels.kalman_filter(**alone)
+            single = kalman.kalman_filter(**alone)
             np.testing.assert_array_equal(single.mean, whole.mean[lo:hi])
             np.testing.assert_array_equal(single.cov, whole.cov[lo:hi])
             np.testing.assert_array_equal(single.log_likelihood, whole.log_likelihood[i : i + 1])
             np.testing.assert_array_equal(smooth(alone, single).mean, smoothed.mean[lo:hi])
-            np.testing.assert_array_equal(kernels.kalman_smoother(**alone).cov, both.cov[lo:hi])
+            np.testing.assert_array_equal(kalman.kalman_smoother(**alone).cov, both.cov[lo:hi])
 
     def test_the_order_of_the_tracks_does_not_matter(self, case):
-        last = kernels.kalman_last(**case)
+        last = kalman.kalman_last(**case)
         order = np.array([2, 0, 3, 1])
         rows = np.concatenate([np.arange(*case["offsets"][i : i + 2]) for i in order])
         turned = dict(case)
@@ -237,20 +237,20 @@ class TestBatches:
         for name in ("initial_mean", "initial_cov"):
             turned[name] = case[name][order]
         turned["offsets"] = np.concatenate([[0], np.cumsum(np.diff(case["offsets"])[order])])
-        shuffled = kernels.kalman_last(**turned)
+        shuffled = kalman.kalman_last(**turned)
         for name in last.__slots__:
             np.testing.assert_array_equal(getattr(shuffled, name), getattr(last, name)[order])
 
     def test_inputs_stay_as_they_are_and_may_be_read_only(self, case):
         copies = {name: np.copy(value) for name, value in case.items() if name != "model"}
-        expected = kernels.kalman_filter(**case)
+        expected = kalman.kalman_filter(**case)
         for value in case.values():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
-        filtered = kernels.kalman_filter(**case)
+        filtered = kalman.kalman_filter(**case)
         same(filtered, expected)
-        kernels.kalman_last(**case)
-        kernels.kalman_smoother(**case)
+        kalman.kalman_last(**case)
+        kalman.kalman_smoother(**case)
         kept = filtered.mean.copy()
         smooth(case, filtered)
         np.testing.assert_array_equal(filtered.mean, kept)
@@ -258,26 +258,26 @@ class TestBatches:
             np.testing.assert_array_equal(case[name], value)
 
     def test_strided_and_narrow_arrays_are_taken(self, case):
-        expected = kernels.kalman_last(**case)
+        expected = kalman.kalman_last(**case)
         strided = dict(case, xy=np.asfortranarray(case["xy"]))
         strided["t"] = np.repeat(case["t"], 2)[::2]
         strided["offsets"] = case["offsets"].astype(np.int32)
-        same(kernels.kalman_last(**strided), expected)
+        same(kalman.kalman_last(**strided), expected)
 
     def test_no_track_at_all(self, case):
         d = MODELS[case["model"]]
         none = {name: case[name][:0] for name in ("t", "xy", "variance")}
         none |= {"initial_mean": np.empty((0, 2, d)), "initial_cov": np.empty((0, d, d))}
         empty = case | none | {"offsets": np.array([0])}
-        filtered = kernels.kalman_filter(**empty)
+        filtered = kalman.kalman_filter(**empty)
         assert filtered.mean.shape == (0, 2, d)
-        assert kernels.kalman_last(**empty).mean.shape == (0, 2, d)
+        assert kalman.kalman_last(**empty).mean.shape == (0, 2, d)
         assert smooth(empty, filtered).cov.shape == (0, d, d)
-        assert kernels.kalman_smoother(**empty).cov.shape == (0, d, d)
+        assert kalman.kalman_smoother(**empty).cov.shape == (0, d, d)
 
     def test_the_axes_do_not_mix(self, case):
-        before = kernels.kalman_filter(**case)
-        after = kernels.kalman_filter(**case | {"xy": case["xy"] + [0.0, 3.0]})
+        before = kalman.kalman_filter(**case)
+        after = kalman.kalman_filter(**case | {"xy": case["xy"] + [0.0, 3.0]})
         np.testing.assert_array_equal(after.mean[:, 0], before.mean[:, 0])
         assert (after.mean[:, 1, 0] > before.mean[:, 1, 0]).all()
         np.testing.assert_array_equal(after.cov, before.cov)
@@ -285,15 +285,15 @@ class TestBatches:
 
 class TestLastState:
     def test_is_the_last_of_the_filter(self, case):
-        filtered = kernels.kalman_filter(**case, gate=5.0)
-        last = kernels.kalman_last(**case, gate=5.0)
+        filtered = kalman.kalman_filter(**case, gate=5.0)
+        last = kalman.kalman_last(**case, gate=5.0)
         rows = case["offsets"][1:] - 1
         np.testing.assert_array_equal(last.mean, filtered.mean[rows])
         np.testing.assert_array_equal(last.cov, filtered.cov[rows])
         np.testing.assert_array_equal(last.log_likelihood, filtered.log_likelihood)
 
     def test_sums_by_filterpy(self, case):
-        last = kernels.kalman_last(**case, gate=5.0)
+        last = kalman.kalman_last(**case, gate=5.0)
         for i, (_, track) in enumerate(one_by_one(case)):
             theirs = oracle.filterpy_track(**track, gate=5.0)
             d = len(track["cov"])
@@ -315,7 +315,7 @@ class TestLastState:
     def test_the_sums_tell_the_noise_of_a_track(self):
         truth = np.array([0.01, 0.3, 4.0])
         case, _ = simulated(model="cv", n_tracks=3, n_samples=4000, variance=truth.repeat(4000))
-        last = kernels.kalman_last(**case)
+        last = kalman.kalman_last(**case)
         estimate = (last.squares - last.predicted) / last.innovations
         np.testing.assert_allclose(estimate, truth, rtol=0.1)
 
@@ -356,7 +356,7 @@ def test_consistency_where_the_model_is_exact(model):
     variance = stream(6, "test", "variance").uniform(0.01, 1.0, n_tracks * n_samples)
     case, truth = simulated(model=model, n_tracks=n_tracks, n_samples=n_samples, variance=variance)
     d = MODELS[model]
-    filtered = kernels.kalman_filter(**case)
+    filtered = kalman.kalman_filter(**case)
 
     def within(total, freedom):
         low, high = chi2.ppf([0.0005, 0.9995], freedom)
@@ -386,8 +386,8 @@ class TestSteps:
             "xy": np.insert(track["xy"], 21, [1e3, -1e3], axis=0),
             "variance": np.insert(track["variance"], 21, 1e18),
         }
-        plain = kernels.kalman_filter(**track, **rest)
-        longer = kernels.kalman_filter(**more, **rest | {"offsets": np.array([0, hi + 1])})
+        plain = kalman.kalman_filter(**track, **rest)
+        longer = kalman.kalman_filter(**more, **rest | {"offsets": np.array([0, hi + 1])})
         close(np.delete(longer.mean, 21, axis=0), plain.mean)
         close(np.delete(longer.cov, 21, axis=0), plain.cov)
 
@@ -402,12 +402,12 @@ class TestSteps:
         for model in MODELS:
             case = batch(model=model, sizes=(1,))
             a, r = case["initial_cov"][0, 0, 0], case["variance"][0]
-            result = kernels.kalman_filter(**case)
+            result = kalman.kalman_filter(**case)
             assert result.cov[0, 0, 0] == pytest.approx(a * r / (a + r), rel=1e-12)
             expected = (case["initial_mean"][0, :, 0] * r + case["xy"][0] * a) / (a + r)
             np.testing.assert_allclose(result.mean[0, :, 0], expected, rtol=1e-12)
             close(smooth(case, result).mean, result.mean, 0)
-            last = kernels.kalman_last(**case)
+            last = kalman.kalman_last(**case)
             assert last.innovations[0] == 0
             assert last.squares[0] == last.predicted[0] == 0.0
 
@@ -480,11 +480,11 @@ class TestNumerics:
     def test_sound_over_five_decades_of_noise_and_four_of_steps(self, model, track):
         d = MODELS[model]
         case = self.case(model, track)
-        filtered = kernels.kalman_filter(**case)
+        filtered = kalman.kalman_filter(**case)
         sound(filtered.mean, filtered.cov)
         assert np.isfinite(filtered.nis).all()
         assert np.isfinite(filtered.log_likelihood).all()
-        for result in (smooth(case, filtered), kernels.kalman_smoother(**case)):
+        for result in (smooth(case, filtered), kalman.kalman_smoother(**case)):
             sound(result.mean, result.cov)
             shrunk = np.diagonal(filtered.cov - result.cov, axis1=1, axis2=2)
             variance = np.diagonal(filtered.cov, axis1=1, axis2=2)
@@ -508,9 +508,9 @@ class TestNumerics:
     @given(track=hard_tracks(gap=1e4))
     def test_sound_over_gaps_of_a_day(self, model, track):
         case = self.case(model, track)
-        filtered = kernels.kalman_filter(**case)
+        filtered = kalman.kalman_filter(**case)
         sound(filtered.mean, filtered.cov)
-        for result in (smooth(case, filtered), kernels.kalman_smoother(**case)):
+        for result in (smooth(case, filtered), kalman.kalman_smoother(**case)):
             sound(result.mean, result.cov)
 
     def case(self, model, track):
@@ -528,7 +528,7 @@ class TestNumerics:
         case = track | {"model": model, "offsets": np.array([0, 1001])}
         case |= {"initial_mean": np.zeros((1, 2, MODELS[model]))}
         case |= {"initial_cov": np.eye(MODELS[model])[None]}
-        filtered = kernels.kalman_filter(**case)
+        filtered = kalman.kalman_filter(**case)
         sound(filtered.mean, filtered.cov)
         close(filtered.mean[-1, :, :2], [[1.0, 0.0]] * 2, 0.02)
         sound(*(getattr(smooth(case, filtered), name) for name in ("mean", "cov")))
@@ -545,7 +545,7 @@ class TestNumerics:
             "initial_mean": np.zeros((1, 2, MODELS[model])),
             "initial_cov": np.eye(MODELS[model])[None],
         }
-        result = kernels.kalman_filter(**case)
+        result = kalman.kalman_filter(**case)
         track = next(one_by_one(case))[1]
         theirs = oracle.filterpy_track(**track)["log_likelihood"]
         assert result.log_likelihood[0] == pytest.approx(theirs, rel=1e-6)
@@ -587,11 +587,11 @@ def test_wrong_arguments_are_named(case, run, what):
     with np.errstate(divide="ignore"):
         wrong = case | {name: change(case)}
     with pytest.raises(ValueError, match=message):
-        getattr(kernels, run)(**wrong)
+        getattr(kalman, run)(**wrong)
 
 
 def test_the_smoother_checks_that_the_filter_ran_on_these_samples(case):
-    filtered = kernels.kalman_filter(**case)
+    filtered = kalman.kalman_filter(**case)
     other = batch(model=case["model"], sizes=(5,))
     with pytest.raises(ValueError, match=r"filtered\.mean must have shape"):
         smooth(other, filtered)

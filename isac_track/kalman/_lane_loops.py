@@ -4,7 +4,7 @@ Eight tracks lie side by side in one buffer, so that one vector instruction move
 three times as fast as one track after the other. A row of the buffer is one sample, a field of the
 row eight numbers, one a track. The inner loops run over the tracks, from 0 to `LANES`; all
 that they touch lies at fixed distances in one row and its neighbour, which is what a compiler needs
-to see to vectorise them. For the formulas see `isac_track._kalman_loops`.
+to see to vectorise them. For the formulas see `isac_track.kalman._linear_loops`.
 
 Tracks differ in length. Beyond its end a track has samples that change nothing, bit by bit: no
 time passes, and the variance is a power of two so large that its gain vanishes. A track's
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track._compiling import (
+from isac_track.compiling import (
     FLOAT,
     FLOATS1,
     FLOATS2,

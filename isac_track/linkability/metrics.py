@@ -780,4 +780,4 @@ def add_shuffles(
 
 def import_loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
     """Return the compiled loops; the first call imports numba."""
-    return import_module("isac_track._linkability_loops")
+    return import_module("isac_track.linkability._loops")

@@ -4,9 +4,9 @@ Two models, each per axis: constant velocity, ``cv``, with state (position, velo
 constant acceleration, ``ca``, with state (position, velocity, acceleration). What is held
 constant is driven by continuous white noise of spectral density q, so that predictions over
 irregular steps compose. Both axes have the same measurement variance and no correlation;
-they share one covariance. For interacting models see `isac_track.imm_kernels`.
+they share one covariance. For interacting models see `isac_track.kalman.imm`.
 
-Nothing here imports numba before the first call; that call compiles (see `prepare`).
+Nothing here imports numba before the first call; that call compiles (`kalman.prepare`).
 
 References
 ----------
@@ -16,16 +16,13 @@ sections 5.2 (filter), 6.2 (models), 8.6 (smoother). Rauch, Tung, Striebel, AIAA
 
 from __future__ import annotations
 
-import contextlib
-import os
-import subprocess
-import sys
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
+
+from isac_track.kalman.arguments import covariances, floats, positive, ragged_times, variances
 
 if TYPE_CHECKING:
     from isac_track.types import Bools, Floats, Ints
@@ -86,38 +83,6 @@ class Smoothed:
     """(M, 2, d) m, m/s, m/s^2"""
     cov: Floats
     """(M, d, d)"""
-
-
-def prepare() -> None:
-    """Compile everything, or load it from the cache.
-
-    Otherwise the first call does, for what it needs. The machine code is cached beside the
-    package, or in the user's cache if that is read-only; where neither can be written it is
-    compiled in every process. Worth a call before a timing or before workers start.
-
-    The interacting models take as long as all the rest: a second process compiles them meanwhile.
-    """
-    helper = None
-    if not _is_cached("_imm_loops"):
-        command = [sys.executable, "-c", "import isac_track._imm_loops"]
-        with contextlib.suppress(OSError):  # without a second process it merely takes longer
-            helper = subprocess.Popen(  # noqa: S603 - a fixed command
-                command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-            )
-    try:
-        _loops()
-        import_module("isac_track._lane_loops")
-    finally:
-        if helper is not None:
-            helper.wait()
-    import_module("isac_track._imm_loops")
-
-
-def _is_cached(module: str) -> bool:
-    """Whether numba's cache seems to hold a module; a wrong answer costs a second, no more."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen) if chosen else Path(__file__).parent / "__pycache__"
-    return any(folder.rglob(f"{module}.*.nbi"))
 
 
 def kalman_filter(
@@ -301,7 +266,7 @@ def smooth_positions(
         "cv", t, xy, variance, offsets, q, initial_mean, initial_cov, np.inf
     )
     position, spread = np.empty((t.size, 2)), np.empty(t.size)
-    import_module("isac_track._lane_loops").smooth_positions(
+    import_module("isac_track.kalman._lane_loops").smooth_positions(
         t,
         xy,
         2.0 * variance,
@@ -319,7 +284,7 @@ def smooth_positions(
 
 
 def _loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
-    return import_module("isac_track._kalman_loops")
+    return import_module("isac_track.kalman._linear_loops")
 
 
 def _filter(
@@ -370,63 +335,3 @@ def _states(model: str) -> int:
     if model not in _STATES:
         raise ValueError(f"model must be one of {get_args(Model)}, got {model!r}")
     return _STATES[model]
-
-
-def ragged_times(t: Floats, offsets: Ints) -> tuple[Floats, Ints]:
-    """Return times and offsets as contiguous arrays, or raise ValueError."""
-    offsets = np.ascontiguousarray(offsets)
-    if offsets.ndim != 1 or offsets.dtype.kind not in "iu":
-        raise ValueError("offsets must be a one-dimensional array of integers")
-    t = np.ascontiguousarray(t, dtype=np.float64)
-    if t.ndim != 1:
-        raise ValueError(f"t must have shape (M,), got {t.shape}")
-    if offsets.size == 0 or offsets[0] != 0 or offsets[-1] != t.size:
-        raise ValueError(f"offsets must run from 0 to {t.size}")
-    if (offsets[1:] <= offsets[:-1]).any():
-        raise ValueError("every track needs at least one sample: offsets must increase")
-    if not np.isfinite(t).all():
-        raise ValueError("times must be finite and strictly increasing within a track")
-    rising = t[1:] > t[:-1]
-    rising[offsets[1:-1] - 1] = True  # from one track to the next
-    if not rising.all():
-        raise ValueError("times must be finite and strictly increasing within a track")
-    return t, offsets.astype(np.int64, copy=False)
-
-
-def floats(name: str, value: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return a contiguous array of finite numbers of that shape, or raise ValueError."""
-    array = np.ascontiguousarray(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite")
-    return array
-
-
-def variances(value: Floats, n_samples: int) -> Floats:
-    """Return the measurement variances, or raise ValueError."""
-    array = floats("variance", value, (n_samples,))
-    if not (array > 0).all():
-        raise ValueError("variance must be positive")
-    return array
-
-
-def covariances(name: str, value: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return symmetric positive definite matrices, or raise ValueError."""
-    array = floats(name, value, shape)
-    turned = array.swapaxes(-1, -2)
-    # Most are symmetric to the last bit, which takes a tenth of the time to see.
-    if not (np.array_equal(array, turned) or np.allclose(array, turned, rtol=1e-12, atol=0)):
-        raise ValueError(f"{name} must be symmetric")
-    try:
-        np.linalg.cholesky(array)
-    except np.linalg.LinAlgError:
-        raise ValueError(f"{name} must be positive definite") from None
-    return array
-
-
-def positive(name: str, value: float, *, finite: bool = True) -> float:
-    """Return a positive number, or raise ValueError."""
-    if not value > 0 or (finite and not np.isfinite(value)):
-        raise ValueError(f"{name} must be positive, got {value}")
-    return float(value)
