@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -18,6 +17,7 @@ from evaluation.experiment.presets import SHARED
 from evaluation.experiment.settings import Settings
 from evaluation.reporting import page, tables
 from evaluation.reporting.figures import draw as figures
+from evaluation.reporting.run_results import Results
 from evaluation.runs import folder
 from evaluation.runs.cell_files import check_sound
 from evaluation.runs.execute import execute
@@ -35,24 +35,7 @@ if TYPE_CHECKING:
     from evaluation.experiment.plan import Plan
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Results:
-    """A finished run as data frames; the columns are those of the files in `out`."""
-
-    out: Path
-    manifest: dict[str, Any]
-    summary: pd.DataFrame
-    paper_table: pd.DataFrame
-    claims: pd.DataFrame
-    matched: pd.DataFrame
-    decisions: pd.DataFrame
-    curves: pd.DataFrame
-    flags: pd.DataFrame
-    linkability: pd.DataFrame
-    verdict: dict[str, Any]
-    """As in `verdict.json`."""
-    failed: pd.DataFrame
-    """Cells that could not be computed, and why; no other table holds their levels."""
+__all__ = ["Results", "build", "load", "run"]
 
 
 def run(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.levels import LinkedTask
     from evaluation.reporting.page_cells import Table
-    from evaluation.results import Results
+    from evaluation.reporting.run_results import Results
 
 PAGE = "report.html"
 _TEMPLATES = Path(__file__).with_name("templates")

@@ -1,0 +1,154 @@
+"""A table as HTML, LaTeX (a booktabs tabular), Markdown and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from evaluation.analysis.levels import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from evaluation.reporting.table import Cell, Column, Table
+
+TEMPLATES: Final = Path(__file__).with_name("templates")
+HTML: Final = Environment(
+    loader=FileSystemLoader(TEMPLATES),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+_LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `tex`
+    loader=FileSystemLoader(TEMPLATES),
+    undefined=StrictUndefined,
+    block_start_string="<%",
+    block_end_string="%>",
+    variable_start_string="<<",
+    variable_end_string=">>",
+    comment_start_string="<#",
+    comment_end_string="#>",
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
+PREAMBLE: Final = "% Needs \\usepackage{booktabs}. Values with 95 % intervals.\n"
+_MOST_COLUMNS = 10
+"""Beside the keys: what a page has room for."""
+_MOST_BESIDE = 6
+"""With more columns of intervals, these stand below their values."""
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "&": r"\&",
+    "%": r"\%",
+    "#": r"\#",
+    "_": r"\_",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+}
+
+
+def html(table: Table) -> Markup:
+    """Return a table whose columns sort at a click, with a button that copies it as CSV."""
+    macros: Any = HTML.get_template("table.html.j2").module
+    return Markup(macros.table(table))  # noqa: S704 - the template escapes what it shows
+
+
+def escape(text: str) -> str:
+    """Return text that LaTeX prints as it is."""
+    return "".join(_SPECIAL.get(character, character) for character in printable(text))
+
+
+def latex(tables: Iterable[Table]) -> str:
+    """Return a file of tabulars, several of a table that is too wide for a page."""
+    return PREAMBLE + "\n".join(
+        _LATEX.get_template("table.tex.j2").render(
+            table=table,
+            columns=[table.columns[place] for place in places],
+            groups=_groups(table, places),
+            escape=escape,
+        )
+        for table in tables
+        for places in _pages(table)
+    )
+
+
+def _pages(table: Table) -> list[list[int]]:
+    """Return which columns go into each tabular."""
+    places = [place for place, column in enumerate(table.columns) if not column.is_long]
+    keys = [place for place in places if place < table.n_keys]
+    others = [place for place in places if place not in keys]
+    return [
+        [*keys, *others[start : start + _MOST_COLUMNS]]
+        for start in range(0, len(others), _MOST_COLUMNS)
+    ]
+
+
+def _groups(table: Table, places: Sequence[int]) -> list[list[list[str]]]:
+    """Return the lines of a tabular's body, those of a heading together."""
+    below = sum(any(row[place].low for row in table.rows) for place in places) > _MOST_BESIDE
+    groups = []
+    for _, rows in groupby(table.rows, key=lambda row: row[: table.n_headings]):
+        lines = []
+        for row in rows:
+            cells = [row[place] for place in places]
+            columns = [table.columns[place] for place in places]
+            lines.append(
+                [
+                    _tex(cell, of=of, beside=not below)
+                    for cell, of in zip(cells, columns, strict=True)
+                ]
+            )
+            if below and any(cell.low for cell in cells):
+                lines.append([_small(cell) for cell in cells])
+        groups.append(lines)
+    return groups
+
+
+def _tex(cell: Cell, *, of: Column, beside: bool) -> str:
+    if not cell.text:
+        return "--" if of.align == "right" and of.name != "level" else ""
+    text = (
+        f"${cell.text}$" if cell.value is not None and cell.text[0] in "+-" else escape(cell.text)
+    )
+    if cell.mark:
+        text += rf"\textsuperscript{{{escape(cell.mark)}}}"
+    return " ".join(filter(None, [text, _small(cell) if beside else "", escape(cell.unit)]))
+
+
+def _small(cell: Cell) -> str:
+    return rf"{{\scriptsize {cell.interval}}}" if cell.low else ""
+
+
+def markdown(table: Table) -> str:
+    """Return a table in GitHub's Markdown."""
+    rules = [":--" if column.align == "left" else "--:" for column in table.columns]
+    rows = [[column.head for column in table.columns], rules]
+    rows += [[cell.full for cell in row] for row in table.rows]
+    return "".join("| " + " | ".join(map(_plain, row)) + " |\n" for row in rows)
+
+
+def _plain(text: str) -> str:
+    return printable(text).replace("&", "&amp;").replace("<", "&lt;").replace("|", r"\|")
+
+
+def to_csv(table: Table) -> str:
+    """Return a table as it is shown, a line for each row."""
+    sink = io.StringIO()
+    rows = csv.writer(sink, lineterminator="\n")
+    rows.writerow([column.head for column in table.columns])
+    rows.writerows([[cell.full for cell in row] for row in table.rows])
+    return sink.getvalue()
