@@ -8,6 +8,7 @@ forecast at the end of the horizon against the true future, which no tuning has 
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +16,15 @@ from isac_track import datasets
 from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError
-from isac_track.kalman import kalman_filter
+from isac_track.kalman import kalman_last
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
 from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM, filter_arguments
 from predictors.recent import recent
+
+if TYPE_CHECKING:
+    from isac_track.kalman.linear import Model
 
 LEVELS = ("raw", "fixed:0.7,adding=independent", "fid:1,adding=independent")
 N_SCENES = 100
@@ -58,10 +62,28 @@ def _nis(tracker: KalmanCV | KalmanCA, shared: object) -> float:
     """Return the mean NIS behind the start-up of 32 samples."""
     d = 2 if isinstance(tracker, KalmanCV) else 3
     seen = recent(shared, window=tracker.window)  # type: ignore[arg-type]
+    model: Model = "cv" if d == 2 else "ca"
     arguments = filter_arguments(seen, tracker, d=d) | {"gate": np.inf}
-    found = kalman_filter(model="cv" if d == 2 else "ca", **arguments)
-    age = np.arange(seen.t.size) - np.repeat(seen.offsets[:-1], np.diff(seen.offsets))
-    return float(found.nis[age >= 32].mean())
+    sizes = np.diff(seen.offsets)
+    found = []
+    for k in range(32, int(sizes.max(initial=0))):
+        long = np.flatnonzero(sizes > k)
+        now = seen.offsets[long] + k
+        rows = (seen.offsets[long][:, None] + np.arange(k)).ravel()
+        last = kalman_last(
+            model=model,
+            **arguments
+            | {name: arguments[name][rows] for name in ("t", "xy", "variance")}
+            | {name: arguments[name][long] for name in ("initial_mean", "initial_cov")}
+            | {"offsets": k * np.arange(long.size + 1)},
+        )
+        step = seen.t[now] - seen.t[now - 1]
+        h = step[:, None] ** np.arange(d) / np.array([1.0, 1.0, 2.0])[:d]
+        grown = tracker.q * step ** (2 * d - 1) / (3.0 if d == 2 else 20.0)
+        spread = np.einsum("nd,nde,ne->n", h, last.cov, h) + grown + arguments["variance"][now]
+        gap = seen.xy[now] - np.einsum("nd,nad->na", h, last.mean)
+        found.append((gap**2).sum(axis=1) / spread)
+    return float(np.concatenate(found).mean())
 
 
 if __name__ == "__main__":

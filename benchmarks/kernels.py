@@ -101,24 +101,13 @@ def matrices(steps: Floats) -> tuple[Floats, Floats]:
 
 
 def ours(batch: Walks) -> tuple[Floats, Floats]:
-    """Filter and smooth in one call; (M, 4) means and (M, 2, 2) covariances per axis."""
-    smoothed = kalman.kalman_smoother(**settings(batch))
-    return smoothed.mean.reshape(-1, 4), smoothed.cov
-
-
-def in_two_calls(batch: Walks) -> tuple[Floats, Floats]:
-    """Filter, keep all that it finds, and smooth."""
-    filtered = kalman.kalman_filter(**settings(batch))
-    smoothed = kalman.rts_smoother(
-        model="cv", t=batch.t, offsets=batch.offsets, q=Q, filtered=filtered
-    )
-    return smoothed.mean.reshape(-1, 4), smoothed.cov
+    """Filter and smooth; (M, 2) positions and their variance per axis, (M,)."""
+    return kalman.smooth_positions(**settings(batch))
 
 
 def settings(batch: Walks) -> dict[str, Any]:
     """Return the arguments of our filter."""
     return {
-        "model": "cv",
         "t": batch.t,
         "xy": batch.xy,
         "variance": batch.variance,
@@ -281,8 +270,11 @@ def best(run: Callable[[], object], *, repeats: int) -> float:
 
 def check(name: str, result: tuple[Floats, Floats], batch: Walks) -> float:
     """Return the largest difference from ours; stop if it is not a rounding error."""
+    mean, cov = result
+    positions = (mean[:, ::2], cov[:, 0, 0])
     worst = max(
-        float(np.abs(theirs - mine).max()) for theirs, mine in zip(result, ours(batch), strict=True)
+        float(np.abs(theirs - mine).max())
+        for theirs, mine in zip(positions, ours(batch), strict=True)
     )
     if not worst <= TOLERANCE:
         raise SystemExit(f"{name} and the kernels differ by {worst:.1e}: nothing to compare")
@@ -297,9 +289,6 @@ def compare(title: str, batch: Walks, peers: dict[str, tuple[Any, int]]) -> None
     print("| library | us per sample | ratio | largest difference |")
     print("|---|---:|---:|---:|")
     print(f"| isac_track.kalman | {1e6 * mine:.4f} | 1 | |")
-    worst = check("two calls", in_two_calls(batch), batch)
-    twice = best(lambda: in_two_calls(batch), repeats=50) / batch.t.size
-    print(f"| the same in two calls | {1e6 * twice:.4f} | {twice / mine:.1f} | {worst:.0e} |")
     for name, (build, n_tracks) in peers.items():
         if find_spec(name) is None:
             print(f"| {name} | missing: `pip install {name}` | | |")
@@ -315,43 +304,29 @@ def compare(title: str, batch: Walks, peers: dict[str, tuple[Any, int]]) -> None
 def all_models(batch: Walks) -> None:
     """Print a table of our own times: every model, every function."""
     n_tracks = batch.offsets.size - 1
-    ca = settings(batch) | {
-        "model": "ca",
+    cv = settings(batch)
+    ca = cv | {
         "initial_mean": np.zeros((n_tracks, 2, 3)),
         "initial_cov": np.tile(np.diag([10.0, 2.0, 1.0]), (n_tracks, 1, 1)),
     }
-    imm = settings(batch) | {
-        "q": np.array([0.05, Q]),
-        "rates": np.full((2, 2), 0.2),
-        "initial_probability": np.array([0.5, 0.5]),
-    }
-    del imm["model"]
-    rows = {
-        "cv": functions(kalman.kalman_filter, kalman.kalman_last, settings(batch)),
-        "ca": functions(kalman.kalman_filter, kalman.kalman_last, ca),
-        "imm, 2 modes": functions(kalman.imm_filter, kalman.imm_last, imm),
+    chain = {"q": np.array([0.05, Q]), "rates": np.full((2, 2), 0.2)}
+    imm = cv | chain | {"initial_probability": np.array([0.5, 0.5])}
+    filtered = kalman.imm_filter(**imm)
+    runs: dict[str, Callable[[], object]] = {
+        "cv, last state": lambda: kalman.kalman_last(model="cv", **cv),
+        "cv, smoothed positions": lambda: kalman.smooth_positions(**cv),
+        "ca, last state": lambda: kalman.kalman_last(model="ca", **ca),
+        "imm of 2 modes, last state": lambda: kalman.imm_last(**imm),
+        "imm of 2 modes, every state": lambda: kalman.imm_filter(**imm),
+        "imm of 2 modes, smoother": lambda: kalman.imm_smoother(
+            t=batch.t, offsets=batch.offsets, filtered=filtered, **chain
+        ),
     }
     print("\nEvery model, us per sample\n")
-    print("| model | filter | last state only | smoother |")
-    print("|---|---:|---:|---:|")
-    for name, runs in rows.items():
-        times = (1e6 * best(run, repeats=10) / batch.t.size for run in runs)
-        print(f"| {name} |", " | ".join(f"{time:.3f}" for time in times), "|")
-
-
-def functions(
-    run_filter: Callable[..., Any], run_last: Callable[..., Any], chosen: dict[str, Any]
-) -> tuple[Callable[[], object], Callable[[], object], Callable[[], object]]:
-    """Return filter, last state and smoother of one model as calls without arguments."""
-    filtered = run_filter(**chosen)
-    names = [name for name in ("model", "t", "offsets", "q", "rates") if name in chosen]
-    rest = {name: chosen[name] for name in names}
-    smoother: Callable[..., Any] = kalman.rts_smoother if "model" in chosen else kalman.imm_smoother
-    return (
-        lambda: run_filter(**chosen),
-        lambda: run_last(**chosen),
-        lambda: smoother(filtered=filtered, **rest),
-    )
+    print("| what | time |")
+    print("|---|---:|")
+    for name, run in runs.items():
+        print(f"| {name} | {1e6 * best(run, repeats=10) / batch.t.size:.3f} |")
 
 
 def main() -> None:

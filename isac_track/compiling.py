@@ -23,12 +23,10 @@ FLOATS2 = numba.types.Array(numba.float64, 2, "C", readonly=True)
 FLOATS3 = numba.types.Array(numba.float64, 3, "C", readonly=True)
 FLOATS4 = numba.types.Array(numba.float64, 4, "C", readonly=True)
 INTS1 = numba.types.Array(numba.int64, 1, "C", readonly=True)
-BOOLS1 = numba.types.Array(numba.boolean, 1, "C", readonly=True)
 OUT_FLOATS1 = numba.float64[::1]
 OUT_FLOATS2 = numba.float64[:, ::1]
 OUT_FLOATS3 = numba.float64[:, :, ::1]
 OUT_FLOATS4 = numba.float64[:, :, :, ::1]
-OUT_BOOLS1 = numba.boolean[::1]
 FLOAT = numba.float64
 INT = numba.int64
 BOOL = numba.boolean

@@ -20,72 +20,25 @@ from isac_track.errors import SettingsError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-RANGES: Mapping[str, tuple[float, float]] = {
-    "resample.rate_min_hz": (0.01, 1e3),
-    "resample.rate_max_hz": (0.01, 1e3),
-    "resample.rate_hold_s": (1e-3, 1e6),
-    "resample.min_duration_s": (0.1, 1e6),
-    "scenes.agents": (1, 100),
-    "scenes.history_ratio": (0, 1),
-    "scenes.robot_x_m": (-1e6, 1e6),
-    "scenes.robot_y_m": (-1e6, 1e6),
-    "scenes.robot_spread_m": (0, 1e4),
-    "scenes.near_miss_max_m": (1e-3, 1e4),
-    "scenes.ring_min_m": (0, 1e4),
-    "scenes.ring_max_m": (1e-3, 1e4),
-    "scenes.clearance_m": (0, 1e4),
-    "scenes.max_redraws": (1, 10_000),
-    "sensing.bs_x_m": (-1e6, 1e6),
-    "sensing.bs_y_m": (-1e6, 1e6),
-    "sensing.carrier_ghz": (1e-3, 1e4),
-    "sensing.bandwidth_mhz": (1e-3, 1e6),
-    "sensing.n_paths": (1, 1000),
-    "sensing.delay_spread_s": (0, 1e-3),
-    "sensing.power_dbm": (-200, 200),
-    "sensing.noise_dbm": (-300, 100),
-    "sensing.path_loss_exponent": (0.1, 10),
-    "sensing.beam_fluctuation_db": (0, 50),
-    "sensing.rcs_m2": (1e-6, 1e6),
-    "sensing.resource_share": (1e-6, 1e6),
-    "sensing.large_scale_db": (0, 100),
-    "sensing.processing_gain_db": (-200, 200),
-    "sensing.crb_gap_db": (-200, 200),
-    "sensing.sigma_cap_m": (1e-6, 1e6),
-    "conflict.robot_speed_mps": (1e-3, 100),
-    "conflict.horizon_steps": (1, 1000),
-    "conflict.window": (2, 100_000),
-    "conflict.safety_radius_m": (1e-3, 1e3),
-    "conflict.probability_threshold": (0, 1),
-    "privacy.epsilon_m": (1e-6, 1e4),
-    "linkage.window_s": (0.1, 1e6),
-    "linkage.rerelease_shift_s": (0, 1e6),
-    "linkage.split_window_s": (0.1, 1e6),
-    "linkage.split_gap_s": (0, 1e6),
-    "linkage.handover_period_s": (0.1, 1e6),
-    "linkage.handover_window_s": (0.1, 1e6),
-    "linkage.handover_least_s": (0.01, 1e6),
-    "linkage.handover_instants": (1, 10_000),
-    "linkage.most_people": (1, 10_000),
-    "linkage.trait_strength": (0, 10),
-}
-"""Smallest and largest value of every number: far beyond what is physical or of use, but within
-what the arithmetic and the memory of a computer can take."""
 _MOST_SHOWN = 60
-_OPEN = {"scenes.history_ratio", "conflict.probability_threshold"}
-"""Shares that may be neither end of their range."""
+
+
+def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
+    """Declare a number and its range, which has neither end if it is open."""
+    return field(default=default, metadata={"range": (low, high), "open": is_open})
 
 
 @dataclass(frozen=True, slots=True)
 class ResampleSettings:
     """Cubic interpolation of the recorded tracks and their adaptive sampling."""
 
-    rate_min_hz: float = 8.0
+    rate_min_hz: float = _number(8.0, 0.01, 1e3)
     """paper: slowest update rate"""
-    rate_max_hz: float = 16.0
+    rate_max_hz: float = _number(16.0, 0.01, 1e3)
     """paper: fastest update rate"""
-    rate_hold_s: float = 1.0
+    rate_hold_s: float = _number(1.0, 1e-3, 1e6)
     """reading: a rate is drawn anew after this much of the track"""
-    min_duration_s: float = 21.6
+    min_duration_s: float = _number(21.6, 0.1, 1e6)
     """reading: shorter tracks are left out (gives the paper's 366 history points)"""
 
     def __post_init__(self) -> None:
@@ -101,25 +54,25 @@ class ResampleSettings:
 class SceneSettings:
     """How a scene is cut and placed."""
 
-    agents: int = 4
+    agents: int = _number(4, 1, 100)
     """paper: pedestrians per scene"""
-    history_ratio: float = 0.7
+    history_ratio: float = _number(0.7, 0, 1, is_open=True)
     """paper: share of a track that is shared history; the rest is hidden future"""
-    robot_x_m: float = 0.7
+    robot_x_m: float = _number(0.7, -1e6, 1e6)
     """reading: centre of the robot's start square"""
-    robot_y_m: float = 0.65
+    robot_y_m: float = _number(0.65, -1e6, 1e6)
     """reading: centre of the robot's start square"""
-    robot_spread_m: float = 4.0
+    robot_spread_m: float = _number(4.0, 0, 1e4)
     """reading: half side of the start square"""
-    near_miss_max_m: float = 1.4
+    near_miss_max_m: float = _number(1.4, 1e-3, 1e4)
     """reading: a near miss passes at conflict.safety_radius_m to this distance"""
-    ring_min_m: float = 2.0
+    ring_min_m: float = _number(2.0, 0, 1e4)
     """reading: the other agents stand at least this far from the robot now"""
-    ring_max_m: float = 6.0
+    ring_max_m: float = _number(6.0, 1e-3, 1e4)
     """reading: ... and at most this far"""
-    clearance_m: float = 1.5
+    clearance_m: float = _number(1.5, 0, 1e4)
     """reading: ... and stay this far from it over the horizon"""
-    max_redraws: int = 100
+    max_redraws: int = _number(100, 1, 10_000)
     """reading: draws of a place before the last one is kept and counted"""
 
     def __post_init__(self) -> None:
@@ -132,37 +85,37 @@ class SceneSettings:
 class SensingSettings:
     """Link budget of the base station, and the step from the Cramer-Rao bound to an error."""
 
-    bs_x_m: float = 5.0
+    bs_x_m: float = _number(5.0, -1e6, 1e6)
     """paper: base station"""
-    bs_y_m: float = 30.0
+    bs_y_m: float = _number(30.0, -1e6, 1e6)
     """paper: base station"""
-    carrier_ghz: float = 3.5
+    carrier_ghz: float = _number(3.5, 1e-3, 1e4)
     """paper"""
-    bandwidth_mhz: float = 100.0
+    bandwidth_mhz: float = _number(100.0, 1e-3, 1e6)
     """paper: sensing bandwidth, taken as a flat spectrum"""
-    n_paths: int = 4
+    n_paths: int = _number(4, 1, 1000)
     """paper: multipath number N_p"""
-    delay_spread_s: float = 2e-7
+    delay_spread_s: float = _number(2e-7, 0, 1e-3)
     """paper: largest excess delay of a path"""
-    power_dbm: float = 30.0
+    power_dbm: float = _number(30.0, -200, 200)
     """paper: effective power, as it arrives in the beam: a^H Q a"""
-    noise_dbm: float = -91.0
+    noise_dbm: float = _number(-91.0, -300, 100)
     """paper: noise floor N_0"""
-    path_loss_exponent: float = 2.7
+    path_loss_exponent: float = _number(2.7, 0.1, 10)
     """paper; each way (reading: monostatic, two-way)"""
-    beam_fluctuation_db: float = 2.0
+    beam_fluctuation_db: float = _number(2.0, 0, 50)
     """paper: N(0, 2) dB per sample (reading: 2 dB is the standard deviation)"""
-    rcs_m2: float = 1.0
+    rcs_m2: float = _number(1.0, 1e-6, 1e6)
     """reading: radar cross-section of a pedestrian"""
-    resource_share: float = 1.0
+    resource_share: float = _number(1.0, 1e-6, 1e6)
     """reading: m_s of eq. swarm_fi"""
-    large_scale_db: float = 11.79
+    large_scale_db: float = _number(11.79, 0, 100)
     """fitted: two-way log-normal spread, drawn once per track"""
-    processing_gain_db: float = 32.43
+    processing_gain_db: float = _number(32.43, -200, 200)
     """fitted: integration gain of the sensing receiver"""
-    crb_gap_db: float = 13.27
+    crb_gap_db: float = _number(13.27, -200, 200)
     """fitted: sigma_raw over sqrt(CRB), in 20 log10"""
-    sigma_cap_m: float = 2.0
+    sigma_cap_m: float = _number(2.0, 1e-6, 1e6)
     """reading, fixed before the fit: sigma_raw is capped here"""
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
@@ -175,18 +128,18 @@ class SensingSettings:
 class ConflictSettings:
     """The robot's task."""
 
-    robot_speed_mps: float = 1.4
+    robot_speed_mps: float = _number(1.4, 1e-3, 100)
     """paper: v_r"""
-    horizon_steps: int = 12
+    horizon_steps: int = _number(12, 1, 1000)
     """paper: H"""
-    window: int = 16
+    window: int = _number(16, 2, 100_000)
     """paper: q, samples whose mean interval is the step of the prediction grid; how many samples
     a predictor uses is its own parameter, `least_squares:16`"""
-    safety_radius_m: float = 0.9
+    safety_radius_m: float = _number(0.9, 1e-3, 1e3)
     """paper: d_safe"""
     decision: Literal["mean", "probability"] = "mean"
     """paper: `mean`, the predicted positions alone; `probability` needs a covariance"""
-    probability_threshold: float = 0.5
+    probability_threshold: float = _number(0.5, 0, 1, is_open=True)
     """with `probability`: a conflict is declared at or above it"""
 
     def __post_init__(self) -> None:
@@ -197,7 +150,7 @@ class ConflictSettings:
 class PrivacySettings:
     """The leakage rule."""
 
-    epsilon_m: float = 0.3
+    epsilon_m: float = _number(0.3, 1e-6, 1e4)
     """paper: a sample leaks when it lies closer than this to the truth"""
 
     def __post_init__(self) -> None:
@@ -208,25 +161,25 @@ class PrivacySettings:
 class LinkageSettings:
     """What an adversary is given to link: windows of walks (`attacks.tasks.build`)."""
 
-    window_s: float = 12.0
+    window_s: float = _number(12.0, 0.1, 1e6)
     """length of a release in rerelease and new_traversal, the same for everyone"""
-    rerelease_shift_s: float = 6.0
+    rerelease_shift_s: float = _number(6.0, 0, 1e6)
     """the two releases of a walk start at most this far apart, so that most of it is shown twice"""
-    split_window_s: float = 5.0
+    split_window_s: float = _number(5.0, 0.1, 1e6)
     """length of either half in split"""
-    split_gap_s: float = 2.0
+    split_gap_s: float = _number(2.0, 0, 1e6)
     """shortest gap between the halves; with the windows, 12 s of a track"""
-    handover_period_s: float = 20.0
+    handover_period_s: float = _number(20.0, 0.1, 1e6)
     """time between two instants at which all pseudonyms rotate"""
-    handover_window_s: float = 5.0
+    handover_window_s: float = _number(5.0, 0.1, 1e6)
     """how much of a walk an adversary sees on either side of the gap, at most"""
-    handover_least_s: float = 1.0
+    handover_least_s: float = _number(1.0, 0.01, 1e6)
     """who is there for less than this on one side of the gap is no candidate on that side"""
-    handover_instants: int = 16
+    handover_instants: int = _number(16, 1, 10_000)
     """... and at most so many, evenly over the recording"""
-    most_people: int = 300
+    most_people: int = _number(300, 1, 10_000)
     """people who are linked in the other tasks, at most: of more, so many are drawn"""
-    trait_strength: float = 1.0
+    trait_strength: float = _number(1.0, 0, 10)
     """spread of the crowd's planted traits; 1 is the bundled one, another is simulated anew"""
 
     def __post_init__(self) -> None:
@@ -302,6 +255,16 @@ def setting_types() -> Mapping[str, Any]:
     }
 
 
+RANGES: Mapping[str, tuple[float, float]] = {
+    f"{stage}.{item.name}": item.metadata["range"]
+    for stage, kind in get_type_hints(StageSettings).items()
+    for item in fields(kind)
+    if "range" in item.metadata
+}
+"""Smallest and largest value of every number: far beyond what is physical or of use, but within
+what the arithmetic and the memory of a computer can take."""
+
+
 def _parse(name: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
     """Return what text or another type of number stands for; `_check` looks at the rest."""
     if get_args(annotation):
@@ -323,8 +286,8 @@ def _parse(name: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - tex
 
 def _check(settings: object, stage: str) -> None:
     """Check the type and the range of every field, however the settings were made."""
-    for key in type(settings).__dataclass_fields__:  # type: ignore[attr-defined]  # all are
-        name, value = f"{stage}.{key}", getattr(settings, key)
+    for item in fields(settings):  # type: ignore[arg-type]  # all are dataclasses
+        name, value = f"{stage}.{item.name}", getattr(settings, item.name)
         annotation = setting_types()[name]
         choices = get_args(annotation)
         if choices:
@@ -337,22 +300,18 @@ def _check(settings: object, stage: str) -> None:
         fits = isinstance(value, kind) and not isinstance(value, bool)
         if not fits:
             raise SettingsError(f"{name} must be a {noun}, got {_shown(value)}")
-        low, high = RANGES[name]
-        inside = low < value < high if name in _OPEN else low <= value <= high  # False for NaN
+        (low, high), is_open = item.metadata["range"], item.metadata["open"]
+        inside = low < value < high if is_open else low <= value <= high  # False for NaN
         if not inside:
-            raise SettingsError(f"{name} must {_wanted(name, value)}, got {_shown(value)}")
-
-
-def _wanted(name: str, value: Any) -> str:  # noqa: ANN401 - any real number
-    low, high = RANGES[name]
-    if name in _OPEN:
-        return f"lie between {low:g} and {high:g}"
-    bounds = f"{low:g} to {high:g}"
-    if low > 0 >= value:
-        return f"be positive ({bounds})"
-    if low == 0 > value:
-        return f"not be negative ({bounds})"
-    return f"lie within {bounds}"
+            bounds = f"{low:g} to {high:g}"
+            wanted = f"lie within {bounds}"
+            if is_open:
+                wanted = f"lie between {low:g} and {high:g}"
+            elif low > 0 >= value:
+                wanted = f"be positive ({bounds})"
+            elif low == 0 > value:
+                wanted = f"not be negative ({bounds})"
+            raise SettingsError(f"{name} must {wanted}, got {_shown(value)}")
 
 
 def _shown(value: object) -> str:

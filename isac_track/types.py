@@ -53,6 +53,30 @@ _TRACK: Mapping[str, str] = {"per": "track"}
 _Batch = TypeVar("_Batch", "Tracks", "Sensed", "Release")
 
 
+def _n_tracks(batch: _Batch) -> int:
+    return batch.offsets.size - 1
+
+
+def _one_track(batch: _Batch, index: int) -> _Batch:
+    n_tracks = _n_tracks(batch)
+    if not -n_tracks <= index < n_tracks:
+        raise IndexError(f"track {index} of {n_tracks}")
+    row = index % n_tracks
+    lo, hi = int(batch.offsets[row]), int(batch.offsets[row + 1])
+    part: dict[str, object] = {"offsets": np.array([0, hi - lo])}
+    for item in fields(batch):
+        value = getattr(batch, item.name)
+        if item.metadata.get("per") == "sample" and value is not None:
+            part[item.name] = value[lo:hi]
+        elif item.metadata.get("per") == "track":
+            part[item.name] = (value[row],)
+    return replace(batch, **part)  # type: ignore[arg-type]  # the fields are those of the batch
+
+
+def _each_track(batch: _Batch) -> Iterator[_Batch]:
+    return (_one_track(batch, index) for index in range(_n_tracks(batch)))
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Tracks:
     """The truth: N recorded or interpolated walks, M samples in all.
@@ -76,14 +100,7 @@ class Tracks:
         if len(set(self.source)) != len(self.source):
             raise ValueError("source ids must be unique")
 
-    def __len__(self) -> int:
-        return self.offsets.size - 1
-
-    def __getitem__(self, index: int) -> Tracks:
-        return _one_track(self, index)
-
-    def __iter__(self) -> Iterator[Tracks]:
-        return (_one_track(self, index) for index in range(len(self)))
+    __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,14 +187,7 @@ class Sensed:
         if not (self.sigma_raw >= 0).all():
             raise ValueError("sigma_raw must not be negative or NaN")
 
-    def __len__(self) -> int:
-        return self.offsets.size - 1
-
-    def __getitem__(self, index: int) -> Sensed:
-        return _one_track(self, index)
-
-    def __iter__(self) -> Iterator[Sensed]:
-        return (_one_track(self, index) for index in range(len(self)))
+    __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -198,14 +208,7 @@ class Release:
     def __post_init__(self) -> None:
         _check_batch(self)
 
-    def __len__(self) -> int:
-        return self.offsets.size - 1
-
-    def __getitem__(self, index: int) -> Release:
-        return _one_track(self, index)
-
-    def __iter__(self) -> Iterator[Release]:
-        return (_one_track(self, index) for index in range(len(self)))
+    __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
 
     def without_sigma(self) -> Release:
         """Return the same release as a receiver without `Knowledge.SIGMA` gets it."""
@@ -309,22 +312,6 @@ def _check_covariances(cov: Floats) -> None:
     )
     if not is_sound.all():
         raise ValueError("a predicted covariance is not positive semidefinite")
-
-
-def _one_track(batch: _Batch, index: int) -> _Batch:
-    n_tracks = batch.offsets.size - 1
-    if not -n_tracks <= index < n_tracks:
-        raise IndexError(f"track {index} of {n_tracks}")
-    row = index % n_tracks
-    lo, hi = int(batch.offsets[row]), int(batch.offsets[row + 1])
-    part: dict[str, object] = {"offsets": np.array([0, hi - lo])}
-    for item in fields(batch):
-        value = getattr(batch, item.name)
-        if item.metadata.get("per") == "sample" and value is not None:
-            part[item.name] = value[lo:hi]
-        elif item.metadata.get("per") == "track":
-            part[item.name] = (value[row],)
-    return replace(batch, **part)  # type: ignore[arg-type]  # the fields are those of the batch
 
 
 def _freeze(container: object, dimensions: Mapping[str, int]) -> None:

@@ -1,11 +1,11 @@
-"""Compiled loops of `isac_track.kalman`: several constant-velocity models that interact.
+"""Compiled loops of `kalman.imm`: several constant-velocity models that interact.
 
 The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance per mode.
 """
 
 # Small matrices are spelled out, and compiled code has neither keywords nor objects to hide
 # arguments in.
-# ruff: noqa: C901, FBT001, PLR0912, PLR0915, PLR0917
+# ruff: noqa: C901, FBT001, PLR0912, PLR0917
 from __future__ import annotations
 
 from math import exp, expm1, inf, log, pi
@@ -22,7 +22,6 @@ from isac_track.compiling import (
     FLOATS4,
     INT,
     INTS1,
-    OUT_BOOLS1,
     OUT_FLOATS1,
     OUT_FLOATS2,
     OUT_FLOATS3,
@@ -32,7 +31,7 @@ from isac_track.compiling import (
 )
 
 if TYPE_CHECKING:
-    from isac_track.types import Bools, Floats, Ints
+    from isac_track.types import Floats, Ints
 
 _LOG_2PI = log(2 * pi)
 _STATES = 4
@@ -177,7 +176,7 @@ def _copy(mu: Floats, x: Floats, p: Floats, out_mu: Floats, out_x: Floats, out_p
     *(FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1, FLOATS2, FLOATS2, FLOATS3, FLOATS1),
     *(FLOAT, INT, BOOL),
     *(OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS2, OUT_FLOATS3),
-    *(OUT_FLOATS1, OUT_BOOLS1, OUT_FLOATS1),
+    OUT_FLOATS1,
 )
 def imm_filter(
     t: Floats,
@@ -197,8 +196,6 @@ def imm_filter(
     probability: Floats,
     mixed_mean: Floats,
     mixed_cov: Floats,
-    nis: Floats,
-    accepted: Bools,
     log_likelihood: Floats,
 ) -> None:
     """Filter; row k of the outputs is sample k, or row i track i's last one if not `every`."""
@@ -241,8 +238,7 @@ def imm_filter(
                 d2 = (s11 * e0 * e0 - 2 * s01 * e0 * e1 + s00 * e1 * e1) / det
                 smallest = min(smallest, d2)
                 log_mode[n] = -(log(det) + d2) / 2 - _LOG_2PI
-            take = smallest <= gate or misses >= patience
-            if take:
+            if smallest <= gate or misses >= patience:
                 misses = 0
                 # Relative to the best mode: far outliers underflow in all modes otherwise.
                 best = -inf
@@ -265,8 +261,6 @@ def imm_filter(
             if every or k == offsets[i + 1] - 1:
                 _copy(mu, x, p, probability[row], mean[row], cov[row])
                 _collapse(mu, x, p, mixed_mean[row], mixed_cov[row])
-            nis[row] = smallest
-            accepted[row] = take
 
 
 @part_of_loop

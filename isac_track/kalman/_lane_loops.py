@@ -4,7 +4,7 @@ Eight tracks lie side by side in one buffer, so that one vector instruction move
 three times as fast as one track after the other. A row of the buffer is one sample, a field of the
 row eight numbers, one a track. The inner loops run over the tracks, from 0 to `LANES`; all
 that they touch lies at fixed distances in one row and its neighbour, which is what a compiler needs
-to see to vectorise them. For the formulas see `isac_track.kalman._linear_loops`.
+to see to vectorise them.
 
 Tracks differ in length. Beyond its end a track has samples that change nothing, bit by bit: no
 time passes, and the variance is a power of two so large that its gain vanishes. A track's
@@ -64,7 +64,12 @@ _ROW = 20 * LANES
 
 @part_of_loop
 def _forward(buffer: Floats, n: int, q: float) -> None:
-    """Filter; row 0 is the prior at the time of the first sample, which is row 1."""
+    """Filter as `_linear_loops.cv_last`; row 0 is the prior at the first sample, which is row 1.
+
+    Beside each state gain G and open covariance C of the smoother are laid, multiplied out: little
+    cancels. With P the filtered covariance, B = F^-1 Q F^-T and P' = F P F' + Q the smoothed one is
+    C + G Ps G', where C = (|Q| P + |P| B) / |P'| (two-dimensional matrices only).
+    """
     for k in range(n):
         rows = buffer[k * _ROW : (k + 2) * _ROW]
         for lane in range(LANES):

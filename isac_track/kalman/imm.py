@@ -34,12 +34,15 @@ from isac_track.kalman.arguments import covariances, floats, positive, ragged_ti
 from isac_track.kalman.linear import MAX_REJECTIONS
 
 if TYPE_CHECKING:
-    from isac_track.types import Bools, Floats, Ints
+    from isac_track.types import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class ImmFiltered:
-    """States of N tracks after each of M samples, under each of J modes."""
+class ImmStates:
+    """States of N tracks under each of J modes, a row for each of M samples, or a row a track.
+
+    To forecast, predict each mode with its own q and mix by `probability`.
+    """
 
     mean: Floats
     """(M, J, 2, 2) m, m/s: per mode and axis position and velocity."""
@@ -51,50 +54,8 @@ class ImmFiltered:
     """(M, 2, 2) m, m/s: over the modes."""
     mixed_cov: Floats
     """(M, 4, 4) over the modes, with the spread between them."""
-    nis: Floats
-    """(M,) normalised innovation squared of the mode that it is smallest for: what the gate
-    looks at, and not chi-square."""
-    accepted: Bools
-    """(M,) False where the gate kept a sample out of the update."""
     log_likelihood: Floats
     """(N,) log density of a track's accepted samples, 1/m^2 each."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class ImmLastState:
-    """States of N tracks after their last sample, under each of J modes.
-
-    To forecast, predict each mode with its own q and mix by `probability`.
-    """
-
-    mean: Floats
-    """(N, J, 2, 2) m, m/s"""
-    cov: Floats
-    """(N, J, 4, 4) of (x, vx, y, vy)"""
-    probability: Floats
-    """(N, J)"""
-    mixed_mean: Floats
-    """(N, 2, 2) m, m/s"""
-    mixed_cov: Floats
-    """(N, 4, 4)"""
-    log_likelihood: Floats
-    """(N,)"""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class ImmSmoothed:
-    """States of N tracks at each of M samples, given all samples, under each of J modes."""
-
-    mean: Floats
-    """(M, J, 2, 2) m, m/s"""
-    cov: Floats
-    """(M, J, 4, 4) of (x, vx, y, vy)"""
-    probability: Floats
-    """(M, J)"""
-    mixed_mean: Floats
-    """(M, 2, 2) m, m/s"""
-    mixed_cov: Floats
-    """(M, 4, 4)"""
 
 
 def imm_filter(
@@ -109,7 +70,7 @@ def imm_filter(
     initial_cov: Floats,
     initial_probability: Floats,
     gate: float = np.inf,
-) -> ImmFiltered:
+) -> ImmStates:
     """Return the states of every track after each of its samples, under each mode.
 
     Parameters
@@ -146,7 +107,7 @@ def imm_filter(
         *(t, xy, variance, offsets, q, rates),
         *(initial_mean, initial_cov, initial_probability, gate),
     )
-    return ImmFiltered(*_filter(arrays, every=True))
+    return _filter(arrays, every=True)
 
 
 def imm_last(
@@ -161,7 +122,7 @@ def imm_last(
     initial_cov: Floats,
     initial_probability: Floats,
     gate: float = np.inf,
-) -> ImmLastState:
+) -> ImmStates:
     """Return the states of every track after its last sample, equal to those of `imm_filter`.
 
     Nothing of length M is made. Parameters and errors are those of `imm_filter`.
@@ -170,15 +131,12 @@ def imm_last(
         *(t, xy, variance, offsets, q, rates),
         *(initial_mean, initial_cov, initial_probability, gate),
     )
-    mean, cov, probability, mixed_mean, mixed_cov, _, _, log_likelihood = _filter(
-        arrays, every=False
-    )
-    return ImmLastState(mean, cov, probability, mixed_mean, mixed_cov, log_likelihood)
+    return _filter(arrays, every=False)
 
 
 def imm_smoother(
-    *, t: Floats, offsets: Ints, q: Floats, rates: Floats, filtered: ImmFiltered
-) -> ImmSmoothed:
+    *, t: Floats, offsets: Ints, q: Floats, rates: Floats, filtered: ImmStates
+) -> ImmStates:
     """Return the states of every track at each sample, given all samples, under each mode.
 
     Expectation correction (Barber 2006) with one Gaussian per mode: backwards in time, every
@@ -191,7 +149,7 @@ def imm_smoother(
     ----------
     t, offsets, q, rates
         What `imm_filter` was called with.
-    filtered : ImmFiltered
+    filtered : ImmStates
         What it returned.
 
     Raises
@@ -206,55 +164,46 @@ def imm_smoother(
     """
     t, offsets = ragged_times(t, offsets)
     density, generator = _modes(q, rates)
-    n_samples, modes = t.size, density.size
-    mean, mixed_mean = np.empty((n_samples, modes, 4)), np.empty((n_samples, 4))
-    cov, mixed_cov = np.empty((n_samples, modes, 4, 4)), np.empty((n_samples, 4, 4))
-    probability = np.empty((n_samples, modes))
+    out = _empty(t.size, modes=density.size, log_likelihood=filtered.log_likelihood)
     _loops().imm_smoother(
         *(t, offsets, density, generator),
-        floats("filtered.mean", filtered.mean, (n_samples, modes, 2, 2)).reshape(mean.shape),
-        floats("filtered.cov", filtered.cov, cov.shape),
-        floats("filtered.probability", filtered.probability, probability.shape),
-        *(mean, cov, probability, mixed_mean, mixed_cov),
+        _planar(floats("filtered.mean", filtered.mean, out.mean.shape)),
+        floats("filtered.cov", filtered.cov, out.cov.shape),
+        floats("filtered.probability", filtered.probability, out.probability.shape),
+        *(_planar(out.mean), out.cov, out.probability, _planar(out.mixed_mean), out.mixed_cov),
     )
-    return ImmSmoothed(
-        mean.reshape(n_samples, modes, 2, 2),
-        cov,
-        probability,
-        mixed_mean.reshape(n_samples, 2, 2),
-        mixed_cov,
-    )
+    return out
 
 
 def _loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
     return import_module("isac_track.kalman._imm_loops")
 
 
-def _filter(arrays: tuple[Any, ...], *, every: bool) -> tuple[Any, ...]:
+def _filter(arrays: tuple[Any, ...], *, every: bool) -> ImmStates:
     n_tracks = arrays[3].size - 1
     rows = arrays[0].size if every else n_tracks
-    modes = arrays[4].size
-    mean = np.empty((rows, modes, 4))
-    mixed_mean = np.empty((rows, 4))
-    cov, mixed_cov = np.empty((rows, modes, 4, 4)), np.empty((rows, 4, 4))
-    probability, nis = np.empty((rows, modes)), np.empty(rows)
-    accepted = np.empty(rows, dtype=np.bool_)
-    log_likelihood = np.zeros(n_tracks)
+    out = _empty(rows, modes=arrays[4].size, log_likelihood=np.zeros(n_tracks))
     _loops().imm_filter(
-        *arrays,
-        *(MAX_REJECTIONS, every, mean, cov, probability, mixed_mean, mixed_cov),
-        *(nis, accepted, log_likelihood),
+        *(*arrays, MAX_REJECTIONS, every, _planar(out.mean), out.cov, out.probability),
+        *(_planar(out.mixed_mean), out.mixed_cov, out.log_likelihood),
     )
-    return (
-        mean.reshape(rows, modes, 2, 2),
-        cov,
-        probability,
-        mixed_mean.reshape(rows, 2, 2),
-        mixed_cov,
-        nis,
-        accepted,
-        log_likelihood,
+    return out
+
+
+def _empty(rows: int, *, modes: int, log_likelihood: Floats) -> ImmStates:
+    return ImmStates(
+        mean=np.empty((rows, modes, 2, 2)),
+        cov=np.empty((rows, modes, 4, 4)),
+        probability=np.empty((rows, modes)),
+        mixed_mean=np.empty((rows, 2, 2)),
+        mixed_cov=np.empty((rows, 4, 4)),
+        log_likelihood=log_likelihood,
     )
+
+
+def _planar(mean: Floats) -> Floats:
+    """Return a view (..., 4), (x, vx, y, vy), of states (..., 2, 2)."""
+    return mean.reshape(*mean.shape[:-2], 4)
 
 
 def _arguments(
@@ -275,7 +224,7 @@ def _arguments(
     per_axis = covariances("initial_cov", initial_cov, (n_tracks, 2, 2))
     cov = np.zeros((n_tracks, 4, 4))
     cov[:, :2, :2] = cov[:, 2:, 2:] = per_axis
-    mean = floats("initial_mean", initial_mean, (n_tracks, 2, 2)).reshape(-1, 4)
+    mean = _planar(floats("initial_mean", initial_mean, (n_tracks, 2, 2)))
     prior = floats("initial_probability", initial_probability, density.shape)
     if not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, rtol=0, atol=1e-9):
         raise ValueError("initial_probability must not be negative and must add up to 1")

@@ -18,14 +18,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 
 from isac_track.kalman.arguments import covariances, floats, positive, ragged_times, variances
 
 if TYPE_CHECKING:
-    from isac_track.types import Bools, Floats, Ints
+    from isac_track.types import Floats, Ints
 
 Model: TypeAlias = Literal["cv", "ca"]
 
@@ -37,55 +37,18 @@ _STATES = {"cv": 2, "ca": 3}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Filtered:
-    """States of N tracks after each of M samples; d states per axis."""
+class LastState:
+    """States of N tracks after their last sample; d states per axis."""
 
     mean: Floats
-    """(M, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration (``ca``)."""
+    """(N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration (``ca``)."""
     cov: Floats
-    """(M, d, d) covariance of either axis; the axes are independent."""
-    nis: Floats
-    """(M,) normalised innovation squared, chi-square with 2 degrees of freedom."""
-    accepted: Bools
-    """(M,) False where the gate kept a sample out of the update."""
+    """(N, d, d) covariance of either axis; the axes are independent."""
     log_likelihood: Floats
     """(N,) log density of a track's accepted samples, 1/m^2 each."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class LastState:
-    """States of N tracks after their last sample, and sums over their innovations.
-
-    Innovations are counted per axis, over accepted samples but the first of a track: that one
-    says how good the caller's initial state was. With E[innovation^2] = h P h' + R the
-    measurement variance of a track is about ``(squares - predicted) / innovations``.
-    """
-
-    mean: Floats
-    """(N, 2, d) m, m/s, m/s^2"""
-    cov: Floats
-    """(N, d, d)"""
-    log_likelihood: Floats
-    """(N,)"""
-    innovations: Ints
-    """(N,) number of innovations: two per sample."""
-    squares: Floats
-    """(N,) m^2, sum of innovation^2."""
-    predicted: Floats
-    """(N,) m^2, sum of h P h', the predicted variance of the position."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Smoothed:
-    """States of N tracks at each of M samples, given all samples of the track."""
-
-    mean: Floats
-    """(M, 2, d) m, m/s, m/s^2"""
-    cov: Floats
-    """(M, d, d)"""
-
-
-def kalman_filter(
+def kalman_last(
     *,
     model: Model,
     t: Floats,
@@ -96,8 +59,8 @@ def kalman_filter(
     initial_mean: Floats,
     initial_cov: Floats,
     gate: float = np.inf,
-) -> Filtered:
-    """Return the state of every track after each of its samples.
+) -> LastState:
+    """Return the state of every track after its last sample.
 
     Parameters
     ----------
@@ -127,93 +90,16 @@ def kalman_filter(
         If shapes disagree, a number is not finite, a track is empty, times do not increase or a
         variance is not positive.
     """
-    arrays = _arguments(model, t, xy, variance, offsets, q, initial_mean, initial_cov, gate)
-    mean, cov, nis, accepted, log_likelihood, _ = _filter(model, arrays, every=True)
-    return Filtered(mean, cov, nis, accepted, log_likelihood)
-
-
-def kalman_last(
-    *,
-    model: Model,
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    q: float,
-    initial_mean: Floats,
-    initial_cov: Floats,
-    gate: float = np.inf,
-) -> LastState:
-    """Return the state of every track after its last sample, equal to that of `kalman_filter`.
-
-    Nothing of length M is made. Parameters and errors are those of `kalman_filter`.
-    """
-    arrays = _arguments(model, t, xy, variance, offsets, q, initial_mean, initial_cov, gate)
-    mean, cov, _, _, log_likelihood, sums = _filter(model, arrays, every=False)
-    return LastState(
-        mean=mean,
-        cov=cov,
-        log_likelihood=log_likelihood,
-        innovations=sums[:, 0].astype(np.int64),
-        squares=sums[:, 1].copy(),
-        predicted=sums[:, 2].copy(),
+    if model not in _STATES:
+        raise ValueError(f"model must be one of {get_args(Model)}, got {model!r}")
+    d = _STATES[model]
+    arrays = _arguments(t, xy, variance, offsets, q, initial_mean, initial_cov, d=d)
+    out = LastState(*(np.empty((arrays[3].size - 1, *size)) for size in ((2, d), (d, d), ())))
+    loops = import_module("isac_track.kalman._linear_loops")
+    getattr(loops, f"{model}_last")(
+        *(*arrays, positive("gate", gate, finite=False), MAX_REJECTIONS),
+        *(out.mean, out.cov, out.log_likelihood),
     )
-
-
-def rts_smoother(
-    *, model: Model, t: Floats, offsets: Ints, q: float, filtered: Filtered
-) -> Smoothed:
-    """Return the state of every track at each sample, given all of its samples.
-
-    Parameters
-    ----------
-    model, t, offsets, q
-        What `kalman_filter` was called with.
-    filtered : Filtered
-        What it returned.
-
-    Raises
-    ------
-    ValueError
-        If shapes disagree.
-    """
-    d = _states(model)
-    t, offsets = ragged_times(t, offsets)
-    mean = floats("filtered.mean", filtered.mean, (t.size, 2, d))
-    cov = floats("filtered.cov", filtered.cov, (t.size, d, d))
-    out = Smoothed(np.empty_like(mean), np.empty_like(cov))
-    loop = getattr(_loops(), f"{model}_smoother")
-    loop(t, offsets, positive("q", q), mean, cov, out.mean, out.cov)
-    return out
-
-
-def kalman_smoother(
-    *,
-    model: Model,
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    q: float,
-    initial_mean: Floats,
-    initial_cov: Floats,
-    gate: float = np.inf,
-) -> Smoothed:
-    """Filter and smooth in one call: `rts_smoother` of `kalman_filter`.
-
-    For ``cv`` it takes about half the time and the memory, since the filter's results are not
-    kept. Parameters and errors are those of `kalman_filter`.
-    """
-    arrays = _arguments(model, t, xy, variance, offsets, q, initial_mean, initial_cov, gate)
-    t, offsets = arrays[0], arrays[3]
-    if model != "cv":
-        filtered = Filtered(*_filter(model, arrays, every=True)[:5])
-        return rts_smoother(model=model, t=t, offsets=offsets, q=q, filtered=filtered)
-    # One block of memory: the allocator takes it back and hands it out again as it is, while of
-    # two it returns one to the system, whose fresh pages cost a third of the time.
-    out = Smoothed(*np.empty((2, t.size, 2, 2)))
-    scratch = np.empty((int(np.diff(offsets).max(initial=0)), 7))
-    _loops().cv_both(*arrays, MAX_REJECTIONS, scratch, out.mean, out.cov)
     return out
 
 
@@ -231,7 +117,7 @@ def smooth_positions(
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
-    One pass is `kalman_smoother` of the model ``cv`` without the velocities, three times as fast.
+    One pass is a Rauch-Tung-Striebel smoother of the model ``cv``; velocities are left out.
     Further passes are for errors of the radial law, whose length is |N(0, sigma)| in any
     direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to a constant, is infinite at
     zero: a sample that lies close to the walk is very likely almost exact. The posterior mode
@@ -244,7 +130,7 @@ def smooth_positions(
     Parameters
     ----------
     t, xy, variance, offsets, q, initial_mean, initial_cov
-        As for `kalman_filter`; sigma^2 is twice the variance per axis.
+        As for `kalman_last`; sigma^2 is twice the variance per axis.
     passes : int, optional
         Smoothers, at least 1; the first is that of Gaussian errors.
     anneal : float, optional
@@ -253,7 +139,7 @@ def smooth_positions(
     Raises
     ------
     ValueError
-        As `kalman_filter`, and for `passes` or `anneal` out of range.
+        As `kalman_last`, and for `passes` or `anneal` out of range.
 
     References
     ----------
@@ -262,51 +148,18 @@ def smooth_positions(
     """
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
-    t, xy, variance, offsets, q, initial_mean, initial_cov, _ = _arguments(
-        "cv", t, xy, variance, offsets, q, initial_mean, initial_cov, np.inf
+    t, xy, variance, offsets, q, *prior = _arguments(
+        t, xy, variance, offsets, q, initial_mean, initial_cov, d=2
     )
     position, spread = np.empty((t.size, 2)), np.empty(t.size)
     import_module("isac_track.kalman._lane_loops").smooth_positions(
-        t,
-        xy,
-        2.0 * variance,
-        offsets,
-        np.argsort(np.diff(offsets), kind="stable"),
-        q,
-        initial_mean,
-        initial_cov,
-        passes,
-        float(anneal),
-        position,
-        spread,
+        *(t, xy, 2.0 * variance, offsets, np.argsort(np.diff(offsets), kind="stable"), q, *prior),
+        *(passes, float(anneal), position, spread),
     )
     return position, spread
 
 
-def _loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
-    return import_module("isac_track.kalman._linear_loops")
-
-
-def _filter(
-    model: Model, arrays: tuple[Any, ...], *, every: bool
-) -> tuple[Floats, Floats, Floats, Bools, Floats, Floats]:
-    n_tracks = arrays[3].size - 1
-    rows = arrays[0].size if every else n_tracks
-    d = _states(model)
-    out = (
-        np.empty((rows, 2, d)),
-        np.empty((rows, d, d)),
-        np.empty(rows),
-        np.empty(rows, dtype=np.bool_),
-        np.zeros(n_tracks),
-        np.empty((n_tracks, 3)),
-    )
-    getattr(_loops(), f"{model}_filter")(*arrays, MAX_REJECTIONS, every, *out)
-    return out
-
-
 def _arguments(
-    model: Model,
     t: Floats,
     xy: Floats,
     variance: Floats,
@@ -314,9 +167,9 @@ def _arguments(
     q: float,
     initial_mean: Floats,
     initial_cov: Floats,
-    gate: float,
-) -> tuple[Floats, Floats, Floats, Ints, float, Floats, Floats, float]:
-    d = _states(model)
+    *,
+    d: int,
+) -> tuple[Floats, Floats, Floats, Ints, float, Floats, Floats]:
     t, offsets = ragged_times(t, offsets)
     n_tracks = offsets.size - 1
     return (
@@ -327,11 +180,4 @@ def _arguments(
         positive("q", q),
         floats("initial_mean", initial_mean, (n_tracks, 2, d)),
         covariances("initial_cov", initial_cov, (n_tracks, d, d)),
-        positive("gate", gate, finite=False),
     )
-
-
-def _states(model: str) -> int:
-    if model not in _STATES:
-        raise ValueError(f"model must be one of {get_args(Model)}, got {model!r}")
-    return _STATES[model]

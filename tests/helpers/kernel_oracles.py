@@ -77,7 +77,7 @@ def filterpy_track(*, t, xy, variance, q, mean, cov, gate=np.inf, patience=3):
     kf.H = np.kron(np.eye(2), np.eye(1, d))
     kf.x = np.ravel(mean).copy()
     kf.P = np.kron(np.eye(2), cov)
-    means, covs, fs, qs, nis, taken = [], [], [], [], [], []
+    means, covs, fs, qs, taken = [], [], [], [], []
     misses = 0
     density = 0.0
     for k in range(len(t)):
@@ -89,8 +89,8 @@ def filterpy_track(*, t, xy, variance, q, mean, cov, gate=np.inf, patience=3):
         kf.R = np.eye(2) * variance[k]
         innovation = xy[k] - kf.H @ kf.x
         innovation_cov = kf.H @ kf.P @ kf.H.T + kf.R
-        nis.append(innovation @ np.linalg.solve(innovation_cov, innovation))
-        taken.append(nis[-1] <= gate or misses >= patience)
+        nis = innovation @ np.linalg.solve(innovation_cov, innovation)
+        taken.append(nis <= gate or misses >= patience)
         if taken[-1]:
             misses = 0
             kf.update(xy[k])
@@ -105,10 +105,16 @@ def filterpy_track(*, t, xy, variance, q, mean, cov, gate=np.inf, patience=3):
         "cov": np.array(covs),
         "fs": fs,
         "qs": qs,
-        "nis": np.array(nis),
         "accepted": np.array(taken),
         "log_likelihood": density,
     }
+
+
+def filterpy_smooth(**track):
+    """filterpy's smoother of constant velocity: means (n, 2, 2) and covariances (n, 4, 4)."""
+    theirs = filterpy_track(**track)
+    mean, cov, _, _ = theirs["kf"].rts_smoother(*(theirs[n] for n in ("mean", "cov", "fs", "qs")))
+    return mean.reshape(-1, 2, 2), cov
 
 
 def chances(step_s, rates):
@@ -167,13 +173,12 @@ def imm_track(*, t, xy, variance, q, rates, mean, cov, probability, gate=np.inf,
                 gain = p[j] @ POSITIONS.T @ np.linalg.inv(s[j])
                 x[j] = x[j] + gain @ innovation[j]
                 p[j] = p[j] - gain @ s[j] @ gain.T
-        rows.append((x.copy(), p.copy(), mu.copy(), min(nis), taken))
-    x, p, mu, nis, taken = (np.array(column) for column in zip(*rows, strict=True))
+        rows.append((x.copy(), p.copy(), mu.copy(), taken))
+    x, p, mu, taken = (np.array(column) for column in zip(*rows, strict=True))
     return {
         "mean": x,
         "cov": p,
         "probability": mu,
-        "nis": nis,
         "accepted": taken,
         "log_likelihood": density,
     }
