@@ -14,8 +14,9 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from evaluation.analysis.levels import DESCRIPTORS, SHOWN, number
+from evaluation.analysis.levels import SHOWN, number
 from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.reporting.design_tables import show, to_json
 from evaluation.reporting.design_words import chance, choice, closer, notes, sentence, spec

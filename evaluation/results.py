@@ -10,6 +10,7 @@ import pandas as pd
 from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
+from evaluation.analysis.families import families
 from evaluation.analysis.matching import MISSED, comparisons, matched
 from evaluation.analysis.strongest import strongest_linkers
 from evaluation.experiment.plan import plan
@@ -132,7 +133,9 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
     results = Results(
         out=out,
         manifest=manifest,
-        summary=summary.to_frame({**found, **linked}, dataset=dataset),
+        summary=summary.to_frame(
+            {**found, **linked}, known=families(manifest["cells"]), dataset=dataset
+        ),
         paper_table=paper.paper_table(found, dataset=dataset),
         claims=paper.claims(
             found,

@@ -96,6 +96,10 @@ class Plugin:
     """``module:Class``"""
     instance: Any
     """The frozen object."""
+    family: str = ""
+    """Its name without parameters."""
+    adding: str = ""
+    """Adding rule that a mechanism declares; empty if it has none."""
 
 
 def names(kind: Kind) -> dict[str, str]:
@@ -198,7 +202,15 @@ def _plugin(
             parameters.append(f"{item.name}={_text(value)}")
     column = ":".join([name, *([",".join(parameters)] if parameters else [])])
     canonical = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
-    return Plugin(name=column, level=level, spec=canonical, origin=origin, instance=instance)
+    return Plugin(
+        name=column,
+        level=level,
+        spec=canonical,
+        origin=origin,
+        instance=instance,
+        family=name,
+        adding=_adding(instance, name=name, origin=origin) if kind == "mechanisms" else "",
+    )
 
 
 def _made(cls: type, changes: dict[str, Any], *, name: str, origin: str, spec: str) -> Any:  # noqa: ANN401 - whatever class it is
@@ -258,6 +270,18 @@ def _knowledge(
             f"{_SINGULAR[kind]} {name!r}: {origin}.{attribute} must be a frozenset of Knowledge"
         )
     return declared
+
+
+def _adding(instance: object, *, name: str, origin: str) -> str:
+    from isac_track.types import Adding  # noqa: PLC0415 - a list of names needs no numpy
+
+    try:
+        # A rule for an error that is not there is none.
+        declared = getattr(instance, "adding", "") if getattr(instance, "adds_error", True) else ""
+    except Exception as error:  # it may be a property
+        raise PluginError(f"mechanism {name!r}: {origin}.adding: {told(error)}") from error
+    is_rule = isinstance(declared, str) and declared in get_args(Adding)
+    return declared if is_rule else ""
 
 
 def _check_attack(instance: object, *, name: str, origin: str) -> None:

@@ -133,6 +133,7 @@ class Raw:
     """Share the raw sensing estimates."""
 
     family: ClassVar[str] = "raw"
+    adds_error: ClassVar[bool] = False
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates under pseudonyms."""
@@ -195,6 +196,7 @@ class Clean:
     """Share the truth: no sensing error, nothing added. The ceiling of every attack."""
 
     family: ClassVar[str] = "clean"
+    adds_error: ClassVar[bool] = False
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the true positions, declared with a standard deviation of 0 m."""

@@ -148,6 +148,7 @@ class Offset:
 
     family: ClassVar[str] = "offset"
     sweep: ClassVar[str] = "linear"
+    adds_error: ClassVar[bool] = False
     errors_are_independent: ClassVar[bool] = False
     """From sample to sample: without that the linear benchmark does not hold."""
 
@@ -184,6 +185,11 @@ class Thin:
         if self.every < 1:
             raise ValueError(f"every must be 1 or more, got {self.every}")
         check_d_sigma(self.d_sigma)
+
+    @property
+    def adds_error(self) -> bool:
+        """Without an error of its own it shares the same under either adding rule."""
+        return self.d_sigma > 0
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the thinned release."""

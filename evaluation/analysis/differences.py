@@ -15,6 +15,7 @@ from scipy.special import ndtri, stdtr
 
 from evaluation.analysis.levels import level_unit
 from evaluation.analysis.linkability import cards
+from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import (
     NONE,
     about,
@@ -26,7 +27,7 @@ from evaluation.analysis.run_changes import (
     short_list,
     verdicts,
 )
-from evaluation.analysis.summary import estimates, linkage_estimates, to_frame
+from evaluation.analysis.summary import estimates, linkage_estimates
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import CONFIDENCE, percentile_interval
 
@@ -309,9 +310,8 @@ def _rows(
         name: pairing(first, second, consumer=name)
         for name in dict.fromkeys(key.consumer for key, _ in pairs)
     }
-    units = to_frame({key: found_a[key] for key, _ in pairs}, dataset="")["unit"]
     rows = []
-    for (key_a, key_b), unit in zip(pairs, units, strict=True):
+    for key_a, key_b in pairs:
         a, b = found_a[key_a], found_b[key_b]
         if math.isnan(a.value) and math.isnan(b.value):
             continue
@@ -339,7 +339,7 @@ def _rows(
                 "difference": found.value,
                 "ci_low": found.ci_low,
                 "ci_high": found.ci_high,
-                "unit": unit,
+                "unit": METRICS[key_a.metric].summary_unit,
                 "n": min(a.n, b.n),
                 "pairing": paired_by[key_a.consumer],
                 "t": found.t,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.linkability import CLEAN
 from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, RECONSTRUCTION, UTILITY
 from evaluation.experiment.presets import SHARED
 from isac_track.protocols import ADVERSARIES
 
@@ -17,34 +18,10 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-UTILITY = ("missed_conflict_rate", "false_alarm_rate", "distance_mae")
-DESCRIPTORS = ("plr", "ael", "mel")
-RECONSTRUCTION = (*DESCRIPTORS, "rmse", "rmse_over_benchmark", "plr_over_benchmark")
 ORACLE = "oracle"
 
 
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """How a metric is shown."""
-
-    head: str
-    unit: str
-    scale: float
-    digits: int
-
-
-SHOWN = {
-    "missed_conflict_rate": Shown("missed", "%", 100.0, 1),
-    "false_alarm_rate": Shown("false alarm", "%", 100.0, 1),
-    "distance_mae": Shown("distance MAE", "m", 1.0, 2),
-    "plr": Shown("PLR", "%", 100.0, 1),
-    "ael": Shown("AEL", "s", 1.0, 3),
-    "mel": Shown("MEL", "s", 1.0, 3),
-    "rmse": Shown("RMSE", "m", 1.0, 3),
-    "rmse_over_benchmark": Shown("RMSE ratio", "", 1.0, 2),
-    "plr_over_benchmark": Shown("PLR ratio", "", 1.0, 2),
-    "rank1": Shown("rank 1", "%", 100.0, 1),
-}
+SHOWN = {name: METRICS[name] for name in (*UTILITY, *RECONSTRUCTION, "rank1")}
 _READ = ["level", "consumer", "knowledge", "metric", "value", "ci_low", "ci_high"]
 LEVEL_UNITS = {"fid": "eta in 1/(m^2 s)", "fixed": "d_sigma in m"}
 

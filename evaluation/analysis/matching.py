@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.metrics import ACHIEVED, DESCRIPTORS
 from evaluation.analysis.summary import Key
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import CONFIDENCE
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
     from isac_track.types import Floats
 
 ADDING_SUFFIX: Final = {"linear": "", "independent": ":adding=independent"}
-DESCRIPTORS: Final = ("plr", "ael", "mel")
-SUCCESS: Final = ("rank1", "auc")
-"""What a linker achieves."""
 MISSED, AT_EQUAL_ALARMS, PLR = "missed", "missed_at_equal_false_alarms", "plr"
 """Criteria of matching."""
 EQUAL_ALARMS = "missed_at_equal_false_alarms"
@@ -240,7 +238,7 @@ def _measures(found: Mapping[Key, Estimate]) -> list[Measure]:
     for key in found:
         is_link = "/" in key.consumer
         is_none = "/control-" in key.consumer or (key.consumer == SHARED and key.knowledge)
-        if is_none or key.metric not in (SUCCESS if is_link else DESCRIPTORS):
+        if is_none or key.metric not in (ACHIEVED if is_link else DESCRIPTORS):
             continue
         measures[Measure(key.consumer, key.metric, key.knowledge)] = None
     return sorted(measures, key=lambda one: one.consumer != SHARED)

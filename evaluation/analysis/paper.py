@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.matching import ADDING_SUFFIX, DESCRIPTORS, MIN_DEFINED, MISSED
+from evaluation.analysis.matching import ADDING_SUFFIX, MIN_DEFINED, MISSED
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.analysis.summary import Key
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import percentile_interval

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.metrics import METRICS, RECONSTRUCTION
 from evaluation.runs.cell_files import read_cells
 from isac_track.errors import DataError
 from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
+    from evaluation.analysis.families import Family
     from evaluation.cells.link_file import Card
     from isac_track.intervals import Estimate
     from isac_track.types import Bools, Floats, Ints
@@ -41,34 +43,12 @@ COLUMNS = [
     "ci_high",
     "n",
     "unit",
+    "family",
+    "adding",
 ]
-_UNITS = {
-    "plr": "fraction",
-    "ael": "s",
-    "mel": "s",
-    "rmse": "m",
-    "rmse_over_benchmark": "ratio",
-    "plr_over_benchmark": "ratio",
-    "missed_conflict_rate": "fraction",
-    "false_alarm_rate": "fraction",
-    "distance_mae": "m",
-    "rank1": "fraction",
-    "rank1_assigned": "fraction",
-    "false_link_rate": "fraction",
-    "mrr": "ratio",
-    "auc": "fraction",
-    "eer": "fraction",
-    "tpr_at_fpr_1pct": "fraction",
-    "tpr_at_fpr_01pct": "fraction",
-    "cllr": "bit",
-    "cllr_min": "bit",
-    "d_sys": "ratio",
-    "d_sys_corrected": "ratio",
-    "residual_risk": "fraction",
-    "chance": "fraction",
-}
-_SHARED_COLUMNS = ["group", "plr", "ael_s", "mel_s", "mse_m2"]
-_ATTACK_COLUMNS = [*_SHARED_COLUMNS, "benchmark_mse_m2", "benchmark_plr"]
+_POSITIONS = [METRICS[name] for name in RECONSTRUCTION]
+_SHARED_COLUMNS = ["group", *(one.column for one in _POSITIONS if not one.over)]
+_ATTACK_COLUMNS = [*_SHARED_COLUMNS, *(one.over for one in _POSITIONS if one.over)]
 _PREDICTOR_COLUMNS = [
     "group",
     "conflict",
@@ -84,7 +64,6 @@ _COLUMNS_OF = {
     "attack": _ATTACK_COLUMNS,
     "predictor": _PREDICTOR_COLUMNS,
 }
-_ROOTS = ("rmse", "rmse_over_benchmark")
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +137,9 @@ def estimates(
                     values=denominator, cluster=cluster, n_clusters=n_clusters
                 ),
                 weights=weights,
-                is_share=_UNITS[metric] == "fraction",
+                is_share=METRICS[metric].is_share,
             )
-            if metric in _ROOTS:
+            if METRICS[metric].is_root:
                 estimate = _root(estimate)
             key = Key(
                 entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"]
@@ -205,8 +184,19 @@ def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
     return found
 
 
-def to_frame(found: Mapping[Key, Estimate], *, dataset: str) -> pd.DataFrame:
-    """Return the tidy summary; the first six columns are unique together."""
+def to_frame(
+    found: Mapping[Key, Estimate], *, known: Mapping[str, Family], dataset: str
+) -> pd.DataFrame:
+    """Return the tidy summary; the first six columns are unique together.
+
+    Parameters
+    ----------
+    found : mapping
+    known : mapping
+        The mechanisms of the run, from `families`.
+    dataset : str
+        Of the run.
+    """
     rows = [
         {
             "dataset": dataset_of(key.consumer, dataset=dataset),
@@ -219,7 +209,9 @@ def to_frame(found: Mapping[Key, Estimate], *, dataset: str) -> pd.DataFrame:
             "ci_low": estimate.ci_low,
             "ci_high": estimate.ci_high,
             "n": estimate.n,
-            "unit": _UNITS[key.metric],
+            "unit": METRICS[key.metric].summary_unit,
+            "family": known[key.mechanism].family,
+            "adding": known[key.mechanism].adding,
         }
         for key, estimate in found.items()
     ]
@@ -232,19 +224,17 @@ def _descriptor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
     Of an attack also the ratio to the linear benchmark: sums over the same tracks.
     """
     ratios = {}
-    for metric, column in (("plr", "plr"), ("ael", "ael_s"), ("mel", "mel_s"), ("rmse", "mse_m2")):
-        values = table[column].to_numpy()
+    for metric in _POSITIONS:
+        if metric.over and metric.over not in table.column_names:
+            continue
+        values = table[metric.column].to_numpy()
+        over = table[metric.over].to_numpy() if metric.over else np.ones_like(values)
         # A one-sample track that leaks has no exposure length (NaN): it does not count there.
-        known = ~np.isnan(values)
-        ratios[metric] = (np.where(known, values, 0.0), known.astype(np.float64))
-    if "benchmark_plr" in table.column_names:
-        for metric, over in (("rmse", "benchmark_mse_m2"), ("plr", "benchmark_plr")):
-            expected = table[over].to_numpy()
-            known = ~np.isnan(expected)
-            ratios[f"{metric}_over_benchmark"] = (
-                np.where(known, ratios[metric][0], 0.0),
-                np.where(known, expected, 0.0),
-            )
+        known = ~np.isnan(values if not metric.over else over)
+        ratios[metric.name] = (
+            np.where(known & ~np.isnan(values), values, 0.0),
+            np.where(known, over, 0.0),
+        )
     return ratios
 
 

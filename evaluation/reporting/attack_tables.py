@@ -9,7 +9,6 @@ from evaluation.analysis.levels import (
     AS_SHARED,
     HEADLINE,
     ORACLE,
-    RECONSTRUCTION,
     SHOWN,
     Source,
     after_attack,
@@ -19,6 +18,7 @@ from evaluation.analysis.levels import (
     sources,
 )
 from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.metrics import RECONSTRUCTION
 from evaluation.experiment.presets import IDENTITY
 from evaluation.reporting.terminal import aligned, say, show_grouped
 

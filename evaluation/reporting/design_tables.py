@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from rich.text import Text
 
 from evaluation.analysis.levels import (
-    DESCRIPTORS,
     LEVEL_UNITS,
     REMARKS,
     SHOWN,
@@ -22,6 +21,7 @@ from evaluation.analysis.levels import (
     number,
     remarks,
 )
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.reporting.linkage_tables import MARKS
 from evaluation.reporting.terminal import aligned, literal, say, show_grouped, standard_output
 from evaluation.verdict.design_levels import METRIC_OF

@@ -5,8 +5,9 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from evaluation.analysis.levels import DESCRIPTORS, SHOWN, level_text
+from evaluation.analysis.levels import SHOWN, level_text
 from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN

@@ -13,7 +13,8 @@ from evaluation.analysis.differences import (
     UNTESTED,
     counts,
 )
-from evaluation.analysis.levels import SHOWN, Shown, Source, heading, level_text, shortened
+from evaluation.analysis.levels import Source, heading, level_text, shortened
+from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
 from evaluation.reporting.terminal import aligned, say, show_grouped, standard_output
 
@@ -145,8 +146,7 @@ def _apart(row: Mapping[Any, Any]) -> bool:
 
 
 def _cells(row: Mapping[Any, Any]) -> list[str]:
-    as_it_is = Shown(row["metric"], "" if row["unit"] == "fraction" else row["unit"], 1.0, 4)
-    shown = SHOWN.get(row["metric"], as_it_is)
+    shown = METRICS[row["metric"]]
 
     def text(name: str, sign: str = "-") -> str:
         value = row[name] * shown.scale

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from evaluation.analysis.levels import (
     AS_SHARED,
-    DESCRIPTORS,
     REMARKS,
     SHOWN,
     adding_of,
@@ -22,6 +21,7 @@ from evaluation.analysis.levels import (
     sources,
     sweeps,
 )
+from evaluation.analysis.metrics import DESCRIPTORS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -17,7 +17,7 @@ from evaluation.analysis.levels import (
     level_text,
 )
 from evaluation.analysis.linkability import CLEAN
-from evaluation.analysis.matching import DESCRIPTORS
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.figures.page_figures import (
     compared_levels,

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation.analysis.levels import SHOWN, is_attack, level_text
-from evaluation.analysis.matching import ADDING_SUFFIX, DESCRIPTORS
+from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting.figures.page_figures import (
     compared_levels,

@@ -12,7 +12,6 @@ from rich.text import Text
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.levels import (
     AS_SHARED,
-    DESCRIPTORS,
     HEADLINE,
     ORACLE,
     SHOWN,
@@ -26,6 +25,7 @@ from evaluation.analysis.levels import (
     sweeps,
 )
 from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.analysis.paper import DATASET, tolerance
 from evaluation.reporting import verdict_tables
 from evaluation.reporting.attack_tables import show_attacks

@@ -107,6 +107,8 @@ def merged_cells(
         {
             "mechanism": mechanism.name,
             "level": mechanism.level,
+            "family": mechanism.family,
+            "adding": mechanism.adding,
             "spec": mechanism.spec,
             "kind": consumer.kind,
             "consumer": consumer.spec,

@@ -72,7 +72,8 @@ _SHAPE = {
     "identity": {"seed": _count, "scenes": _count, "sha256?": _text, "*": _plain},
     "cells": [
         {
-            **dict.fromkeys(("mechanism", "spec", "consumer", "knowledge"), _text),
+            **dict.fromkeys(("mechanism", "family", "adding", "spec"), _text),
+            **dict.fromkeys(("consumer", "knowledge"), _text),
             "level": _number_or_none,
             "kind": _kind,
             "slow?": _flag,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.analysis.matching import ADDING_SUFFIX, DESCRIPTORS, MISSED
+from evaluation.analysis.matching import ADDING_SUFFIX, MISSED
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict.items import NAME
 from evaluation.verdict.rules import (
     DOES_NOT,

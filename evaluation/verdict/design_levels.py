@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 import pandas as pd
 
-from evaluation.analysis.levels import AS_SHARED, DESCRIPTORS, Source, linked_tasks, most_knowing
+from evaluation.analysis.levels import AS_SHARED, Source, linked_tasks, most_knowing
 from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.metrics import DESCRIPTORS
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:

@@ -13,14 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from evaluation.analysis.matching import (
-    ADDING_SUFFIX,
-    AT_EQUAL_ALARMS,
-    DESCRIPTORS,
-    MISSED,
-    Measure,
-    Sweeps,
-)
+from evaluation.analysis.matching import ADDING_SUFFIX, AT_EQUAL_ALARMS, MISSED, Measure, Sweeps
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.analysis.strongest import strongest_linkers, strongest_reconstruction
 from evaluation.experiment.presets import SHARED
 from evaluation.verdict.answer import answer

@@ -15,13 +15,12 @@ import numpy as np
 
 from evaluation.analysis.matching import (
     ADDING_SUFFIX,
-    DESCRIPTORS,
     MIN_DEFINED,
-    SUCCESS,
     Measure,
     compare,
     interpolated,
 )
+from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
 from evaluation.analysis.strongest import strongest_linkers
 from evaluation.experiment.presets import SHARED
 from evaluation.verdict.items import NAME, Draft, known, with_interval
@@ -119,7 +118,7 @@ def validity(
     chance : mapping
         By task: what guessing achieves.
     """
-    hits = {key: one for key, one in sweeps.found.items() if key.metric == SUCCESS[0]}
+    hits = {key: one for key, one in sweeps.found.items() if key.metric == SUCCESS}
     # An adversary takes what works: against errors of another kind that may be another linker.
     best = {name: strongest_linkers(hits, mechanism=name) for name in sweeps.mechanisms()}
     for adding in ADDING_SUFFIX:

@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from evaluation.analysis.matching import ADDING_SUFFIX, DESCRIPTORS
+from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.runs.cell_files import read_cells
 from evaluation.verdict.items import NAME, Draft, known, with_interval
 from evaluation.verdict.rules import (

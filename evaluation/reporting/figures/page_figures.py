@@ -21,7 +21,8 @@ from evaluation.analysis.levels import (
     shortened,
 )
 from evaluation.analysis.linkability import CLEAN
-from evaluation.analysis.matching import ADDING_SUFFIX, DESCRIPTORS
+from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.linkage import ours

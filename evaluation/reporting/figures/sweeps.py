@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation.analysis.levels import is_attack
-from evaluation.analysis.matching import ADDING_SUFFIX, DESCRIPTORS, MISSED
+from evaluation.analysis.matching import ADDING_SUFFIX, MISSED
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting.figures import style as figure_style

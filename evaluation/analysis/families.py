@@ -1,0 +1,92 @@
+"""THE table of mechanism families: of which family a mechanism is, and under which rule it adds.
+
+A mechanism of the results is a family with the parameters that are not the default, and has a value
+for each of its levels. Whoever wants to know more of one than its name asks here: nobody else
+takes names apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, get_args
+
+from isac_track.types import Adding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    import pandas as pd
+
+RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
+"""Families: nothing added, no error at all, the baseline, and the paper's."""
+ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
+SWEPT: Final = (RAW, FIXED, FID)
+"""Families that the paper compares."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """A mechanism of a run, whatever its level."""
+
+    mechanism: str
+    """As in the results: `fid:adding=independent`."""
+    family: str
+    """The plug-in's name without parameters: `fid`."""
+    adding: str
+    """The rule that it declares: `linear`, `independent`, or empty without one."""
+
+    @property
+    def rules(self) -> tuple[str, ...]:
+        """Adding rules under which it is judged: its own, or both if it declares none."""
+        return (self.adding,) if self.adding else ADDING_RULES
+
+    @property
+    def is_added(self) -> bool:
+        """Whether it does something to what was sensed: neither raw nor clean."""
+        return self.family not in (RAW, CLEAN)
+
+    @property
+    def parameters(self) -> str:
+        """Its parameters that are not the default, without the adding rule."""
+        given = self.mechanism.removeprefix(self.family).removeprefix(":").split(",")
+        return ",".join(one for one in given if one and not one.startswith("adding="))
+
+    @property
+    def name(self) -> str:
+        """Family and parameters: what it is called where the adding rule stands apart."""
+        return f"{self.family}:{self.parameters}" if self.parameters else self.family
+
+
+def families(rows: Iterable[Mapping[Any, Any]]) -> dict[str, Family]:
+    """Return the mechanisms of a run by name, in its order.
+
+    Parameters
+    ----------
+    rows : iterable of mapping
+        With `mechanism`, `family` and `adding`: `manifest["cells"]`.
+    """
+    return {
+        row["mechanism"]: Family(row["mechanism"], row["family"], row["adding"]) for row in rows
+    }
+
+
+def families_in(summary: pd.DataFrame) -> dict[str, Family]:
+    """Return the mechanisms of a summary by name, in its order; the file's columns are enough."""
+    columns = summary[["mechanism", "family", "adding"]].drop_duplicates()
+    # Of a file that was read without care an empty text is missing.
+    return families(columns.fillna("").to_dict("records"))
+
+
+def named(known: Mapping[str, Family], *, family: str, adding: str) -> str:
+    """Return the name of a family's mechanism under an adding rule, nothing else of it changed.
+
+    Empty if the run has none.
+    """
+    return next(
+        (
+            name
+            for name, one in known.items()
+            if one.family == family and one.adding == adding and not one.parameters
+        ),
+        "",
+    )

@@ -1,0 +1,137 @@
+"""THE table of metrics: name, heading, unit, which way is worse, where it is measured, how shown.
+
+Everything that lists metrics or descriptors reads it. A new metric is a row here, and the function
+that computes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+Measured = Literal["predictor", "descriptor", "reconstruction", "linkage"]
+"""Of what a metric is: a predictor's utility; a privacy descriptor of positions, as shared and
+after a reconstruction; what else a reconstruction is measured by; what a linker achieves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A number of a run: what it is, and how it is shown."""
+
+    name: str
+    """As in `summary.csv`."""
+    head: str
+    """Over a column: the field's own name, short."""
+    measured: Measured
+    summary_unit: str
+    """As in `summary.csv`: a value is in this unit."""
+    worse: Literal["higher", "lower"]
+    """Which way is worse: for a robot if a predictor has it, else for the privacy of who walked."""
+    noun: str = ""
+    """In a sentence; empty: as over a column."""
+    digits: int = 1
+    """Shown after the point, in the unit shown."""
+    column: str = ""
+    """Of a cell's tracks: the metric is the mean of it, over those that have one."""
+    over: str = ""
+    """Of a cell's tracks: what the sum of `column` is divided by, instead of their number."""
+    is_root: bool = False
+    """Whether the square root of that ratio is the metric."""
+    is_headline: bool = False
+    """Whether a comparison of runs tests it with the few that tell the story."""
+    is_biased: bool = False
+    """Whether its replicates are biased, so that its intervals are basic ones."""
+
+    @property
+    def is_share(self) -> bool:
+        """Whether it is a share of trials, 0..1."""
+        return self.summary_unit == "fraction"
+
+    @property
+    def unit(self) -> str:
+        """Unit shown; empty for a ratio."""
+        return "%" if self.is_share else "" if self.summary_unit == "ratio" else self.summary_unit
+
+    @property
+    def scale(self) -> float:
+        """What a value is multiplied with to be shown."""
+        return 100.0 if self.is_share else 1.0
+
+    @property
+    def title(self) -> str:
+        """Heading with the unit in brackets."""
+        return f"{self.head} ({self.unit})" if self.unit else self.head
+
+    @property
+    def text(self) -> str:
+        """In a sentence."""
+        return self.noun or self.head
+
+
+_ROWS: Final = (
+    Metric(
+        *("missed_conflict_rate", "missed", "predictor", "fraction", "higher"),
+        noun="missed-conflict rate",
+        is_headline=True,
+    ),
+    Metric(
+        *("false_alarm_rate", "false alarm", "predictor", "fraction", "higher"),
+        noun="false-alarm rate",
+        is_headline=True,
+    ),
+    Metric("distance_mae", "distance MAE", "predictor", "m", "higher", digits=2),
+    Metric("plr", "PLR", "descriptor", "fraction", "higher", column="plr", is_headline=True),
+    Metric("ael", "AEL", "descriptor", "s", "higher", digits=3, column="ael_s", is_headline=True),
+    Metric("mel", "MEL", "descriptor", "s", "higher", digits=3, column="mel_s", is_headline=True),
+    Metric("rmse", "RMSE", "reconstruction", "m", "lower", digits=3, column="mse_m2", is_root=True),
+    Metric(
+        *("rmse_over_benchmark", "RMSE ratio", "reconstruction", "ratio", "lower"),
+        digits=2,
+        column="mse_m2",
+        over="benchmark_mse_m2",
+        is_root=True,
+    ),
+    Metric(
+        *("plr_over_benchmark", "PLR ratio", "reconstruction", "ratio", "higher"),
+        digits=2,
+        column="plr",
+        over="benchmark_plr",
+    ),
+    Metric("rank1", "rank 1", "linkage", "fraction", "higher", is_headline=True),
+    Metric("rank1_assigned", "rank 1, assigned", "linkage", "fraction", "higher"),
+    Metric("false_link_rate", "false links", "linkage", "fraction", "lower"),
+    Metric("mrr", "MRR", "linkage", "ratio", "higher", digits=3),
+    Metric("auc", "AUC", "linkage", "fraction", "higher"),
+    Metric("eer", "EER", "linkage", "fraction", "lower", is_biased=True),
+    Metric("tpr_at_fpr_1pct", "TPR at FPR 1 %", "linkage", "fraction", "higher"),
+    Metric("tpr_at_fpr_01pct", "TPR at FPR 0.1 %", "linkage", "fraction", "higher"),
+    Metric("cllr", "Cllr", "linkage", "bit", "lower", digits=3),
+    Metric("cllr_min", "Cllr_min", "linkage", "bit", "lower", digits=3, is_biased=True),
+    Metric("d_sys", "D_sys", "linkage", "ratio", "higher", digits=3),
+    Metric("d_sys_corrected", "D_sys, corrected", "linkage", "ratio", "higher", digits=3),
+    Metric("residual_risk", "residual risk", "linkage", "fraction", "higher"),
+    Metric("chance", "chance", "linkage", "fraction", "higher"),
+)
+METRICS: Final = {metric.name: metric for metric in _ROWS}
+"""By name, in the order in which they are shown."""
+
+
+def measured(*where: Measured) -> tuple[str, ...]:
+    """Return the names of the metrics that are measured there, in the order shown."""
+    return tuple(metric.name for metric in _ROWS if metric.measured in where)
+
+
+UTILITY: Final = measured("predictor")
+DESCRIPTORS: Final = measured("descriptor")
+"""Of privacy: PLR, AEL and MEL."""
+RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
+"""Of what an attack makes of the positions."""
+HEADLINE_METRICS: Final = tuple(metric.name for metric in _ROWS if metric.is_headline)
+MISSED_RATE: Final = "missed_conflict_rate"
+"""What noise costs a robot."""
+EXPOSURE: Final = "plr"
+"""The descriptor that reconstructions are ranked by."""
+SUCCESS: Final = "rank1"
+"""What linkers are ranked by."""
+ACHIEVED: Final = (SUCCESS, "auc")
+"""What is compared of a linker at equal cost."""
