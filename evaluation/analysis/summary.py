@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.linkability import dataset_of
-from evaluation.runs.cell_files import read_cells
+from evaluation.runs.cell_files import read_rows
 from isac_track.errors import DataError
 from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from evaluation.cells.link_file import Card
+    from evaluation.runs.cell_files import LinkageOutcome
     from isac_track.intervals import Estimate
     from isac_track.types import Bools, Floats, Ints
 
@@ -132,9 +132,7 @@ def estimates(
     for entry in manifest["cells"]:
         if entry["kind"] not in _COLUMNS_OF:
             continue
-        table = read_cells(
-            (out / "cells" / name for name in entry["files"]), columns=_COLUMNS_OF[entry["kind"]]
-        )
+        table = read_rows(out, entry, columns=_COLUMNS_OF[entry["kind"]])
         cluster = clusters(table, manifest)
         if entry["kind"] == "predictor":
             scored.append(
@@ -170,7 +168,7 @@ def estimates(
 
 
 def linkage_estimates(
-    read: Sequence[tuple[Mapping[str, Any], Card]],
+    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]],
 ) -> dict[Key, Estimate]:
     """Return every metric of the linkage cells; `read` is what `linkability.cards` returns."""
     return {

@@ -1,0 +1,1 @@
+"""The run folder, and who computes what is missing in it."""
