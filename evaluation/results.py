@@ -23,6 +23,7 @@ from evaluation.runs import folder
 from evaluation.runs.cell_files import check_sound
 from evaluation.runs.execute import execute
 from evaluation.runs.failures import COLUMNS as FAILED_COLUMNS
+from evaluation.runs.files import write_whole
 from evaluation.runs.gallery import read_gallery
 from evaluation.runs.lock import locked
 from evaluation.runs.memory import given_back
@@ -162,9 +163,9 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         (results.linkability, "linkability.csv"),
         (results.failed, "failed.csv"),
     ):
-        folder.write_whole(out / name, frame.to_csv(index=False).encode())
-    folder.write_whole(out / "flags.json", flags.to_json(flagged))
-    folder.write_whole(out / "verdict.json", verdict.to_bytes(said))
+        write_whole(out / name, frame.to_csv(index=False).encode())
+    write_whole(out / "flags.json", flags.to_json(flagged))
+    write_whole(out / "verdict.json", verdict.to_bytes(said))
     tables.write_tex(
         results.summary,
         results.paper_table,

@@ -395,7 +395,7 @@ def _attempt(
 
 
 def _write(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
-    from evaluation.runs.folder import write_whole  # noqa: PLC0415 - as above
+    from evaluation.runs.files import write_whole  # noqa: PLC0415 - as above
 
     rows, left_out = collect(out)
     write_whole(out / TABLE, rows.to_csv(index=False).encode())

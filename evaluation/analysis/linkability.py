@@ -15,14 +15,14 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
-from evaluation.cells.link_file import read_card
+from evaluation.runs.cell_files import read_outcome
 from isac_track.linkability import LEVEL, outcome
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.cells.link_file import Card
+    from evaluation.runs.cell_files import LinkageOutcome
 
 CLEAN = "clean"
 """Mechanism of the ceiling."""
@@ -69,7 +69,7 @@ def dataset_of(consumer: str, *, dataset: str) -> str:
     return TWO_SESSIONS if task is not None and task.simulated else dataset
 
 
-def cards(out: Path, manifest: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], Card]]:
+def cards(out: Path, manifest: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], LinkageOutcome]]:
     """Return the card of every linkage cell with its entry in the manifest.
 
     Raises
@@ -78,13 +78,15 @@ def cards(out: Path, manifest: Mapping[str, Any]) -> list[tuple[Mapping[str, Any
         If a cell cannot be read.
     """
     return [
-        (entry, read_card(out / "cells" / entry["files"][0]))
+        (entry, read_outcome(out, entry))
         for entry in manifest["cells"]
         if entry["kind"] in {"linkage", "control"}
     ]
 
 
-def linkability(read: Sequence[tuple[Mapping[str, Any], Card]], *, dataset: str) -> pd.DataFrame:
+def linkability(
+    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]], *, dataset: str
+) -> pd.DataFrame:
     """Return what every linkage cell says, a row for each cohort; the columns are `COLUMNS`.
 
     Parameters
@@ -152,7 +154,7 @@ def linkability(read: Sequence[tuple[Mapping[str, Any], Card]], *, dataset: str)
 
 
 def _leaks(
-    read: Sequence[tuple[Mapping[str, Any], Card]],
+    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]],
 ) -> dict[tuple[str, str], tuple[str, ...]]:
     """Return which shortcuts beat chance, by mechanism SPEC and task (Holm over the audits)."""
     audits: dict[tuple[str, str], dict[str, float]] = {}

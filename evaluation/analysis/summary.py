@@ -14,7 +14,7 @@ import pandas as pd
 
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import METRICS, RECONSTRUCTION
-from evaluation.runs.cell_files import read_cells
+from evaluation.runs.cell_files import read_rows
 from isac_track.errors import DataError
 from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from evaluation.analysis.families import Family
-    from evaluation.cells.link_file import Card
+    from evaluation.runs.cell_files import LinkageOutcome
     from isac_track.intervals import Estimate
     from isac_track.types import Bools, Floats, Ints
 
@@ -111,9 +111,7 @@ def estimates(
     for entry in manifest["cells"]:
         if entry["kind"] not in _COLUMNS_OF:
             continue
-        table = read_cells(
-            (out / "cells" / name for name in entry["files"]), columns=_COLUMNS_OF[entry["kind"]]
-        )
+        table = read_rows(out, entry, columns=_COLUMNS_OF[entry["kind"]])
         cluster = clusters(table, manifest)
         if entry["kind"] == "predictor":
             scored.append(
@@ -149,7 +147,7 @@ def estimates(
 
 
 def linkage_estimates(
-    read: Sequence[tuple[Mapping[str, Any], Card]],
+    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]],
 ) -> dict[Key, Estimate]:
     """Return every metric of the linkage cells; `read` is what `linkability.cards` returns."""
     return {

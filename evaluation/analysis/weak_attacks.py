@@ -32,7 +32,7 @@ from evaluation.analysis.levels import level_text
 from evaluation.analysis.paper import MIN_CLUSTERS
 from evaluation.analysis.summary import Key, clusters, weights_of
 from evaluation.experiment.presets import IDENTITY, SHARED
-from evaluation.runs.cell_files import read_cells
+from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import (
     CONFIDENCE,
     cluster_sums,
@@ -184,7 +184,7 @@ def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estim
     slow = [entry for entry in manifest["cells"] if entry.get("slow", False)]
     seen = {}
     for entry in slow:
-        table = read_cells(_files(out, entry), columns=["scene", "agent"])
+        table = read_rows(out, entry, columns=["scene", "agent"])
         seen[entry["spec"]] = _names(table)
     weights = weights_of(manifest) if slow else np.zeros((0, 0))
     found = {}
@@ -193,7 +193,7 @@ def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estim
             continue
         if not (entry.get("slow", False) or _base(entry["consumer"]) in SIMPLER):
             continue  # nobody is held against it
-        table = read_cells(_files(out, entry), columns=["scene", "agent", "group", "plr"])
+        table = read_rows(out, entry, columns=["scene", "agent", "group", "plr"])
         table = table.filter(np.isin(_names(table), seen[entry["spec"]]))
         cluster = clusters(table, manifest)
         plr = table["plr"].to_numpy()
@@ -400,10 +400,6 @@ def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:
 def _place(where: _Where) -> str:
     mechanism, level = where
     return f"{mechanism} {level_text(level)}".rstrip()
-
-
-def _files(out: Path, entry: Mapping[str, Any]) -> Iterator[Path]:
-    return (out / "cells" / name for name in entry["files"])
 
 
 def _names(table: Any) -> Any:  # noqa: ANN401 - pyarrow has no types

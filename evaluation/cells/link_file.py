@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,17 +16,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from evaluation.cells.columns import names_column
-from isac_track.errors import DataError
-from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
     from attacks.tasks.sessions import Sessions
     from evaluation.cells.link_scores import Linked
+    from isac_track.intervals import Estimate
 
-_METADATA = b"isac_track.linkage"
+METADATA = b"isac_track.linkage"
 _NUMBERS = (
     "p_value",
     "p_value_low",
@@ -43,18 +39,6 @@ _NUMBERS = (
 )
 _DERIVED = ("chance", "residual_risk", "d_sys_corrected")
 """Metrics whose replicates follow from those of others: they are not kept."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Card:
-    """What a cell's file says besides the scores."""
-
-    estimates: Mapping[str, Estimate]
-    """By metric."""
-    numbers: Mapping[str, Any]
-    """The rest of the `isac_track.linkability.Scorecard`, by its names."""
-    cohorts: Mapping[str, Mapping[str, Any]]
-    """Without confounders: rank1, ci_low, ci_high, chance, p_rank1, n_mated, n_clusters."""
 
 
 def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
@@ -112,32 +96,9 @@ def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
         column_encoding={"scores.list.element": "BYTE_STREAM_SPLIT"},
     ) as writer:
         writer.write_table(table)
-        writer.add_key_value_metadata({_METADATA: json.dumps(about, default=_plain).encode()})
+        writer.add_key_value_metadata({METADATA: json.dumps(about, default=_plain).encode()})
     content: bytes = sink.getvalue().to_pybytes()
     return content
-
-
-def read_card(path: Path) -> Card:
-    """Return what a linkage cell says besides its scores.
-
-    Raises
-    ------
-    DataError
-        If the cell is missing or broken; the message names it.
-    """
-    try:
-        about = json.loads(pq.read_metadata(path).metadata[_METADATA])
-        return Card(
-            estimates={name: _unpacked(one) for name, one in about["estimates"].items()},
-            numbers=about["numbers"],
-            cohorts=about["cohorts"],
-        )
-    except FileNotFoundError:
-        raise DataError(f"{path} is missing; run the matrix again to compute it") from None
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-        raise DataError(
-            f"{path} cannot be read ({error}); delete it and run the matrix again"
-        ) from None
 
 
 def _packed(estimate: Estimate, *, name: str) -> dict[str, Any]:
@@ -150,18 +111,6 @@ def _packed(estimate: Estimate, *, name: str) -> dict[str, Any]:
         "n": estimate.n,
         "replicates": base64.b64encode(replicates).decode(),
     }
-
-
-def _unpacked(packed: Mapping[str, Any]) -> Estimate:
-    # As they were written: in double precision those of a run would take half a gigabyte.
-    replicates: Any = np.frombuffer(base64.b64decode(packed["replicates"]), dtype="<f4")
-    return Estimate(
-        value=packed["value"],
-        ci_low=packed["ci_low"],
-        ci_high=packed["ci_high"],
-        n=packed["n"],
-        replicates=replicates,
-    )
 
 
 def _plain(value: object) -> Any:  # noqa: ANN401 - numpy's numbers as Python's

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from attacks.tasks.sessions import Sessions, Windows
-    from evaluation.cells.link_scores import Linked
     from isac_track.config import StageSettings
     from isac_track.types import Bools, Floats, Ints, Sensed
 
@@ -99,8 +98,6 @@ class Ground:
     """(B, C) bootstrap weights of the clusters."""
     cluster: Ints
     """(K,) cluster of each person: a column of the weights."""
-    controlled: dict[str, Linked]
-    """Controls that are alike at every level, as far as they are known."""
 
 
 def ground(
@@ -130,7 +127,6 @@ def ground(
         halves=tuple(_half(sessions, fold) for fold in np.unique(sessions.fold).tolist()),
         weights=weights,
         cluster=cluster,
-        controlled={},
     )
 
 
@@ -160,7 +156,6 @@ def ground_without(ground: Ground, released: Sequence[Release]) -> Ground:
         sessions=replace(sessions, probe=windows[0], gallery=windows[1]),
         sensed=(sensed[0], sensed[1]),
         frames=(turned[0], turned[1]) if turned else None,
-        controlled={},  # what only the times tell is no longer what it is at other levels
     )
 
 

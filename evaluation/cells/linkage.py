@@ -51,6 +51,7 @@ def link_level(
     consumers: Sequence[Consumer],
     *,
     ground: Ground,
+    controlled: dict[str, Linked],
     share: Share,
     epsilon_m: float,
     seed: int,
@@ -63,6 +64,9 @@ def link_level(
     consumers : sequence of Consumer
         Linkage attacks and controls of the task, and its windows.
     ground : Ground
+    controlled : dict
+        Controls that are alike at every level that leaves no sample out, as far as they are known;
+        it is added to.
     share : callable
         From what was sensed and the name of a stream to a release of the mechanism.
     epsilon_m : float
@@ -78,7 +82,8 @@ def link_level(
         share(sensed, ("linkage", task.family, side))
         for sensed, side in zip(ground.sensed, SIDES, strict=True)
     ]
-    sessions, ground = ground.sessions, ground_without(ground, shared)
+    sessions, whole = ground.sessions, ground
+    ground = ground_without(whole, shared)
     in_frame = shared
     if ground.frames is not None:
         in_frame = [frames.release(one) for frames, one in zip(ground.frames, shared, strict=True)]
@@ -98,7 +103,7 @@ def link_level(
                 window_rows(shared, ground=ground, sessions=sessions, epsilon_m=epsilon_m),
             )
         elif consumer.kind == "control":
-            yield consumer, _controlled(consumer, level)
+            yield consumer, _controlled(consumer, level, controlled if ground is whole else {})
         else:
             yield consumer, _linked(consumer, level)
 
@@ -159,11 +164,11 @@ def _linked(consumer: Consumer, level: _Level) -> Linked:
     )
 
 
-def _controlled(consumer: Consumer, level: _Level) -> Linked:
+def _controlled(consumer: Consumer, level: _Level, known: dict[str, Linked]) -> Linked:
     """Return what a control links: it learns nothing and knows what is declared."""
     ground, control = level.ground, CONTROLS[consumer.control]
-    if consumer.control in ground.controlled:
-        return ground.controlled[consumer.control]
+    if consumer.control in known:
+        return known[consumer.control]
     key = () if control.sees_times_only else (level.mechanism.spec,)
     rng = stream(level.seed, "controls", consumer.spec, *key)
     scores: dict[int, Floats] = {}
@@ -193,7 +198,7 @@ def _controlled(consumer: Consumer, level: _Level) -> Linked:
         n_shuffles=AUDIT_SHUFFLES if control.is_audit else SHUFFLES,
     )
     if control.sees_times_only:
-        ground.controlled[consumer.control] = found
+        known[consumer.control] = found
     return found
 
 

@@ -140,12 +140,14 @@ def compute_links(
         If a plug-in raises or breaks its contract; the message names it.
     """
     ground = link_ground(work.sessions, groups=work.groups, stages=stages, seed=seed)
+    controlled: dict[str, Linked] = {}
     for mechanism, consumers in work.levels:
         note(mechanism.spec, "")
         for consumer, linked in link_level(
             mechanism,
             consumers,
             ground=ground,
+            controlled=controlled,
             share=partial(_share, mechanism, seed=seed),
             epsilon_m=stages.privacy.epsilon_m,
             seed=seed,

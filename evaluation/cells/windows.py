@@ -15,20 +15,21 @@ import pyarrow.parquet as pq
 from evaluation.cells.columns import names_column
 from evaluation.cells.link_setup import SIDES
 from evaluation.cells.reconstruction import descriptors
-from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
-
-    import pandas as pd
 
     from attacks.tasks.sessions import Sessions, Windows
     from evaluation.cells.link_setup import Ground
     from evaluation.cells.reconstruction import Rows
     from isac_track.types import Floats, Ints, Release, Sensed
 
-_NAMES = ("side", "search", "source", "group")
+COLUMNS = (
+    *("side", "search", "source", "group"),
+    *("n_samples", "duration_s", "path_m", "speed_mps"),
+    *("sigma_m", "sigma_raw_m", "plr", "ael_s", "mel_s"),
+)
+"""Of the rows of a cell."""
 
 
 def window_rows(
@@ -98,27 +99,6 @@ def to_parquet(rows: Rows, sessions: Sessions) -> bytes:
     pq.write_table(pa.table(columns), sink, write_statistics=False)
     content: bytes = sink.getvalue().to_pybytes()
     return content
-
-
-def read_windows(path: Path) -> pd.DataFrame:
-    """Return the rows of a cell of windows; the columns are those of `to_parquet`.
-
-    Raises
-    ------
-    DataError
-        If the cell is missing or broken; the message names it.
-    """
-    try:
-        with pq.ParquetFile(path) as cell:
-            frame = cell.read(use_threads=False).to_pandas()
-    except FileNotFoundError:
-        raise DataError(f"{path} is missing; run the matrix again to compute it") from None
-    except (OSError, pa.ArrowException) as error:
-        raise DataError(
-            f"{path} cannot be read ({error}); delete it and run the matrix again"
-        ) from None
-    windows: pd.DataFrame = frame.astype(dict.fromkeys(_NAMES, "object"))
-    return windows
 
 
 def _walked(windows: Windows) -> Rows:

@@ -18,7 +18,8 @@ from evaluation.reporting import page_cells, page_tables, page_words
 from evaluation.reporting.figures.page_figures import tasks_of
 from evaluation.reporting.page_svg import Styles, dark_css, inline
 from evaluation.runs.failures import failed_lines
-from evaluation.runs.folder import DISSOCIATION, HEAT_MAP, write_whole
+from evaluation.runs.files import write_whole
+from evaluation.runs.folder import DISSOCIATION, HEAT_MAP
 from evaluation.runs.gallery import read_gallery
 
 if TYPE_CHECKING:

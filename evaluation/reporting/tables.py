@@ -33,7 +33,7 @@ from evaluation.reporting.latex import attacks_tex, linkability_tex, paper_tex, 
 from evaluation.reporting.linkage_tables import show_linkage
 from evaluation.reporting.terminal import aligned, literal, say, show_grouped, standard_output
 from evaluation.runs.failures import failed_lines
-from evaluation.runs.folder import write_whole
+from evaluation.runs.files import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

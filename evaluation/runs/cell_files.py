@@ -6,19 +6,27 @@ cut short, garbled or put there by somebody else does not match, and is computed
 
 from __future__ import annotations
 
+import base64
+import contextlib
 import hashlib
+import json
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.runs.folder import write_whole
+from evaluation.runs.files import write_whole
 from evaluation.cells.columns import names_column
+from evaluation.cells.link_file import METADATA
+from evaluation.cells.windows import COLUMNS as WINDOW_COLUMNS
 from isac_track.errors import DataError
+from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from evaluation.cells.reconstruction import Rows
@@ -27,6 +35,18 @@ if TYPE_CHECKING:
 
 FOLDER: Final = "cells"
 CHECKSUMS: Final = "SHA256SUMS"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkageOutcome:
+    """What a linkage attack, or a control, achieves at one level."""
+
+    estimates: Mapping[str, Estimate]
+    """By metric."""
+    numbers: Mapping[str, Any]
+    """The rest of the `isac_track.linkability.Scorecard`, by its names."""
+    cohorts: Mapping[str, Mapping[str, Any]]
+    """Without confounders: rank1, ci_low, ci_high, chance, p_rank1, n_mated, n_clusters."""
 
 
 def write_cell(out: Path, name: str, rows: Rows | bytes, *, tracks: Cut) -> None:
@@ -105,28 +125,131 @@ def check_sound(out: Path, names: Iterable[str]) -> None:
         )
 
 
-def read_cells(paths: Iterable[Path], *, columns: list[str]) -> pa.Table:
-    """Return the rows of several cells, in the order of the paths.
+def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) -> pa.Table:
+    """Return the rows of one consumer at one level: of all its blocks, in their order.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the run.
+    entry : mapping
+        Of `cells` in its manifest.
+    columns : sequence of str
 
     Raises
     ------
     DataError
-        If a cell is missing or broken; the message names it.
+        If a cell is missing or broken, or has no such column; the message names it.
     """
     tables = []
-    for path in paths:
-        try:
+    for path in _paths(out, entry):
+        with _readable(path):
             # Not pq.read_table: its data set machinery costs more than reading such a file.
             with pq.ParquetFile(path) as cell:
-                tables.append(cell.read(columns=columns, use_threads=False))
+                tables.append(cell.read(columns=list(columns), use_threads=False))
             _refuse_missing(path, tables[-1], columns=columns)
-        except FileNotFoundError:
-            raise DataError(f"{path} is missing; run the matrix again to compute it") from None
-        except (OSError, pa.ArrowException) as error:
-            raise DataError(
-                f"{path} cannot be read ({error}); delete it and run the matrix again"
-            ) from None
     return pa.concat_tables(tables).unify_dictionaries()
+
+
+def read_outcome(out: Path, entry: Mapping[str, Any]) -> LinkageOutcome:
+    """Return what one linkage attack, or control, achieves at one level.
+
+    Raises
+    ------
+    DataError
+        If the cell is missing or broken; the message names it.
+    """
+    (path,) = _paths(out, entry)
+    with _readable(path):
+        about = json.loads(pq.read_metadata(path).metadata[METADATA])
+        return LinkageOutcome(
+            estimates={name: _unpacked(one) for name, one in about["estimates"].items()},
+            numbers=about["numbers"],
+            cohorts=about["cohorts"],
+        )
+
+
+def read_windows(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the windows of a linkage task at one level.
+
+    The columns are those of `evaluation.cells.windows`, names as plain strings.
+
+    Raises
+    ------
+    DataError
+        If the cell is missing or broken; the message names it.
+    """
+    names = ("side", "search", "source", "group")
+    windows: pd.DataFrame = read_rows(out, entry, columns=WINDOW_COLUMNS).to_pandas()
+    return windows.astype(dict.fromkeys(names, "object"))
+
+
+def read_probes(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
+    """Return how each probe of a linkage attack at one level fared.
+
+    Returns
+    -------
+    DataFrame
+        A row for each probe: `search`, `source`, `group`; `above` and `tied`, how many candidates
+        score above its mate and how many as high, the mate included (-1 and 0 without a mate);
+        `mate_score`, `best_other_score` (NaN where there is none); `chance` of rank 1.
+
+    Raises
+    ------
+    DataError
+        If the cell is missing or broken; the message names it.
+    """
+    table = read_rows(out, entry, columns=["search", "source", "group", "mate", "scores"])
+    search, mate = np.asarray(table["search"].to_pylist()), table["mate"].to_numpy()
+    flat = table["scores"].combine_chunks()
+    values, ends = flat.values.to_numpy(), flat.offsets.to_numpy()
+    found = {
+        name: np.zeros(mate.size) for name in ("mate_score", "best_other_score", "chance")
+    } | {name: np.zeros(mate.size, dtype=np.int64) for name in ("above", "tied")}
+    for name in dict.fromkeys(search.tolist()):
+        rows = np.flatnonzero(search == name)
+        n_candidates = int(np.diff(ends)[rows[0]])
+        scores = values[ends[rows[0]] : ends[rows[-1] + 1]].reshape(rows.size, n_candidates)
+        has = mate[rows] >= 0
+        own = np.where(has, scores[np.arange(rows.size), mate[rows]], np.nan)[:, None]
+        others = scores.astype(np.float64)
+        others[np.flatnonzero(has), mate[rows][has]] = -np.inf
+        best = others.max(axis=1)
+        found["above"][rows] = np.where(has, (scores > own).sum(axis=1), -1)
+        found["tied"][rows] = (scores == own).sum(axis=1)
+        found["mate_score"][rows] = own[:, 0]
+        found["best_other_score"][rows] = np.where(np.isfinite(best), best, np.nan)
+        found["chance"][rows] = 1.0 / n_candidates
+    names = {name: table[name].to_pylist() for name in ("search", "source", "group")}
+    return pd.DataFrame({**names, **found})
+
+
+def _unpacked(packed: Mapping[str, Any]) -> Estimate:
+    # As they were written: in double precision those of a run would take half a gigabyte.
+    replicates: Any = np.frombuffer(base64.b64decode(packed["replicates"]), dtype="<f4")
+    return Estimate(
+        value=packed["value"],
+        ci_low=packed["ci_low"],
+        ci_high=packed["ci_high"],
+        n=packed["n"],
+        replicates=replicates,
+    )
+
+
+def _paths(out: Path, entry: Mapping[str, Any]) -> list[Path]:
+    return [out / FOLDER / name for name in entry["files"]]
+
+
+@contextlib.contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except FileNotFoundError:
+        raise DataError(f"{path} is missing; run the matrix again to compute it") from None
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
+        raise DataError(
+            f"{path} cannot be read ({error}); delete it and run the matrix again"
+        ) from None
 
 
 def _refuse_missing(path: Path, table: pa.Table, *, columns: Iterable[str]) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from evaluation.runs import folder as store
 from evaluation.cells.scenes import LinkWork, attempt
-from evaluation.runs.cell_files import read_cells, sound_cells, write_cell
+from evaluation.runs.cell_files import read_rows, sound_cells, write_cell
 from evaluation.runs.failures import FailedCell, Failures
 from evaluation.runs.missing_work import cut_for_cluster, missing_work
 from evaluation.cells.sample_tracks import chosen, gallery_rows
@@ -181,8 +181,7 @@ def _exhausted_redraws(out: Path, entries: list[dict[str, Any]]) -> int | None:
     """Return how many agents kept a place without clearance; None if no cell tells."""
     for entry in entries:
         if entry["kind"] == "predictor":
-            paths = [out / "cells" / name for name in entry["files"]]
-            table = read_cells(paths, columns=["exhausted"])
+            table = read_rows(out, entry, columns=["exhausted"])
             return int(table["exhausted"].to_numpy().sum())
     return None
 

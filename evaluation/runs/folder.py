@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import isac_track
+from evaluation.runs.cell_files import forget_missing
+from evaluation.runs.files import write_whole
 from evaluation.runs.manifest_shape import CELL_NAME, defect_of
 from evaluation.experiment.fingerprint import source_digest
 from evaluation.runs.lock import LOCK
@@ -121,8 +123,6 @@ def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> 
     DataError
         If its manifest cannot be read, or is damaged and not to be replaced.
     """
-    from evaluation.runs.cell_files import forget_missing  # noqa: PLC0415 - it imports this module
-
     with usable(out):
         is_there = (out / MANIFEST).exists()
         if fresh and is_there:
@@ -212,24 +212,6 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest, whole or not at all."""
     text = json.dumps(manifest, indent=1, ensure_ascii=False) + "\n"
     write_whole(out / MANIFEST, text.encode())
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file to a temporary name beside it and rename it.
-
-    Raises
-    ------
-    DataError
-        If the disk is full or the folder cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)  # noqa: PTH105 - atomic on one file system
-    except OSError as error:
-        with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
-            temporary.unlink(missing_ok=True)
-        raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
 
 
 def environment() -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from evaluation.cells.sample_tracks import COLUMNS
-from evaluation.runs.folder import write_whole
+from evaluation.runs.files import write_whole
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:

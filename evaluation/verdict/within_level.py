@@ -16,7 +16,7 @@ from scipy.special import stdtrit
 
 from evaluation.analysis.matching import ADDING_SUFFIX
 from evaluation.analysis.metrics import DESCRIPTORS
-from evaluation.runs.cell_files import read_cells
+from evaluation.runs.cell_files import read_probes, read_rows
 from evaluation.verdict.items import NAME, Draft, known, with_interval
 from evaluation.verdict.rules import (
     DOES_NOT,
@@ -31,7 +31,6 @@ from evaluation.verdict.rules import (
     p_below,
 )
 from isac_track.intervals import CONFIDENCE
-from isac_track.linkability import rank1
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -94,48 +93,44 @@ def read_levels(
             if is_level:
                 found.setdefault(task, []).append(
                     _level(
-                        out / "cells" / linked["files"][0],
-                        out / "cells" / entry["files"][0],
+                        out,
+                        linked,
+                        entry,
                         mechanism=entry["mechanism"],
                     )
                 )
     return found
 
 
-def _level(scores: Path, windows: Path, *, mechanism: str) -> LevelTracks:
-    table = read_cells([scores], columns=["search", "source", "group", "mate", "scores"])
-    search = np.asarray(table["search"].to_pylist())
-    source = np.asarray(table["source"].to_pylist())
-    mate = table["mate"].to_numpy()
-    flat = table["scores"].combine_chunks()
-    values, ends = flat.values.to_numpy(), flat.offsets.to_numpy()
-    hit, chance = np.zeros(mate.size), np.zeros(mate.size)
-    for name in dict.fromkeys(search.tolist()):
-        rows = np.flatnonzero(search == name)
-        sizes = np.diff(ends)[rows]
-        block = values[ends[rows[0]] : ends[rows[-1] + 1]].reshape(rows.size, sizes[0])
-        hit[rows] = rank1(scores=block.astype(np.float64), mate=mate[rows])
-        chance[rows] = 1.0 / sizes[0]
+def _level(
+    out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any], *, mechanism: str
+) -> LevelTracks:
+    probes = read_probes(out, linked)
+    probes = probes[probes["above"] >= 0]
     keys = ("side", "search", "source")
-    seen = read_cells([windows], columns=[*keys, *COLUMNS.values(), *COVARIATES])
+    rows = read_rows(out, windows, columns=[*keys, *COLUMNS.values(), *COVARIATES])
     # Looked up by hand: thousands of labels in a MultiIndex take most of a report's time.
     place = {
         key: row
-        for row, key in enumerate(zip(*(seen[name].to_pylist() for name in keys), strict=True))
+        for row, key in enumerate(zip(*(rows[name].to_pylist() for name in keys), strict=True))
     }
-    has = np.flatnonzero(mate >= 0)
-    sides = np.array([[place[side, search[row], source[row]] for row in has] for side in _SIDES])
-    groups, cluster = np.unique(np.asarray(table["group"].to_pylist())[has], return_inverse=True)
+    sides = np.array(
+        [
+            [place[side, *where] for where in zip(probes["search"], probes["source"], strict=True)]
+            for side in _SIDES
+        ]
+    )
+    groups, cluster = np.unique(probes["group"].to_numpy(str), return_inverse=True)
     assert groups.size
 
     def both(column: str) -> Floats:
-        values: Floats = seen[column].to_numpy().astype(np.float64)[sides].T
+        values: Floats = rows[column].to_numpy().astype(np.float64)[sides].T
         return values
 
     return LevelTracks(
         mechanism=mechanism,
-        hit=hit[has],
-        chance=chance[has],
+        hit=np.where(probes["above"] == 0, 1.0 / probes["tied"], 0.0),
+        chance=probes["chance"].to_numpy(),
         cluster=cluster.astype(np.int64),
         descriptors={name: both(column) for name, column in COLUMNS.items()},
         covariates=np.column_stack([both(column) for column in COVARIATES]),

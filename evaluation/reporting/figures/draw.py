@@ -8,7 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from evaluation.cells.progress import Failed
-from evaluation.runs.folder import DISSOCIATION, FIGURES, HEAT_MAP, write_whole
+from evaluation.runs.files import write_whole
+from evaluation.runs.folder import DISSOCIATION, FIGURES, HEAT_MAP
 from evaluation.runs.workers import spread
 from isac_track.errors import DataError
 
