@@ -1,52 +1,44 @@
 """Linkage attacks, scored: who is who across two pseudonymous releases.
 
-`metrics` has metrics and tests of a score matrix, each a pure function; `scoring` all of them at
-once, with intervals.
+A *search* holds the scores of P probes, the people of one release, against the gallery, the G
+people of another; the *mate* of a probe is the same person. Everything is a pure function of
+scores and mates: `ranks`, `scores` (as evidence), tests of `significance`, and `scoring`, all of
+them at once with intervals. Where an attack's scores are all equal, every metric is at chance.
 """
 
-from isac_track.linkability.metrics import (
-    LEVEL,
+from isac_track.linkability.ranks import (
+    Search,
+    assign,
+    chance,
+    cmc,
+    log_rank,
+    mean_log_rank,
+    rank1,
+    reciprocal_rank,
+    residual_risk,
+)
+from isac_track.linkability.scores import (
     MIN_EXPECTED,
     SLOPE_PENALTY,
     Calibration,
-    Outcome,
-    RankedScores,
-    Search,
-    add_shuffles,
-    assign,
     auc,
-    chance,
-    chances_of,
-    check_searches,
     cllr,
     cllr_min,
-    cmc,
     d_sys,
-    default_bins,
     eer,
-    expected_hit,
-    expected_reciprocal,
     fit_calibration,
-    import_loops,
-    inner_edges,
-    is_refused,
-    log_factorials,
-    log_rank,
-    mean_log_rank,
-    minimum_detectable_rank1,
-    outcome,
-    p_value_among,
-    permutation_p,
-    rank1,
-    rank1_p,
-    rank_rows,
-    reciprocal_rank,
-    residual_risk,
     roc_hull,
-    shuffling_room,
     tpr_at_fpr,
 )
 from isac_track.linkability.scoring import SCORE_REPLICATES, Scorecard, scorecard
+from isac_track.linkability.significance import (
+    LEVEL,
+    Outcome,
+    minimum_detectable_rank1,
+    outcome,
+    permutation_p,
+    rank1_p,
+)
 
 __all__ = [
     "LEVEL",
@@ -55,41 +47,27 @@ __all__ = [
     "SLOPE_PENALTY",
     "Calibration",
     "Outcome",
-    "RankedScores",
     "Scorecard",
     "Search",
-    "add_shuffles",
     "assign",
     "auc",
     "chance",
-    "chances_of",
-    "check_searches",
     "cllr",
     "cllr_min",
     "cmc",
     "d_sys",
-    "default_bins",
     "eer",
-    "expected_hit",
-    "expected_reciprocal",
     "fit_calibration",
-    "import_loops",
-    "inner_edges",
-    "is_refused",
-    "log_factorials",
     "log_rank",
     "mean_log_rank",
     "minimum_detectable_rank1",
     "outcome",
-    "p_value_among",
     "permutation_p",
     "rank1",
     "rank1_p",
-    "rank_rows",
     "reciprocal_rank",
     "residual_risk",
     "roc_hull",
     "scorecard",
-    "shuffling_room",
     "tpr_at_fpr",
 ]

@@ -1,4 +1,4 @@
-"""The scorecard of one linkage attack: every metric of `metrics`, with its interval.
+"""The scorecard of one linkage attack: every metric with its interval.
 
 Numba is imported, and its loops compiled, at the first scorecard, not before.
 
@@ -17,29 +17,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.intervals import (
-    CONFIDENCE,
     Estimate,
     cluster_sums,
     percentile_interval,
+    ratio_estimate,
     wilson,
 )
-from isac_track.linkability.metrics import (
-    add_shuffles,
+from isac_track.linkability.ranks import (
     assign,
     chances_of,
-    check_searches,
-    default_bins,
     expected_hit,
     expected_reciprocal,
-    import_loops,
-    inner_edges,
-    is_refused,
     log_factorials,
+    residual_risk,
+)
+from isac_track.linkability.scores import default_bins, inner_edges, is_refused
+from isac_track.linkability.significance import (
+    add_shuffles,
+    check_searches,
+    import_loops,
     minimum_detectable_rank1,
     p_value_among,
     rank1_p,
     rank_rows,
-    residual_risk,
     shuffling_room,
 )
 
@@ -48,8 +48,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from isac_track.linkability.metrics import Calibration, RankedScores, Search
-    from isac_track.types import Floats, Ints
+    from isac_track.linkability.ranks import Search
+    from isac_track.linkability.scores import Calibration
+    from isac_track.linkability.significance import RankedScores
+    from isac_track.types import Bools, Floats, Ints
 
 SCORE_REPLICATES = 200
 """Bootstrap replicates of score metrics; one visits every pair, where a rank metric visits every
@@ -210,8 +212,7 @@ def scorecard(
         lacks a scale, or if `no_match_score` is not as long as `searches`.
     """
     check_searches(searches, n_shuffles)
-    _check_options(searches, calibration, no_match_score)
-    _check_weights(searches, weights)
+    _check(searches, weights, calibration, no_match_score)
     cells = {
         scale: _cut([search for search in searches if search.scale == scale], n_shuffles)
         for scale in sorted({search.scale for search in searches})
@@ -268,22 +269,19 @@ def scorecard(
     )
 
 
-def _check_options(
+def _check(
     searches: Sequence[Search],
+    weights: Floats,
     calibration: Mapping[int, Calibration] | None,
     no_match_score: Sequence[float] | None,
 ) -> None:
-    if calibration is not None:
-        missing = {search.scale for search in searches}.difference(calibration)
-        if missing:
-            raise ValueError(f"calibration lacks the scales {sorted(missing)}")
+    missing = {search.scale for search in searches}.difference(calibration or ())
+    if calibration is not None and missing:
+        raise ValueError(f"calibration lacks the scales {sorted(missing)}")
     if no_match_score is not None and len(no_match_score) != len(searches):
         raise ValueError(
             f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
         )
-
-
-def _check_weights(searches: Sequence[Search], weights: Floats) -> None:
     last = max(int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches)
     if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004
         raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
@@ -414,7 +412,7 @@ def _replicates(
         first,
         second,
         number[mated_cell],
-        _mated_clusters(trials),
+        np.concatenate([trial.probe_cluster[trial.probes] for trial in trials]),
         bins[occupied].astype(np.int64),
         *_LEVELS.values(),
         columns,
@@ -477,47 +475,28 @@ def _rank_estimates(
 ) -> dict[str, Estimate]:
     """Return the estimates of rank metrics from the values of mated probes, and from `assigned`."""
     mated = mate >= 0
-    is_own = (assigned == mate)[mated].astype(np.float64)
-    found = {"rank1": values["rank1"], "rank1_assigned": is_own, "mrr": values["mrr"]}
-    found["chance"] = values["chance"]
-    estimates = _means(found, clusters[mated], weights)
+    found = {"rank1": values["rank1"], "rank1_assigned": (assigned == mate)[mated]}
+    found |= {"mrr": values["mrr"], "chance": values["chance"]}
+    estimates = {
+        # All are shares but the chance, which is known.
+        name: _mean(value, clusters[mated], weights, is_share=name != "chance")
+        for name, value in found.items()
+    }
     estimates["residual_risk"] = _residual_risk_estimate(estimates["rank1"], estimates["chance"])
     if not mated.all():
-        linked = (assigned[~mated] >= 0).astype(np.float64)
-        estimates |= _means({"false_link_rate": linked}, clusters[~mated], weights)
+        linked = assigned[~mated] >= 0
+        estimates["false_link_rate"] = _mean(linked, clusters[~mated], weights, is_share=True)
     return estimates
 
 
-def _means(values: Mapping[str, Floats], cluster: Ints, weights: Floats) -> dict[str, Estimate]:
-    """Return what `ratio_estimate` does, for several means over the same probes at once.
-
-    All are shares but the chance, which is known.
-    """
-    n_clusters = weights.shape[1]
-    sums = np.stack(
-        [
-            cluster_sums(values=value, cluster=cluster, n_clusters=n_clusters)
-            for value in (np.ones(cluster.size), *values.values())
-        ]
+def _mean(values: Floats | Bools, cluster: Ints, weights: Floats, *, is_share: bool) -> Estimate:
+    numerator, denominator = (
+        cluster_sums(values=of, cluster=cluster, n_clusters=weights.shape[1])
+        for of in (values.astype(np.float64), np.ones(cluster.size))
     )
-    n = int((sums[0] > 0).sum())
-    drawn = sums @ weights.T
-    replicates = np.full((len(values), len(weights)), np.nan)
-    np.divide(drawn[1:], drawn[0], out=replicates, where=drawn[0] > 0)
-    if n == 0:
-        return {
-            name: Estimate(math.nan, math.nan, math.nan, 0, of_name)
-            for name, of_name in zip(values, replicates, strict=True)
-        }
-    ends = _percentile_intervals(replicates) if n > 1 else np.full((len(values), 2), np.nan)
-    estimates = {}
-    for k, name in enumerate(values):
-        value = float(sums[1 + k].sum()) / cluster.size
-        low, high = float(ends[k, 0]), float(ends[k, 1])
-        if n > 1 and name != "chance" and value in {0.0, 1.0}:
-            low, high = wilson(hits=value * n, n=n)
-        estimates[name] = Estimate(value, low, high, n, replicates[k])
-    return estimates
+    return ratio_estimate(
+        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
+    )
 
 
 def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
@@ -545,17 +524,13 @@ def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
 
 def _score_estimates(results: Sequence[_Scale], over_scales: Floats, n: int) -> dict[str, Estimate]:
     """Return the estimates of score metrics; `n` clusters have a mated probe."""
-    replicates = np.ascontiguousarray(over_scales[1:, list(_COLUMNS.values())].T)
-    values = [float(over_scales[0, column]) for column in _COLUMNS.values()]
-    can = [n > 1 and not math.isnan(value) for value in values]
-    ends = np.full((len(values), 2), np.nan)
-    ends[can] = _percentile_intervals(replicates[can])
     estimates = {}
-    for k, (name, value) in enumerate(zip(_COLUMNS, values, strict=True)):
-        low, high = ends[k].tolist()
-        if can[k]:
-            low, high = _bounded(name, value, replicates[k], n, (low, high))
-        estimates[name] = Estimate(value, low, high, n, replicates[k])
+    for name, column in _COLUMNS.items():
+        value, replicates = float(over_scales[0, column]), over_scales[1:, column].copy()
+        low, high = math.nan, math.nan
+        if n > 1 and not math.isnan(value):
+            low, high = _interval(name, value, replicates, n)
+        estimates[name] = Estimate(value, low, high, n, replicates)
 
     linked = estimates["d_sys"]
     defined = [r for r in results if r.n_mated and r.n_non_mated]
@@ -571,9 +546,7 @@ def _score_estimates(results: Sequence[_Scale], over_scales: Floats, n: int) -> 
     return estimates
 
 
-def _bounded(
-    name: str, value: float, replicates: Floats, n: int, percentiles: tuple[float, float]
-) -> tuple[float, float]:
+def _interval(name: str, value: float, replicates: Floats, n: int) -> tuple[float, float]:
     """Return the ends of a score metric's interval."""
     spread = np.abs(replicates - value)
     is_constant = not (spread > _NO_SPREAD).any()
@@ -581,20 +554,7 @@ def _bounded(
     if name != "cllr" and (is_constant or is_extreme):
         low, high = wilson(hits=min(max(value, 0.0), 1.0) * n, n=n)
         return low, min(high, _FITTED.get(name, 1.0))
-    low, high = percentiles
+    low, high = percentile_interval(replicates)
     if name in _FITTED:
         return max(0.0, 2 * value - high), min(_FITTED[name], 2 * value - low)
     return low, high
-
-
-def _percentile_intervals(replicates: Floats) -> Floats:
-    """Return `percentile_interval` of every row, (K, 2)."""
-    if np.isnan(replicates).any() or not replicates.size:
-        return np.array([percentile_interval(row) for row in replicates]).reshape(-1, 2)
-    tail = (1.0 - CONFIDENCE) / 2.0
-    ends: Floats = np.quantile(replicates, [tail, 1.0 - tail], axis=1).T
-    return ends
-
-
-def _mated_clusters(trials: Sequence[_Trial]) -> Ints:
-    return np.concatenate([trial.probe_cluster[trial.probes] for trial in trials])

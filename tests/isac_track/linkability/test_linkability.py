@@ -18,7 +18,6 @@ from isac_track.linkability import (
     SCORE_REPLICATES,
     Calibration,
     Search,
-    add_shuffles,
     assign,
     auc,
     chance,
@@ -28,7 +27,6 @@ from isac_track.linkability import (
     d_sys,
     eer,
     fit_calibration,
-    log_factorials,
     log_rank,
     mean_log_rank,
     minimum_detectable_rank1,
@@ -36,13 +34,14 @@ from isac_track.linkability import (
     permutation_p,
     rank1,
     rank1_p,
-    rank_rows,
     reciprocal_rank,
     residual_risk,
     roc_hull,
     scorecard,
     tpr_at_fpr,
 )
+from isac_track.linkability.ranks import log_factorials
+from isac_track.linkability.significance import add_shuffles, rank_rows
 from isac_track.rng import stream
 
 CALIBRATION = {0: Calibration(1.0, -0.3), 1: Calibration(0.5, 0.1)}

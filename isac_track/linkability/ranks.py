@@ -1,0 +1,234 @@
+"""Where the mate stands among the gallery: rank metrics, and the assignment of all at once.
+
+Ties carry no information: rank metrics are expectations under a random order of equal scores, and
+assignments are made in a random order of the columns.
+
+References
+----------
+Grother and Phillips, CVPR 2004 (cumulative match characteristic). Residual risk: Giomi, Boenisch,
+Wehmeyer, Tasnadi, PoPETs 2023(2).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from isac_track.types import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Search:
+    """Scores of P probes against one gallery of G releases.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a score is not finite, a mate is no column or two probes share one, or
+        a cluster is negative.
+    """
+
+    scores: Floats
+    """(P, G) the higher, the rather the same person; finite."""
+    mate: Ints
+    """(P,) column of the probe's mate; -1 if it has none in this gallery (open set)."""
+    probe_cluster: Ints
+    """(P,) cluster (person or walking group) of each probe."""
+    gallery_cluster: Ints
+    """(G,)"""
+    scale: int = 0
+    """Searches of one scale come from one fitted attack: their scores compare."""
+
+    def __post_init__(self) -> None:
+        _check_scores(self.scores, self.mate)
+        n_probes, n_gallery = self.scores.shape
+        for name, cluster, n in (
+            ("probe_cluster", self.probe_cluster, n_probes),
+            ("gallery_cluster", self.gallery_cluster, n_gallery),
+        ):
+            if cluster.shape != (n,) or cluster.dtype.kind not in "iu":
+                raise ValueError(f"{name} must be integers of shape ({n},), got {cluster.shape}")
+            if cluster.min() < 0:
+                raise ValueError(f"{name} must not be negative")
+
+
+def _check_finite(scores: Floats) -> None:
+    if scores.ndim != 2 or 0 in scores.shape:  # noqa: PLR2004
+        raise ValueError(f"scores must have shape (P, G), neither 0, got {scores.shape}")
+    if not np.isfinite(scores).all():
+        raise ValueError("scores must be finite")
+
+
+def _check_scores(scores: Floats, mate: Ints) -> None:
+    _check_finite(scores)
+    n_probes, n_gallery = scores.shape
+    if mate.shape != (n_probes,) or mate.dtype.kind not in "iu":
+        raise ValueError(f"mate must be integers of shape ({n_probes},), got {mate.shape}")
+    mated = mate[mate != -1]
+    if mated.size and not 0 <= mated.min() <= mated.max() < n_gallery:
+        raise ValueError(f"mates must be columns, 0..{n_gallery - 1}, or -1 for none")
+    if np.bincount(mated.astype(np.int64, copy=False)).max(initial=0) > 1:
+        raise ValueError("two probes must not share a mate")
+
+
+def rank1(*, scores: Floats, mate: Ints) -> Floats:
+    """Return the expected hit of each probe, (P,): 1 / t if its mate is among t at the top.
+
+    NaN for a probe without a mate.
+
+    Parameters
+    ----------
+    scores : (P, G)
+    mate : (P,)
+        As in `Search`.
+
+    Raises
+    ------
+    ValueError
+        As `Search`.
+    """
+    _check_scores(scores, mate)
+    return expected_hit(*_standing(scores, mate), mate)
+
+
+def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
+    """Return the expected 1 / rank of each probe's mate, (P,); NaN for one without.
+
+    Parameters and errors are those of `rank1`.
+    """
+    _check_scores(scores, mate)
+    return expected_reciprocal(*_standing(scores, mate), mate, scores.shape[1])
+
+
+def log_rank(*, scores: Floats, mate: Ints) -> Floats:
+    """Return the expected -log(rank / G) of each probe's mate, (P,); NaN for one without.
+
+    Zero at the bottom, log G at the top: every halving of the rank counts the same, in galleries of
+    any size. The expectation is over a random order of ties, as in all rank metrics here; the
+    logarithm of a mid-rank would rate a tie above what it is worth.
+
+    Parameters and errors are those of `rank1`.
+    """
+    _check_scores(scores, mate)
+    above, tied = _standing(scores, mate)
+    n_gallery = scores.shape[1]
+    log_factorial = log_factorials(n_gallery)
+    spread = log_factorial[above + tied] - log_factorial[above]
+    expected: Floats = math.log(n_gallery) - spread / tied
+    expected[mate < 0] = np.nan
+    return expected
+
+
+def mean_log_rank(searches: Sequence[Search]) -> float:
+    """Return the mean `log_rank` over the mated probes of all searches; NaN without one."""
+    values = np.concatenate([log_rank(scores=s.scores, mate=s.mate) for s in searches])
+    values = values[~np.isnan(values)]
+    return float(values.mean()) if values.size else float("nan")
+
+
+def cmc(searches: Sequence[Search]) -> Floats:
+    """Return the cumulative match characteristic, (K,): the expected share of ranks <= 1..K.
+
+    Over the mated probes of all searches; K is the size of the smallest gallery. NaN without a
+    mated probe.
+    """
+    k = np.arange(1, min(search.scores.shape[1] for search in searches) + 1)
+    rows = []
+    for search in searches:
+        above, tied = _standing(search.scores, search.mate)
+        hit = np.clip((k - above[:, None]) / tied[:, None], 0.0, 1.0)
+        rows.append(hit[search.mate >= 0])
+    hits = np.concatenate(rows)
+    if not hits.size:
+        return np.full(k.size, np.nan)
+    curve: Floats = hits.mean(axis=0)
+    return curve
+
+
+def assign(
+    *, scores: Floats, rng: np.random.Generator, no_match_score: float | None = None
+) -> Ints:
+    """Return the column assigned to each probe, (P,), at most one probe a column; -1 for none.
+
+    The sum of the assigned scores is the largest there is. The columns are put in a random order
+    first, so that ties cannot tell the mate by its place.
+
+    Parameters
+    ----------
+    scores : (P, G)
+    rng : Generator
+        One permutation of G is drawn.
+    no_match_score : float, optional
+        What leaving a probe unassigned scores; a pair must score more. Default: every probe is
+        assigned, as far as the gallery reaches.
+
+    Raises
+    ------
+    ValueError
+        If the scores have no shape (P, G) or are not finite.
+    """
+    _check_finite(scores)
+    order = rng.permutation(scores.shape[1])
+    gain = scores[:, order]
+    if no_match_score is not None:
+        # As good as a column of its own for every probe, and half the matrix: a probe that would
+        # be left alone may as well take a column where it gains nothing.
+        gain = np.maximum(gain - no_match_score, 0.0)
+    rows, columns = linear_sum_assignment(gain, maximize=True)
+    assigned = np.full(scores.shape[0], -1)
+    assigned[rows] = order[columns]
+    if no_match_score is not None:
+        assigned[rows[gain[rows, columns] <= 0.0]] = -1
+    return assigned
+
+
+def chance(searches: Sequence[Search]) -> float:
+    """Return the expected rank-1 rate of guessing: the mean of 1 / G over mated probes."""
+    chances = np.concatenate([chances_of(search) for search in searches])
+    return float(chances.mean()) if chances.size else float("nan")
+
+
+def residual_risk(*, success: float, control: float) -> float:
+    """Return (success - control) / (1 - control): what an attack adds to its control.
+
+    Negative where the attack is worse, 1 where it always succeeds, NaN where the control does.
+    """
+    return (success - control) / (1.0 - control) if control != 1.0 else float("nan")
+
+
+def chances_of(search: Search) -> Floats:
+    """Return 1 / G for every mated probe."""
+    return np.full(int((search.mate >= 0).sum()), 1.0 / search.scores.shape[1])
+
+
+def expected_hit(above: Ints, tied: Ints, mate: Ints) -> Floats:
+    """Return `rank1` of mates with so many above and so many as high, themselves included."""
+    hit = np.where(above == 0, 1.0 / tied, 0.0)
+    hit[mate < 0] = np.nan
+    return hit
+
+
+def expected_reciprocal(above: Ints, tied: Ints, mate: Ints, n_gallery: int) -> Floats:
+    """Return `reciprocal_rank` likewise; `n_gallery` is the largest there is."""
+    harmonic = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, n_gallery + 1))])
+    expected: Floats = (harmonic[above + tied] - harmonic[above]) / tied
+    expected[mate < 0] = np.nan
+    return expected
+
+
+def _standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
+    """Return how many score above each probe's mate, and how many as high, itself included."""
+    own = scores[np.arange(mate.size), mate][:, None]
+    return (scores > own).sum(axis=1), (scores == own).sum(axis=1)
+
+
+def log_factorials(n: int) -> Floats:
+    """Return log k! for 0..n, (n + 1,)."""
+    return np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])

@@ -1,0 +1,294 @@
+"""How well one threshold, or the score as evidence, tells mated from non-mated pairs.
+
+References
+----------
+Likelihood ratios: Bruemmer and du Preez, Computer Speech and Language 20, 2006 (Cllr). Hull:
+Fawcett and Niculescu-Mizil, Machine Learning 68, 2007 (the ROC's hull is isotonic regression).
+D_sys: Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+from scipy.special import expit, xlogy
+
+if TYPE_CHECKING:
+    from isac_track.types import Floats
+
+MIN_EXPECTED = 10
+"""A TPR at the FPR alpha needs 10 / alpha non-mated scores: ten above the threshold."""
+
+SLOPE_PENALTY = 1e-6
+"""Of the squared slope per standard deviation of the score, where each class weighs 1: it keeps the
+slope finite where the classes do not overlap, and otherwise changes nothing that matters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Log-likelihood ratio = slope * score + intercept, in natural units (nats)."""
+
+    slope: float
+    """Not negative: a higher score never speaks against the same person."""
+    intercept: float
+
+
+def auc(*, mated: Floats, non_mated: Floats) -> float:
+    """Return the share of pairs in which the mated score is higher; ties count half.
+
+    Parameters
+    ----------
+    mated, non_mated : (M,), (N,)
+        Scores of either class.
+
+    Raises
+    ------
+    ValueError
+        If a class is empty or a score is not finite.
+    """
+    _check_classes(mated, non_mated)
+    ordered = np.sort(non_mated)
+    below = np.searchsorted(ordered, mated, side="left")
+    not_above = np.searchsorted(ordered, mated, side="right")
+    return float((below + not_above).sum() / (2.0 * mated.size * non_mated.size))
+
+
+def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
+    """Return FPR and TPR, (H,) each, on the convex hull of the ROC, from (0, 0) to (1, 1).
+
+    Parameters and errors are those of `auc`.
+    """
+    true, false = _hull_steps(mated, non_mated)
+    return (
+        np.concatenate([[0.0], np.cumsum(false)]),
+        np.concatenate([[0.0], np.cumsum(true)]),
+    )
+
+
+def eer(*, mated: Floats, non_mated: Floats) -> float:
+    """Return the equal error rate on the ROC's convex hull, 0..0.5: there 1 - TPR = FPR.
+
+    The hull is what an attacker attains who may toss a coin between two thresholds.
+
+    Parameters and errors are those of `auc`.
+    """
+    fpr, tpr = roc_hull(mated=mated, non_mated=non_mated)
+    gap = tpr + fpr - 1.0  # rises from -1 to 1
+    end = int(np.argmax(gap >= 0.0))
+    step = gap[end - 1] / (gap[end - 1] - gap[end])
+    return float(fpr[end - 1] + step * (fpr[end] - fpr[end - 1]))
+
+
+def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float, float]:
+    """Return the largest TPR of a threshold with FPR <= alpha, and the FPR of that threshold.
+
+    Of the thresholds with that TPR it is the highest: the lowest mated score that it accepts.
+
+    Parameters
+    ----------
+    mated, non_mated : (M,), (N,)
+    alpha : float
+        In (0, 1).
+
+    Returns
+    -------
+    (float, float)
+        NaN twice for fewer than 10 / alpha non-mated scores (`MIN_EXPECTED`).
+
+    Raises
+    ------
+    ValueError
+        As `auc`, and for alpha out of range.
+    """
+    _check_classes(mated, non_mated)
+    if not 0 < alpha < 1:
+        raise ValueError(f"alpha must lie in (0, 1), got {alpha}")
+    if is_refused(non_mated.size, alpha):
+        return float("nan"), float("nan")
+    thresholds = np.unique(mated)
+    fpr = 1.0 - np.searchsorted(np.sort(non_mated), thresholds, side="left") / non_mated.size
+    allowed = np.flatnonzero(fpr <= alpha + 1e-12)
+    if not allowed.size:
+        return 0.0, 0.0
+    best = allowed[0]
+    return float((mated >= thresholds[best]).mean()), float(fpr[best])
+
+
+def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
+    """Return the calibration of scores as log-likelihood ratios, by logistic regression.
+
+    Both classes weigh the same in all, which is prior odds of 1. A score that speaks against the
+    same person gets the slope 0, and so does one that is constant: then every LLR is 0, which is no
+    evidence. Classes that do not overlap get a steep, finite slope (`SLOPE_PENALTY`).
+
+    Parameters
+    ----------
+    mated, non_mated : (M,), (N,)
+        Of people other than those whom the calibration is to judge.
+
+    Raises
+    ------
+    ValueError
+        As `auc`.
+
+    References
+    ----------
+    Bruemmer and du Preez, Computer Speech and Language 20, 2006.
+    """
+    _check_classes(mated, non_mated)
+    scores = np.concatenate([mated, non_mated])
+    centre, spread = float(scores.mean()), float(scores.std())
+    if not spread > 0:
+        return Calibration(0.0, 0.0)
+    design = np.stack([(scores - centre) / spread, np.ones(scores.size)])
+    sign = np.repeat([1.0, -1.0], [mated.size, non_mated.size])
+    mass = np.repeat([1.0 / mated.size, 1.0 / non_mated.size], [mated.size, non_mated.size])
+
+    def against(parameters: Floats) -> Floats:
+        nats: Floats = -sign * (parameters @ design)
+        return nats
+
+    def loss(parameters: Floats, nats: Floats) -> float:
+        cost = mass @ np.logaddexp(0.0, nats)
+        return float(cost + SLOPE_PENALTY / 2 * parameters[0] ** 2)
+
+    parameters = np.zeros(2)
+    nats = against(parameters)
+    current = loss(parameters, nats)
+    for _ in range(100):
+        wrong = expit(nats)
+        gradient = -design @ (mass * sign * wrong)
+        gradient[0] += SLOPE_PENALTY * parameters[0]
+        curvature = (design * (mass * wrong * (1 - wrong))) @ design.T
+        # The intercept gets a little of it too, lest rounding make the matrix singular.
+        curvature += np.diag([SLOPE_PENALTY, 1e-12])
+        step = np.linalg.solve(curvature, gradient)
+        length = 1.0
+        while True:
+            tried = parameters - length * step
+            nats = against(tried)
+            new = loss(tried, nats)
+            if new <= current or length <= 1e-6:  # noqa: PLR2004
+                break
+            length /= 2
+        if new > current:
+            break
+        parameters = tried
+        converged = current - new < 1e-14  # noqa: PLR2004
+        current = new
+        if converged:
+            break
+    if parameters[0] <= 0:
+        return Calibration(0.0, 0.0)
+    slope = float(parameters[0]) / spread
+    return Calibration(slope, float(parameters[1]) - slope * centre)
+
+
+def cllr(*, llr_mated: Floats, llr_non_mated: Floats) -> float:
+    """Return the cost of log-likelihood ratios (nats in) as evidence, in bits.
+
+    0 for a perfect attack, 1 for one that says nothing (every LLR 0), more for one that misleads.
+
+    Raises
+    ------
+    ValueError
+        As `auc`.
+
+    References
+    ----------
+    Bruemmer and du Preez, Computer Speech and Language 20, 2006, eq. of C_llr.
+    """
+    _check_classes(llr_mated, llr_non_mated)
+    cost = np.logaddexp(0.0, -llr_mated).mean() + np.logaddexp(0.0, llr_non_mated).mean()
+    return float(cost) / (2.0 * math.log(2.0))
+
+
+def cllr_min(*, mated: Floats, non_mated: Floats) -> float:
+    """Return `cllr` after the best monotone calibration of these very scores, 0..1 bits.
+
+    Parameters and errors are those of `auc`. It is optimistic: the calibration has seen the answer.
+    """
+    true, false = _hull_steps(mated, non_mated)
+    both = true + false
+    return float((xlogy(both, both) - xlogy(true, true) - xlogy(false, false)).sum()) / (
+        2.0 * math.log(2.0)
+    )
+
+
+def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tuple[float, int]:
+    """Return the system's linkability D_sys, 0..1, and the number of bins.
+
+    With the likelihood ratio LR(s) = p(s | mated) / p(s | non-mated) of histograms over the joint
+    range, D(s) = 2 LR / (1 + LR) - 1 where LR > 1 and 0 elsewhere; D_sys is the mean of D over
+    mated scores. It lies between TV / 2 and TV, the total variation of the two histograms: p D is
+    (p - q) p / (p + q), and p / (p + q) lies between 1/2 and 1 where p > q. It ignores direction,
+    and is biased upwards where scores are few.
+
+    Parameters
+    ----------
+    mated, non_mated : (M,), (N,)
+    n_bins : int, optional
+        Default: one a ten mated scores, at least 1, at most 100.
+
+    Raises
+    ------
+    ValueError
+        As `auc`, and for `n_bins` below 1.
+
+    References
+    ----------
+    Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018, with prior odds of 1.
+    """
+    _check_classes(mated, non_mated)
+    if n_bins is None:
+        n_bins = default_bins(mated.size)
+    if n_bins < 1:
+        raise ValueError(f"n_bins must be at least 1, got {n_bins}")
+    low = min(float(mated.min()), float(non_mated.min()))
+    high = max(float(mated.max()), float(non_mated.max()))
+    edges = inner_edges(low, high, n_bins)
+    p, q = (
+        np.bincount(np.searchsorted(edges, x, side="right"), minlength=n_bins) / x.size
+        for x in (mated, non_mated)
+    )
+    linked = p > q
+    p, q = p[linked], q[linked]
+    return float((p * (p - q) / (p + q)).sum()), n_bins
+
+
+def default_bins(n_mated: int) -> int:
+    """Return the number of bins of `d_sys`."""
+    return max(1, min(n_mated // 10, 100))
+
+
+def inner_edges(low: float, high: float, n_bins: int) -> Floats:
+    """Return the edges between the bins of `d_sys`."""
+    return np.linspace(low, high, n_bins + 1)[1:-1]
+
+
+def is_refused(n_non_mated: int, alpha: float) -> bool:
+    """Tell whether non-mated scores are too few for `tpr_at_fpr`."""
+    return n_non_mated * alpha < MIN_EXPECTED * (1 - 1e-12)
+
+
+def _check_classes(mated: Floats, non_mated: Floats) -> None:
+    for name, scores in (("mated", mated), ("non-mated", non_mated)):
+        if scores.ndim != 1 or not scores.size:
+            raise ValueError(f"{name} scores must have shape (N,), N > 0, got {scores.shape}")
+        if not np.isfinite(scores).all():
+            raise ValueError(f"{name} scores must be finite")
+
+
+def _hull_steps(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
+    """Return the steps in TPR and in FPR along the hull of the ROC, from the highest score."""
+    _check_classes(mated, non_mated)
+    distinct, place = np.unique(np.concatenate([mated, non_mated]), return_inverse=True)
+    true = np.bincount(place[: mated.size], minlength=distinct.size) / mated.size
+    false = np.bincount(place[mated.size :], minlength=distinct.size) / non_mated.size
+    both = true + false
+    starts = isotonic_regression(true / both, weights=both).blocks[:-1]
+    return np.add.reduceat(true, starts)[::-1], np.add.reduceat(false, starts)[::-1]

@@ -1,0 +1,273 @@
+"""Is there a link at all? Tests against guessing and against shuffled mates.
+
+Numba is imported, and its loops compiled, at the first shuffle, not before.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+from scipy.special import bdtrc, betaincinv, gammaln, xlog1py, xlogy
+
+from isac_track.linkability.ranks import log_factorials
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from isac_track.linkability.ranks import Search
+    from isac_track.types import Floats, Ints
+
+Outcome: TypeAlias = Literal["links", "no link detected", "attack too weak"]
+
+LEVEL = 0.05
+"""Of the tests."""
+
+
+def permutation_p(
+    *, searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int = 999
+) -> float:
+    """Return the one-sided p-value of `mean_log_rank` against random mates.
+
+    (1 + #{shuffled >= observed}) / (1 + n_shuffles), which is valid for any number of shuffles.
+    1 without a mated probe.
+
+    People of one walking group resemble each other within a release, linked or not: mates that are
+    shuffled one by one break the groups up, vary too little, and reject far too often. So in each
+    search whole clusters of mated probes are permuted among those with equally many, and members
+    freely within each: a mated probe gets the mate of some member of the cluster that its own is
+    mapped to. A cluster of a size that no other has is mapped to itself; its members are permuted.
+    With one probe a cluster this is a uniform permutation of the mates. Columns that are nobody's
+    mate are never drawn.
+
+    The test has its level where, under the null, equally large clusters of one release may be
+    exchanged, and so may the members of each, without a change in the law of the scores; nothing
+    is asked of the resemblance within a cluster. Rare sizes cost power, not validity. Searches are
+    shuffled independently of each other: no two may be of the same two releases.
+
+    Parameters
+    ----------
+    searches : sequence of Search
+    rng : Generator
+        Search by search, a shuffle draws one uniform number for each mated probe, less one for
+        each size of a cluster.
+    n_shuffles : int, optional
+        At least 999.
+
+    Raises
+    ------
+    ValueError
+        Without a search or for too few shuffles.
+
+    References
+    ----------
+    p-value: Phipson and Smyth, Statistical Applications in Genetics and Molecular Biology 9(1),
+    2010. Blocks permuted whole and within: Winkler, Webster, Vidaurre, Nichols, Smith, NeuroImage
+    123, 2015 (multi-level block permutation).
+    """
+    check_searches(searches, n_shuffles)
+    null, nowhere = np.zeros(n_shuffles), np.zeros((n_shuffles, 1))
+    one_bin = np.zeros(1, dtype=np.uint8)
+    room = shuffling_room(searches, n_shuffles)
+    log_factorial = log_factorials(max(search.scores.shape[1] for search in searches))
+    observed = 0.0
+    for search in searches:
+        ranks = rank_rows(search, np.empty(0), log_factorial)
+        observed += add_shuffles(search, ranks, one_bin, rng, room, null, nowhere)
+    return p_value_among(observed, null)
+
+
+def rank1_p(*, hits: Floats, chance: Floats) -> float:
+    """Return the p-value of so many hits at rank 1 or more, if all are guesses.
+
+    Exact for independent probes: binomial where all have one chance, else Poisson-binomial. A
+    fraction of a hit, left by ties, does not count: the sum is rounded down. 1 without a probe.
+
+    Parameters
+    ----------
+    hits : (N,)
+        From `rank1`, mated probes only.
+    chance : (N,)
+        Chance of each, 1 / G.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, or a hit or a chance lies outside of 0..1.
+    """
+    if hits.shape != chance.shape or hits.ndim != 1:
+        raise ValueError(
+            f"hits and chance must have one shape (N,), got {hits.shape}, {chance.shape}"
+        )
+    both = np.concatenate([hits, chance])
+    if not ((both >= 0) & (both <= 1)).all():
+        raise ValueError("hits and chance must lie in 0..1")
+    # Three thirds are a hit, whatever rounding made of them.
+    n_hits = math.floor(float(hits.sum()) + 1e-9)
+    if n_hits == 0:
+        return 1.0
+    values, counts = np.unique(chance, return_counts=True)
+    if values.size == 1:
+        return float(bdtrc(n_hits - 1, hits.size, values[0]))
+    law = np.ones(1)
+    for value, count in zip(values, counts, strict=True):
+        law = np.convolve(law, _binomial(int(count), float(value)))
+    return min(1.0, float(law[n_hits:].sum()))
+
+
+def minimum_detectable_rank1(
+    *, n: int, chance: float, alpha: float = LEVEL, power: float = 0.8
+) -> float:
+    """Return the smallest rank-1 rate that the exact binomial test finds with this power.
+
+    Infinity where no rate does: not even n hits of n are significant.
+
+    Parameters
+    ----------
+    n : int
+        Mated probes, taken as independent.
+    chance : float
+        Rank-1 rate of guessing, 0..1.
+    alpha, power : float
+        In (0, 1).
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+    if n < 0 or not 0 <= chance <= 1 or not 0 < alpha < 1 or not 0 < power < 1:
+        raise ValueError(
+            "need n >= 0, chance in 0..1 and alpha and power in (0, 1), got "
+            f"{n}, {chance}, {alpha}, {power}"
+        )
+    significant = np.flatnonzero(bdtrc(np.arange(n), n, chance) <= alpha)
+    if not significant.size:
+        return math.inf
+    hits = int(significant[0]) + 1
+    # P(hits or more of n) is the regularised incomplete beta function of the rate.
+    return float(betaincinv(hits, n - hits + 1, power))
+
+
+def outcome(*, p_value: float, ceiling_p_value: float, level: float = LEVEL) -> Outcome:
+    """Return what a test says, given the same attack's p-value on unperturbed tracks.
+
+    An attack that cannot link even those says nothing of a mechanism by failing.
+
+    Raises
+    ------
+    ValueError
+        If a p-value is not in 0..1.
+    """
+    for p in (p_value, ceiling_p_value):
+        if not 0 <= p <= 1:
+            raise ValueError(f"a p-value lies in 0..1, got {p}")
+    if p_value <= level:
+        return "links"
+    return "attack too weak" if ceiling_p_value > level else "no link detected"
+
+
+def _binomial(n: int, p: float) -> Floats:
+    k = np.arange(n + 1)
+    log_choose = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
+    law: Floats = np.exp(log_choose + xlogy(k, p) + xlog1py(n - k, -p))
+    return law
+
+
+def p_value_among(observed: float, null: Floats) -> float:
+    """Return the one-sided p-value of a sum among those of shuffles."""
+    # Sums of the same numbers in another order may differ by rounding; they are ties.
+    return (1 + int((null >= observed - 1e-9).sum())) / (1 + null.size)
+
+
+def check_searches(searches: Sequence[Search], n_shuffles: int) -> None:
+    """Raise ValueError without a search or for too few shuffles."""
+    if not searches:
+        raise ValueError("at least one search is needed")
+    if n_shuffles < 999:  # noqa: PLR2004
+        raise ValueError(f"n_shuffles must be at least 999, got {n_shuffles}")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RankedScores:
+    """What the loop over the ranks of a search writes."""
+
+    log_rank: Floats
+    """(P, G) `log_rank` of every column were it the mate."""
+    cell: Ints
+    """(P, G) cell of every score; 2 k + 1 is the k-th break point, 2 k the gap below it."""
+    standing: Ints
+    """(P, 3) how many stand above the mate, how many as high, and its cell; 0, 1, 0 without one."""
+    counts: Ints
+    """Non-mated scores of each cell."""
+
+
+def rank_rows(search: Search, breaks: Floats, log_factorial: Floats) -> RankedScores:
+    """Return ranks and cells of all scores of a search."""
+    scores = np.ascontiguousarray(search.scores, dtype=np.float64)
+    ranks = RankedScores(
+        log_rank=np.empty(scores.shape),
+        cell=np.empty(scores.shape, dtype=np.int64),
+        standing=np.tile(np.array([0, 1, 0]), (scores.shape[0], 1)),
+        counts=np.zeros(2 * breaks.size + 1, dtype=np.int64),
+    )
+    import_loops().rank_rows(
+        scores,
+        np.argsort(scores, axis=1),
+        breaks,
+        log_factorial,
+        np.ascontiguousarray(search.mate, dtype=np.int64),
+        ranks.log_rank,
+        ranks.cell,
+        ranks.standing,
+        ranks.counts,
+    )
+    return ranks
+
+
+def shuffling_room(searches: Sequence[Search], n_shuffles: int) -> Floats:
+    """Return memory for the uniform numbers of any one of the searches."""
+    return np.empty(n_shuffles * max(search.mate.size for search in searches))
+
+
+def add_shuffles(
+    search: Search,
+    ranks: RankedScores,
+    bins: NDArray[np.uint8],
+    rng: np.random.Generator,
+    room: Floats,
+    null: Floats,
+    null_bins: Floats,
+) -> float:
+    """Return the sum of `log_rank` over mated probes; add those of shuffled mates to `null`, (n,).
+
+    To `null_bins`, (n, bins), are added the shuffles' mated scores; `bins` gives each cell's.
+    """
+    probes = np.flatnonzero(search.mate >= 0)
+    clusters = search.probe_cluster[probes]
+    _, place, counts = np.unique(clusters, return_inverse=True, return_counts=True)
+    probes = probes[np.lexsort((place, counts[place]))]
+    mate = search.mate[probes].astype(np.int64)
+    n_of_size = np.bincount(counts)
+    sizes = np.flatnonzero(n_of_size)
+    n_alike = n_of_size[sizes]
+
+    n_shuffles, n_drawn = null.size, probes.size - sizes.size
+    uniform = room[: n_shuffles * n_drawn].reshape(n_shuffles, n_drawn)
+    rng.random(out=uniform)
+    if sizes.size and sizes[0] == 1:
+        # Permuting clusters of one is permuting the members of one cluster, which is faster.
+        sizes[0], n_alike[0] = n_alike[0], 1
+    log_rank_of, score_bin = ranks.log_rank[probes], bins[ranks.cell[probes]]
+    import_loops().shuffle(uniform, sizes, n_alike, mate, log_rank_of, score_bin, null, null_bins)
+    return float(log_rank_of[np.arange(mate.size), mate].sum())
+
+
+def import_loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
+    """Return the compiled loops; the first call imports numba."""
+    return import_module("isac_track.linkability._loops")
