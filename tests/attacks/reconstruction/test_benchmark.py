@@ -19,8 +19,8 @@ from helpers import kernel_oracles as oracle
 from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS
-from isac_track import kalman as kernels
 from isac_track import plugins as registry
+from isac_track.kalman import smooth_positions
 from isac_track.protocols import TrainingSet, grants
 from isac_track.rng import stream
 from isac_track.sharing import Raw
@@ -53,7 +53,7 @@ def posterior(n_releases=1):
     truth, t, offsets, std = walks(N_TRACKS)
     mean = np.zeros((N_TRACKS, 2, 2))
     mean[:, :, 0] = truth[offsets[:-1]]
-    _, variance = kernels.smooth_positions(
+    _, variance = smooth_positions(
         t=t,
         xy=truth,
         variance=std**2 / n_releases,
