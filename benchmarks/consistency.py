@@ -8,7 +8,6 @@ forecast at the end of the horizon against the true future, which no tuning has 
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +21,6 @@ from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
 from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM, filter_arguments
 from predictors.recent import recent
-
-if TYPE_CHECKING:
-    from isac_track.kalman.linear import Model
 
 LEVELS = ("raw", "fixed:0.7,adding=independent", "fid:1,adding=independent")
 N_SCENES = 100
@@ -58,12 +54,10 @@ def main() -> int:
     return 0
 
 
-def _nis(tracker: KalmanCV | KalmanCA, shared: object) -> float:
+def _nis(tracker: KalmanCV, shared: object) -> float:
     """Return the mean NIS behind the start-up of 32 samples."""
-    d = 2 if isinstance(tracker, KalmanCV) else 3
     seen = recent(shared, window=tracker.window)  # type: ignore[arg-type]
-    model: Model = "cv" if d == 2 else "ca"
-    arguments = filter_arguments(seen, tracker, d=d) | {"gate": np.inf}
+    d, arguments = tracker.states, filter_arguments(seen, tracker) | {"gate": np.inf}
     sizes = np.diff(seen.offsets)
     found = []
     for k in range(32, int(sizes.max(initial=0))):
@@ -71,7 +65,7 @@ def _nis(tracker: KalmanCV | KalmanCA, shared: object) -> float:
         now = seen.offsets[long] + k
         rows = (seen.offsets[long][:, None] + np.arange(k)).ravel()
         last = kalman_last(
-            model=model,
+            model=tracker.model,
             **arguments
             | {name: arguments[name][rows] for name in ("t", "xy", "variance")}
             | {name: arguments[name][long] for name in ("initial_mean", "initial_cov")}

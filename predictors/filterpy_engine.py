@@ -63,10 +63,7 @@ def last_states(
     mean = np.empty((n_tracks, 2, d))
     cov = np.empty((n_tracks, d, d))
     for track, (times, positions, noise) in enumerate(_tracks(t, xy, variance, offsets)):
-        kf = KalmanFilter(dim_x=2 * d, dim_z=2)
-        kf.x = initial_mean[track].reshape(-1).copy()
-        kf.P = block_diag(initial_cov[track], initial_cov[track])
-        kf.H = _measurement(d)
+        kf = _filter(initial_mean[track], initial_cov[track])
         misses = 0
         for k, z in enumerate(positions):
             if k > 0:
@@ -131,7 +128,7 @@ def last_modes(
     cov = np.empty((n_tracks, n_modes, 4, 4))
     probability = np.empty((n_tracks, n_modes))
     for track, (times, positions, noise) in enumerate(_tracks(t, xy, variance, offsets)):
-        modes = [_mode(initial_mean[track], initial_cov[track]) for _ in range(n_modes)]
+        modes = [_filter(initial_mean[track], initial_cov[track]) for _ in range(n_modes)]
         steps = np.diff(times, append=times[-1])
         # The mixing for a step is computed with M at the end of the update before it, and the
         # first sample is updated without a step before it: M is the identity there.
@@ -166,12 +163,6 @@ def _tracks(
         yield t[lo:hi], xy[lo:hi], variance[lo:hi]
 
 
-def _measurement(d: int) -> Floats:
-    h = np.zeros((2, 2 * d))
-    h[0, 0] = h[1, d] = 1.0
-    return h
-
-
 def _motion(dt: float, d: int) -> Floats:
     one = np.array([[1.0, dt, 0.5 * dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])[:d, :d]
     return np.asarray(block_diag(one, one))
@@ -182,11 +173,14 @@ def _process_noise(dt: float, q: float, d: int) -> Floats:
     return np.asarray(block_diag(one, one))
 
 
-def _mode(mean: Floats, cov: Floats) -> Any:  # noqa: ANN401 - filterpy has no types
-    kf = KalmanFilter(dim_x=4, dim_z=2)
+def _filter(mean: Floats, cov: Floats) -> Any:  # noqa: ANN401 - filterpy has no types
+    """Return a filter of (2, d) states of one covariance, (d, d), that measures positions."""
+    d = mean.shape[1]
+    kf = KalmanFilter(dim_x=2 * d, dim_z=2)
     kf.x = mean.reshape(-1).copy()
     kf.P = block_diag(cov, cov)
-    kf.H = _measurement(2)
+    kf.H = np.zeros((2, 2 * d))
+    kf.H[0, 0] = kf.H[1, d] = 1.0
     return kf
 
 

@@ -8,7 +8,7 @@ innovations, since a robot is not told how accurate a sample is, or taken as dec
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -44,6 +44,9 @@ class KalmanCV:
     """With declared noise: a radial error of std sigma has the variance sigma^2 / 2 per axis."""
     engine: Engine = "kernels"
 
+    model: ClassVar[Literal["cv", "ca"]] = "cv"
+    states: ClassVar[int] = 2
+
     def __post_init__(self) -> None:
         _check(q=self.q, gate=self.gate, window=self.window)
 
@@ -54,46 +57,31 @@ class KalmanCV:
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return mean and covariance at `t_future`, (N, H) s."""
-        seen = recent(release, window=self.window)
-        mean, cov = _track(seen, self, d=2)
+        arguments = filter_arguments(recent(release, window=self.window), self)
+        if self.engine == "filterpy":
+            from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
+
+            mean, cov = filterpy_engine.last_states(**arguments, patience=MAX_REJECTIONS)
+        else:
+            last = kalman_last(model=self.model, **arguments)
+            mean, cov = last.mean, last.cov
         return _ahead(mean, cov, q=self.q, elapsed_s=_elapsed(release, t_future))
 
     def log_likelihood(self, release: Release) -> Floats:
         """Return the log density of what was shared, (N,), over the window."""
-        seen = recent(release, window=self.window)
-        return kalman_last(model="cv", **filter_arguments(seen, self, d=2)).log_likelihood
+        arguments = filter_arguments(recent(release, window=self.window), self)
+        return kalman_last(model=self.model, **arguments).log_likelihood
 
 
 @dataclass(frozen=True, slots=True)
-class KalmanCA:
-    """Constant acceleration, white-noise jerk."""
+class KalmanCA(KalmanCV):
+    """Constant acceleration, white-noise jerk: `KalmanCV` with one more state per axis."""
 
     q: float = 0.026
     """m^2/s^5, from ``python -m benchmarks.tune``"""
-    gate: float = GATE
-    window: int = WINDOW
-    noise: Noise = "estimated"
-    law: ErrorLaw = "radial"
-    engine: Engine = "kernels"
 
-    def __post_init__(self) -> None:
-        _check(q=self.q, gate=self.gate, window=self.window)
-
-    @property
-    def requires(self) -> frozenset[Knowledge]:
-        """SIGMA if the noise is taken as declared."""
-        return _requires(self.noise)
-
-    def predict(self, release: Release, t_future: Floats) -> Prediction:
-        """Return mean and covariance at `t_future`, (N, H) s."""
-        seen = recent(release, window=self.window)
-        mean, cov = _track(seen, self, d=3)
-        return _ahead(mean, cov, q=self.q, elapsed_s=_elapsed(release, t_future))
-
-    def log_likelihood(self, release: Release) -> Floats:
-        """Return the log density of what was shared, (N,), over the window."""
-        seen = recent(release, window=self.window)
-        return kalman_last(model="ca", **filter_arguments(seen, self, d=3)).log_likelihood
+    model: ClassVar[Literal["cv", "ca"]] = "ca"
+    states: ClassVar[int] = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,9 +164,9 @@ class KalmanIMM:
         }
 
 
-def filter_arguments(seen: Recent, settings: KalmanCV | KalmanCA, *, d: int) -> dict[str, Any]:
-    """Return what the filter of a tracker is called with; d = 2 or 3 states per axis."""
-    initial_mean, initial_cov = _prior(seen, d=d)
+def filter_arguments(seen: Recent, settings: KalmanCV) -> dict[str, Any]:
+    """Return what the filter of a tracker is called with."""
+    initial_mean, initial_cov = _prior(seen, d=settings.states)
     return {
         "t": seen.t,
         "xy": seen.xy,
@@ -191,17 +179,7 @@ def filter_arguments(seen: Recent, settings: KalmanCV | KalmanCA, *, d: int) -> 
     }
 
 
-def _track(seen: Recent, settings: KalmanCV | KalmanCA, *, d: int) -> tuple[Floats, Floats]:
-    arguments = filter_arguments(seen, settings, d=d)
-    if settings.engine == "filterpy":
-        from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
-
-        return filterpy_engine.last_states(**arguments, patience=MAX_REJECTIONS)
-    last = kalman_last(model="cv" if d == 2 else "ca", **arguments)  # noqa: PLR2004
-    return last.mean, last.cov
-
-
-def _variance(seen: Recent, settings: KalmanCV | KalmanCA | KalmanIMM) -> Floats:
+def _variance(seen: Recent, settings: KalmanCV | KalmanIMM) -> Floats:
     """Return the error variance per axis of every sample, (K,) m^2."""
     if settings.noise == "declared":
         assert seen.sigma is not None  # the release was granted with it

@@ -226,7 +226,7 @@ def least_costs(  # noqa: C901, PLR0917 - one loop, for speed
     rotated: bool,  # noqa: FBT001 - numba passes by position
     out: Floats,
 ) -> None:
-    """Fill `out` (E, P, G) with the least cost over all lags; see `signals.aligned_costs`."""
+    """Fill `out` (E, P, G) with the least cost over all lags; see `alignment.aligned_costs`."""
     channels, long_p, n_probe = probe.shape
     _, long_g, n_gallery = gallery.shape
     most = channels * max(ranks.max(), 1)

@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.signals import (
-    STEP_S,
-    lengths,
-    mated,
-    motion,
-    on_grid,
-    product,
-    teaches,
-    widths_s,
-)
+from attacks.linkage.learning import mated, teaches
+from attacks.linkage.signals import STEP_S, lengths, motion, on_grid, product, widths_s
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
 

@@ -8,18 +8,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.signals import (
-    FACTORS,
-    FULL_CELLS,
-    few_mates,
-    learn,
-    lengths,
-    log_rank,
-    loops,
-    motions,
-    positive,
-    teaches,
-)
+from attacks.linkage.alignment import FULL_CELLS, blocks
+from attacks.linkage.learning import learn_motion, tried
+from attacks.linkage.signals import FACTORS, loops, motions
+from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
@@ -80,22 +72,12 @@ class DTW:
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
         """Return what scores walks like those in the training set."""
-        factors = FACTORS if self.factor is None else (self.factor,)
-        penalties = PENALTIES if self.penalty is None else (self.penalty,)
-        factor, penalty = factors[0], penalties[0]
-        if teaches(context):
-            train = few_mates(context.train, most=_TAUGHT_BY)
-            pairs = zip(
-                motions(train.probe, factors=factors),
-                motions(train.gallery, factors=factors),
-                strict=True,
-            )
-            walks = dict(zip(factors, pairs, strict=True))
-
-            def loss(choice: tuple[float, ...]) -> float:
-                return log_rank(-self._costs(*walks[choice[0]], penalty=choice[1]), mate=train.mate)
-
-            factor, penalty = learn((factors, penalties), loss=loss)
+        factor, penalty = learn_motion(
+            context,
+            (tried(self.factor, FACTORS), tried(self.penalty, PENALTIES)),
+            most=_TAUGHT_BY,
+            score=lambda probe, gallery, penalty: -self._costs(probe, gallery, penalty=penalty),
+        )
         return partial(self._score, factor=factor, penalty=penalty)
 
     def _score(self, probe: Release, gallery: Release, *, factor: float, penalty: float) -> Floats:
@@ -105,20 +87,9 @@ class DTW:
 
     def _costs(self, probe: Motion, gallery: Motion, *, penalty: float) -> Floats:
         """Return ``(d^2 / m + floor) (L / m)^3`` of every pair, (P, G)."""
-        series = [
-            np.stack([each.speed, self.turn_m * each.turn], axis=2)[:, ::_STRIDE]
-            for each in (probe, gallery)
-        ]
-        counts = [(each.count + _STRIDE - 1) // _STRIDE for each in (probe, gallery)]
-        return warped_costs(
-            probe=series[0],
-            probe_count=counts[0],
-            gallery=series[1],
-            gallery_count=counts[1],
-            band=self.band,
-            penalty=penalty,
-            floor=self.floor,
-        )
+        p, g = (each.profile(self.turn_m)[:, :, ::_STRIDE] for each in (probe, gallery))
+        n_p, n_g = ((each.count + _STRIDE - 1) // _STRIDE for each in (probe, gallery))
+        return warped_costs(p, g, n_p, n_g, band=self.band, penalty=penalty, floor=self.floor)
 
 
 PENALTIES: tuple[float, ...] = (DTW.DEFAULT_PENALTY, 0.02, 0.5)
@@ -126,11 +97,11 @@ PENALTIES: tuple[float, ...] = (DTW.DEFAULT_PENALTY, 0.02, 0.5)
 
 
 def warped_costs(
-    *,
     probe: Floats,
-    probe_count: Ints,
     gallery: Floats,
+    probe_count: Ints,
     gallery_count: Ints,
+    *,
     band: float,
     penalty: float,
     floor: float,
@@ -139,30 +110,20 @@ def warped_costs(
 
     Parameters
     ----------
-    probe : (P, K, 2) float
-    probe_count : (P,) int
+    probe, gallery : (2, P, K) float, (2, G, K) float
+    probe_count, gallery_count : (P,) int, (G,) int
         Points of each that count.
-    gallery, gallery_count
-        As for the probe.
     band, penalty, floor
         Of `DTW`.
     """
     costs = np.empty((probe_count.size, gallery_count.size))
-    parts = [(size, rows, _by_cell(gallery, rows, size)) for size, rows in lengths(gallery_count)]
-    for n_probe, rows in lengths(probe_count):
-        part = _by_cell(probe, rows, n_probe)
-        for n_gallery, columns, other in parts:
-            shorter, longer = sorted((n_probe, n_gallery))
-            reach = round(band * longer)
-            # What is left out at the ends must leave something, and lie within the band.
-            loose = min(reach, (shorter - 1) // 2)
-            square = np.empty((rows.size, columns.size))
-            loops().warp(part, other, reach, loose, penalty**2, square)
-            overlap = (FULL_CELLS / _STRIDE / shorter) ** _EXPONENT
-            costs[rows[:, None], columns[None, :]] = (square / shorter + floor) * overlap
+    for rows, columns, part, other in blocks(probe, probe_count, gallery, gallery_count):
+        shorter, longer = sorted((part.shape[1], other.shape[1]))
+        reach = round(band * longer)
+        # What is left out at the ends must leave something, and lie within the band.
+        loose = min(reach, (shorter - 1) // 2)
+        square = np.empty((rows.size, columns.size))
+        loops().warp(part, other, reach, loose, penalty**2, square)
+        overlap = (FULL_CELLS / _STRIDE / shorter) ** _EXPONENT
+        costs[rows[:, None], columns[None, :]] = (square / shorter + floor) * overlap
     return costs
-
-
-def _by_cell(series: Floats, rows: Ints, cells: int) -> Floats:
-    """Return some rows of (N, K, 2) series of one length, as (2, cells, rows)."""
-    return np.ascontiguousarray(series[rows, :cells].transpose(2, 1, 0))

@@ -8,16 +8,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.signals import (
-    FACTORS,
-    few_mates,
-    learn,
-    log_rank,
-    loops,
-    motions,
-    positive,
-    teaches,
-)
+from attacks.linkage.learning import learn_motion, tried
+from attacks.linkage.signals import FACTORS, loops, motions
+from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
@@ -73,25 +66,13 @@ class Histogram:
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
         """Return what scores walks like those in the training set."""
-        factors = FACTORS if self.factor is None else (self.factor,)
-        numbers = SPEEDS if self.speeds is None else (self.speeds,)
-        factor, speeds = factors[0], numbers[0]
-        if teaches(context):
-            train = few_mates(context.train, most=_TAUGHT_BY)
-            pairs = zip(
-                motions(train.probe, factors=factors),
-                motions(train.gallery, factors=factors),
-                strict=True,
-            )
-            walks = dict(zip(factors, pairs, strict=True))
-
-            def loss(choice: tuple[float, ...]) -> float:
-                a, b = (counts_of(each, speeds=int(choice[1])) for each in walks[choice[0]])
-                return log_rank(one_source(a, b), mate=train.mate)
-
-            factor, best = learn((factors, numbers), loss=loss)
-            speeds = int(best)
-        return partial(_score, factor=factor, speeds=speeds)
+        factor, speeds = learn_motion(
+            context,
+            (tried(self.factor, FACTORS), tried(self.speeds, SPEEDS)),
+            most=_TAUGHT_BY,
+            score=_of_motion,
+        )
+        return partial(_score, factor=factor, speeds=int(speeds))
 
 
 SPEEDS: tuple[int, ...] = (Histogram.DEFAULT_SPEEDS, 24)
@@ -99,10 +80,12 @@ SPEEDS: tuple[int, ...] = (Histogram.DEFAULT_SPEEDS, 24)
 
 
 def _score(probe: Release, gallery: Release, *, factor: float, speeds: int) -> Floats:
-    a, b = (
-        counts_of(motions(release, factors=(factor,))[0], speeds=speeds)
-        for release in (probe, gallery)
-    )
+    a, b = (motions(release, factors=(factor,))[0] for release in (probe, gallery))
+    return _of_motion(a, b, speeds)
+
+
+def _of_motion(probe: Motion, gallery: Motion, speeds: float) -> Floats:
+    a, b = (counts_of(each, speeds=int(speeds)) for each in (probe, gallery))
     return one_source(a, b)
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.signals import learn, log_rank, mated, positive, teaches
+from attacks.linkage.learning import learn, log_rank, mated, teaches, tried
+from attacks.parameters import positive
 from isac_track.kalman import kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
@@ -69,8 +70,7 @@ class Kinematic:
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
         """Return what scores walks like those in the training set."""
-        densities = QS if self.q is None else (self.q,)
-        floors = FLOORS_M2 if self.floor_m2 is None else (self.floor_m2,)
+        densities, floors = tried(self.q, QS), tried(self.floor_m2, FLOORS_M2)
         q, floor_m2 = densities[0], floors[0]
         if teaches(context):
             train = context.train

@@ -8,16 +8,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.signals import (
-    FACTORS,
-    aligned_costs,
-    chosen,
-    few_mates,
-    log_rank,
-    motions,
-    positive,
-    teaches,
-)
+from attacks.linkage.alignment import aligned_costs
+from attacks.linkage.learning import chosen, few_mates, log_rank, teaches, tried
+from attacks.linkage.signals import FACTORS, motions
+from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
@@ -62,8 +56,7 @@ class Profile:
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
         """Return what scores walks like those in the training set."""
-        floors = FLOORS if self.floor is None else (self.floor,)
-        factors = FACTORS if self.factor is None else (self.factor,)
+        floors, factors = tried(self.floor, FLOORS), tried(self.factor, FACTORS)
         best = 0
         if teaches(context) and len(floors) * len(factors) > 1:
             train = few_mates(context.train, most=_TAUGHT_BY)
@@ -97,9 +90,9 @@ class Profile:
             motions(probe, factors=factors), motions(gallery, factors=factors), strict=True
         ):
             yield aligned_costs(
-                probe=np.stack([p.speed, self.turn_m * p.turn]),
+                probe=p.profile(self.turn_m),
                 probe_count=p.count,
-                gallery=np.stack([g.speed, self.turn_m * g.turn]),
+                gallery=g.profile(self.turn_m),
                 gallery_count=g.count,
                 floors=floors,
                 rank=_RANK,

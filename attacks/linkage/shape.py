@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.signals import aligned_costs, chosen, log_rank, on_grid, positive, teaches
+from attacks.linkage.alignment import aligned_costs
+from attacks.linkage.learning import chosen, log_rank, teaches, tried
+from attacks.linkage.signals import on_grid
+from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
@@ -62,7 +65,7 @@ class Shape:
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
         """Return what scores walks like those in the training set."""
-        floors = CANDIDATES_M2 if self.floor_m2 is None else (self.floor_m2,)
+        floors = tried(self.floor_m2, CANDIDATES_M2)
         best = 0
         if teaches(context) and len(floors) > 1:
             train = context.train

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias, get_args
 import numpy as np
 from scipy.special import comb
 
-from attacks.reconstruction.learning import around, choose
-from attacks.reconstruction.noise import learn_variance
+from attacks.parameters import positive
+from attacks.reconstruction.learning import around, smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
@@ -63,10 +63,7 @@ class GaussianProcess:
     def __post_init__(self) -> None:
         if (self.length_s is None) != (self.scale_m is None):
             raise ValueError("give both length_s and scale_m, or neither to have them learnt")
-        for name in ("length_s", "scale_m"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive, got {value}")
+        positive(length_s=self.length_s, scale_m=self.scale_m)
         for name, known in (("smoothness", Smoothness), ("engine", Engine)):
             if getattr(self, name) not in get_args(known):
                 raise ValueError(
@@ -75,25 +72,17 @@ class GaussianProcess:
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the regression of releases like those in the training set."""
-        variance = learn_variance(context)
-        if self.length_s is not None and self.scale_m is not None:
-            kernel = (self.length_s, self.scale_m)
-        else:
-            kernel = choose(
-                context,
-                default=self.DEFAULT,
-                candidates=CANDIDATES,
-                # The engines agree, and the candidates are many.
-                reconstruct=lambda kernel, release: (
-                    smooth(release, variance(release), kernel=kernel, smoothness=self.smoothness).xy
-                ),
-            )
-        return partial(
-            _reconstruct,
-            variance=variance,
-            kernel=kernel,
-            smoothness=self.smoothness,
-            engine=self.engine,
+        by_filter = partial(smooth, smoothness=self.smoothness)
+        by_sklearn = partial(solve_sklearn, smoothness=self.smoothness)
+        return smoother(
+            context,
+            by_filter if self.engine == "state_space" else by_sklearn,
+            given=None
+            if self.length_s is None or self.scale_m is None
+            else (self.length_s, self.scale_m),
+            default=self.DEFAULT,
+            candidates=CANDIDATES,
+            tried=by_filter,  # the engines agree, and the candidates are many
         )
 
 
@@ -103,20 +92,8 @@ CANDIDATES = tuple(
 )
 
 
-def _reconstruct(
-    release: Release,
-    *,
-    variance: Callable[[Release], Floats],
-    kernel: tuple[float, float],
-    smoothness: Smoothness,
-    engine: Engine,
-) -> Reconstruction:
-    solve = smooth if engine == "state_space" else solve_sklearn
-    return solve(release, variance(release), kernel=kernel, smoothness=smoothness)
-
-
 def smooth(
-    release: Release, variance: Floats, *, kernel: tuple[float, float], smoothness: Smoothness
+    release: Release, variance: Floats, kernel: tuple[float, float], *, smoothness: Smoothness
 ) -> Reconstruction:
     """Return the posterior of every track at its samples, by filter and smoother.
 
@@ -178,7 +155,7 @@ def smooth(
 
 
 def solve_sklearn(
-    release: Release, variance: Floats, *, kernel: tuple[float, float], smoothness: Smoothness
+    release: Release, variance: Floats, kernel: tuple[float, float], *, smoothness: Smoothness
 ) -> Reconstruction:
     """Return what `smooth` does, track by track with scikit-learn's regressor."""
     # Only where it is asked for: the import takes a second.

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.reconstruction.learning import around, choose
-from attacks.reconstruction.noise import learn_variance
+from attacks.parameters import positive
+from attacks.reconstruction.kalman_rts import diffuse_prior
+from attacks.reconstruction.learning import around, smoother
 from isac_track.kalman import imm_filter, imm_smoother
 from isac_track.types import Knowledge, Reconstruction
 
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
 
     from isac_track.protocols import AttackContext
     from isac_track.types import Floats, Release
-
-PRIOR_STD = (100.0, 10.0)
-"""m around the first sample and m/s around rest: far more than any walk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,27 +58,17 @@ class ImmRTS:
     def __post_init__(self) -> None:
         if (self.q is None) != (self.q_turn is None):
             raise ValueError("give both q and q_turn, or neither to have them learnt")
-        for name in ("q", "q_turn", "walk_s", "turn_s"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive, got {value}")
+        positive(q=self.q, q_turn=self.q_turn, walk_s=self.walk_s, turn_s=self.turn_s)
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the smoother of releases like those in the training set."""
-        variance = learn_variance(context)
-        stay_s = (self.walk_s, self.turn_s)
-        if self.q is not None and self.q_turn is not None:
-            density = (self.q, self.q_turn)
-        else:
-            density = choose(
-                context,
-                default=self.DEFAULT_Q,
-                candidates=CANDIDATES,
-                reconstruct=lambda density, release: (
-                    smooth(release, variance(release), density=density, stay_s=stay_s).xy
-                ),
-            )
-        return partial(_reconstruct, variance=variance, density=density, stay_s=stay_s)
+        return smoother(
+            context,
+            partial(smooth, stay_s=(self.walk_s, self.turn_s)),
+            given=None if self.q is None or self.q_turn is None else (self.q, self.q_turn),
+            default=self.DEFAULT_Q,
+            candidates=CANDIDATES,
+        )
 
 
 CANDIDATES = tuple(zip(*(around(density, factor=4.0) for density in ImmRTS.DEFAULT_Q), strict=True))
@@ -89,8 +77,8 @@ CANDIDATES = tuple(zip(*(around(density, factor=4.0) for density in ImmRTS.DEFAU
 def smooth(
     release: Release,
     variance: Floats,
-    *,
     density: tuple[float, float],
+    *,
     stay_s: tuple[float, float],
 ) -> Reconstruction:
     """Return smoothed positions of a release.
@@ -105,9 +93,7 @@ def smooth(
     stay_s : tuple of two floats
         Mean time of walking on and of turning.
     """
-    n_tracks = len(release)
-    mean = np.zeros((n_tracks, 2, 2))
-    mean[:, :, 0] = release.xy[release.offsets[:-1]]
+    mean, cov = diffuse_prior(release)
     stay = np.array(stay_s)
     leave, come = 1.0 / stay
     q, rates = np.array(density), np.array([[-leave, leave], [come, -come]])
@@ -119,23 +105,13 @@ def smooth(
         q=q,
         rates=rates,
         initial_mean=mean,
-        initial_cov=np.broadcast_to(np.diag(PRIOR_STD) ** 2, (n_tracks, 2, 2)),
+        initial_cov=cov,
         initial_probability=stay / stay.sum(),  # what the chain tends to
     )
     smoothed = imm_smoother(
         t=release.t, offsets=release.offsets, q=q, rates=rates, filtered=filtered
     )
-    cov = smoothed.mixed_cov
+    spread = smoothed.mixed_cov
     # The spread between the modes couples the axes; what is claimed is their mean variance.
-    std = np.sqrt((cov[:, 0, 0] + cov[:, 2, 2]) / 2.0)
+    std = np.sqrt((spread[:, 0, 0] + spread[:, 2, 2]) / 2.0)
     return Reconstruction(smoothed.mixed_mean[:, :, 0], std)
-
-
-def _reconstruct(
-    release: Release,
-    *,
-    variance: Callable[[Release], Floats],
-    density: tuple[float, float],
-    stay_s: tuple[float, float],
-) -> Reconstruction:
-    return smooth(release, variance(release), density=density, stay_s=stay_s)

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.reconstruction.learning import around, choose
-from attacks.reconstruction.noise import learn_variance
+from attacks.parameters import positive
+from attacks.reconstruction.learning import around, smoother
 from isac_track.kalman import smooth_positions
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from isac_track.protocols import AttackContext
     from isac_track.types import Floats, Release
@@ -36,59 +36,20 @@ class KalmanRTS:
     DEFAULT_Q: ClassVar[float] = 0.04
 
     def __post_init__(self) -> None:
-        if self.q is not None and not (np.isfinite(self.q) and self.q > 0):
-            raise ValueError(f"q must be positive, got {self.q}")
+        positive(q=self.q)
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the smoother of releases like those in the training set."""
-        return fitted(context, q=self.q, default=self.DEFAULT_Q, candidates=CANDIDATES)
+        return smoother(
+            context, smooth, given=self.q, default=self.DEFAULT_Q, candidates=CANDIDATES
+        )
 
 
 CANDIDATES = around(KalmanRTS.DEFAULT_Q, factor=4.0)
 
 
-def fitted(
-    context: AttackContext,
-    *,
-    q: float | None,
-    default: float,
-    candidates: Sequence[float],
-    passes: int = 1,
-    anneal: float = 0.0,
-) -> Callable[[Release], Reconstruction]:
-    """Return the smoother of releases like those in the training set.
-
-    Parameters
-    ----------
-    context : AttackContext
-    q : float or None
-        m^2/s^3; None: learnt.
-    default : float
-        Without a training set.
-    candidates : sequence of float
-        With one.
-    passes, anneal
-        Of `isac_track.kalman.smooth_positions`.
-    """
-    variance = learn_variance(context)
-    if q is None and Knowledge.TRAIN in context.granted:
-        known = variance(context.train.release)  # once for all candidates
-        q = choose(
-            context,
-            default=default,
-            candidates=candidates,
-            reconstruct=lambda q, release: (
-                smooth(release, known, q=q, passes=passes, anneal=anneal).xy
-            ),
-        )
-    density = default if q is None else q
-    return lambda release: smooth(
-        release, variance(release), q=density, passes=passes, anneal=anneal
-    )
-
-
 def smooth(
-    release: Release, variance: Floats, *, q: float, passes: int = 1, anneal: float = 0.0
+    release: Release, variance: Floats, q: float, *, passes: int = 1, anneal: float = 0.0
 ) -> Reconstruction:
     """Return smoothed positions of a release with error variance per axis `variance`, (M,) m^2.
 

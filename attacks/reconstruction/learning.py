@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from attacks.reconstruction.noise import learn_variance
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from isac_track.protocols import AttackContext
-    from isac_track.types import Floats, Ints, Release
+    from isac_track.types import Floats, Ints, Reconstruction, Release
 
 _Choice = TypeVar("_Choice")
 _POWERS = (-1.0, 0.0, 1.0)
@@ -61,6 +62,72 @@ def choose(
         for candidate in candidates
     ]
     return candidates[int(np.argmin(losses))]
+
+
+def fitted(
+    context: AttackContext,
+    smooth: Callable[[Release, _Choice], Reconstruction],
+    *,
+    given: _Choice | None,
+    default: _Choice,
+    candidates: Sequence[_Choice],
+) -> Callable[[Release], Reconstruction]:
+    """Return what smooths releases like those in the training set.
+
+    Parameters
+    ----------
+    context : AttackContext
+    smooth : callable
+        From a release and a choice.
+    given : object or None
+        The choice; None: learnt.
+    default, candidates
+        As in `choose`.
+    """
+    choice = given
+    if choice is None:
+        choice = choose(
+            context,
+            default=default,
+            candidates=candidates,
+            reconstruct=lambda candidate, release: smooth(release, candidate).xy,
+        )
+    return lambda release: smooth(release, choice)
+
+
+def smoother(
+    context: AttackContext,
+    smooth: Callable[[Release, Floats, _Choice], Reconstruction],
+    *,
+    given: _Choice | None,
+    default: _Choice,
+    candidates: Sequence[_Choice],
+    tried: Callable[[Release, Floats, _Choice], Reconstruction] | None = None,
+) -> Callable[[Release], Reconstruction]:
+    """Return what smooths releases like those in the training set, by the noise of each sample.
+
+    Parameters
+    ----------
+    context : AttackContext
+    smooth : callable
+        From a release, the error variance per axis, (M,) m^2, and a choice.
+    given, default, candidates
+        As in `fitted`.
+    tried : callable, optional
+        In place of `smooth` where candidates are compared.
+    """
+    variance = learn_variance(context)
+    choice = default if given is None else given
+    if given is None and Knowledge.TRAIN in context.granted:
+        known = variance(context.train.release)  # once for all candidates
+        attempt = smooth if tried is None else tried
+        choice = choose(
+            context,
+            default=default,
+            candidates=candidates,
+            reconstruct=lambda candidate, release: attempt(release, known, candidate).xy,
+        )
+    return lambda release: smooth(release, variance(release), choice)
 
 
 def exposure_loss(*, xy: Floats, truth: Floats, offsets: Ints, epsilon_m: float) -> float:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.reconstruction.learning import around, choose
+from attacks.parameters import positive
+from attacks.reconstruction.learning import around, fitted
 from attacks.reconstruction.windows import half_windows
 from isac_track.types import Knowledge, Reconstruction
 
@@ -41,26 +41,23 @@ class MovingAverage:
     DEFAULT_WIDTH_S: ClassVar[float] = 2.8
 
     def __post_init__(self) -> None:
-        if self.width_s is not None and not (np.isfinite(self.width_s) and self.width_s > 0):
-            raise ValueError(f"width_s must be positive, got {self.width_s}")
+        positive(width_s=self.width_s)
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the average over releases like those in the training set."""
-        width_s = self.width_s
-        if width_s is None:
-            width_s = choose(
-                context,
-                default=self.DEFAULT_WIDTH_S,
-                candidates=CANDIDATES,
-                reconstruct=lambda width_s, release: smooth(release, width_s=width_s).xy,
-            )
-        return partial(smooth, width_s=width_s)
+        return fitted(
+            context,
+            smooth,
+            given=self.width_s,
+            default=self.DEFAULT_WIDTH_S,
+            candidates=CANDIDATES,
+        )
 
 
 CANDIDATES = around(MovingAverage.DEFAULT_WIDTH_S, factor=2.0)
 
 
-def smooth(release: Release, *, width_s: float) -> Reconstruction:
+def smooth(release: Release, width_s: float) -> Reconstruction:
     """Return the average of every track over windows fit for its noise.
 
     Parameters

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
-from attacks.reconstruction.kalman_rts import fitted
-from attacks.reconstruction.learning import around
+from attacks.parameters import positive
+from attacks.reconstruction.kalman_rts import smooth
+from attacks.reconstruction.learning import around, smoother
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
@@ -35,8 +35,7 @@ class RadialRTS:
     DEFAULT_Q: ClassVar[float] = 0.04
 
     def __post_init__(self) -> None:
-        if self.q is not None and not (np.isfinite(self.q) and self.q > 0):
-            raise ValueError(f"q must be positive, got {self.q}")
+        positive(q=self.q)
         if self.passes < 1:
             raise ValueError(f"passes must be at least 1, got {self.passes}")
         if not 0 <= self.anneal < 1:
@@ -44,13 +43,12 @@ class RadialRTS:
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the smoother of releases like those in the training set."""
-        return fitted(
+        return smoother(
             context,
-            q=self.q,
+            partial(smooth, passes=self.passes, anneal=self.anneal),
+            given=self.q,
             default=self.DEFAULT_Q,
             candidates=CANDIDATES,
-            passes=self.passes,
-            anneal=self.anneal,
         )
 
 

@@ -9,6 +9,7 @@ away by a side door, and what an attack achieves there is no measure of anything
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
@@ -58,48 +59,33 @@ def _random(probe: Release, gallery: Release, rng: Generator) -> Floats:
     return rng.standard_normal((len(probe), len(gallery)))
 
 
-def _duration(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    return _closeness(*(one.t[one.offsets[1:] - 1] - _starts(one) for one in (probe, gallery)))
+def _duration(release: Release) -> Floats:
+    return release.t[release.offsets[1:] - 1] - _starts(release)
 
 
-def _sample_count(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    return _closeness(*(np.diff(one.offsets).astype(np.float64) for one in (probe, gallery)))
+def _sample_count(release: Release) -> Floats:
+    return np.diff(release.offsets).astype(np.float64)
 
 
-def _sampling_times(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    described = []
-    for one in (probe, gallery):
-        step_s = intervals_before(t=one.t, offsets=one.offsets)
-        starts = one.offsets[:-1]
-        described.append(
-            np.column_stack(
-                [
-                    _means(step_s, one),
-                    _means(step_s**2, one),
-                    np.minimum.reduceat(step_s, starts),
-                    np.maximum.reduceat(step_s, starts),
-                ]
-            )
-        )
-    return _closeness(*described)
+def _sampling_times(release: Release) -> Floats:
+    step_s = intervals_before(t=release.t, offsets=release.offsets)
+    starts = release.offsets[:-1]
+    return np.column_stack(
+        [
+            _means(step_s, release),
+            _means(step_s**2, release),
+            np.minimum.reduceat(step_s, starts),
+            np.maximum.reduceat(step_s, starts),
+        ]
+    )
 
 
-def _noise_level(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    described = [_noise(one) for one in (probe, gallery)]
-    return _closeness(*described)
-
-
-def _noise_beyond_place(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    """Score by the noise level over that of whoever is near, on either side by itself.
+def _over_neighbours(release: Release) -> Floats:
+    """Return each track's noise level less the mean of its nearest few, (N, 1), of one release.
 
     Where the true frame shows, so does the place, and noise grows with the distance from the base
     station: that is no shortcut but the place once more.
     """
-    return _closeness(*(_over_neighbours(one) for one in (probe, gallery)))
-
-
-def _over_neighbours(release: Release) -> Floats:
-    """Return each track's noise level less the mean of its nearest few, (N, 1)."""
     level = _noise(release)
     few = min(_NEIGHBOURS, len(release) - 1)
     # Of levels that are all alike only rounding would be left, which goes by the place.
@@ -123,40 +109,27 @@ def _noise(release: Release) -> Floats:
     return _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)[:, None]
 
 
-def _frame(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    described = []
-    for one in (probe, gallery):
-        early, late = _half_means(one)
-        way = late - early
-        length_m = np.hypot(way[:, 0], way[:, 1])[:, None]
-        heading = np.divide(way, length_m, out=np.zeros_like(way), where=length_m > 0)
-        described.append(np.column_stack([(early + late) / 2.0, heading]))
-    return _closeness(*described)
+def _frame(release: Release) -> Floats:
+    early, late = _half_means(release)
+    way = late - early
+    length_m = np.hypot(way[:, 0], way[:, 1])[:, None]
+    heading = np.divide(way, length_m, out=np.zeros_like(way), where=length_m > 0)
+    return np.column_stack([(early + late) / 2.0, heading])
 
 
-def _clock(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    return _closeness(*(_starts(one) for one in (probe, gallery)))
+def _starts(release: Release) -> Floats:
+    return release.t[release.offsets[:-1]]
 
 
-CONTROLS: Final[Mapping[str, Control]] = {
-    "random": Control("random scores", _random, is_audit=False),
-    "shuffled": Control("an attack's scores with shuffled mates", None, is_audit=False),
-    "duration": Control("how long a release lasts", _duration, sees_times_only=True),
-    "sample_count": Control("how many samples it has", _sample_count, sees_times_only=True),
-    "sampling_times": Control("how its sampling steps vary", _sampling_times, sees_times_only=True),
-    "noise_level": Control(
-        "the standard deviations declared with it", _noise_level, in_scene=_noise_beyond_place
-    ),
-    "frame": Control("where it lies and heads in its frame", _frame, hides_in_scene=True),
-    "clock": Control(
-        "when it starts on its clock", _clock, hides_in_scene=True, sees_times_only=True
-    ),
-}
+def _alike(
+    probe: Release, gallery: Release, rng: Generator, *, of: Callable[[Release], Floats]
+) -> Floats:
+    """Return minus the distance of features, (P, G), each scaled by its spread.
 
-
-def _closeness(probe: Floats, gallery: Floats) -> Floats:
-    """Return minus the distance of features, (P,) or (P, F), each scaled by its spread: (P, G)."""
-    first, second = (one.reshape(one.shape[0], -1) for one in (probe, gallery))
+    `of` takes a release to the features of its tracks, (N,) or (N, F).
+    """
+    del rng
+    first, second = (of(one).reshape(len(one), -1) for one in (probe, gallery))
     spread = np.concatenate([first, second]).std(axis=0)
     scale = np.where(spread > 0, spread, 1.0)
     gap = (first[:, None, :] - second[None, :, :]) / scale
@@ -164,8 +137,31 @@ def _closeness(probe: Floats, gallery: Floats) -> Floats:
     return closeness
 
 
-def _starts(release: Release) -> Floats:
-    return release.t[release.offsets[:-1]]
+def _by(features: Callable[[Release], Floats]) -> Score:
+    return partial(_alike, of=features)
+
+
+CONTROLS: Final[Mapping[str, Control]] = {
+    "random": Control("random scores", _random, is_audit=False),
+    "shuffled": Control("an attack's scores with shuffled mates", None, is_audit=False),
+    "duration": Control("how long a release lasts", _by(_duration), sees_times_only=True),
+    "sample_count": Control("how many samples it has", _by(_sample_count), sees_times_only=True),
+    "sampling_times": Control(
+        "how its sampling steps vary", _by(_sampling_times), sees_times_only=True
+    ),
+    "noise_level": Control(
+        "the standard deviations declared with it",
+        _by(_noise),
+        in_scene=_by(_over_neighbours),
+    ),
+    "frame": Control("where it lies and heads in its frame", _by(_frame), hides_in_scene=True),
+    "clock": Control(
+        "when it starts on its clock",
+        _by(_starts),
+        hides_in_scene=True,
+        sees_times_only=True,
+    ),
+}
 
 
 def _means(values: Floats, release: Release) -> Floats:
@@ -184,13 +180,10 @@ def _middles(release: Release) -> Floats:
 def _half_means(release: Release) -> tuple[Floats, Floats]:
     """Return the mean position of each track's first and of its second half, (N, 2) m each."""
     sizes = np.diff(release.offsets)
-    middle = release.offsets[:-1] + sizes // 2
-    total = np.add.reduceat(release.xy, release.offsets[:-1])
-    late = np.add.reduceat(release.xy, np.column_stack([middle, release.offsets[1:]]).ravel()[:-1])[
-        ::2
-    ]
-    n_late = sizes - sizes // 2
-    # A track of one sample has no first half: it stands where it is.
-    n_early = np.maximum(sizes // 2, 1)
-    early = np.where((sizes > 1)[:, None], total - late, total)
-    return early / n_early[:, None], late / n_late[:, None]
+    # Of a track of one sample, which has no first half, reduceat takes that sample for it.
+    cuts = np.column_stack([release.offsets[:-1], release.offsets[:-1] + sizes // 2]).ravel()
+    total = np.add.reduceat(release.xy, cuts)
+    return (
+        total[::2] / np.maximum(sizes // 2, 1)[:, None],
+        total[1::2] / (sizes - sizes // 2)[:, None],
+    )

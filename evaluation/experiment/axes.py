@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Literal
 
 from evaluation.experiment.presets import BLOCK_SCENES, PRESETS, SHARED, WINDOWS
@@ -233,15 +232,10 @@ def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ..
 
 
 def _tasks(settings: Settings) -> tuple[Task, ...]:
-    from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - --help needs no numpy
+    from attacks.tasks.task_list import task_named  # noqa: PLC0415 - --help needs no numpy
 
     names = PRESETS[settings.preset].tasks if settings.tasks is None else settings.tasks
-    for name in names:
-        if name not in TASKS:
-            near = get_close_matches(name, TASKS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(TASKS)}"
-            raise SettingsError(f"unknown task {name!r}; {hint}")
-    return tuple(TASKS[name] for name in dict.fromkeys(names))
+    return tuple(task_named(name) for name in dict.fromkeys(names))
 
 
 def _linked(

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.walks import cv_walks, flat_release, release_of
 from scipy.stats import chi2
 
 from benchmarks.tune import TUNED, releases, tune
 from isac_track import datasets
 from isac_track import plugins as registry
-from isac_track.noise import UNKNOWN_VARIANCE_M2, innovation_variance_m2
 from isac_track.rng import stream
-from isac_track.types import Knowledge, Release
+from isac_track.types import Knowledge
 from predictors.kalman import GATE, KalmanCA, KalmanCV, KalmanIMM
 from predictors.recent import recent
 
@@ -19,35 +19,16 @@ TRACKERS = [KalmanCV(), KalmanCA(), KalmanIMM()]
 by_name = pytest.mark.parametrize("tracker", TRACKERS, ids=lambda one: type(one).__name__)
 
 
-def walks(*sizes, noise_m=0.4, q=0.05, seed=0, t0=0.0):
-    """Releases of exact constant-velocity walks at irregular steps, and their futures."""
-    rng = stream(seed, "test", "walks", *sizes)
-    t, xy, future, t_future = [], [], [], []
-    for size in sizes:
-        dt = rng.uniform(0.06, 0.13, size + 11)
-        state = np.concatenate([rng.normal(0, 3, 2), rng.normal(0, 1, 2)])
-        path = []
-        for step in dt:
-            jump = rng.multivariate_normal(
-                np.zeros(2), q * np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]]), 2
-            )
-            state = np.concatenate(
-                [state[:2] + step * state[2:] + jump[:, 0], state[2:] + jump[:, 1]]
-            )
-            path.append(state[:2])
-        clock, path = t0 + np.cumsum(dt), np.array(path)
-        t.append(clock[:size])
-        xy.append(path[:size] + noise_m * rng.standard_normal((size, 2)))
-        t_future.append(clock[size - 1 :])
-        future.append(path[size - 1 :])
-    release = Release(
-        t=np.concatenate(t),
-        xy=np.concatenate(xy),
-        sigma=np.full(sum(sizes), noise_m * np.sqrt(2.0)),
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        pseudonym=tuple(f"p{row}" for row in range(len(sizes))),
-    )
-    return release, np.stack(t_future), np.stack(future)
+def walks(*sizes, noise_m=0.4, q=0.05, from_s=0.0):
+    """A release of exact constant-velocity walks, and 12 instants of each from its last sample."""
+    t, path, offsets = cv_walks(*(size + 11 for size in sizes), q=q, from_s=from_s)
+    ahead = offsets[1:, None] - 12 + np.arange(12)
+    shared = np.delete(np.arange(t.size), ahead[:, 1:])
+    xy = path[shared]
+    xy = xy + noise_m * stream(0, "test", "walks", *sizes).standard_normal(xy.shape)
+    sigma = np.full(shared.size, noise_m * np.sqrt(2.0))
+    release = flat_release(t[shared], xy, np.cumsum([0, *sizes]), sigma=sigma)
+    return release, t[ahead], path[ahead]
 
 
 @by_name
@@ -76,7 +57,7 @@ def test_one_track_at_a_time_is_the_same(tracker):
 @by_name
 def test_a_late_clock_loses_nothing(tracker):
     early, t_early, _ = walks(60)
-    late, t_late, _ = walks(60, t0=1e6)
+    late, t_late, _ = walks(60, from_s=1e6)
     a, b = tracker.predict(early, t_early), tracker.predict(late, t_late)
     assert np.allclose(a.mean, b.mean, atol=1e-6)
 
@@ -97,18 +78,17 @@ def test_the_window_is_the_whole_history(tracker):
     plaza = datasets.load("plaza").tracks
     long = [track for track in plaza if track.t.size > 100][:60]
     rng = stream(0, "test", "window")
-    t = [np.arange(track.t[0], track.t[-1], 0.0833) for track in long]
-    xy = [
-        np.stack([np.interp(clock, track.t, track.xy[:, axis]) for axis in range(2)], axis=1)
-        for clock, track in zip(t, long, strict=True)
-    ]
-    noise_m = 1.0
-    release = Release(
-        t=np.concatenate(t),
-        xy=np.concatenate(xy) + noise_m * rng.standard_normal((sum(map(len, t)), 2)),
-        sigma=np.full(sum(map(len, t)), noise_m * np.sqrt(2)),
-        offsets=np.concatenate([[0], np.cumsum([len(part) for part in t])]),
-        pseudonym=tuple(f"p{row}" for row in range(len(t))),
+    clocks = [np.arange(track.t[0], track.t[-1], 0.0833) for track in long]
+    exact = release_of(
+        [
+            (t, np.stack([np.interp(t, track.t, axis) for axis in track.xy.T], axis=1))
+            for t, track in zip(clocks, long, strict=True)
+        ]
+    )
+    release = replace(
+        exact,
+        xy=exact.xy + rng.standard_normal(exact.xy.shape),
+        sigma=np.full(exact.t.size, np.sqrt(2.0)),
     )
     t_future = release.t[release.offsets[1:] - 1][:, None] + 0.0833 * np.arange(12)
     short = replace(tracker, noise="declared")
@@ -136,51 +116,22 @@ def test_the_gate_is_the_documented_quantile():
     assert pytest.approx(chi2.ppf(0.9999, 2), abs=0.05) == GATE
 
 
-def test_the_forecast_covariance_is_consistent():
-    """NEES of the forecast: the model is exact, so that 2-dof chi-square holds at every step."""
+def nees(*, sigma_off):
+    """NEES of the forecasts where the model is exact, (400, 12), with sigma declared too large."""
     release, t_future, future = walks(*[80] * 400, noise_m=0.4, q=0.05)
-    exact = KalmanCV(q=0.05, noise="declared", gate=float("inf"))
-    forecast = exact.predict(release, t_future)
+    told = replace(release, sigma=release.sigma * sigma_off)
+    forecast = KalmanCV(q=0.05, noise="declared", gate=float("inf")).predict(told, t_future)
     gap = forecast.mean - future
-    nees = np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(forecast.cov), gap)
+    return np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(forecast.cov), gap)
+
+
+def test_the_forecast_covariance_is_consistent():
     low, high = chi2.ppf([0.001, 0.999], 2 * 400) / 400
     # Twelve steps that share their error: a 99.8 % interval each.
-    assert (nees.mean(axis=0) > low).all()
-    assert (nees.mean(axis=0) < high).all()
-
-
-def test_a_wrong_noise_would_be_seen_in_the_nees():
-    release, t_future, future = walks(*[80] * 400, noise_m=0.4, q=0.05)
-    wrong = replace(release, sigma=release.sigma * 2)
-    forecast = KalmanCV(q=0.05, noise="declared", gate=float("inf")).predict(wrong, t_future)
-    gap = forecast.mean - future
-    nees = np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(forecast.cov), gap)
-    assert nees[:, 0].mean() < chi2.ppf(0.001, 800) / 400
-
-
-@pytest.mark.parametrize("noise_m", [0.05, 0.4, 2.0])
-def test_the_noise_is_found_from_the_innovations(noise_m):
-    release, _, _ = walks(*[300] * 60, noise_m=noise_m)
-    found = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    assert found.mean() == pytest.approx(noise_m**2, rel=0.05)
-
-
-def test_the_noise_estimate_by_hand_and_at_its_edges():
-    # One innovation: from 0 and 1 to 5 at even steps, 3 m off; variance 6 r over two axes.
-    one = innovation_variance_m2(
-        t=np.array([0.0, 1.0, 2.0]),
-        xy=np.array([[0.0, 0.0], [1.0, 0.0], [5.0, 0.0]]),
-        offsets=np.array([0, 3]),
-    )
-    assert one.tolist() == pytest.approx([9.0 / 12.0])
-    short = innovation_variance_m2(
-        t=np.array([0.0, 1.0, 0.0, 5.0, 5.1, 5.2]),
-        xy=np.zeros((6, 2)),
-        offsets=np.array([0, 2, 3, 6]),
-    )
-    assert short.tolist() == pytest.approx([UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, 1e-6])
-    lone = innovation_variance_m2(t=np.zeros(1), xy=np.zeros((1, 2)), offsets=np.array([0, 1]))
-    assert lone.tolist() == [UNKNOWN_VARIANCE_M2]
+    steps = nees(sigma_off=1.0).mean(axis=0)
+    assert (steps > low).all()
+    assert (steps < high).all()
+    assert nees(sigma_off=2.0)[:, 0].mean() < low  # a wrong noise would be seen
 
 
 def test_recent_keeps_the_last_samples():

@@ -1,10 +1,11 @@
 """Features of walks whose features are known, and a metric that learns what lasts."""
 
 import numpy as np
-from linkage_walks import Person, context, release_of, training
+from helpers.walks import Person, context, release_of
 
 from attacks.linkage.behaviour import FEATURES, Behaviour, features, learnt_metric
-from attacks.linkage.signals import log_rank
+from attacks.linkage.learning import log_rank
+from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 
 NAMES = list(FEATURES)
@@ -76,7 +77,7 @@ def crowd(n, *, seed):
 
 
 def test_it_learns_what_lasts():
-    train = training(*crowd(80, seed=1))
+    train = LinkageTrainingSet(*crowd(80, seed=1))
     probe, gallery, mate = crowd(80, seed=2)
     blind = log_rank(Behaviour().fit(context())(probe, gallery), mate=mate)
     learnt = log_rank(Behaviour().fit(context(train))(probe, gallery), mate=mate)
@@ -84,7 +85,7 @@ def test_it_learns_what_lasts():
 
 
 def test_the_metric_is_a_metric():
-    train = training(*crowd(30, seed=3))
+    train = LinkageTrainingSet(*crowd(30, seed=3))
     for shrinkage in (0.0, 0.7, 1.0):
         metric = learnt_metric(train, shrinkage=shrinkage)
         assert np.allclose(metric, metric.T)
@@ -93,7 +94,7 @@ def test_the_metric_is_a_metric():
 
 def test_shrunk_to_the_diagonal_it_is_the_formula():
     probe, gallery, mate = crowd(60, seed=4)
-    metric = learnt_metric(training(probe, gallery, mate), shrinkage=1.0)
+    metric = learnt_metric(LinkageTrainingSet(probe, gallery, mate), shrinkage=1.0)
     a, b = features(probe), features(gallery)
     within = ((a - b) ** 2).mean(axis=0)
     total = 2.0 * np.concatenate([a, b]).var(axis=0)
@@ -105,6 +106,6 @@ def test_shrunk_to_the_diagonal_it_is_the_formula():
 
 def test_unshrunk_it_sees_how_features_go_together():
     probe, gallery, mate = crowd(60, seed=4)
-    metric = learnt_metric(training(probe, gallery, mate), shrinkage=0.0)
+    metric = learnt_metric(LinkageTrainingSet(probe, gallery, mate), shrinkage=0.0)
     pair = NAMES.index("mean speed"), NAMES.index("median speed")
     assert abs(metric[pair]) > 0.1 * np.sqrt(metric[pair[0], pair[0]] * metric[pair[1], pair[1]])

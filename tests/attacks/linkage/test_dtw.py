@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from dtaidistance import dtw_ndim
-from linkage_walks import context, hits, training, two_releases
+from helpers.walks import context, hits, two_releases
 
 from attacks.linkage.dtw import DTW, warped_costs
+from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 
 
@@ -28,6 +29,12 @@ def plain(a, b, *, band, psi, penalty):
     return min(best[n, m - psi :].min(), best[n - psi :, m].min())
 
 
+def costs_of(probe, gallery, *counts, floor=0.01, **settings):
+    """Of (P, K, 2) and (G, K, 2) signals."""
+    signals = (one.transpose(2, 0, 1) for one in (probe, gallery))
+    return warped_costs(*signals, *counts, floor=floor, **settings)
+
+
 def cost_by_hand(a, b, *, band, penalty, floor):
     shorter, longer = sorted((len(a), len(b)))
     reach = round(band * longer)
@@ -42,15 +49,7 @@ def test_it_is_a_plain_dynamic_programme(band, penalty):
     rng = stream(0, "test", "dtw")
     probe, gallery = rng.normal(size=(5, 24, 2)), rng.normal(size=(4, 24, 2))
     sizes_p, sizes_g = np.array([24, 24, 10, 1, 2]), np.array([24, 11, 3, 24])
-    costs = warped_costs(
-        probe=probe,
-        probe_count=sizes_p,
-        gallery=gallery,
-        gallery_count=sizes_g,
-        band=band,
-        penalty=penalty,
-        floor=0.01,
-    )
+    costs = costs_of(probe, gallery, sizes_p, sizes_g, band=band, penalty=penalty)
     for i, n in enumerate(sizes_p):
         for j, m in enumerate(sizes_g):
             slow = cost_by_hand(
@@ -63,15 +62,7 @@ def test_it_is_a_plain_dynamic_programme(band, penalty):
 def test_it_is_dtaidistance(n, m):
     rng = stream(0, "test", "dtw", n)
     probe, gallery = rng.normal(size=(6, n, 2)), rng.normal(size=(5, m, 2))
-    costs = warped_costs(
-        probe=probe,
-        probe_count=np.full(6, n),
-        gallery=gallery,
-        gallery_count=np.full(5, m),
-        band=0.15,
-        penalty=0.2,
-        floor=0.01,
-    )
+    costs = costs_of(probe, gallery, np.full(6, n), np.full(5, m), band=0.15, penalty=0.2)
     reach = round(0.15 * max(n, m))
     for i in range(6):
         for j in range(5):
@@ -88,15 +79,7 @@ def test_warping_forgives_a_change_of_pace():
     slower = np.stack([np.sin(6 * at**1.15), 0 * at], axis=1)
     sizes = np.array([24])
     stiff, pliant = (
-        warped_costs(
-            probe=bump[None],
-            probe_count=sizes,
-            gallery=slower[None],
-            gallery_count=sizes,
-            band=band,
-            penalty=1e-6,
-            floor=1e-6,
-        )[0, 0]
+        costs_of(bump[None], slower[None], sizes, sizes, band=band, penalty=1e-6, floor=1e-6)[0, 0]
         for band in (0.0, 0.15)
     )
     assert pliant < stiff / 5
@@ -105,7 +88,7 @@ def test_warping_forgives_a_change_of_pace():
 def test_it_learns_to_smooth():
     # White noise of half a metre in slow walks: twice the usual width does better.
     habits = {"noise_m": 0.5, "sway": 0.6, "turn_rad_s": 0.15, "shift_s": 0.5}
-    train = training(*two_releases(48, seed=7, **habits))
+    train = LinkageTrainingSet(*two_releases(48, seed=7, **habits))
     probe, gallery, mate = two_releases(48, seed=8, **habits)
     narrow, wide = (
         hits(DTW(factor=f, penalty=0.1).fit(context())(probe, gallery), mate) for f in (0.5, 2.0)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from linkage_walks import context, hits, release_of, training, two_releases
+from helpers.walks import context, hits, release_of, two_releases
 from scipy.spatial.distance import jensenshannon
 
 from attacks.linkage.histogram import SPEEDS, Histogram, counts_of, one_source
 from attacks.linkage.signals import motion, on_grid
+from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 
 
@@ -68,7 +69,7 @@ def test_order_in_time_does_not_enter():
 def test_it_learns_to_look_closer():
     # Steady walkers whose speeds differ by less than a centre's distance.
     habits = {"sway": 0.03, "turn_rad_s": 0.1, "shift_s": 4.0}
-    train = training(*two_releases(48, seed=7, **habits))
+    train = LinkageTrainingSet(*two_releases(48, seed=7, **habits))
     probe, gallery, mate = two_releases(48, seed=8, **habits)
     blind = hits(Histogram().fit(context())(probe, gallery), mate)
     coarse = hits(Histogram(speeds=4).fit(context(train))(probe, gallery), mate)

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
-from linkage_walks import Person, context, hits, release_of, training
+from helpers.walks import Person, context, hits, release_of
 
 from attacks.linkage.kinematic import Kinematic, backwards, continuations, rivals
-from attacks.linkage.signals import log_rank
+from attacks.linkage.learning import log_rank
 from isac_track.noise import innovation_variance_m2
+from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
+from isac_track.types import Knowledge
 
 Q = 0.07
 FLOOR_M2 = 0.02
@@ -35,6 +37,11 @@ def gap(n=10, *, seed=0, gap_s=2.0, noise_m=0.1, same_start=True, **habits):
         for k in order
     ]
     return release_of(probe), release_of(gallery), np.argsort(order)
+
+
+def scene(train=None):
+    granted = {Knowledge.SCENE} if train is None else {Knowledge.SCENE, Knowledge.TRAIN}
+    return context(train, granted=granted)
 
 
 def filtered(t, xy, variance_m2):
@@ -89,14 +96,14 @@ def test_backwards_is_each_track_backwards():
 @pytest.mark.parametrize("informed", [False, True])
 def test_who_walks_on_is_found(informed):
     probe, gallery, mate = gap(10, same_start=False)
-    train = training(*gap(20, seed=3)) if informed else None
-    scores = Kinematic().fit(context(train, scene=True))(probe, gallery)
+    train = LinkageTrainingSet(*gap(20, seed=3)) if informed else None
+    scores = Kinematic().fit(scene(train))(probe, gallery)
     assert hits(scores, mate) == 1.0
 
 
 def test_a_common_motion_changes_nothing():
     probe, gallery, _ = gap(6)
-    score = Kinematic().fit(context(scene=True))
+    score = Kinematic().fit(scene())
     cos, sin = np.cos(0.7), np.sin(0.7)
 
     def move(release):
@@ -115,15 +122,15 @@ def test_rivals_are_those_of_one_rotation():
     on_time = np.arange(6) % 2 == 0
     known = np.where(on_time[mate], mate, -1)
     assert known.max() >= 0
-    assert np.array_equal(rivals(training(probe, late, known)), np.tile(on_time, (6, 1)))
-    assert rivals(training(probe, late, np.full(6, -1))).all()
+    assert np.array_equal(rivals(LinkageTrainingSet(probe, late, known)), np.tile(on_time, (6, 1)))
+    assert rivals(LinkageTrainingSet(probe, late, np.full(6, -1))).all()
 
 
 def test_it_learns_how_much_people_turn():
     # People who hold their course, and a long gap: less process noise than usual.
     habits = {"sway": 0.0, "turn_rad_s": 0.0, "gap_s": 5.0, "noise_m": 0.3}
-    train = training(*gap(60, seed=4, **habits))
+    train = LinkageTrainingSet(*gap(60, seed=4, **habits))
     probe, gallery, mate = gap(60, seed=5, **habits)
-    blind = Kinematic().fit(context(scene=True))(probe, gallery)
-    learnt = Kinematic().fit(context(train, scene=True))(probe, gallery)
+    blind = Kinematic().fit(scene())(probe, gallery)
+    learnt = Kinematic().fit(scene(train))(probe, gallery)
     assert log_rank(learnt, mate=mate) < log_rank(blind, mate=mate)

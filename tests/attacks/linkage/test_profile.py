@@ -1,10 +1,11 @@
 """What speed and turning tell, blind and after learning."""
 
 import numpy as np
-from linkage_walks import context, hits, release_of, training, two_releases
+from helpers.walks import context, hits, release_of, two_releases
 
+from attacks.linkage.learning import log_rank
 from attacks.linkage.profile import Profile
-from attacks.linkage.signals import log_rank
+from isac_track.protocols import LinkageTrainingSet
 
 
 def circle(radius_m, rad_s):
@@ -35,7 +36,7 @@ def test_it_finds_the_lag():
 
 def test_it_learns_how_small_a_misfit_counts():
     habits = {"sway": 0.02, "turn_rad_s": 0.01, "speed_m_s": 1.2}
-    train = training(*two_releases(40, seed=7, **habits))
+    train = LinkageTrainingSet(*two_releases(40, seed=7, **habits))
     probe, gallery, mate = two_releases(40, seed=8, **habits)
     blind = Profile().fit(context())(probe, gallery)
     learnt = Profile().fit(context(train))(probe, gallery)

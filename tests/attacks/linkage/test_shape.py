@@ -1,10 +1,11 @@
 """What a path's shape tells, blind and after learning."""
 
 import numpy as np
-from linkage_walks import context, hits, training, two_releases
+from helpers.walks import context, hits, two_releases
 
+from attacks.linkage.learning import log_rank
 from attacks.linkage.shape import Shape
-from attacks.linkage.signals import log_rank
+from isac_track.protocols import LinkageTrainingSet
 
 
 def test_a_glimpse_of_the_walk_is_enough():
@@ -17,7 +18,7 @@ def test_a_glimpse_of_the_walk_is_enough():
 def test_it_learns_how_small_a_misfit_counts():
     # People who differ by millimetres: the default floor of 1 cm^2 blurs them.
     habits = {"sway": 0.01, "turn_rad_s": 0.01, "speed_m_s": 1.2}
-    train = training(*two_releases(40, seed=7, **habits))
+    train = LinkageTrainingSet(*two_releases(40, seed=7, **habits))
     probe, gallery, mate = two_releases(40, seed=8, **habits)
     blind = Shape().fit(context())(probe, gallery)
     learnt = Shape().fit(context(train))(probe, gallery)
@@ -26,7 +27,7 @@ def test_it_learns_how_small_a_misfit_counts():
 
 def test_it_learns_how_much_is_noise():
     habits = {"noise_m": 0.8, "turn_rad_s": 0.2}
-    train = training(*two_releases(60, seed=7, **habits))
+    train = LinkageTrainingSet(*two_releases(60, seed=7, **habits))
     probe, gallery, mate = two_releases(60, seed=8, **habits)
     trusting = Shape(floor_m2=1e-6).fit(context())(probe, gallery)
     learnt = Shape().fit(context(train))(probe, gallery)
@@ -43,7 +44,7 @@ def test_noise_takes_few_polynomials():
 
 def test_a_given_floor_is_not_learnt():
     probe, gallery, _ = two_releases(12)
-    train = training(*two_releases(40, seed=7))
+    train = LinkageTrainingSet(*two_releases(40, seed=7))
     given = Shape(floor_m2=0.5)
     blind, informed = (given.fit(context(known))(probe, gallery) for known in (None, train))
     assert np.array_equal(blind, informed)

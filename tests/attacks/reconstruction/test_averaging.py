@@ -4,39 +4,30 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.walks import context, release_of
 
 from attacks.reconstruction.averaging import Averaging
 from isac_track.errors import KnowledgeDenied
-from isac_track.protocols import AttackContext
 from isac_track.rng import stream
-from isac_track.types import Knowledge, Release
+from isac_track.types import Knowledge
 
 SCENE, SIGMA, REPEATS = Knowledge.SCENE, Knowledge.SIGMA, Knowledge.REPEATS
 
 
-def release_of(xy, sigma=None):
+def one_walk(xy, sigma=None):
     xy = np.array(xy, dtype=float)
-    return Release(
-        t=np.arange(float(len(xy))),
-        xy=xy,
-        sigma=sigma,
-        offsets=np.array([0, len(xy)]),
-        pseudonym=("p",),
-    )
+    return release_of([(np.arange(float(len(xy))), xy)], sigma=sigma)
 
 
 def averaged(first, *repeats, granted=(SCENE, REPEATS)):
-    context = AttackContext(
-        rng=stream(0, "test"), epsilon_m=0.3, granted=frozenset(granted), repeats=repeats
-    )
-    return Averaging().fit(context)(first)
+    return Averaging().fit(context(granted=granted, repeats=repeats))(first)
 
 
 def test_without_sigma_it_is_the_plain_mean():
     found = averaged(
-        release_of([[0.0, 3.0], [1.0, 1.0]]),
-        release_of([[3.0, 3.0], [1.0, 4.0]]),
-        release_of([[6.0, 0.0], [1.0, 7.0]]),
+        one_walk([[0.0, 3.0], [1.0, 1.0]]),
+        one_walk([[3.0, 3.0], [1.0, 4.0]]),
+        one_walk([[6.0, 0.0], [1.0, 7.0]]),
     )
     assert found.xy.tolist() == [[3.0, 2.0], [1.0, 4.0]]
 
@@ -44,8 +35,8 @@ def test_without_sigma_it_is_the_plain_mean():
 def test_with_sigma_each_sample_is_weighed_by_its_own_variance():
     # 1 and 1/2 m: weights 1 and 4, fifths. 2 and 1 m: the same the other way round.
     found = averaged(
-        release_of([[0.0, 10.0], [5.0, 0.0]], sigma=np.array([1.0, 1.0])),
-        release_of([[5.0, 0.0], [0.0, 5.0]], sigma=np.array([0.5, 2.0])),
+        one_walk([[0.0, 10.0], [5.0, 0.0]], sigma=np.array([1.0, 1.0])),
+        one_walk([[5.0, 0.0], [0.0, 5.0]], sigma=np.array([0.5, 2.0])),
         granted=(SCENE, REPEATS, SIGMA),
     )
     assert found.xy == pytest.approx(np.array([[4.0, 2.0], [4.0, 1.0]]))
@@ -53,8 +44,8 @@ def test_with_sigma_each_sample_is_weighed_by_its_own_variance():
 
 def test_a_sample_declared_exact_decides():
     found = averaged(
-        release_of([[1.0, 1.0]], sigma=np.array([0.0])),
-        release_of([[9.0, 9.0]], sigma=np.array([0.5])),
+        one_walk([[1.0, 1.0]], sigma=np.array([0.0])),
+        one_walk([[9.0, 9.0]], sigma=np.array([0.5])),
         granted=(SCENE, REPEATS, SIGMA),
     )
     assert found.xy == pytest.approx(np.ones((1, 2)), abs=1e-9)
@@ -64,7 +55,7 @@ def test_a_sample_declared_exact_decides():
 def test_equal_variances_leave_one_part_in_as_many_as_there_are_releases(n_repeats):
     rng = stream(0, "test", "averaging", n_repeats)
     truth = rng.normal(0, 5, (20_000, 2))
-    releases = [release_of(truth + 0.8 * rng.standard_normal(truth.shape)) for _ in range(9)]
+    releases = [one_walk(truth + 0.8 * rng.standard_normal(truth.shape)) for _ in range(9)]
     found = averaged(*releases[: n_repeats + 1])
     # 40,000 squares: their mean is known to 0.7 %.
     left = np.mean((found.xy - truth) ** 2)
@@ -76,8 +67,7 @@ def test_inverse_variances_leave_the_harmonic_sum():
     truth = rng.normal(0, 5, (20_000, 2))
     stds = [rng.uniform(0.2, 2.0, 20_000) for _ in range(3)]
     releases = [
-        release_of(truth + std[:, None] * rng.standard_normal(truth.shape), sigma=std)
-        for std in stds
+        one_walk(truth + std[:, None] * rng.standard_normal(truth.shape), sigma=std) for std in stds
     ]
     found = averaged(*releases, granted=(SCENE, REPEATS, SIGMA))
     best = 1.0 / sum(1.0 / std**2 for std in stds)
@@ -88,4 +78,4 @@ def test_inverse_variances_leave_the_harmonic_sum():
 
 def test_without_repeats_it_cannot_run():
     with pytest.raises(KnowledgeDenied, match="REPEATS"):
-        averaged(release_of([[0.0, 0.0]]), granted=(SCENE,))
+        averaged(one_walk([[0.0, 0.0]]), granted=(SCENE,))

@@ -10,57 +10,41 @@ kalman_rts 1.00 and 1.07, imm_rts 1.01 and 1.08, gaussian_process 1.02 and 1.09,
 and 1.12; savgol 1.17, moving_average 1.39, averaging 4.8 and identity 5.4.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from helpers import kernel_oracles as oracle
+from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS
-from isac_track import kalman as kernels
 from isac_track import plugins as registry
-from isac_track.protocols import AttackContext, TrainingSet, grants
+from isac_track.kalman import smooth_positions
+from isac_track.protocols import TrainingSet, grants
 from isac_track.rng import stream
 from isac_track.sharing import Raw
-from isac_track.types import Knowledge, Release
+from isac_track.types import Knowledge
 
 Q = 0.04
-EPSILON_M = 0.3
 N_TRACKS = 400
 N_REPEATS = 2
 PRIOR = np.diag([100.0, 10.0]) ** 2
 
 
 @cache
-def walks(n_tracks, seed=0):
+def walks(n_tracks, seed=1):
     """Truth, clock and offsets of tracks of 100 to 200 samples, and the std of every sample."""
     rng = stream(seed, "test", "benchmark", n_tracks)
-    sizes = rng.integers(100, 201, n_tracks)
-    dt = rng.uniform(1 / 16, 1 / 8, (n_tracks, 200))
-    # What a step adds: velocity q dt, position q dt^3 / 3, together q dt^2 / 2.
-    kick = np.sqrt(Q * dt)[..., None] * rng.standard_normal((n_tracks, 200, 2))
-    rest = np.sqrt(Q * dt**3 / 12)[..., None] * rng.standard_normal((n_tracks, 200, 2))
-    velocity = rng.normal(0, 1, (n_tracks, 1, 2)) + np.cumsum(kick, axis=1)
-    path = rng.normal(0, 5, (n_tracks, 1, 2)) + np.cumsum(
-        dt[..., None] * (velocity - kick / 2) + rest, axis=1
-    )
-    std = np.exp(rng.uniform(np.log(0.15), np.log(1.0), (n_tracks, 1)))
-    std = std * rng.uniform(2 / 3, 3 / 2, (n_tracks, 200))
-    there = np.arange(200) < sizes[:, None]
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    return path[there], np.cumsum(dt, axis=1)[there], offsets, std[there]
+    t, truth, offsets = cv_walks(*rng.integers(100, 201, n_tracks).tolist(), q=Q, seed=seed)
+    std = np.repeat(np.exp(rng.uniform(np.log(0.15), np.log(1.0), n_tracks)), np.diff(offsets))
+    return truth, t, offsets, std * rng.uniform(2 / 3, 3 / 2, t.size)
 
 
-def release_of(n_tracks, seed=0, again=0):
+def release_of(n_tracks, seed=1, again=0):
     truth, t, offsets, std = walks(n_tracks, seed)
     noise = stream(seed, "test", "benchmark", "noise", seed, again).standard_normal(truth.shape)
-    return Release(
-        t=t,
-        xy=truth + std[:, None] * noise,
-        sigma=std,
-        offsets=offsets,
-        pseudonym=tuple(f"p{row}" for row in range(n_tracks)),
-    )
+    return flat_release(t, truth + std[:, None] * noise, offsets, sigma=std)
 
 
 @cache
@@ -69,7 +53,7 @@ def posterior(n_releases=1):
     truth, t, offsets, std = walks(N_TRACKS)
     mean = np.zeros((N_TRACKS, 2, 2))
     mean[:, :, 0] = truth[offsets[:-1]]
-    _, variance = kernels.smooth_positions(
+    _, variance = smooth_positions(
         t=t,
         xy=truth,
         variance=std**2 / n_releases,
@@ -81,22 +65,16 @@ def posterior(n_releases=1):
     return variance
 
 
-def context(granted):
+def told(granted):
     held = {}
     if Knowledge.TRAIN in granted:
-        train = release_of(32, seed=1)
+        train = release_of(32, seed=2)
         if Knowledge.SIGMA not in granted:
             train = train.without_sigma()
-        held["train"] = TrainingSet(train, walks(32, seed=1)[0])
+        held["train"] = TrainingSet(train, walks(32, seed=2)[0])
     if Knowledge.REPEATS in granted:
         held["repeats"] = tuple(release_of(N_TRACKS, again=1 + turn) for turn in range(N_REPEATS))
-    return AttackContext(
-        rng=stream(0, "test", "benchmark", "attack"),
-        epsilon_m=EPSILON_M,
-        granted=frozenset(granted),
-        mechanism=Raw(),
-        **held,
-    )
+    return context(granted=granted, mechanism=Raw(), **held)
 
 
 def gaps(attack, granted, n_releases):
@@ -105,7 +83,7 @@ def gaps(attack, granted, n_releases):
     release = release_of(N_TRACKS)
     if Knowledge.SIGMA not in granted:
         release = release.without_sigma()
-    found = attack.fit(context(granted))(release)
+    found = attack.fit(told(granted))(release)
     sizes = np.diff(offsets)
     square = ((found.xy - truth) ** 2).sum(axis=1)
     expected = 2.0 * posterior(n_releases)
@@ -151,17 +129,12 @@ def test_the_smoother_that_is_told_all_attains_it(granted):
     """Its law is Gaussian per axis: twice the radial share, given or learnt from others."""
     granted = {Knowledge.SIGMA, *granted}
     attack = KalmanRTS(q=Q)
-    truth, _, offsets, std = walks(N_TRACKS)
+    truth, _, _, std = walks(N_TRACKS)
     release = release_of(N_TRACKS)
     if Knowledge.TRAIN not in granted:
-        release = Release(
-            t=release.t,
-            xy=release.xy,
-            sigma=std * np.sqrt(2.0),  # as a radial error of that variance would be declared
-            offsets=offsets,
-            pseudonym=release.pseudonym,
-        )
-    found = attack.fit(context(granted))(release)
+        # As a radial error of that variance would be declared.
+        release = replace(release, sigma=std * np.sqrt(2.0))
+    found = attack.fit(told(granted))(release)
     ratio = np.sqrt(np.mean((found.xy - truth) ** 2) / posterior().mean())
     assert ratio == pytest.approx(1.0, abs=0.02)
     assert found.std**2 == pytest.approx(posterior(), rel=0.02)

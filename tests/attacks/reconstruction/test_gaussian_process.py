@@ -4,54 +4,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.walks import context, flat_release, release_of, smooth_walks
 
 from attacks.reconstruction.gaussian_process import (
-    CANDIDATES,
     TREND_STD,
     GaussianProcess,
     smooth,
     solve_sklearn,
 )
-from isac_track.protocols import AttackContext, TrainingSet
 from isac_track.rng import stream
-from isac_track.types import Knowledge, Release
 
 KINDS = pytest.mark.parametrize("smoothness", ["matern32", "matern52"])
-
-
-def walks(*sizes, noise_m=0.4, turn=0.4, seed=0):
-    """A release of smooth walks at irregular steps, and the truth."""
-    rng = stream(seed, "test", "process", *sizes)
-    t, truth = [], []
-    for size in sizes:
-        clock = rng.uniform(0, 1e3) + np.cumsum(rng.uniform(0.06, 0.13, size))
-        along = clock - clock[0]
-        t.append(clock)
-        truth.append(
-            rng.normal(0, 5, 2) + np.stack([1.2 * along, np.sin(turn * along) / turn], axis=1)
-        )
-    truth = np.concatenate(truth)
-    return release_of(t, truth + noise_m * rng.standard_normal(truth.shape)), truth
-
-
-def release_of(t, xy):
-    sizes = [clock.size for clock in t]
-    return Release(
-        t=np.concatenate(t),
-        xy=xy,
-        sigma=None,
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        pseudonym=tuple(f"p{row}" for row in range(len(sizes))),
-    )
-
-
-def context(train=None):
-    return AttackContext(
-        rng=stream(0, "test"),
-        epsilon_m=0.3,
-        granted=frozenset() if train is None else frozenset({Knowledge.TRAIN}),
-        train=train,
-    )
 
 
 def dense(release, variance, *, kernel, smoothness):
@@ -78,40 +41,39 @@ def dense(release, variance, *, kernel, smoothness):
     return xy, std
 
 
+def with_a_gap_and_tiny_steps():
+    clocks = (np.r_[np.arange(20) * 0.1, 32 + np.arange(20) * 0.1], np.arange(100) * 1e-3)
+    rng = stream(0, "test", "gap")
+    return release_of([(t, rng.standard_normal((t.size, 2))) for t in clocks])
+
+
 @KINDS
-def test_both_engines_are_the_dense_solve(smoothness):
-    release, _ = walks(12, 1, 40, 2, 3, 40, 25)
+@pytest.mark.parametrize(
+    ("release", "kernel", "engines"),
+    [
+        (smooth_walks(12, 1, 40, 2, 3, 40, 25)[0], (3.0, 1.2), (smooth, solve_sklearn)),
+        (with_a_gap_and_tiny_steps(), (12.0, 2.5), (smooth,)),
+    ],
+    ids=["walks", "gap and tiny steps"],
+)
+def test_it_is_the_dense_solve(release, kernel, engines, smoothness):
     variance = stream(0, "test", "levels").uniform(0.05, 0.5, release.t.size)
-    settings = {"kernel": (3.0, 1.2), "smoothness": smoothness}
-    xy, std = dense(release, variance, **settings)
-    for engine in (smooth, solve_sklearn):
-        guess = engine(release, variance, **settings)
+    xy, std = dense(release, variance, kernel=kernel, smoothness=smoothness)
+    for engine in engines:
+        guess = engine(release, variance, kernel, smoothness=smoothness)
         assert np.allclose(guess.xy, xy, atol=1e-6, rtol=0)
         assert np.allclose(guess.std, std, atol=1e-6, rtol=0)
 
 
 @KINDS
 def test_the_engine_is_a_parameter(smoothness):
-    release, _ = walks(30, 4)
+    release, _ = smooth_walks(30, 4)
     ours, theirs = (
         GaussianProcess(smoothness=smoothness, engine=engine).fit(context())(release)
         for engine in ("state_space", "sklearn")
     )
     assert np.allclose(ours.xy, theirs.xy, atol=1e-6)
     assert np.allclose(ours.std, theirs.std, atol=1e-6)
-
-
-@KINDS
-def test_a_gap_and_tiny_steps_are_the_dense_solve(smoothness):
-    t = [np.r_[np.arange(20) * 0.1, 32 + np.arange(20) * 0.1], np.arange(100) * 1e-3]
-    rng = stream(0, "test", "gap")
-    release = release_of(t, rng.standard_normal((140, 2)))
-    variance = np.full(140, 0.2)
-    settings = {"kernel": (12.0, 2.5), "smoothness": smoothness}
-    xy, std = dense(release, variance, **settings)
-    guess = smooth(release, variance, **settings)
-    assert np.allclose(guess.xy, xy, atol=1e-6)
-    assert np.allclose(guess.std, std, atol=1e-6)
 
 
 def test_the_claimed_deviation_holds():
@@ -121,35 +83,9 @@ def test_the_claimed_deviation_holds():
     z = np.sqrt(3) * np.abs(t[:, None] - t) / 3.0
     root = np.linalg.cholesky((1 + z) * np.exp(-z) + 1e-12 * np.eye(t.size))
     truth = np.concatenate([root @ rng.standard_normal((t.size, 2)) for _ in range(200)])
-    release = release_of([t] * 200, truth + 0.4 * rng.standard_normal(truth.shape))
-    guess = smooth(release, np.full(truth.shape[0], 0.16), kernel=(3.0, 1.0), smoothness="matern32")
+    release = flat_release(
+        np.tile(t, 200), truth + 0.4 * rng.standard_normal(truth.shape), np.arange(201) * t.size
+    )
+    guess = smooth(release, np.full(truth.shape[0], 0.16), (3.0, 1.0), smoothness="matern32")
     score = np.square((guess.xy - truth) / guess.std[:, None]).mean()
     assert score == pytest.approx(1.0, abs=0.08)
-
-
-def test_training_chooses_and_the_blind_take_the_default():
-    straight, truth = walks(*[200] * 4, turn=0.05)
-    restless, bends = walks(*[200] * 4, turn=2.5)
-    calm = GaussianProcess().fit(context(TrainingSet(release=straight, truth=truth)))
-    quick = GaussianProcess().fit(context(TrainingSet(release=restless, truth=bends)))
-    assert calm.keywords["kernel"] != quick.keywords["kernel"]
-    assert {calm.keywords["kernel"], quick.keywords["kernel"]} <= set(CANDIDATES)
-    assert GaussianProcess().fit(context()).keywords["kernel"] == GaussianProcess.DEFAULT
-    given = GaussianProcess(length_s=2.0, scale_m=0.5)
-    chosen = given.fit(context(TrainingSet(release=straight, truth=truth))).keywords["kernel"]
-    assert chosen == (2.0, 0.5)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"length_s": 1.0}, "both length_s and scale_m"),
-        ({"length_s": 0.0, "scale_m": 1.0}, "length_s must be positive"),
-        ({"length_s": 1.0, "scale_m": np.nan}, "scale_m must be positive"),
-        ({"smoothness": "rbf"}, "smoothness must be one of"),
-        ({"engine": "gpy"}, "engine must be one of"),
-    ],
-)
-def test_parameters_are_checked(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        GaussianProcess(**parameters)

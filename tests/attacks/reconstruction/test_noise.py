@@ -5,10 +5,11 @@ from inspect import getclosurevars
 
 import numpy as np
 import pytest
+from helpers.walks import context, release_of
 
 from attacks.reconstruction.noise import learn_variance
 from isac_track.noise import MIN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, innovation_variance_m2
-from isac_track.protocols import AttackContext, TrainingSet
+from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import fisher_information_density, unit_errors
 from isac_track.sharing import Clean, Fid, Fixed, Raw
@@ -72,16 +73,6 @@ def shared(mechanism, *, raw_m=(RAW_M,), n_samples=300, law="radial", hold=10, s
     return Shared(mechanism.share(sensed, rng), truth, sensed, is_short.reshape(-1))
 
 
-def context(*granted, mechanism=None, train=None):
-    return AttackContext(
-        rng=stream(0, "test"),
-        epsilon_m=0.3,
-        granted=frozenset(granted),
-        mechanism=mechanism,
-        train=train,
-    )
-
-
 def blind(release):
     return learn_variance(context())(release)
 
@@ -101,40 +92,35 @@ class TestBlind:
     def test_half_of_what_the_rule_takes_is_no_more_than_nothing(self, granted):
         rule = Fid(ETA)
         victim = shared(rule, seed=1)
-        known = context(*granted, mechanism=rule, train=shared(rule).training)
+        known = context(shared(rule).training, granted=granted, mechanism=rule)
         assert learn_variance(known)(victim.release).tolist() == blind(victim.release).tolist()
 
 
 class TestDeclared:
     def test_without_training_the_radial_law_is_supposed(self):
         victim = shared(Raw(), raw_m=(0.3, 1.2))
-        variance = learn_variance(context(SIGMA))(victim.release)
+        variance = learn_variance(context(granted={SIGMA}))(victim.release)
         assert variance.tolist() == pytest.approx(np.repeat([0.09 / 2, 1.44 / 2], 300))
 
     @pytest.mark.parametrize(("law", "share"), [("radial", 0.5), ("isotropic", 1.0)])
     def test_the_law_is_learnt_from_other_people(self, law, share):
         train = shared(Fixed(0.4), raw_m=(0.2, 0.3, 0.6, 0.9), n_samples=4000, law=law).training
         victim = shared(Fixed(0.4), raw_m=(0.1, 1.0), law="isotropic", seed=1)
-        variance = learn_variance(context(SIGMA, TRAIN, train=train))(victim.release)
+        variance = learn_variance(context(train, granted=(SIGMA, TRAIN)))(victim.release)
         assert variance / victim.release.sigma**2 == pytest.approx(share, rel=0.05)
 
     def test_the_very_share_of_a_training_set_by_hand(self):
         # Squared errors 1 + 4 over declared 4 + 1, on two axes: one half of each.
-        case = shared(Raw(), raw_m=(1.0,), n_samples=2)
-        release = type(case.release)(
-            t=np.array([0.0, 1.0]),
-            xy=np.array([[1.0, 0.0], [0.0, 2.0]]),
-            sigma=np.array([2.0, 1.0]),
-            offsets=np.array([0, 2]),
-            pseudonym=("p",),
+        release = release_of(
+            [(np.array([0.0, 1.0]), np.array([[1.0, 0.0], [0.0, 2.0]]))], sigma=np.array([2.0, 1.0])
         )
         train = TrainingSet(release, np.zeros((2, 2)))
-        variance = learn_variance(context(SIGMA, TRAIN, train=train))(release)
+        variance = learn_variance(context(train, granted=(SIGMA, TRAIN)))(release)
         assert variance.tolist() == pytest.approx([2.0, 0.5])
 
     def test_what_was_declared_exact_keeps_a_variance(self):
         case = shared(Clean())
-        granted = context(SIGMA, TRAIN, train=case.training)
+        granted = context(case.training, granted=(SIGMA, TRAIN))
         assert (learn_variance(granted)(case.release) == MIN_VARIANCE_M2).all()
 
 
@@ -144,7 +130,7 @@ TRAINING_M = np.geomspace(0.08, 1.2, 24)
 
 def informed(rule, *, seed=0):
     train = shared(rule, raw_m=TRAINING_M, n_samples=600, seed=seed).training
-    return learn_variance(context(MECHANISM, TRAIN, mechanism=rule, train=train))
+    return learn_variance(context(train, granted=(MECHANISM, TRAIN), mechanism=rule))
 
 
 def per_track(values, chosen):
@@ -214,5 +200,5 @@ class TestByTheRule:
     def test_other_rules_tell_nothing_more_than_the_positions(self, mechanism):
         train = shared(mechanism, raw_m=TRAINING_M).training
         victim = shared(mechanism, seed=1).release
-        known = context(MECHANISM, TRAIN, mechanism=mechanism, train=train)
+        known = context(train, granted=(MECHANISM, TRAIN), mechanism=mechanism)
         assert learn_variance(known)(victim).tolist() == blind(victim).tolist()

@@ -2,51 +2,33 @@
 
 import numpy as np
 import pytest
+from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS
 from attacks.reconstruction.radial_rts import RadialRTS
-from isac_track.protocols import AttackContext
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
-from isac_track.types import Knowledge, Release
+from isac_track.types import Knowledge
 
 Q = 0.04
 N_TRACKS, N_SAMPLES = 200, 120
 
 
-def walks(law, *, q=Q):
+def walks(law):
     """Exact constant-velocity walks with errors of a law, one level a track, and the truth.
 
     sigma is declared so that half its square is the variance per axis under either law.
     """
+    t, truth, offsets = cv_walks(*[N_SAMPLES] * N_TRACKS, q=Q)
     rng = stream(0, "test", "radial walks")
-    dt = rng.uniform(1 / 16, 1 / 8, (N_SAMPLES, N_TRACKS))
-    position, velocity = rng.normal(0, 5, (N_TRACKS, 2)), rng.normal(0, 1, (N_TRACKS, 2))
-    path = []
-    for step in dt:
-        step = step[:, None]  # noqa: PLW2901
-        kick = np.sqrt(q * step) * rng.standard_normal((N_TRACKS, 2))
-        rest = np.sqrt(q * step**3 / 12) * rng.standard_normal((N_TRACKS, 2))
-        position = position + step * velocity + step / 2 * kick + rest
-        velocity = velocity + kick
-        path.append(position)
-    truth = np.stack(path, axis=1).reshape(-1, 2)
     sigma = np.repeat(rng.uniform(0.2, 1.5, N_TRACKS), N_SAMPLES)
     unit = unit_errors(n_samples=sigma.size, law=law, rng=rng)
     per_axis = 1.0 if law == "radial" else np.sqrt(0.5)
-    release = Release(
-        t=dt.cumsum(axis=0).T.reshape(-1),
-        xy=truth + per_axis * sigma[:, None] * unit,
-        sigma=sigma,
-        offsets=np.arange(N_TRACKS + 1) * N_SAMPLES,
-        pseudonym=tuple(f"p{row}" for row in range(N_TRACKS)),
-    )
-    return release, truth
+    return flat_release(t, truth + per_axis * sigma[:, None] * unit, offsets, sigma=sigma), truth
 
 
 def track_rmse(attack, release, truth, *granted):
-    context = AttackContext(rng=stream(0, "test"), epsilon_m=0.3, granted=frozenset(granted))
-    gap = attack.fit(context)(release).xy - truth
+    gap = attack.fit(context(granted=granted))(release).xy - truth
     return np.sqrt((gap**2).sum(axis=1).reshape(N_TRACKS, N_SAMPLES).mean(axis=1))
 
 
@@ -87,25 +69,7 @@ def test_under_the_isotropic_law_it_does_not(granted):
 
 def test_a_single_pass_is_the_linear_smoother():
     release, _ = walks("radial")
-    context = AttackContext(rng=stream(0, "test"), epsilon_m=0.3)
-    ours = RadialRTS(q=Q, passes=1).fit(context)(release)
-    theirs = KalmanRTS(q=Q).fit(context)(release)
+    ours = RadialRTS(q=Q, passes=1).fit(context())(release)
+    theirs = KalmanRTS(q=Q).fit(context())(release)
     np.testing.assert_array_equal(ours.xy, theirs.xy)
     np.testing.assert_array_equal(ours.std, theirs.std)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"q": 0.0}, "q must be positive"),
-        ({"q": np.nan}, "q must be positive"),
-        ({"q": np.inf}, "q must be"),
-        ({"passes": 0}, "passes must be at least 1"),
-        ({"anneal": 1.0}, r"anneal must lie in \[0, 1\)"),
-        ({"anneal": -0.1}, r"anneal must lie in \[0, 1\)"),
-        ({"anneal": np.nan}, r"anneal must lie in \[0, 1\)"),
-    ],
-)
-def test_impossible_parameters_are_refused(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        RadialRTS(**parameters)

@@ -5,48 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.walks import context, release_of, smooth_walks
 from scipy.signal import savgol_filter
 
-from attacks.reconstruction.savgol import CANDIDATES, Savgol, parabolas
+from attacks.reconstruction.savgol import Savgol, parabolas
 from attacks.reconstruction.windows import half_windows
-from isac_track.protocols import AttackContext, TrainingSet
 from isac_track.rng import stream
-from isac_track.types import Knowledge, Release
-
-
-def walks(*sizes, noise_m=0.4, seed=0, turn=0.4):
-    """A release of smooth walks at irregular steps, and the truth."""
-    rng = stream(seed, "test", "savgol", *sizes)
-    t, truth = [], []
-    for size in sizes:
-        clock = rng.uniform(0, 1e3) + np.cumsum(rng.uniform(0.06, 0.13, size))
-        along = clock - clock[0]
-        t.append(clock)
-        truth.append(
-            rng.normal(0, 5, 2) + np.stack([1.2 * along, np.sin(turn * along) / turn], axis=1)
-        )
-    truth = np.concatenate(truth)
-    return release_of(t, truth + noise_m * rng.standard_normal(truth.shape)), truth
-
-
-def release_of(t, xy):
-    sizes = [clock.size for clock in t]
-    return Release(
-        t=np.concatenate(t),
-        xy=xy,
-        sigma=None,
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        pseudonym=tuple(f"p{row}" for row in range(len(sizes))),
-    )
-
-
-def context(train=None):
-    return AttackContext(
-        rng=stream(0, "test"),
-        epsilon_m=0.3,
-        granted=frozenset() if train is None else frozenset({Knowledge.TRAIN}),
-        train=train,
-    )
 
 
 def by_scipy(release, half):
@@ -69,7 +33,7 @@ def by_scipy(release, half):
 
 def test_it_is_scipy():
     sizes = (400, 1, 2, 3, 4, 5, 6, 7, 8, 9, 60, 61, 150, 400)
-    release, _ = walks(*sizes)
+    release, _ = smooth_walks(*sizes)
     # Scattered levels of noise, so that there are windows of many lengths.
     scale = np.repeat(np.linspace(0.1, 3.0, len(sizes)), sizes)[:, None]
     release = replace(release, xy=release.xy * scale)
@@ -82,7 +46,7 @@ def test_it_is_scipy():
 
 @pytest.mark.parametrize("half", [1, 2, 3, 20, 49, 50, 80])
 def test_windows_of_any_length_are_scipys(half):
-    release, _ = walks(2 * half + 1, 500, 2 * half + 2)
+    release, _ = smooth_walks(2 * half + 1, 500, 2 * half + 2)
     halves = np.full(3, half)
     ours = parabolas(t=release.t, xy=release.xy, offsets=release.offsets, half=halves)
     assert np.allclose(ours, by_scipy(release, halves), atol=1e-9, rtol=0)
@@ -92,7 +56,7 @@ def test_running_sums_lose_nothing_on_a_long_track():
     t = np.arange(100_000) * 0.1
     rng = stream(0, "test", "long")
     xy = np.stack([50 * np.sin(t / 300), 0.01 * t], axis=1) + rng.standard_normal((t.size, 2))
-    release = release_of([t], xy)
+    release = release_of([(t, xy)])
     half = np.array([40])
     ours = parabolas(t=release.t, xy=release.xy, offsets=release.offsets, half=half)
     assert np.allclose(ours, by_scipy(release, half), atol=1e-9, rtol=0)
@@ -100,44 +64,13 @@ def test_running_sums_lose_nothing_on_a_long_track():
 
 def test_a_parabola_at_even_steps_stays():
     along = np.arange(80) * 0.1
-    release = release_of([along], np.stack([0.1 * (along - 3) ** 2, along**2 - along], axis=1))
+    curve = np.stack([0.1 * (along - 3) ** 2, along**2 - along], axis=1)
+    release = release_of([(along, curve)])
     ours = Savgol(width_s=50.0).fit(context())(release)
     assert np.allclose(ours.xy, release.xy, atol=1e-9)
 
 
 @pytest.mark.parametrize("size", [1, 2])
 def test_one_or_two_samples_are_returned(size):
-    release, _ = walks(size)
+    release, _ = smooth_walks(size)
     assert np.array_equal(Savgol().fit(context())(release).xy, release.xy)
-
-
-def test_it_helps_and_training_picks_the_width_for_the_walk():
-    straight, truth = walks(*[300] * 6, turn=0.05)
-    restless, bends = walks(*[300] * 6, turn=1.5)
-    calm = Savgol().fit(context(TrainingSet(release=straight, truth=truth)))
-    quick = Savgol().fit(context(TrainingSet(release=restless, truth=bends)))
-    assert calm.keywords["width_s"] > quick.keywords["width_s"]
-    assert {calm.keywords["width_s"], quick.keywords["width_s"]} <= set(CANDIDATES)
-    for attack, release, walk in ((calm, straight, truth), (quick, restless, bends)):
-        error = np.square(attack(release).xy - walk).mean()
-        assert error < 0.4 * np.square(release.xy - walk).mean()
-    assert Savgol().fit(context()).keywords["width_s"] == Savgol.DEFAULT_WIDTH_S
-
-
-def test_a_gap_and_tiny_steps_are_no_trouble():
-    t = [np.r_[np.arange(20) * 0.1, 32 + np.arange(20) * 0.1], np.arange(3000) * 1e-3]
-    rng = stream(0, "test", "gap")
-    release = release_of(t, rng.standard_normal((3040, 2)))
-    assert np.isfinite(Savgol().fit(context())(release).xy).all()
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"width_s": 0.0}, "width_s must be positive"),
-        ({"width_s": np.nan}, "width_s must be positive"),
-    ],
-)
-def test_parameters_are_checked(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        Savgol(**parameters)

@@ -2,9 +2,11 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+from helpers.walks import release_of
 
 from attacks.tasks.build import build
 from attacks.tasks.draft import LEAST_PEOPLE
@@ -20,28 +22,33 @@ HANDOVERS = ("handover-1s", "handover-2s", "handover-5s")
 WINDOW_S = STAGES.linkage.window_s
 
 
-def crowd(*, n=60, seed=0, groups=(3, 2, 2), session=0):
+@cache
+def crowd(*, n=60, groups=(3, 2, 2), session=0):
     """People who come and go over 100 s, each for 5 to 40 s; the first few walk in groups."""
-    t_parts, xy_parts, source, group = [], [], [], []
-    labels = [f"g{number}" for number, size in enumerate(groups) for _ in range(size)]
+    walks = []
     for row in range(n):
-        rng = stream(seed, "test", "crowd", session, row)
+        rng = stream(0, "test", "crowd", session, row)
         start, length = rng.uniform(0, 80), rng.uniform(5, 40)
         t = np.round(np.arange(start, start + length, 0.4), 2)
         velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal((t.size, 2)).cumsum(axis=0)
-        t_parts.append(t)
-        xy_parts.append(rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0))
-        source.append(f"p{row:03d}")
-        group.append(labels[row] if row < len(labels) else f"alone{session}-{row}")
+        walks.append((t, rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0)))
+    group = [f"g{number}" for number, size in enumerate(groups) for _ in range(size)]
+    group += [f"alone{session}-{row}" for row in range(len(group), n)]
+    return tracks_of(walks, source=[f"p{row:03d}" for row in range(n)], group=group)
+
+
+def tracks_of(walks, *, source, group):
+    release = release_of(walks)
     return Tracks(
-        t=np.concatenate(t_parts),
-        xy=np.concatenate(xy_parts),
-        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
+        t=release.t,
+        xy=release.xy,
+        offsets=release.offsets,
         source=tuple(source),
         group=tuple(group),
     )
 
 
+@cache
 def sessions(name, *, tracks=None, stages=STAGES, seed=0):
     tracks = tracks if tracks is not None else crowd()
     later = crowd(session=1, groups=(2, 2)) if TASKS[name].simulated else None
@@ -53,16 +60,11 @@ def spans(windows):
 
 
 def without(tracks, row):
-    keep = np.repeat(np.arange(len(tracks)) != row, np.diff(tracks.offsets))
-    sizes = np.delete(np.diff(tracks.offsets), row)
-    names = [name for place, name in enumerate(tracks.source) if place != row]
-    groups = [name for place, name in enumerate(tracks.group) if place != row]
-    return Tracks(
-        t=tracks.t[keep],
-        xy=tracks.xy[keep],
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        source=tuple(names),
-        group=tuple(groups),
+    stay = [place for place in range(len(tracks)) if place != row]
+    return tracks_of(
+        [(tracks[place].t, tracks[place].xy) for place in stay],
+        source=[tracks.source[place] for place in stay],
+        group=[tracks.group[place] for place in stay],
     )
 
 
@@ -343,14 +345,9 @@ def test_one_walking_group_is_refused():
 def test_people_who_are_there_all_the_time_teach_nobody_and_are_refused():
     t = np.arange(0.0, 100.0, 0.4)
     rng = stream(0, "test", "always")
-    n = 40
-    always = Tracks(
-        t=np.tile(t, n),
-        xy=rng.normal(0, 0.2, (n * t.size, 2)).cumsum(axis=0),
-        offsets=np.arange(n + 1) * t.size,
-        source=tuple(f"p{row}" for row in range(n)),
-        group=tuple(f"p{row}" for row in range(n)),
-    )
+    names = [f"p{row}" for row in range(40)]
+    walks = [(t, rng.normal(0, 0.2, (t.size, 2)).cumsum(axis=0)) for _ in names]
+    always = tracks_of(walks, source=names, group=names)
     with pytest.raises(DataError, match="are there all the time"):
         sessions("handover-1s", tracks=always)
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.walks import flat_release, release_of
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from isac_track.linkability import Search, permutation_p
-from isac_track.types import Release
 
 N = 60
 ALPHA = 1e-3
@@ -21,21 +21,14 @@ def release(rng, *, duration_s=None, rate_hz=None, level=None, place=None, start
     level = rng.uniform(0.1, 1, N) if level is None else level
     place = rng.uniform(-50, 50, (N, 2)) if place is None else place
     start_s = rng.uniform(0, 1e4, N) if start_s is None else start_s
-    t, xy, sigma, sizes = [], [], [], []
+    walks, sigma = [], []
     for row in range(N):
         size = int(duration_s[row] * rate_hz[row])
         steps = rng.uniform(0.8, 1.2, size) / rate_hz[row]
-        t.append(start_s[row] + np.cumsum(steps) - steps[0])
-        xy.append(place[row] + 0.2 * rng.standard_normal((size, 2)).cumsum(axis=0))
+        t = start_s[row] + np.cumsum(steps) - steps[0]
+        walks.append((t, place[row] + 0.2 * rng.standard_normal((size, 2)).cumsum(axis=0)))
         sigma.append(level[row] * rng.uniform(0.9, 1.1, size))
-        sizes.append(size)
-    return Release(
-        t=np.concatenate(t),
-        xy=np.concatenate(xy),
-        sigma=np.concatenate(sigma),
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        pseudonym=tuple(f"{row}" for row in range(N)),
-    )
+    return release_of(walks, sigma=np.concatenate(sigma))
 
 
 LEAKS = {
@@ -48,13 +41,8 @@ LEAKS = {
 }
 
 
-def p_value(name, **shared):
-    return scored_p(name, "rerelease", **shared)
-
-
-def scored_p(name, task, **shared):
-    rng = np.random.default_rng(5)
-    probe, gallery = release(rng, **shared), release(rng, **shared)
+def p_value(name, *, probe, gallery, rng, task="rerelease"):
+    """Of the control's ranks among those of shuffled mates."""
     scores = CONTROLS[name].scorer(TASKS[task])(probe, gallery, rng)
     assert scores.shape == (N, N)
     assert np.isfinite(scores).all()
@@ -63,25 +51,31 @@ def scored_p(name, task, **shared):
     return permutation_p(searches=[search], rng=rng, n_shuffles=9999)
 
 
+def leaking(name, leak=None):
+    rng = np.random.default_rng(5)
+    shared = {} if leak is None else LEAKS[leak](np.random.default_rng(1))
+    return p_value(name, probe=release(rng, **shared), gallery=release(rng, **shared), rng=rng)
+
+
 def test_every_audit_has_a_leak_to_find():
     assert LEAKS.keys() == {name for name, control in CONTROLS.items() if control.is_audit}
 
 
 @pytest.mark.parametrize("name", LEAKS)
 def test_an_audit_finds_its_leak(name):
-    assert p_value(name, **LEAKS[name](np.random.default_rng(1))) < ALPHA
+    assert leaking(name, name) < ALPHA
 
 
 @pytest.mark.parametrize("name", [*LEAKS, "random"])
 def test_a_control_stays_at_chance_where_nothing_leaks(name):
-    assert p_value(name) > ALPHA
+    assert leaking(name) > ALPHA
 
 
 @pytest.mark.parametrize(
     ("name", "leak"), [("noise_level", "clock"), ("frame", "noise_level"), ("clock", "frame")]
 )
 def test_an_audit_sees_nothing_but_its_own(name, leak):
-    assert p_value(name, **LEAKS[leak](np.random.default_rng(1))) > ALPHA
+    assert leaking(name, leak) > ALPHA
 
 
 def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
@@ -91,16 +85,12 @@ def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
             rng = np.random.default_rng(seed)
             place = rng.uniform(-50, 50, (N, 2))
             own = rng.uniform(0.2, 5, N)
-            sides = [
-                release(rng, place=place, level=level_of(place, own, rng))
-                for _ in ("probe", "gallery")
-            ]
-            scores = CONTROLS["noise_level"].scorer(TASKS[task])(*sides, rng)
-            people = np.arange(N)
-            search = Search(
-                scores=scores, mate=people, probe_cluster=people, gallery_cluster=people
+            probe, gallery = (
+                release(rng, place=place, level=level_of(place, own, rng)) for _ in range(2)
             )
-            p_values.append(permutation_p(searches=[search], rng=rng, n_shuffles=9999))
+            p_values.append(
+                p_value("noise_level", probe=probe, gallery=gallery, rng=rng, task=task)
+            )
         return np.array(p_values)
 
     def by_place(place, own, rng):
@@ -131,13 +121,8 @@ def test_without_a_declared_level_there_is_nothing_to_see():
 
 @pytest.mark.parametrize("name", [name for name in LEAKS if name != "sampling_times"])
 def test_tracks_of_one_sample_are_handled(name):
-    one = Release(
-        t=np.array([0.0, 1.0, 2.0, 3.0]),
-        xy=np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [5.0, 5.0]]),
-        sigma=np.full(4, 0.1),
-        offsets=np.array([0, 1, 3, 4]),
-        pseudonym=("a", "b", "c"),
-    )
+    xy = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [5.0, 5.0]])
+    one = flat_release(np.arange(4.0), xy, np.array([0, 1, 3, 4]), sigma=np.full(4, 0.1))
     scores = CONTROLS[name].score(one, one, np.random.default_rng(0))
     assert np.isfinite(scores).all()
     assert (scores.argmax(axis=1) == [0, 1, 2]).all() or name in {

@@ -1,10 +1,12 @@
-"""Made-up walks for the linkage attacks: smooth, each unlike the others, in frames of their own."""
+"""Made-up walks, releases of them, and what an attack is granted."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from isac_track.protocols import AttackContext, LinkageTrainingSet
+from isac_track.protocols import AttackContext
 from isac_track.rng import stream
 from isac_track.types import Knowledge, Release
 
@@ -12,16 +14,66 @@ STEP_S = 0.02
 """Of the fine clock on which a walk is made up before it is sampled."""
 
 
-def release_of(walks):
+def release_of(walks, *, sigma=None):
     """A release of (t, xy) pairs."""
-    sizes = [t.size for t, _ in walks]
+    sizes = [len(t) for t, _ in walks]
     return Release(
         t=np.concatenate([np.zeros(0), *(t for t, _ in walks)]),
         xy=np.concatenate([np.zeros((0, 2)), *(xy for _, xy in walks)]),
-        sigma=None,
+        sigma=sigma,
         offsets=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         pseudonym=tuple(f"p{row}" for row in range(len(sizes))),
     )
+
+
+def flat_release(t, xy, offsets, *, sigma=None):
+    """A release of flat arrays."""
+    names = tuple(f"p{row}" for row in range(len(offsets) - 1))
+    return Release(t=t, xy=xy, sigma=sigma, offsets=offsets, pseudonym=names)
+
+
+def context(train=None, *, granted=None, mechanism=None, repeats=(), epsilon_m=0.3):
+    """An attack's context; what is granted is TRAIN where there is a training set, or as said."""
+    if granted is None:
+        granted = () if train is None else (Knowledge.TRAIN,)
+    return AttackContext(
+        rng=stream(0, "test", "attack"),
+        epsilon_m=epsilon_m,
+        granted=frozenset(granted),
+        mechanism=mechanism,
+        train=train,
+        repeats=repeats,
+    )
+
+
+def smooth_walks(*sizes, noise_m=0.4, turn=0.4, seed=0):
+    """A release of walks that swing from side to side, at irregular steps, and the truth."""
+    rng = stream(seed, "test", "smooth", *sizes)
+    walks = []
+    for size in sizes:
+        t = rng.uniform(0, 1e3) + np.cumsum(rng.uniform(0.06, 0.13, size))
+        along = t - t[0]
+        swing = np.stack([1.2 * along, np.sin(turn * along) / turn], axis=1)
+        walks.append((t, rng.normal(0, 5, 2) + swing))
+    truth = release_of(walks)
+    xy = truth.xy + noise_m * rng.standard_normal(truth.xy.shape)
+    return replace(truth, xy=xy), truth.xy
+
+
+def cv_walks(*sizes, q=0.04, seed=0, from_s=0.0):
+    """Times, places and offsets of exact constant-velocity walks at 8 to 16 Hz."""
+    rng = stream(seed, "test", "constant velocity", len(sizes), sum(sizes))
+    n, longest = len(sizes), max(sizes)
+    dt = rng.uniform(1 / 16, 1 / 8, (n, longest))
+    # What a step adds: velocity q dt, position q dt^3 / 3, together q dt^2 / 2.
+    kick = np.sqrt(q * dt)[..., None] * rng.standard_normal((n, longest, 2))
+    rest = np.sqrt(q * dt**3 / 12)[..., None] * rng.standard_normal((n, longest, 2))
+    velocity = rng.normal(0, 1, (n, 1, 2)) + np.cumsum(kick, axis=1)
+    way = dt[..., None] * (velocity - kick / 2) + rest
+    path = rng.normal(0, 5, (n, 1, 2)) + np.cumsum(way, axis=1)
+    there = np.arange(longest) < np.array(sizes)[:, None]
+    t = from_s + np.cumsum(dt, axis=1)[there]
+    return t, path[there], np.concatenate([[0], np.cumsum(sizes)])
 
 
 class Person:
@@ -78,12 +130,10 @@ def moved(release, *, seed=0, mirrored=False):
     xy = np.stack(
         [np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y], axis=1
     )
-    return Release(
+    return replace(
+        release,
         t=release.t + rng.uniform(0, 1e4, n)[owner],
         xy=xy + rng.uniform(-100, 100, (n, 2))[owner],
-        sigma=None,
-        offsets=release.offsets,
-        pseudonym=release.pseudonym,
     )
 
 
@@ -97,21 +147,6 @@ def odd_release(seed=0, *, n=14):
         xy = np.cumsum(rng.normal(0, 0.3, (size, 2)), axis=0)
         walks.append((rng.uniform(0, 1e5) + np.cumsum(steps), xy * (row % 5 > 0)))
     return release_of(walks)
-
-
-def context(train=None, *, scene=False):
-    """An attack's context with what it is granted."""
-    granted = {Knowledge.TRAIN} if train is not None else set()
-    if scene:
-        granted.add(Knowledge.SCENE)
-    return AttackContext(
-        rng=stream(0, "test", "attack"), epsilon_m=0.3, granted=frozenset(granted), train=train
-    )
-
-
-def training(probe, gallery, mate):
-    """A training set."""
-    return LinkageTrainingSet(probe=probe, gallery=gallery, mate=mate)
 
 
 def hits(scores, mate):
