@@ -95,10 +95,12 @@ def _header(*, data: bytes, path: str) -> tuple[float | None, float]:
     fps: float | None = None
     units: dict[str, int] = {}
     for number, line in enumerate(lines_of(data), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
+        text = line.strip()[:_HEADER_CHARACTERS]  # the search is quadratic in the worst case
+        if not text:
+            continue
+        if not text.startswith("#"):
             break
-        line = line[:_HEADER_CHARACTERS]  # noqa: PLW2901 - the search is quadratic in the worst case
-        found = re.search(r"frame\s*rate[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)", line, re.IGNORECASE)
+        found = re.search(r"frame\s*rate[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)", text, re.IGNORECASE)
         if found and fps is None:
             try:
                 fps = float(found[1])
@@ -106,7 +108,7 @@ def _header(*, data: bytes, path: str) -> tuple[float | None, float]:
                 message = f"the framerate {found[1][:40]!r} is not a number"
                 raise fault(path=path, line=number, message=message) from None
             checked_fps(fps, where=f"{path}, line {number}")
-        for unit in re.findall(r"\bx\s*[/\[(]\s*([a-z]+)|\bin\s+(c?m)\b", line.lower()):
+        for unit in re.findall(r"\bx\s*[/\[(]\s*([a-z]+)|\bin\s+(c?m)\b", text.lower()):
             units.setdefault((unit[0] or unit[1])[:40], number)
     if len(units) > 1:
         raise DataError(f"{path}: the header names two units of length: {listed(list(units))}")

@@ -26,7 +26,10 @@ def ucy():
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
-    """Answers with what `server.files` holds: bytes, a status, or a function of the handler."""
+    """Answers with what `server.files` holds.
+
+    Bytes, a status, a function of the handler, or (announced length, bytes, what comes then).
+    """
 
     def do_GET(self):
         self.server.asked.append(self.path)
@@ -36,10 +39,16 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         elif isinstance(answer, int):
             self.send_error(answer)
         else:
+            length, data, then = (
+                answer if isinstance(answer, tuple) else (len(answer), answer, None)
+            )
             self.send_response(200)
-            self.send_header("Content-Length", str(len(answer)))
+            if length is not None:
+                self.send_header("Content-Length", str(length))
             self.end_headers()
-            self.wfile.write(answer)
+            self.wfile.write(data)
+            if then:
+                then(self)
 
     def log_message(self, *_):
         pass

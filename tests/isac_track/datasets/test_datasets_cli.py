@@ -142,15 +142,11 @@ def test_fetch_offline(empty_machine, capsys):
 def test_an_interrupt_ends_with_130_and_leaves_nothing(mirror, empty_machine):
     asked, over = threading.Event(), threading.Event()
 
-    def stall(handler):
-        handler.send_response(200)
-        handler.send_header("Content-Length", "100000")
-        handler.end_headers()
-        handler.wfile.write(b"1 " * 20_000)
+    def stall(_handler):
         asked.set()
         over.wait(10)
 
-    mirror.files["/base/zara01/obsmat.txt"] = stall
+    mirror.files["/base/zara01/obsmat.txt"] = (100_000, b"1 " * 20_000, stall)
     process = start("fetch", "zara01")
     try:
         assert asked.wait(10)
