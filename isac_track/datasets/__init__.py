@@ -7,6 +7,7 @@ mended on reading, `summary` the statistics; ``docs/data.md`` describes it all.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,8 +196,6 @@ def _dataset(
     repairs: tuple[Repair, ...] = (),
     notice: str | None = None,
 ) -> Dataset:
-    import hashlib  # noqa: PLC0415 - a plain import stays quick
-
     return Dataset(
         name=source.name,
         tracks=tracks,

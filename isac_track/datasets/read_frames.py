@@ -17,7 +17,6 @@ from isac_track.datasets.rows import (
     Rows,
     check_text,
     checked_fps,
-    fault,
     framed,
     lines_of,
     listed,
@@ -102,20 +101,20 @@ def _header(*, data: bytes, path: str) -> tuple[float | None, float]:
             break
         found = re.search(r"frame\s*rate[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)", text, re.IGNORECASE)
         if found and fps is None:
+            where = f"{path}, line {number}"
             try:
-                fps = float(found[1])
+                fps = checked_fps(float(found[1]), where=where)
             except ValueError:
-                message = f"the framerate {found[1][:40]!r} is not a number"
-                raise fault(path=path, line=number, message=message) from None
-            checked_fps(fps, where=f"{path}, line {number}")
+                reason = f"the framerate {found[1][:40]!r} is not a number"
+                raise DataError(f"{where}: {reason}") from None
         for unit in re.findall(r"\bx\s*[/\[(]\s*([a-z]+)|\bin\s+(c?m)\b", text.lower()):
             units.setdefault((unit[0] or unit[1])[:40], number)
     if len(units) > 1:
         raise DataError(f"{path}: the header names two units of length: {listed(list(units))}")
     for unit, number in units.items():
         if unit not in _METRES:
-            message = f"lengths are in {unit!r}; convert them to m (x/m) or cm (x/cm)"
-            raise fault(path=path, line=number, message=message)
+            way_out = "convert them to m (x/m) or cm (x/cm)"
+            raise DataError(f"{path}, line {number}: lengths are in {unit!r}; {way_out}")
     return fps, _METRES[next(iter(units), "m")]
 
 
@@ -150,7 +149,7 @@ def _raise_first_fault(*, data: bytes, path: str, layout: Layout) -> None:
             message = f"{len(fields)} columns where the rows before have {n_first}"
         message = message or next(filter(None, map(_number_fault, fields)), "")
         if message:
-            raise fault(path=path, line=number, message=message)
+            raise DataError(f"{path}, line {number}: {message}")
         n_first = len(fields)
 
 
@@ -215,7 +214,7 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
                 row_rates.setdefault(_number(content, "fps"), number)
         except (ValueError, RecursionError) as error:
             reason = "too deeply nested" if isinstance(error, RecursionError) else str(error)
-            raise fault(path=path, line=number, message=reason) from None
+            raise DataError(f"{path}, line {number}: {reason}") from None
     if not lines:
         raise DataError(f"{path}: the file holds no track rows")
     place = Place(path=path, lines=lambda: np.array(lines, dtype=np.int64))
@@ -273,8 +272,8 @@ def _frame_rate(
 ) -> tuple[float, list[Repair]]:
     if len(row_rates) > 1:
         (first, first_line), (other, line) = list(row_rates.items())[:2]
-        message = f"scene fps {other:g} contradicts the {first:g} of line {first_line}"
-        raise fault(path=path, line=line, message=message)
+        reason = f"scene fps {other:g} contradicts the {first:g} of line {first_line}"
+        raise DataError(f"{path}, line {line}: {reason}")
     if not row_rates:
         if fps is None:
             raise DataError(

@@ -20,7 +20,6 @@ from isac_track.datasets.rows import (
     check_text,
     checked_name,
     clean_id,
-    fault,
     lines_of,
     listed,
     printable,
@@ -162,7 +161,7 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
     if len(names) > _MOST_COLUMNS:
         message = f"{len(names)} columns, over {_MOST_COLUMNS}; leave out what is not used"
     if message:
-        raise fault(path=path, line=1, message=message)
+        raise DataError(f"{path}, line 1: {message}")
     _check_header(names=names, where=f"{path}, line 1")
     return names
 
@@ -190,7 +189,7 @@ def _raise_first_csv_fault(*, body: bytes, names: tuple[str, ...], path: str) ->
     for number, line in enumerate(lines_of(body), start=2):
         message = _csv_fault(line, names) if line else ""
         if message:
-            raise fault(path=path, line=number, message=message)
+            raise DataError(f"{path}, line {number}: {message}")
 
 
 def _csv_fault(line: str, names: tuple[str, ...]) -> str:

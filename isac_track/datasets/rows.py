@@ -155,11 +155,6 @@ def lines_of(data: bytes) -> Iterator[str]:
         yield line.removesuffix("\n")
 
 
-def fault(*, path: str, line: int, message: str) -> DataError:
-    """Return the error of one line."""
-    return DataError(f"{path}, line {line}: {message}")
-
-
 def check_text(*, data: bytes, path: str) -> None:
     """Check that a file is text.
 
@@ -170,12 +165,13 @@ def check_text(*, data: bytes, path: str) -> None:
     """
     if not data:
         raise DataError(f"{path}: the file is empty")
-    if data.startswith(b"\x1f\x8b"):
-        raise DataError(f"{path}: the file is compressed (gzip); unpack it first")
-    if data.startswith(b"PAR1"):
-        raise DataError(f"{path}: this is a parquet file; read it with --format parquet")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise DataError(f"{path}: the file is UTF-16 text; save it as UTF-8")
+    for beginnings, message in (
+        (b"\x1f\x8b", "the file is compressed (gzip); unpack it first"),
+        (b"PAR1", "this is a parquet file; read it with --format parquet"),
+        ((b"\xff\xfe", b"\xfe\xff"), "the file is UTF-16 text; save it as UTF-8"),
+    ):
+        if data.startswith(beginnings):
+            raise DataError(f"{path}: {message}")
     if b"\0" in data:
         raise DataError(f"{path}: the file is binary, not text (zero byte at {data.index(0)})")
     try:
@@ -184,8 +180,9 @@ def check_text(*, data: bytes, path: str) -> None:
         # With a mark, `error.start` counts from behind it; the line number is the same.
         line = error.object[: error.start].count(b"\n") + 1
         byte = error.object[error.start]
-        message = f"byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8"
-        raise fault(path=path, line=line, message=message) from None
+        raise DataError(
+            f"{path}, line {line}: byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8"
+        ) from None
 
 
 def checked_fps(fps: float, *, where: str) -> float:

@@ -110,3 +110,8 @@ def same(one, other):
         and np.array_equal(one.t, other.t)
         and (one.source, one.group) == (other.source, other.group)
     )
+
+
+def files_in(folder):
+    """Return all files below a folder."""
+    return [path for path in folder.rglob("*") if path.is_file()]

@@ -17,6 +17,14 @@ def empty_machine(monkeypatch, tmp_path):
 
 
 @pytest.fixture
+def data_folder(empty_machine, monkeypatch, tmp_path):  # noqa: ARG001 - all else is to be empty
+    """An empty data folder of the user's."""
+    (tmp_path / "data").mkdir()
+    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
+    return tmp_path / "data"
+
+
+@pytest.fixture
 def ucy():
     """Give the folder of the real recordings, which are not part of the project."""
     folder = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere"))

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 
 import pytest
+from helpers.recordings import files_in
 
 from isac_track.datasets import download, load
 from isac_track.datasets.download import fetch, url_of
@@ -19,10 +20,6 @@ from isac_track.errors import DataError
 WALK = b"1 1 0 0 0 0 0 0\n11 1 0.4 0 0 0 0 0\n"
 OTHER = WALK + b"\n"
 SMALL = Known(name="small", sha256={"obsmat.txt": hashlib.sha256(WALK).hexdigest()})
-
-
-def files_in(folder):
-    return [path for path in folder.rglob("*") if path.is_file()]
 
 
 def put(folder, name, *sources, **contents):
@@ -71,35 +68,30 @@ def test_the_default_takes_the_real_recording_if_it_is_here(ucy):
     assert "Lerner" in loaded.citation
 
 
-def test_data_folder_before_cache(empty_machine, monkeypatch, tmp_path):
-    put(empty_machine, "small", obsmat=WALK)
-    assert locate(SMALL) == {"obsmat.txt": empty_machine / "small" / "obsmat.txt"}
-    put(tmp_path / "data", "small", obsmat=WALK)
-    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
-    assert locate(SMALL) == {"obsmat.txt": tmp_path / "data" / "small" / "obsmat.txt"}
+def test_data_folder_before_cache(empty_machine, data_folder):
+    for folder in (empty_machine, data_folder):
+        put(folder, "small", obsmat=WALK)
+        assert locate(SMALL) == {"obsmat.txt": folder / "small" / "obsmat.txt"}
 
 
 @pytest.mark.parametrize("name", [None, "students03"])
-def test_a_wrong_file_is_an_error_with_both_hashes(name, ucy, empty_machine, monkeypatch, tmp_path):
-    data = tmp_path / "data"
-    put(data, "students03", ucy / "students03" / "groups.txt", obsmat=WALK)
-    monkeypatch.setenv("ISAC_TRACK_DATA", str(data))
+def test_a_wrong_file_is_an_error_with_both_hashes(name, ucy, data_folder):
+    put(data_folder, "students03", ucy / "students03" / "groups.txt", obsmat=WALK)
     with pytest.raises(DataError) as caught:
         load(name)
     message = str(caught.value)
-    assert message.startswith(f"{data}/students03/obsmat.txt is not the obsmat.txt of students03")
+    assert message.startswith(
+        f"{data_folder}/students03/obsmat.txt is not the obsmat.txt of students03"
+    )
     assert hashlib.sha256(WALK).hexdigest() in message
     assert KNOWN["students03"].sha256["obsmat.txt"] in message
     assert "give its path, --format obsmat and --fps" in message
     # The way out that it names.
-    assert load(data / "students03" / "obsmat.txt", format="obsmat", fps=25).tracks.t.size == 2
+    assert load(path, format="obsmat", fps=25).tracks.t.size == 2
 
 
-def test_students03_without_its_groups_is_an_error_not_other_intervals(
-    ucy, empty_machine, monkeypatch, tmp_path
-):
-    put(tmp_path / "data", "students03", ucy / "students03" / "obsmat.txt")
-    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
+def test_students03_without_its_groups_is_an_error_not_other_intervals(ucy, data_folder):
+    put(data_folder, "students03", ucy / "students03" / "obsmat.txt")
     for name in (None, "students03"):
         with pytest.raises(DataError, match=r"students03: groups.txt not found; .*obsmat.txt is "):
             load(name, download=False)
@@ -239,12 +231,6 @@ def test_a_damaged_file_in_the_cache_is_replaced_by_a_good_one_alone(mirror, emp
     mirror.files["/base/small/obsmat.txt"] = WALK
     fetch(SMALL)
     assert path.read_bytes() == WALK
-
-
-def test_nobody_listens(empty_machine):
-    with pytest.raises(DataError, match=r"127.0.0.1:1/zara01/obsmat.txt: no connection"):
-        load("zara01")
-    assert files_in(empty_machine) == []
 
 
 @pytest.mark.parametrize(
