@@ -7,6 +7,7 @@ mended on reading, `summary` the statistics; ``docs/data.md`` describes it all.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,7 @@ from isac_track.datasets.rows import Repair
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from isac_track.types import Tracks
 
@@ -93,51 +94,41 @@ def load(
         If there is no such data set, it cannot be had, or it cannot be read; the message
         names file and line, or the way out.
     """
-    chosen = _known_or_none(name)
-    if name is not None and chosen is None:
-        return _load_file(Path(name), format=format, fps=fps)
+    chosen, notice = _chosen(name)
+    if chosen is None:
+        return _load_file(Path(str(name)), format=format, fps=fps)
     if format is not None or fps is not None:
         raise DataError(
-            f"{chosen.name if chosen else 'the default data set'} is known by name: "
+            f"{'the default data set' if name is None else chosen.name} is known by name: "
             "leave --format and --fps out (they describe a file of your own)"
         )
-    if chosen is None:
-        return _load_default()
-    if chosen.simulated:
-        return _load_bundled(chosen)
+    if chosen.session is not None:
+        return _load_bundled(chosen, session=chosen.session, notice=notice)
     files = locate(chosen)
     if not complete(chosen, files):
-        if not download:
+        if name is None or not download:
             raise _missing(chosen, files=files)
         from isac_track.datasets.download import fetch  # noqa: PLC0415 - seldom needed
 
-        files = fetch(chosen, found=files)
+        files, _ = fetch(chosen)
     return _load_files(chosen, files=files)
 
 
-def _known_or_none(name: str | Path | None) -> Known | None:
-    """Return the known data set, or None for a path or for the default."""
-    if name is None or isinstance(name, Path):
-        return None
-    if name in KNOWN:
-        return KNOWN[name]
+def _chosen(name: str | Path | None) -> tuple[Known | None, str | None]:
+    """Return the known data set or None for a path, and what to say if it is second best."""
+    if name is None:
+        if locate(KNOWN[DEFAULT]):
+            return KNOWN[DEFAULT], None
+        notice = (
+            f"{DEFAULT} is not here ({searched()}): using the bundled simulated crowd {FALLBACK}. "
+            f"To get it: python -m isac_track.datasets fetch {DEFAULT}"
+        )
+        return KNOWN[FALLBACK], notice
+    if isinstance(name, Path):
+        return None, None
     # A mistyped name is a better guess than a missing file if nothing in it looks like a path.
     is_path = os.sep in name or "." in name or os.path.exists(name)  # noqa: PTH110 - never raises
-    return None if is_path else known(name)
-
-
-def _load_default() -> Dataset:
-    preferred = KNOWN[DEFAULT]
-    files = locate(preferred)
-    if complete(preferred, files):
-        return _load_files(preferred, files=files)
-    if files:
-        raise _missing(preferred, files=files)
-    notice = (
-        f"{DEFAULT} is not here ({searched()}): using the bundled simulated crowd {FALLBACK}. "
-        f"To get it: python -m isac_track.datasets fetch {DEFAULT}"
-    )
-    return _load_bundled(KNOWN[FALLBACK], notice=notice)
+    return None if is_path and name not in KNOWN else known(name), None
 
 
 def _missing(data_set: Known, *, files: Mapping[str, Path]) -> DataError:
@@ -150,8 +141,6 @@ def _missing(data_set: Known, *, files: Mapping[str, Path]) -> DataError:
 
 
 def _load_files(data_set: Known, *, files: Mapping[str, Path]) -> Dataset:
-    from isac_track.datasets import formats  # noqa: PLC0415 - a plain import stays quick
-
     path = files[MAIN_FILE]
     data = checked_bytes(path, data_set=data_set)
     groups: list[tuple[str, str]] = []
@@ -159,64 +148,63 @@ def _load_files(data_set: Known, *, files: Mapping[str, Path]) -> Dataset:
         text = checked_bytes(files[GROUPS_FILE], data_set=data_set).decode()
         for members in (line.split() for line in text.splitlines()):
             groups += [(member, members[0]) for member in members]
-    tracks, repairs = formats.read(
-        data=data, path=shown(path), format=data_set.format, fps=data_set.fps, groups=groups
-    )
-    return Dataset(
-        name=data_set.name,
-        tracks=tracks,
-        path=shown(path),
-        sha256=data_set.sha256[MAIN_FILE],
-        format=data_set.format,
-        simulated=False,
-        repairs=repairs,
-        notice=None,
-        citation=data_set.citation,
-        licence=data_set.licence,
-    )
-
-
-def _load_bundled(data_set: Known, *, notice: str | None = None) -> Dataset:
-    import hashlib  # noqa: PLC0415 - a plain import stays quick
-
-    from isac_track.datasets import crowd  # noqa: PLC0415
-
-    assert data_set.session is not None
-    path = crowd.bundled_path(data_set.session)
-    return Dataset(
-        name=data_set.name,
-        tracks=crowd.bundled(data_set.session),
-        path=f"isac_track/datasets/{path.name}",
-        sha256=hashlib.sha256(read_bytes(path)).hexdigest(),
-        format=data_set.format,
-        simulated=True,
-        repairs=(),
-        notice=notice,
-        citation=data_set.citation,
-        licence=data_set.licence,
-    )
+    return _read(data_set, path=path, data=data, groups=groups)
 
 
 def _load_file(path: Path, *, format: str | None, fps: float | None) -> Dataset:  # noqa: A002
-    import hashlib  # noqa: PLC0415
-
-    from isac_track.datasets import formats  # noqa: PLC0415
+    from isac_track.datasets import formats  # noqa: PLC0415 - a plain import stays quick
 
     # A missing file is told before a missing --format.
     data = read_bytes(path)
     format_name = formats.format_of(path, format=format)
-    tracks, repairs = formats.read(data=data, path=shown(path), format=format_name, fps=fps)
     # Rows of another recording must never pass for those of a known one.
     name = path.name if path.stem in KNOWN else path.stem
+    own = Known(name=shown(Path(name)), format=format_name, fps=fps)
+    return _read(own, path=path, data=data)
+
+
+def _read(
+    source: Known, *, path: Path, data: bytes, groups: Sequence[tuple[str, str]] = ()
+) -> Dataset:
+    from isac_track.datasets import formats  # noqa: PLC0415 - a plain import stays quick
+
+    tracks, repairs = formats.read(
+        data=data, path=shown(path), format=source.format, fps=source.fps, groups=groups
+    )
+    return _dataset(source, path=shown(path), data=data, tracks=tracks, repairs=repairs)
+
+
+def _load_bundled(data_set: Known, *, session: int, notice: str | None) -> Dataset:
+    from isac_track.datasets import crowd  # noqa: PLC0415 - a plain import stays quick
+
+    path = crowd.bundled_path(session)
+    return _dataset(
+        data_set,
+        path=f"isac_track/datasets/{path.name}",
+        data=read_bytes(path),
+        tracks=crowd.bundled(session),
+        notice=notice,
+    )
+
+
+def _dataset(
+    source: Known,
+    *,
+    path: str,
+    data: bytes,
+    tracks: Tracks,
+    repairs: tuple[Repair, ...] = (),
+    notice: str | None = None,
+) -> Dataset:
     return Dataset(
-        name=shown(Path(name)),
+        name=source.name,
         tracks=tracks,
-        path=shown(path),
+        path=path,
         sha256=hashlib.sha256(data).hexdigest(),
-        format=format_name,
-        simulated=False,
+        format=source.format,
+        simulated=source.simulated,
         repairs=repairs,
-        notice=None,
-        citation="",
-        licence="",
+        notice=notice,
+        citation=source.citation,
+        licence=source.licence,
     )

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rich.console import Console
+    from rich.table import Table
 
     from isac_track.datasets import Dataset
     from isac_track.datasets.summary import Summary
@@ -63,14 +64,21 @@ def _console() -> Console:
     return Console(highlight=False, markup=False, emoji=False)
 
 
-def _list() -> int:
+def _table(label: str, *columns: str) -> Table:
     from rich.box import SIMPLE_HEAD  # noqa: PLC0415 - `--help` stays quick
     from rich.table import Table  # noqa: PLC0415 - `--help` stays quick
 
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("data set", no_wrap=True)
-    for name in ("tracks", ">=12 s", ">=21.6 s", "median s", "m/s", "zero", "frozen"):
+    table.add_column(label, no_wrap=True)
+    for name in columns:
         table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def _list() -> int:
+    table = _table(
+        "data set", "tracks", *(f">={s:g} s" for s in LONG_S), "median s", "m/s", "zero", "frozen"
+    )
     notes = []
     status = DONE
     for data_set in KNOWN.values():
@@ -110,9 +118,6 @@ def _cells(found: Dataset) -> list[str]:
 
 
 def _show(name: str, *, format_name: str | None, fps: float | None) -> None:
-    from rich.box import SIMPLE_HEAD  # noqa: PLC0415 - `--help` stays quick
-    from rich.table import Table  # noqa: PLC0415 - `--help` stays quick
-
     found = load(name, format=format_name, fps=fps)
     summary = summarise(found.tracks)
     facts = {
@@ -130,10 +135,7 @@ def _show(name: str, *, format_name: str | None, fps: float | None) -> None:
         "credit": found.citation,
         "licence": found.licence,
     }
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("per track", no_wrap=True)
-    for column in ("min", "5%", "median", "95%", "max"):
-        table.add_column(column, justify="right", no_wrap=True)
+    table = _table("per track", "min", "5%", "median", "95%", "max")
     for label, values in (
         ("duration, s", summary.duration_s),
         ("mean speed, m/s", summary.speed_mean_mps),
@@ -163,16 +165,15 @@ def _frozen(found: Dataset, summary: Summary) -> str:
 
 
 def _fetch(name: str) -> None:
-    from isac_track.datasets.download import fetch, usable  # noqa: PLC0415 - needs pooch
+    from isac_track.datasets.download import fetch  # noqa: PLC0415 - `--help` stays quick
 
     data_set = known(name)
     console = _console()
     if data_set.simulated:
         console.print(f"{name} is bundled: nothing to fetch", soft_wrap=True)
         return
-    found = usable(data_set, found=locate(data_set))
-    files = fetch(data_set, found=found)
-    done = "already here" if complete(data_set, found) else "fetched"
+    files, downloaded = fetch(data_set)
+    done = "fetched" if downloaded else "already here"
     for path in files.values():
         console.print(f"{name}: {done}: {shown(path)}", soft_wrap=True)
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
-import re
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from isac_track.datasets.registry import DATA_VARIABLE, cache_folder, checked_bytes, shown
+from isac_track.datasets.registry import DATA_VARIABLE, cache_folder, checked_bytes, locate, shown
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from pathlib import Path
 
     from isac_track.datasets.registry import Known
 
@@ -34,37 +34,20 @@ def url_of(data_set: Known, file_name: str) -> str:
     return f"{base.rstrip('/')}/{data_set.name}/{file_name}"
 
 
-def fetch(data_set: Known, *, found: Mapping[str, Path]) -> dict[str, Path]:
-    """Return the path of every file, after downloading those that are not in `found`.
+def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
+    """Return the path of every file, and whether any was downloaded.
 
-    Files go to the cache whole and checked, or not at all. Progress is shown on stderr.
-
-    Raises
-    ------
-    DataError
-        If a file cannot be had, with the way out.
-    """
-    files = dict(found)
-    for file_name, sha256 in data_set.sha256.items():
-        if file_name not in files:
-            target = cache_folder() / data_set.name / file_name
-            _download(data_set, file_name=file_name, target=target, sha256=sha256)
-            files[file_name] = target
-    return files
-
-
-def usable(data_set: Known, *, found: Mapping[str, Path]) -> dict[str, Path]:
-    """Return those of `found` that a download need not replace.
-
-    A damaged file in the cache is ours to replace; one in the user's own folder is not.
+    Files go to the cache whole and checked, or not at all. A damaged file in the cache is ours to
+    replace; one in the user's own folder is not. Progress is shown on stderr.
 
     Raises
     ------
     DataError
-        If a file in the user's data folder is not the right one.
+        If a file cannot be had, with the way out, or one in the user's data folder is not the
+        right one.
     """
     files = {}
-    for file_name, path in found.items():
+    for file_name, path in locate(data_set).items():
         try:
             checked_bytes(path, data_set=data_set)
         except DataError:
@@ -72,67 +55,61 @@ def usable(data_set: Known, *, found: Mapping[str, Path]) -> dict[str, Path]:
                 raise
         else:
             files[file_name] = path
-    return files
+    missing = [file_name for file_name in data_set.sha256 if file_name not in files]
+    for file_name in missing:
+        files[file_name] = cache_folder() / data_set.name / file_name
+        _download(data_set, file_name=file_name, target=files[file_name])
+    return files, bool(missing)
 
 
-def _download(data_set: Known, *, file_name: str, target: Path, sha256: str) -> None:
-    import pooch  # noqa: PLC0415 - a plain import stays quick
-    import requests  # noqa: PLC0415
+def _download(data_set: Known, *, file_name: str, target: Path) -> None:
+    import requests  # noqa: PLC0415 - a plain import of the package stays quick
 
     url = url_of(data_set, file_name)
     way_out = (
         f"Way out: get {' and '.join(data_set.sha256)} of that folder by any means, save in "
         f"DIR/{data_set.name} and set {DATA_VARIABLE}=DIR"
     )
-    logger = pooch.get_logger()
-    level = logger.level
-    logger.setLevel("ERROR")  # pooch announces every download; the bar does that
+    unchecked = target.with_name(f".{file_name}.{os.getpid()}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        pooch.retrieve(
-            url,
-            known_hash=f"sha256:{sha256}",
-            fname=file_name,
-            path=target.parent,
-            downloader=lambda url, output_file, _: _stream(
-                url, output_file, f"{data_set.name}/{file_name}"
-            ),
-        )
-    except requests.HTTPError as error:
-        status = "" if error.response is None else f" {error.response.status_code}"
-        raise DataError(f"{url}: the server answered{status}. {way_out}") from None
-    except requests.exceptions.ProxyError:
-        raise DataError(f"{url}: the proxy refuses the connection. {way_out}") from None
-    except requests.exceptions.SSLError:
-        reason = "no trusted connection (a proxy that opens TLS?)"
-        raise DataError(f"{url}: {reason}. {way_out}") from None
-    except requests.exceptions.ChunkedEncodingError:
-        raise DataError(f"{url}: the connection broke off. {way_out}") from None
-    except requests.Timeout:
-        raise DataError(f"{url}: no answer in time. {way_out}") from None
-    except requests.ConnectionError as error:
-        # A server that falls silent in the middle is no Timeout to requests.
-        reason = "no connection, or it broke off (offline?)"
-        reason = "no answer in time" if "timed out" in str(error) else reason
-        raise DataError(f"{url}: {reason}. {way_out}") from None
+        title = f"{data_set.name}/{file_name}"
+        _stream(url, unchecked, title=title, sha256=data_set.sha256[file_name])
+        unchecked.replace(target)
     except requests.RequestException as error:
-        raise DataError(
-            f"{url}: cannot be downloaded ({type(error).__name__}). {way_out}"
-        ) from None
+        raise DataError(f"{url}: {_reason(error)}. {way_out}") from None
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise DataError(f"{shown(target)}: cannot be written ({reason})") from None
     except ValueError as error:
-        # pooch found a wrong hash; the text names the expected one, then the actual one.
-        hashes = re.findall(r"\b[0-9a-f]{64}\b", str(error))
-        reason = f"sha256 is {hashes[-1]}, expected {sha256}" if hashes else str(error)
-        raise DataError(f"{url}: not the expected file: {reason}. {way_out}") from None
+        raise DataError(f"{url}: not the expected file: {error}. {way_out}") from None
     finally:
-        logger.setLevel(level)
+        with contextlib.suppress(OSError):
+            unchecked.unlink()
 
 
-def _stream(url: str, output_file: str, title: str) -> None:
-    """Write what `url` gives to a file, with a progress bar on stderr."""
+def _reason(error: Exception) -> str:
+    """Return in words why requests got nothing."""
+    from requests import exceptions  # noqa: PLC0415 - a plain import of the package stays quick
+
+    if isinstance(error, exceptions.HTTPError):
+        return f"the server answered {getattr(error.response, 'status_code', '')}"
+    # A server that falls silent in the middle is no Timeout to requests.
+    silent = "timed out" in str(error)
+    for kind, reason in (
+        (exceptions.ProxyError, "the proxy refuses the connection"),
+        (exceptions.SSLError, "no trusted connection (a proxy that opens TLS?)"),
+        (exceptions.ChunkedEncodingError, "the connection broke off"),
+        (exceptions.Timeout, "no answer in time"),
+        (exceptions.ConnectionError, "no connection, or it broke off (offline?)"),
+    ):
+        if isinstance(error, kind):
+            return "no answer in time" if silent and kind is exceptions.ConnectionError else reason
+    return f"cannot be downloaded ({type(error).__name__})"
+
+
+def _stream(url: str, into: Path, *, title: str, sha256: str) -> None:
+    """Write what `url` gives to a file, with a progress bar; ValueError if it is wrong."""
     import requests  # noqa: PLC0415 - a plain import of the package stays quick
     from rich import progress  # noqa: PLC0415
     from rich.console import Console  # noqa: PLC0415
@@ -143,7 +120,6 @@ def _stream(url: str, output_file: str, title: str) -> None:
         progress.DownloadColumn(),
         console=Console(stderr=True),
     )
-    # pooch's own downloader would leave the connection open behind an error.
     with requests.get(
         url,
         stream=True,
@@ -153,10 +129,14 @@ def _stream(url: str, output_file: str, title: str) -> None:
     ) as response:
         response.raise_for_status()
         announced = response.headers.get("Content-Length", "")
-        with bar, Path(output_file).open("wb") as file:
+        with bar, into.open("wb") as file:
             task = bar.add_task(title, total=int(announced) if announced.isdigit() else None)
+            digest = hashlib.sha256()
             for chunk in response.iter_content(_CHUNK_BYTES):
                 file.write(chunk)
+                digest.update(chunk)
                 if file.tell() > _MOST_BYTES:
                     raise ValueError(f"over {_MOST_BYTES} bytes")
                 bar.advance(task, len(chunk))
+    if digest.hexdigest() != sha256:
+        raise ValueError(f"sha256 is {digest.hexdigest()}, expected {sha256}")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
-from isac_track.datasets.read_ndjson import read_trajnet
+from isac_track.datasets.read_frames import OBSMAT, PEDPY, SOCIAL_GAN, read_columns, read_trajnet
 from isac_track.datasets.read_table import read_csv, read_parquet
-from isac_track.datasets.read_text import read_obsmat, read_pedpy, read_social_gan
-from isac_track.datasets.registry import shown
+from isac_track.datasets.registry import did_you_mean, shown
 from isac_track.datasets.repair import to_tracks
 from isac_track.datasets.rows import checked_fps
 from isac_track.errors import DataError
@@ -28,9 +27,7 @@ class Reader(Protocol):
 
 
 FORMATS: Mapping[str, Reader] = {
-    "obsmat": read_obsmat,
-    "social-gan": read_social_gan,
-    "pedpy": read_pedpy,
+    **{layout.name: partial(read_columns, layout=layout) for layout in (OBSMAT, SOCIAL_GAN, PEDPY)},
     "trajnet": read_trajnet,
     "csv": read_csv,
     "parquet": read_parquet,
@@ -46,19 +43,16 @@ def format_of(path: Path, *, format: str | None) -> str:  # noqa: A002 - the nam
     DataError
         If the format is unknown, or neither given nor named by the extension.
     """
-    if format is None:
-        implied = _EXTENSIONS.get(path.suffix.lower())
-        if implied is None:
-            raise DataError(
-                f"{shown(path)}: the format is not known from the name; give --format "
-                f"({', '.join(FORMATS)})"
-            )
-        return implied
-    if format not in FORMATS:
-        near = get_close_matches(format, FORMATS, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise DataError(f"unknown format {format!r}{hint} (known: {', '.join(FORMATS)})")
-    return format
+    name = _EXTENSIONS.get(path.suffix.lower()) if format is None else format
+    known = ", ".join(FORMATS)
+    if name is None:
+        raise DataError(
+            f"{shown(path)}: the format is not known from the name; give --format ({known})"
+        )
+    if name not in FORMATS:
+        hint = did_you_mean(name, FORMATS)
+        raise DataError(f"unknown format {name!r}{hint} (known: {known})")
+    return name
 
 
 def read(

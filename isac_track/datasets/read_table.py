@@ -20,7 +20,6 @@ from isac_track.datasets.rows import (
     check_text,
     checked_name,
     clean_id,
-    fault,
     lines_of,
     listed,
     printable,
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 _NEEDED = ("t", "id", "x", "y")
 _USED = (*_NEEDED, "group")
-_NUMBERS = ("t", "x", "y")
+_UNITS = {"t": "seconds", "x": "metres", "y": "metres"}
 _BLOCK_BYTES = 1 << 18
 _MOST_COLUMNS = 10_000
 """Of csv: pyarrow takes memory for each, also for those that are not used."""
@@ -54,13 +53,40 @@ def read_csv(*, data: bytes, path: str, fps: float | None) -> Rows:
     DataError
         For anything that is not this format, naming file and line, or if `fps` is given.
     """
+    import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
+    from pyarrow import csv as arrow_csv  # noqa: PLC0415
+
     _refuse_fps(fps=fps, path=path, format_name="csv")
     check_text(data=data, path=path)
     names = _csv_header(header=next(lines_of(data), ""), path=path)
     _, _, body = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").partition(b"\n")
-    place = Place(path=path, lines=lambda: _csv_line_numbers(body))
-    t, xy, texts = _csv_columns(body=body, names=names, path=path)
-    return _rows(t=t, xy=xy, texts=texts, names=names, place=place)
+    if not body.strip():
+        raise DataError(f"{path}: the file holds no rows")
+    # Each text once: a long one that stands in every row would take as much memory as the file.
+    text = pa.dictionary(pa.int32(), pa.string())
+    used = {f"c{names.index(name)}": name for name in _USED if name in names}
+    types = {column: pa.float64() if name in _UNITS else text for column, name in used.items()}
+    n_rows = sum(1 for _ in _csv_lines(body))
+    try:
+        table = arrow_csv.read_csv(
+            pa.py_buffer(body),
+            read_options=arrow_csv.ReadOptions(
+                use_threads=False,
+                column_names=[f"c{index}" for index in range(len(names))],
+                # Several blocks are under way at a time; no line may be longer than one.
+                block_size=max(_BLOCK_BYTES, 1 + max(map(len, io.BytesIO(body)))),
+            ),
+            convert_options=arrow_csv.ConvertOptions(column_types=types, include_columns=[*types]),
+        )
+        if table.num_rows != n_rows:  # pyarrow lets quoted fields go on in the next line
+            raise pa.ArrowInvalid(f"{table.num_rows} rows in {n_rows} lines")
+    except (pa.ArrowException, MemoryError, UnicodeError) as error:
+        _raise_first_csv_fault(body=body, names=names, path=path)
+        raise DataError(f"{path}: cannot be read as csv ({brief(error)})") from None
+    columns = {name: table[column] for column, name in used.items()}
+    del table
+    place = Place(path=path, lines=lambda: np.fromiter(_csv_lines(body), dtype=np.int64))
+    return _rows(columns, names=names, place=place)
 
 
 def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
@@ -79,9 +105,11 @@ def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
         raise DataError(f"{path}: the file is empty")
     try:
         file = parquet.ParquetFile(pa.BufferReader(data))
-        schema = file.schema_arrow
+        schema, metadata = file.schema_arrow, file.metadata
         names = tuple(schema.names)
-        n_rows, unpacked_bytes = _claimed(file.metadata)
+        groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+        n_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
+        unpacked_bytes = sum(group.total_byte_size for group in groups)
     except Exception as error:  # noqa: BLE001 - a damaged file makes pyarrow raise nearly anything
         raise DataError(f"{path}: not a parquet file ({brief(error)})") from None
     _check_header(names=names, where=path)
@@ -93,8 +121,11 @@ def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
         )
     try:
         # Each text once: a long one that stands in every row would not fit into the memory.
-        file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=_texts(schema))
         used = [name for name in names if name in _USED]
+        texts = [
+            name for name in used if schema.field(name).type in {pa.string(), pa.large_string()}
+        ]
+        file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=texts)
         table = file.read(columns=used, use_threads=False)
         columns = {name: table[name] for name in table.column_names}
         del table
@@ -106,22 +137,7 @@ def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
     if lost:  # pyarrow passes over what its parts call differently
         raise DataError(f"{path}: the parquet file is damaged (column {lost[0]} is not in it)")
     place = Place(path=path, lines=lambda: np.arange(1, n_rows + 1), unit="row")
-    t, x, y = (_numbers(columns.pop(name), name=name, path=path) for name in _NUMBERS)
-    return _rows(t=t, xy=np.column_stack([x, y]), texts=columns, names=names, place=place)
-
-
-def _texts(schema: Any) -> list[str]:  # noqa: ANN401 - pyarrow has no types
-    import pyarrow as pa  # noqa: PLC0415
-
-    kinds = (pa.string(), pa.large_string())
-    return [field.name for field in schema if field.name in _USED and field.type in kinds]
-
-
-def _claimed(metadata: Any) -> tuple[int, int]:  # noqa: ANN401 - pyarrow has no types
-    """Return how many rows a parquet file says it has, and its bytes when unpacked."""
-    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
-    n_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
-    return n_rows, sum(group.total_byte_size for group in groups)
+    return _rows(columns, names=names, place=place)
 
 
 def _refuse_fps(*, fps: float | None, path: str, format_name: str) -> None:
@@ -132,18 +148,20 @@ def _refuse_fps(*, fps: float | None, path: str, format_name: str) -> None:
 
 
 def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
+    message = ""
+    names: tuple[str, ...] = ()
     try:
         names = tuple(name.strip() for name in next(csv.reader([header]), []))
     except csv.Error as error:
-        raise fault(path=path, line=1, message=f"the header cannot be read: {error}") from None
+        message = f"the header cannot be read: {error}"
     if len(names) == 1:
-        for separator, name in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
+        for separator, name in ((" ", "spaces"), ("\t", "tabs"), (";", "semicolons")):
             if separator in header.strip():
                 message = f"{name} between the columns; csv has commas (and decimal points)"
-                raise fault(path=path, line=1, message=message)
     if len(names) > _MOST_COLUMNS:
         message = f"{len(names)} columns, over {_MOST_COLUMNS}; leave out what is not used"
-        raise fault(path=path, line=1, message=message)
+    if message:
+        raise DataError(f"{path}, line 1: {message}")
     _check_header(names=names, where=f"{path}, line 1")
     return names
 
@@ -162,64 +180,6 @@ def _check_header(*, names: Sequence[str], where: str) -> None:
             raise DataError(f"{where}: two columns are called {name}")
 
 
-def _csv_columns(
-    *, body: bytes, names: tuple[str, ...], path: str
-) -> tuple[Floats, Floats, dict[str, Any]]:
-    """Return (M,) t, (M, 2) xy and the arrow columns of text; or find the first bad line."""
-    import pyarrow as pa  # noqa: PLC0415
-
-    if not body.strip():
-        raise DataError(f"{path}: the file holds no rows")
-    used = {name: f"c{names.index(name)}" for name in _USED if name in names}
-    types = {
-        column: pa.float64() if name in _NUMBERS else pa.string() for name, column in used.items()
-    }
-    # Batch by batch to where it belongs, each text once: the file's columns are never here twice.
-    n_rows = sum(1 for _ in _csv_lines(body))
-    t, xy = np.empty(n_rows), np.empty((n_rows, 2))
-    into = {"t": t, "x": xy[:, 0], "y": xy[:, 1]}
-    texts: dict[str, list[Any]] = {name: [] for name in used if name not in _NUMBERS}
-    first = 0
-    try:
-        for batch in _batches(body=body, n_columns=len(names), types=types):
-            rows = slice(first, first + batch.num_rows)
-            for name, numbers in into.items():
-                # A null becomes NaN, which a check names later.
-                numbers[rows] = batch[used[name]].to_numpy(zero_copy_only=False)
-            for name, parts in texts.items():
-                parts.append(batch[used[name]].dictionary_encode())
-            first = rows.stop
-    except (pa.ArrowException, MemoryError, UnicodeError) as error:
-        _raise_first_csv_fault(body=body, names=names, path=path)
-        raise DataError(f"{path}: cannot be read as csv ({brief(error)})") from None
-    if first != n_rows:  # pyarrow lets quoted fields go on in the next line
-        _raise_first_csv_fault(body=body, names=names, path=path)
-        raise DataError(f"{path}: cannot be read as csv ({first} rows in {n_rows} lines)")
-    return t, xy, {name: pa.chunked_array(parts) for name, parts in texts.items()}
-
-
-def _batches(*, body: bytes, n_columns: int, types: dict[str, Any]) -> Iterator[Any]:
-    """Yield record batches of the columns that have a type."""
-    import pyarrow as pa  # noqa: PLC0415
-    from pyarrow import csv as arrow_csv  # noqa: PLC0415
-
-    yield from arrow_csv.open_csv(
-        pa.py_buffer(body),
-        read_options=arrow_csv.ReadOptions(
-            use_threads=False,
-            column_names=[f"c{index}" for index in range(n_columns)],
-            # Several blocks are under way at a time; no line may be longer than one.
-            block_size=max(_BLOCK_BYTES, 1 + max(map(len, io.BytesIO(body)))),
-        ),
-        convert_options=arrow_csv.ConvertOptions(column_types=types, include_columns=list(types)),
-    )
-
-
-def _csv_line_numbers(body: bytes) -> Ints:
-    """Return the line number of every row."""
-    return np.fromiter(_csv_lines(body), dtype=np.int64)
-
-
 def _csv_lines(body: bytes) -> Iterator[int]:
     """Yield the numbers of the lines that are rows; pyarrow leaves out empty ones alone."""
     return (number for number, line in enumerate(io.BytesIO(body), start=2) if line != b"\n")
@@ -227,74 +187,64 @@ def _csv_lines(body: bytes) -> Iterator[int]:
 
 def _raise_first_csv_fault(*, body: bytes, names: tuple[str, ...], path: str) -> None:
     for number, line in enumerate(lines_of(body), start=2):
-        if not line:
-            continue
+        message = _csv_fault(line, names) if line else ""
+        if message:
+            raise DataError(f"{path}, line {number}: {message}")
+
+
+def _csv_fault(line: str, names: tuple[str, ...]) -> str:
+    try:
+        fields = next(csv.reader([line], strict=True))
+    except csv.Error as error:
+        return f"{error}{'; each row must be on one line' if 'end of data' in str(error) else ''}"
+    if len(fields) != len(names):
+        return (
+            f"{len(fields)} column(s) where the header has {len(names)}; a decimal comma would "
+            f"split a number{'; semicolons do not separate columns' if ';' in line else ''}"
+        )
+    for name, unit in _UNITS.items():
+        field = fields[names.index(name)]
         try:
-            fields = next(csv.reader([line], strict=True))
-        except csv.Error as error:
-            hint = "; each row must be on one line" if "end of data" in str(error) else ""
-            raise fault(path=path, line=number, message=f"{error}{hint}") from None
-        if len(fields) != len(names):
-            hint = "; semicolons do not separate columns" if ";" in line else ""
-            message = (
-                f"{len(fields)} column(s) where the header has {len(names)}; "
-                f"a decimal comma would split a number{hint}"
-            )
-            raise fault(path=path, line=number, message=message)
-        for name in _NUMBERS:
-            field = fields[names.index(name)]
-            try:
-                float(field or "nan")
-            except ValueError:
-                hint = " (a decimal comma?)" if "," in field else ""
-                unit = "seconds" if name == "t" else "metres"
-                message = f"{name} {field[:40]!r} is not a number of {unit}{hint}"
-                raise fault(path=path, line=number, message=message) from None
+            float(field or "nan")
+        except ValueError:
+            hint = " (a decimal comma?)" if "," in field else ""
+            return f"{name} {field[:40]!r} is not a number of {unit}{hint}"
+    return ""
 
 
-def _numbers(column: Any, *, name: str, path: str) -> Floats:  # noqa: ANN401 - see above
+def _rows(columns: dict[str, Any], *, names: Sequence[str], place: Place) -> Rows:
+    """Return the rows of arrow columns, which are let go one by one; `names` are the file's."""
+    t, x, y = (_numbers(columns.pop(name), name=name, path=place.path) for name in _UNITS)
+    if not t.size:
+        raise DataError(f"{place.path}: the file holds no rows")
+    limits = [TIME_LIMIT_S, POSITION_LIMIT_M, POSITION_LIMIT_M]
+    check_numbers([t, x, y], names=tuple(_UNITS), limits=limits, place=place)
+    xy = np.column_stack([x, y])
+    del x, y
+    person, ids = _index(columns["id"], clean=clean_id, place=place)
+    groups: tuple[tuple[str, str], ...] = ()
+    if "group" in columns:  # an empty cell is no group
+        group, labels = _index(columns["group"], clean=_clean_label, place=place)
+        pairs = np.unique(np.column_stack([person, group]), axis=0)
+        groups = tuple((ids[who], labels[label]) for who, label in pairs if labels[label])
+    notes: tuple[Repair, ...] = ()
+    if others := [printable(name[:40]) for name in names if name not in _USED]:
+        detail = f"{place.path}: column(s) {listed(others)}: not used, {t.size} rows each"
+        notes = (Repair("ignored-column", len(others), detail),)
+    t = t - t.min()
+    return Rows(person=person, ids=ids, t=t, xy=xy, place=place, groups=groups, notes=notes)
+
+
+def _numbers(column: Any, *, name: str, path: str) -> Floats:  # noqa: ANN401 - pyarrow has no types
     """Return (M,) the numbers of an arrow column; NaN for null, which a check names later."""
     import pyarrow as pa  # noqa: PLC0415
 
     kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        unit = "seconds" if name == "t" else "metres"
         kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-        raise DataError(f"{path}: column {name} holds {kind}, not numbers of {unit}")
+        raise DataError(f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]}")
     numbers: Floats = column.cast(pa.float64(), safe=False).to_numpy()
     return numbers
-
-
-def _rows(
-    *, t: Floats, xy: Floats, texts: dict[str, Any], names: Sequence[str], place: Place
-) -> Rows:
-    """Return the rows of (M,) t in s, (M, 2) xy in m, and the arrow columns `id` and `group`."""
-    if not t.size:
-        raise DataError(f"{place.path}: the file holds no rows")
-    check_numbers(
-        [t, xy[:, 0], xy[:, 1]],
-        names=_NUMBERS,
-        limits=[TIME_LIMIT_S, POSITION_LIMIT_M, POSITION_LIMIT_M],
-        place=place,
-    )
-    person, ids = _index(texts["id"], clean=clean_id, place=place)
-    return Rows(
-        person=person,
-        ids=ids,
-        t=t - t.min(),
-        xy=xy,
-        place=place,
-        groups=_groups(texts.get("group"), person=person, ids=ids, place=place),
-        notes=_ignored(names=names, path=place.path, n_rows=t.size),
-    )
-
-
-def _ignored(*, names: Sequence[str], path: str, n_rows: int) -> tuple[Repair, ...]:
-    others = [printable(name[:40]) for name in names if name not in _USED]
-    if not others:
-        return ()
-    detail = f"{path}: column(s) {listed(others)}: not used, {n_rows} rows each"
-    return (Repair("ignored-column", len(others), detail),)
 
 
 def _index(
@@ -303,33 +253,28 @@ def _index(
     clean: Callable[[str], str],
     place: Place,
 ) -> tuple[Ints, tuple[str, ...]]:
-    """Return (M,) index into the cleaned values, and these in order."""
-    codes, values = _encode(column, place=place)
+    """Return (M,) index into the cleaned values of an arrow column, and these in order."""
+    import pandas as pd  # noqa: PLC0415
+    import pyarrow as pa  # noqa: PLC0415
+
+    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    known = (pa.types.is_integer, pa.types.is_floating, pa.types.is_string)
+    if not any(check(kind) for check in (*known, pa.types.is_large_string)):
+        raise DataError(f"{place.path}: ids and groups must be numbers or text, not {kind}")
+    try:
+        values = column.to_pandas(integer_object_nulls=True)
+    except (pa.ArrowException, UnicodeError) as error:
+        raise DataError(f"{place.path}: ids cannot be read ({brief(error)})") from None
+    codes, distinct = pd.factorize(values, use_na_sentinel=False)
     cleaned = []
-    for code, value in enumerate(values):
+    for code, value in enumerate(distinct):
         try:
-            cleaned.append(clean("" if value is None else str(value)))
+            cleaned.append(clean(str(value)))  # null is "None" or "nan", which is no name
         except ValueError as error:
-            row = int(np.flatnonzero(codes == code)[0])
-            raise DataError(f"{place.at(row)}: {error}") from None
+            raise DataError(f"{place.at(int((codes == code).argmax()))}: {error}") from None
     names = sort_ids(set(cleaned))
     position = {name: index for index, name in enumerate(names)}
     return np.array([position[name] for name in cleaned], dtype=np.int64)[codes], names
-
-
-def _groups(
-    column: Any,  # noqa: ANN401 - pyarrow has no types
-    *,
-    person: Ints,
-    ids: tuple[str, ...],
-    place: Place,
-) -> tuple[tuple[str, str], ...]:
-    """Return the (id, label) pairs of a group column; an empty cell is no group."""
-    if column is None:
-        return ()
-    codes, labels = _index(column, clean=_clean_label, place=place)
-    pairs = np.unique(np.column_stack([person, codes]), axis=0)
-    return tuple((ids[who], labels[label]) for who, label in pairs if labels[label])
 
 
 def _clean_label(text: str) -> str:
@@ -338,26 +283,3 @@ def _clean_label(text: str) -> str:
         return clean_id(label)  # 3.0 is group 3, as a column with empty cells writes it
     except ValueError:
         return "" if label.lower() in {"nan", "none", "null"} else label
-
-
-def _encode(column: Any, *, place: Place) -> tuple[Ints, list[Any]]:  # noqa: ANN401
-    """Return (M,) codes and the value of each code, None for null."""
-    import pyarrow as pa  # noqa: PLC0415
-
-    try:
-        is_encoded = pa.types.is_dictionary(column.type)
-        kind = column.type.value_type if is_encoded else column.type
-        known = (pa.types.is_integer, pa.types.is_floating, pa.types.is_string)
-        if not any(check(kind) for check in (*known, pa.types.is_large_string)):
-            raise DataError(f"{place.path}: ids and groups must be numbers or text, not {kind}")
-        encoded = (column if is_encoded else column.dictionary_encode()).combine_chunks()
-        values = [*encoded.dictionary.to_pylist(), None]
-        null = pa.scalar(len(values) - 1, pa.int64())
-        indices = encoded.indices.cast(pa.int64()).fill_null(null).to_numpy(zero_copy_only=False)
-        used = np.flatnonzero(np.bincount(indices, minlength=len(values)))
-        # Codes without gaps; np.unique would take six times the memory.
-        position = np.zeros(len(values), dtype=np.int64)
-        position[used] = np.arange(used.size)
-        return position[indices], [values[index] for index in used]
-    except (pa.ArrowException, UnicodeError) as error:
-        raise DataError(f"{place.path}: ids cannot be read ({brief(error)})") from None

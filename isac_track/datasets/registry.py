@@ -13,7 +13,7 @@ from isac_track.datasets.rows import printable
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
 DATA_VARIABLE = "ISAC_TRACK_DATA"
 """Folder of data sets that the user keeps: ``NAME/obsmat.txt``. Only read."""
@@ -27,18 +27,18 @@ GROUPS_FILE = "groups.txt"
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A data set that is known by name."""
+    """A data set that is known by name, or a file of one's own."""
 
     name: str
-    about: str
-    citation: str
-    licence: str
+    about: str = ""
+    citation: str = ""
+    licence: str = ""
     session: int | None = None
     """Number of the bundled session, if this is the bundled crowd."""
     format: str = "npz"
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
-    """Hash of every file, by file name; empty if bundled."""
+    """Hash of every file, by file name; empty if bundled or of one's own."""
 
     @property
     def simulated(self) -> bool:
@@ -104,16 +104,16 @@ def known(name: str) -> Known:
     """
     if name in KNOWN:
         return KNOWN[name]
-    near = get_close_matches(name.lower(), KNOWN, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
+    hint = did_you_mean(name.lower(), KNOWN)
     raise DataError(
         f"{name!r} is neither a known data set nor a file{hint} (known: {', '.join(KNOWN)})"
     )
 
 
-def names() -> dict[str, str]:
-    """Return what each known data set is, by name."""
-    return {name: data_set.about for name, data_set in KNOWN.items()}
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """Return the end of a message that offers the nearest of `names`; empty if none is near."""
+    near = get_close_matches(name, list(names), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def data_folder() -> Path | None:

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets.rows import Place, Repair, Rows, listed
+from isac_track.datasets.rows import listed, noted, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Tracks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from isac_track.datasets.rows import Place, Repair, Rows
     from isac_track.types import Bools, Floats, Ints
 
 SAME_TIME_S = 1e-7
@@ -56,37 +57,31 @@ def to_tracks(
     person = person[order]
     t = t[order]
     xy = xy[order]
-    again, note = _copies(person=person, t=t, xy=xy, order=order, ids=ids, place=place)
-    if note:
-        notes += note
+    again = _copies(person=person, t=t, xy=xy, order=order, ids=ids, place=place)
+    text = "the same id, time and position again; dropped"
+    notes += noted("duplicate", order[1:][again], text, place=place)
+    if again.any():
         keep = np.concatenate([[True], ~again])
-        person = person[keep]
-        t = t[keep]
-        xy = xy[keep]
-        order = order[keep]
+        person, t, xy, order = (column[keep] for column in (person, t, xy, order))
 
-    cut, note = _cuts(person=person, t=t, order=order, place=place)
-    notes += note
+    cut, gaps = _cuts(person=person, t=t, order=order, place=place)
+    notes += gaps
     offsets = np.concatenate([[0], np.flatnonzero(cut) + 1, [t.size]])
     lengths = np.diff(offsets)
     owner = person[offsets[:-1]]
+    del person
     single = lengths == 1
+    text = f"a single sample (id {listed([ids[index] for index in owner[single]])}); dropped"
+    notes += noted("one-point", order[offsets[:-1][single]], text, place=place)
     if single.any():
-        lost = order[offsets[:-1][single]]
-        who = listed([ids[index] for index in owner[single]])
-        detail = f"{place.first(lost)}: a single sample (id {who}); dropped"
-        notes.append(Repair("one-point", int(single.sum()), detail))
         keep = np.repeat(~single, lengths)
-        t = t[keep]
-        xy = xy[keep]
-        order = order[keep]
-        owner, lengths = owner[~single], lengths[~single]
-        offsets = np.concatenate([[0], np.cumsum(lengths)])
+        t, xy, order = (column[keep] for column in (t, xy, order))
+        owner = owner[~single]
+        offsets = np.concatenate([[0], np.cumsum(lengths[~single])])
     if not t.size:
         raise DataError(f"{place.path}: no track has two samples")
-    del person
     notes += _check_speeds(t=t, xy=xy, offsets=offsets, order=order, place=place)
-    usual_s = float(np.median(np.diff(t)[_inside(offsets)], overwrite_input=True))
+    usual_s = float(np.median(np.diff(t)[steps_within(offsets)], overwrite_input=True))
     if usual_s > LONGEST_STEP_S:
         raise DataError(
             f"{place.path}: the usual step is {usual_s:.3g} s, over {LONGEST_STEP_S:g} s: "
@@ -143,38 +138,29 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
 def _late(rows: Rows) -> list[Repair]:
     """Return how many rows are earlier than the row before of the same person."""
     by_person = np.argsort(rows.person, kind="stable")
-    t = rows.t[by_person]
-    back = t[1:] < t[:-1]
-    del t
-    person = rows.person[by_person]
-    back &= person[1:] == person[:-1]
-    del person
-    if not back.any():
-        return []
-    late = by_person[1:][back]
-    detail = f"{rows.place.first(late)}: earlier than the row before of the same id; sorted"
-    return [Repair("unsorted", late.size, detail)]
+    back = np.diff(rows.t[by_person]) < 0
+    back &= np.diff(rows.person[by_person]) == 0
+    text = "earlier than the row before of the same id; sorted"
+    return noted("unsorted", by_person[1:][back], text, place=rows.place)
 
 
 def _copies(
     *, person: Ints, t: Floats, xy: Floats, order: Ints, ids: tuple[str, ...], place: Place
-) -> tuple[Bools, list[Repair]]:
+) -> Bools:
     """Return (M - 1,) which of the sorted rows say again what the one before them says."""
-    again = (np.diff(t) < SAME_TIME_S) & (person[1:] == person[:-1])
+    again: Bools = (np.diff(t) < SAME_TIME_S) & (person[1:] == person[:-1])
     if not again.any():
-        return again, []
+        return again
     other = again & (xy[1:] != xy[:-1]).any(axis=1)
     if other.any():
-        at = int(np.flatnonzero(other)[0])
+        at = int(other.argmax())
         first, second = sorted((int(order[at]), int(order[at + 1])))
         line = int(place.lines()[first])
         raise DataError(
             f"{place.at(second)}: id {ids[person[at]]} is somewhere else at the same "
             f"time in {place.unit} {line}"
         )
-    copies = order[1:][again]
-    detail = f"{place.first(copies)}: the same id, time and position again; dropped"
-    return again, [Repair("duplicate", copies.size, detail)]
+    return again
 
 
 def _cuts(*, person: Ints, t: Floats, order: Ints, place: Place) -> tuple[Bools, list[Repair]]:
@@ -191,13 +177,11 @@ def _cuts(*, person: Ints, t: Floats, order: Ints, place: Place) -> tuple[Bools,
         (gap & ~long, "gap", "kept, to be interpolated"),
         (long, "split", "too long to interpolate; two tracks of one group"),
     ):
-        if where.any():
-            longest = float(steps[where].max())
-            detail = (
-                f"{place.first(order[1:][where])}: behind a gap (longest {longest:.3g} s, "
-                f"usual step {nominal:.3g} s); {done}"
-            )
-            notes.append(Repair(kind, int(where.sum()), detail))
+        text = (
+            f"behind a gap (longest {steps[where].max(initial=0):.3g} s, "
+            f"usual step {nominal:.3g} s); {done}"
+        )
+        notes += noted(kind, order[1:][where], text, place=place)
     return new | long, notes
 
 
@@ -213,19 +197,12 @@ def _names(*, owner: Ints, ids: tuple[str, ...]) -> tuple[str, ...]:
     )
 
 
-def _inside(offsets: Ints) -> Bools:
-    """Return (M - 1,) which steps lead from a sample to the next one of the same track."""
-    inside = np.ones(offsets[-1] - 1, dtype=bool)
-    inside[offsets[1:-1] - 1] = False
-    return inside
-
-
 def _check_speeds(
     *, t: Floats, xy: Floats, offsets: Ints, order: Ints, place: Place
 ) -> list[Repair]:
-    inside = _inside(offsets)
-    distance = np.hypot(np.diff(xy[:, 0]), np.diff(xy[:, 1]))[inside]
-    duration = np.diff(t)[inside]
+    within = steps_within(offsets)
+    distance = np.hypot(np.diff(xy[:, 0]), np.diff(xy[:, 1]))[within]
+    duration = np.diff(t)[within]
     moving = distance > 0
     if not moving.any():
         return []
@@ -247,8 +224,5 @@ def _check_speeds(
         )
     # Multiplied out: a step of a denormal time would overflow the quotient.
     fast = distance > FAST_STEP_MPS * duration
-    if not fast.any():
-        return []
-    at = order[1:][inside][fast]
-    detail = f"{place.first(at)}: over {FAST_STEP_MPS:g} m/s from the sample before; kept"
-    return [Repair("fast-step", at.size, detail)]
+    text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
+    return noted("fast-step", order[1:][within][fast], text, place=place)

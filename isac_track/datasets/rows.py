@@ -14,7 +14,7 @@ from isac_track.errors import DataError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from isac_track.types import Floats, Ints
+    from isac_track.types import Bools, Floats, Ints
 
 POSITION_LIMIT_M = 1e9
 """No coordinate on Earth is larger; beyond it differences would overflow or lose the metre."""
@@ -76,9 +76,53 @@ class Rows:
     """(M, 2) m"""
     place: Place
     groups: tuple[tuple[str, str], ...] = ()
-    """(id, label of a walking group) pairs."""
+    """(id, label of a walking group) pairs"""
     notes: tuple[Repair, ...] = ()
     """What the reader itself mended or left out."""
+
+
+def framed(
+    columns: Sequence[Floats], *, place: Place, names: Sequence[str] = ("frame", "id", "x", "y")
+) -> Rows:
+    """Return rows whose `t` still counts frames, from the first one.
+
+    Parameters
+    ----------
+    columns : sequence of (M,) floats
+        Frame, id, x in m and y in m.
+    place : Place
+        Where the rows stand.
+    names : sequence of str
+        What the format calls the columns.
+
+    Raises
+    ------
+    DataError
+        For the first number that cannot be one of a recording, with its line.
+    """
+    frame, person, x, y = columns
+    limits = [WHOLE_LIMIT, WHOLE_LIMIT, POSITION_LIMIT_M, POSITION_LIMIT_M]
+    check_numbers(columns, names=names, limits=limits, place=place, n_whole=2)
+    ids = np.unique(person)
+    return Rows(
+        person=np.searchsorted(ids, person),  # np.unique's own takes six times the memory
+        ids=tuple(str(int(value)) for value in ids),
+        t=frame - frame.min(),  # a large frame number over fps would round
+        xy=np.column_stack([x, y]),
+        place=place,
+    )
+
+
+def noted(kind: str, rows: Ints, text: str, *, place: Place) -> list[Repair]:
+    """Return the repair that concerns `rows`, or none if there are none."""
+    return [Repair(kind, rows.size, f"{place.first(rows)}: {text}")] if rows.size else []
+
+
+def steps_within(offsets: Ints) -> Bools:
+    """Return (M - 1,) which steps lead from a sample to the next one of the same track."""
+    within = np.ones(max(offsets[-1] - 1, 0), dtype=bool)
+    within[offsets[1:-1] - 1] = False
+    return within
 
 
 def listed(names: Sequence[str] | Ints) -> str:
@@ -111,11 +155,6 @@ def lines_of(data: bytes) -> Iterator[str]:
         yield line.removesuffix("\n")
 
 
-def fault(*, path: str, line: int, message: str) -> DataError:
-    """Return the error of one line."""
-    return DataError(f"{path}, line {line}: {message}")
-
-
 def check_text(*, data: bytes, path: str) -> None:
     """Check that a file is text.
 
@@ -126,12 +165,13 @@ def check_text(*, data: bytes, path: str) -> None:
     """
     if not data:
         raise DataError(f"{path}: the file is empty")
-    if data.startswith(b"\x1f\x8b"):
-        raise DataError(f"{path}: the file is compressed (gzip); unpack it first")
-    if data.startswith(b"PAR1"):
-        raise DataError(f"{path}: this is a parquet file; read it with --format parquet")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise DataError(f"{path}: the file is UTF-16 text; save it as UTF-8")
+    for beginnings, message in (
+        (b"\x1f\x8b", "the file is compressed (gzip); unpack it first"),
+        (b"PAR1", "this is a parquet file; read it with --format parquet"),
+        ((b"\xff\xfe", b"\xfe\xff"), "the file is UTF-16 text; save it as UTF-8"),
+    ):
+        if data.startswith(beginnings):
+            raise DataError(f"{path}: {message}")
     if b"\0" in data:
         raise DataError(f"{path}: the file is binary, not text (zero byte at {data.index(0)})")
     try:
@@ -140,8 +180,9 @@ def check_text(*, data: bytes, path: str) -> None:
         # With a mark, `error.start` counts from behind it; the line number is the same.
         line = error.object[: error.start].count(b"\n") + 1
         byte = error.object[error.start]
-        message = f"byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8"
-        raise fault(path=path, line=line, message=message) from None
+        raise DataError(
+            f"{path}, line {line}: byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8"
+        ) from None
 
 
 def checked_fps(fps: float, *, where: str) -> float:
@@ -163,10 +204,10 @@ def check_numbers(
     *,
     names: Sequence[str],
     limits: Sequence[float],
-    whole: frozenset[str] = frozenset(),
     place: Place,
+    n_whole: int = 0,
 ) -> None:
-    """Check that all numbers are finite, below their limit and, if in `whole`, whole.
+    """Check that all numbers are finite and below their limit, and the first `n_whole` whole.
 
     Raises
     ------
@@ -174,15 +215,13 @@ def check_numbers(
         For the first offending row, with its line.
     """
     bad = np.zeros((columns[0].size, len(columns)), dtype=bool)
-    for index, (column, name, limit) in enumerate(zip(columns, names, limits, strict=True)):
+    for index, (column, limit) in enumerate(zip(columns, limits, strict=True)):
         bad[:, index] = ~(np.abs(column) < limit)  # True for NaN
-        if name in whole:
+        if index < n_whole:
             bad[:, index] |= column != np.floor(column)
-    rows = np.flatnonzero(bad.any(axis=1))
-    if not rows.size:
+    if not bad.any():
         return
-    row = int(rows[0])
-    index = int(np.flatnonzero(bad[row])[0])
+    row, index = divmod(int(bad.argmax()), len(columns))
     value, name, limit = float(columns[index][row]), names[index], limits[index]
     if not np.isfinite(value):
         reason = f"{name} is {value:g}; leave such rows out (a gap is allowed)"
@@ -230,13 +269,6 @@ def clean_id(text: str) -> str:
             raise ValueError(f"id {name} is not a whole number")
         return str(int(number))
     return name
-
-
-def number_ids(numbers: Floats) -> tuple[Ints, tuple[str, ...]]:
-    """Return (M,) index and the ids in ascending order of checked whole numbers (M,)."""
-    unique = np.unique(numbers)
-    index = np.searchsorted(unique, numbers)  # np.unique's own takes six times the memory
-    return index, tuple(str(int(value)) for value in unique)
 
 
 def sort_ids(names: set[str]) -> tuple[str, ...]:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isac_track.datasets.rows import steps_within
+
 if TYPE_CHECKING:
     from isac_track.types import Bools, Floats, Ints, Tracks
 
@@ -66,13 +68,12 @@ def summarise(tracks: Tracks) -> Summary:
     first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
     n_steps = np.maximum(last - first, 0)
     owner = np.repeat(np.arange(len(tracks)), n_steps)
-    inside = np.ones(max(tracks.t.size - 1, 0), dtype=bool)
-    inside[last[:-1]] = False
-    length = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[inside]
-    lasting = np.diff(tracks.t)[inside]
+    within = steps_within(tracks.offsets)
+    length = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[within]
+    lasting = np.diff(tracks.t)[within]
     speed = length / lasting
 
-    def per_track(values: Floats) -> Floats:
+    def per_track(values: Floats | Bools) -> Floats:
         return np.bincount(owner, weights=values, minlength=len(tracks)).astype(np.float64)
 
     duration = tracks.t[last] - tracks.t[first]
@@ -80,8 +81,8 @@ def summarise(tracks: Tracks) -> Summary:
         mean = per_track(length) / duration
         spread = (speed - mean[owner]) ** 2 * lasting
         deviation = np.sqrt(per_track(spread) / duration)
-        slow = per_track((speed < SLOW_MPS).astype(np.float64)) / n_steps
-        still = per_track((length == 0).astype(np.float64)) / n_steps
+        slow = per_track(speed < SLOW_MPS) / n_steps
+        still = per_track(length == 0) / n_steps
     return Summary(
         samples=n_steps + 1,
         duration_s=duration,

@@ -13,26 +13,17 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from helpers.recordings import CORPUS, TEXT, assert_told, packed, read_walk, refusal
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from pyarrow import parquet
 
 from isac_track.datasets import crowd, load
-from isac_track.datasets.formats import FORMATS, read
+from isac_track.datasets.formats import FORMATS
 from isac_track.datasets.repair import to_tracks
 from isac_track.errors import IsacTrackError
 
-CORPUS = Path(__file__).parent / "corpus"
-FILES = {
-    "obsmat": ["walks.obsmat"],
-    "social-gan": ["walks.social-gan"],
-    "pedpy": ["walks.pedpy"],
-    "trajnet": ["walks.trajnet"],
-    "csv": ["walks.csv"],
-    "parquet": ["text.parquet", "number.parquet"],
-}
-VALID = {name: [(CORPUS / file).read_bytes() for file in files] for name, files in FILES.items()}
-TEXT = [name for name in FORMATS if name != "parquet"]
+VALID = {name: [(CORPUS / f"walks.{name}").read_bytes()] for name in TEXT}
+VALID["parquet"] = [(CORPUS / f"{name}.parquet").read_bytes() for name in ("text", "number")]
 ARCHIVE = (CORPUS / "walks.npz").read_bytes()
 FPS = st.sampled_from([None, 25.0, 1e-3, 1e6, 0.0, -1.0, float("nan"), float("inf")])
 # The examples are the same in every run; one that takes over 5 s is a hang.
@@ -41,13 +32,9 @@ steady = settings(derandomize=True, print_blob=True, deadline=timedelta(seconds=
 
 def check(data, format_name, fps):
     try:
-        tracks, repairs = read(data=data, path="f", format=format_name, fps=fps)
+        tracks, repairs = read_walk(data, format_name, fps)
     except IsacTrackError as error:
-        message = str(error)
-        assert message.startswith(("f:", "f,", "--fps")), message
-        assert len(message.splitlines()) == 1, message
-        assert len(message) < 1000
-        message.encode()
+        assert_told(str(error))
     else:
         assert (np.diff(tracks.offsets) > 1).all()
         assert all(repair.count > 0 for repair in repairs)
@@ -131,129 +118,43 @@ def test_any_bytes(format_name, data, fps):
     check(data, format_name, fps)
 
 
-def refusal(data, format_name, fps=25.0):
-    fps = fps if format_name not in {"csv", "parquet"} else None
+EXTENSIONS = {"csv": ".csv", "parquet": ".parquet", "trajnet": ".NDJSON"}
+
+
+@pytest.mark.parametrize("extension", [*EXTENSIONS.values(), ".npz", ""])
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_a_file_under_another_formats_name(extension, format_name, tmp_path):
+    path = tmp_path / f"walk{extension}"
+    path.write_bytes(VALID[format_name][0])
+    if EXTENSIONS.get(format_name) == extension:
+        assert len(load(path).tracks) > 0
+        return
     with pytest.raises(IsacTrackError) as caught:
-        read(data=data, path="f", format=format_name, fps=fps)
-    check(data, format_name, fps)
-    return str(caught.value)
+        load(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
-def packed(*, compression="zstd", **columns):
-    buffer = io.BytesIO()
-    parquet.write_table(pa.table(columns), buffer, compression=compression)
-    return buffer.getvalue()
+def test_a_line_may_be_longer_than_a_block_of_arrow():
+    lines = ["t,id,x,y,note", *(f"{0.4 * n},1,{n},0,{'a' * 600_000}" for n in range(3))]
+    tracks, (note,) = read_walk("\n".join(lines).encode(), "csv")
+    assert tracks.t.size == 3
+    assert note.kind == "ignored-column"
 
 
-class TestWhatWasFound:
-    def test_a_parquet_file_whose_code_lies_beyond_its_dictionary(self):
-        # An IndexError, found by benchmarks/fuzz_readers.py.
-        data = (CORPUS / "code-beyond-dictionary.parquet").read_bytes()
-        assert "the parquet file is damaged" in refusal(data, "parquet")
+@pytest.mark.parametrize("name", ["two\nlines.csv", "red\x1b[31m.csv", "\udcff.csv", "a\udcff"])
+def test_a_file_name_is_one_line_that_can_be_printed(name, tmp_path):
+    (tmp_path / name).write_bytes(b"t,id\n")
+    with pytest.raises(IsacTrackError) as caught:
+        load(tmp_path / name)
+    str(caught.value).encode()
+    assert str(caught.value).isprintable()
 
-    def test_a_parquet_file_whose_parts_call_a_column_differently(self):
-        # A KeyError, found by benchmarks/fuzz_readers.py.
-        data = (CORPUS / "column-that-is-not-read.parquet").read_bytes()
-        assert "the parquet file is damaged (column t is not in it)" in refusal(data, "parquet")
 
-    @pytest.mark.parametrize(
-        "name", ["walk.csv", "walk.parquet", "walk.NDJSON", "walk.npz", "walk"]
-    )
-    @pytest.mark.parametrize("format_name", FORMATS)
-    def test_a_file_under_another_formats_name(self, name, format_name, tmp_path):
-        path = tmp_path / name
-        path.write_bytes(VALID[format_name][0])
-        if {"csv": "walk.csv", "parquet": "walk.parquet", "trajnet": "walk.NDJSON"}.get(
-            format_name
-        ) == name:
-            assert len(load(path).tracks) > 0
-            return
-        with pytest.raises(IsacTrackError) as caught:
-            load(path)
-        assert str(path) in str(caught.value)
-        assert "\n" not in str(caught.value)
-
-    def test_a_line_may_be_longer_than_a_block_of_arrow(self):
-        lines = ["t,id,x,y,note", *(f"{0.4 * n},1,{n},0,{'a' * 600_000}" for n in range(3))]
-        tracks, (note,) = read(data="\n".join(lines).encode(), path="f", format="csv")
-        assert tracks.t.size == 3
-        assert note.kind == "ignored-column"
-
-    def test_a_quoted_field_that_goes_on_in_the_next_line(self):
-        data = b't,id,x,y,note\n0,1,0,0,a\n0.4,1,1,0,"one\ntwo"\n0.8,1,2,0,b\n'
-        message = refusal(data, "csv")
-        assert message == "f, line 3: unexpected end of data; each row must be on one line"
-
-    def test_more_columns_than_anybody_uses(self):
-        head = b"t,id,x,y" + b",c" * 10_000
-        assert "f, line 1: 10004 columns, over 10000" in refusal(head + b"\n", "csv")
-
-    def test_a_line_of_json_that_holds_more_than_a_row(self):
-        line = b'{"track": {"f": 1, "p": 1, "x": 0, "y": 0, "z": [%s[]]}}\n' % (b"[]," * 5000)
-        assert "f, line 1: 15054 characters, over 10000" in refusal(line, "trajnet")
-
-    @pytest.mark.parametrize("name", ["two\nlines.csv", "red\x1b[31m.csv", "\udcff.csv", "a\udcff"])
-    def test_a_file_name_is_one_line_that_can_be_printed(self, name, tmp_path):
-        (tmp_path / name).write_bytes(b"t,id\n")
-        with pytest.raises(IsacTrackError) as caught:
-            load(tmp_path / name)
-        str(caught.value).encode()
-        assert str(caught.value).isprintable()
-
-    @pytest.mark.parametrize(("text", "shown"), [("a\x1b[2Jb", "\\x1b"), ("a\x85b", "\\x85")])
-    def test_an_id_that_steers_the_terminal(self, text, shown):
-        rows = f"t,id,x,y\n0,{text},0,0\n0.4,{text},0.4,0\n"
-        assert refusal(rows.encode(), "csv").startswith("f, line 2: the name ")
-        assert shown in refusal(rows.encode(), "csv")
-        names = f"t,id,x,y,{text}\n0,1,0,0,1\n0.4,1,0.4,0,1\n"
-        _, (note,) = read(data=names.encode(), path="f", format="csv")
-        assert note.detail.isprintable()
-
-    def test_an_id_of_any_length_is_cut_in_the_message(self):
-        rows = b"t,id,x,y\n0,%b,0,0\n" % (b"a" * 100_000)
-        assert "has 100000 characters, over 200" in refusal(rows, "csv")
-
-    def test_a_header_in_which_the_search_for_the_frame_rate_starts_everywhere(self):
-        # Took 6 s for 45 kB, and four times as long for twice as much.
-        message = refusal(b"# " + b"framerate" * 100_000 + b"\n1 0 0 0\n", "pedpy", None)
-        assert "no framerate" in message
-
-    @pytest.mark.parametrize("format_name", ["csv", "parquet"])
-    def test_two_samples_at_nearly_the_same_time_are_at_the_same_time(self, format_name):
-        t = [0.0, 0.4, 0.4 + 1e-15, 0.8]
-        if format_name == "parquet":
-            data = packed(t=t, id=[1] * 4, x=[0.0, 0.4, 0.5, 0.8], y=[0.0] * 4)
-        else:
-            rows = zip(t, [0, 0.4, 0.5, 0.8], strict=True)
-            data = b"t,id,x,y\n" + "".join(f"{t!r},1,{x},0\n" for t, x in rows).encode()
-        assert "id 1 is somewhere else at the same time" in refusal(data, format_name)
-
-    @pytest.mark.parametrize(
-        ("format_name", "data"),
-        [
-            ("csv", b"t,id,x,y\n0,1,0,0\n1e11,1,0,0\n2e11,1,0,0\n"),
-            ("social-gan", b"0 1 0 0\n1000000000000 1 0 0\n"),
-            ("obsmat", b"0 1 0 0 0 0 0 0\n1000000000000 1 0 0 0 0 0 0\n"),
-            ("pedpy", b"1 0 0 0\n1 1000000000000 0 0\n"),
-            ("trajnet", VALID["trajnet"][0].split(b"\n")[1] + b"\n"
-             b'{"track": {"f": 1000000000000, "p": 1, "x": 1.0, "y": 2.0}}\n'),
-        ],
-    )  # fmt: skip
-    def test_somebody_who_stands_for_years_is_not_interpolated(self, format_name, data):
-        assert "the usual step is" in refusal(data, format_name)
-        assert "over 10 s: milliseconds for seconds" in refusal(data, format_name)
-
-    def test_ids_of_parquet_files_in_several_row_groups_with_nulls(self):
-        buffer = io.BytesIO()
-        group = ["g", None, "h", None, None, "g", "g", None]
-        table = pa.table(
-            {"t": [0.0, 0.4] * 4, "id": list("aabbccdd"), "x": [0.0, 0.4] * 4, "y": [0.0] * 8,
-             "group": group}
-        )  # fmt: skip
-        parquet.write_table(table, buffer, row_group_size=2)
-        tracks, _ = read(data=buffer.getvalue(), path="f", format="parquet")
-        assert tracks.source == ("a", "b", "c", "d")
-        assert tracks.group == ("group:g", "group:h", "group:g", "group:g")
+@pytest.mark.parametrize("name", ["a\x1b[2Jb", "a\x85b"])
+def test_the_name_of_a_column_does_not_steer_the_terminal(name):
+    _, (note,) = read_walk(f"t,id,x,y,{name}\n0,1,0,0,1\n0.4,1,0.4,0,1\n".encode(), "csv")
+    assert note.detail.isprintable()
 
 
 class TestMemory:
@@ -263,70 +164,50 @@ class TestMemory:
     )
     def test_a_recording_needs_less_than_ten_times_its_size(self, format_name, megabytes):
         data = recording(format_name, n_bytes=int(megabytes * 1e6))
-        fps = None if format_name == "csv" else 25.0
-        read(data=VALID[format_name][0], path="f", format=format_name, fps=None
-             if format_name in {"csv", "pedpy", "trajnet"} else fps)  # fmt: skip  # imports
-        assert peak_bytes(data, format_name, fps) < 10 * len(data)
+        assert peak_bytes(data, format_name) < 10 * len(data)
 
     @pytest.mark.parametrize("format_name", TEXT)
     def test_a_wide_character_and_windows_line_ends_do_not_change_that(self, format_name):
         data = recording(format_name, n_bytes=1_000_000).replace(b"\n", b"\r\n")
-        wide = "# \N{GRINNING FACE}\r\n".encode()
         if format_name == "csv":
             data = data.replace(b",1,", ",\N{GRINNING FACE},".encode())
         elif format_name != "trajnet":  # has ASCII numbers alone
-            data = wide + data
-        fps = None if format_name == "csv" else 25.0
-        assert peak_bytes(data, format_name, fps) < 10 * len(data)
+            data = "# \N{GRINNING FACE}\r\n".encode() + data
+        assert peak_bytes(data, format_name) < 10 * len(data)
 
     @pytest.mark.parametrize("of_a_person", [1_000_000, 10], ids=["one person", "ten rows each"])
-    @pytest.mark.parametrize("format_name", ["csv", "social-gan", "pedpy"])
-    def test_nor_do_the_shortest_rows(self, format_name, of_a_person):
+    @pytest.mark.parametrize(
+        ("format_name", "line"),
+        [("csv", "{t},{person},{x},0\n"), ("social-gan", "{t} {person} {x} 0\n"),
+         ("pedpy", "{person} {t} {x} 0\n")],
+    )  # fmt: skip
+    def test_nor_do_the_shortest_rows(self, format_name, line, of_a_person):
         n = 150_000
-        line = {
-            "csv": "{t},{person},{x},0\n",
-            "social-gan": "{t} {person} {x} 0\n",
-            "pedpy": "{person} {t} {x} 0\n",
-        }[format_name]
-        last = min(n, of_a_person) - 1
-        text = "".join(
-            # One person stands still, but for the last row: all others say the same again.
-            line.format(t=int(row == last), person=1, x=int(row == last))
-            if of_a_person > n
-            else line.format(t=row % 10, person=row // 10, x=row % 10)
-            for row in range(n)
-        )
+        if of_a_person > n:  # stands still, but for the last row: all others say the same again
+            cells = ((int(row == n - 1), 1) for row in range(n))
+        else:
+            cells = ((row % 10, row // 10) for row in range(n))
+        text = "".join(line.format(t=t, person=person, x=t) for t, person in cells)
         data = (("t,id,x,y\n" if format_name == "csv" else "") + text).encode()
         assert len(data) < 12 * n
-        fps = None if format_name == "csv" else 1.0
-        read(data=VALID[format_name][0], path="f", format=format_name,
-             fps=None if format_name in {"csv", "pedpy"} else 25.0)  # fmt: skip  # imports
-        assert peak_bytes(data, format_name, fps) < 10 * len(data)
+        assert peak_bytes(data, format_name, fps=1.0) < 10 * len(data)
 
     @pytest.mark.parametrize(
-        ("make", "message"),
+        ("columns", "message"),
         [
-            (
-                lambda: packed(**{name: np.zeros(10_000_000) for name in ("t", "id", "x", "y")}),
-                "claims 10000000 rows in ",
-            ),
-            (
-                lambda: packed(t=np.arange(400.0), id=["a" * 1_000_000] * 400, x=np.zeros(400),
-                               y=np.zeros(400)),
-                "has 1000000 characters, over 200",
-            ),
-            (
-                lambda: packed(t=["0" * 1_000_000] * 400, id=[1] * 400, x=np.zeros(400),
-                               y=np.zeros(400)),
-                "column t holds string, not numbers of seconds",
-            ),
+            ({name: np.zeros(10_000_000) for name in ("t", "id", "x", "y")},
+             "claims 10000000 rows in "),
+            ({"t": np.arange(400.0), "id": ["a" * 1_000_000] * 400},
+             "has 1000000 characters, over 200"),
+            ({"t": ["0" * 1_000_000] * 400, "id": [1] * 400},
+             "column t holds string, not numbers of seconds"),
         ],
         ids=["rows", "a long id", "a long text for a number"],
     )  # fmt: skip
     def test_a_small_parquet_file_that_claims_much_is_refused_without_unpacking(
-        self, make, message
+        self, columns, message
     ):
-        data = make()
+        data = packed(**{"x": np.zeros(400), "y": np.zeros(400), **columns}, compression="zstd")
         assert len(data) < 400_000
         with arrow_pool() as pool:
             assert message in refusal(data, "parquet")
@@ -337,7 +218,7 @@ class TestMemory:
     )
     @pytest.mark.parametrize("format_name", TEXT)
     def test_lines_of_nothing_need_no_more(self, format_name, data):
-        assert peak_bytes(data, format_name, None if format_name == "csv" else 25.0) < 10_000_000
+        assert peak_bytes(data, format_name) < 10_000_000
 
 
 def recording(format_name, *, n_bytes):
@@ -360,8 +241,9 @@ def recording(format_name, *, n_bytes):
     return text.getvalue().encode()
 
 
-def peak_bytes(data, format_name, fps):
+def peak_bytes(data, format_name, fps=25.0):
     """What Python and arrow held at most, beside the file itself: up to the rows, or after."""
+    check(VALID[format_name][0], format_name, None if format_name == "csv" else 25.0)  # imports
     up_to_rows = [0]
 
     def sorted_out(rows, *, groups):
@@ -375,7 +257,7 @@ def peak_bytes(data, format_name, fps):
     try:
         with pytest.MonkeyPatch.context() as patch, arrow_pool() as pool:
             patch.setattr("isac_track.datasets.formats.to_tracks", sorted_out)
-            check(data, format_name, fps)
+            check(data, format_name, None if format_name == "csv" else fps)
         return max(*up_to_rows, tracemalloc.get_traced_memory()[1] + pool.bytes_allocated())
     finally:
         tracemalloc.stop()

@@ -137,14 +137,12 @@ def simulate(
     for number, party in enumerate(plan.parties):
         crowd.party[party.members] = number
         crowd.slot[party.members] = party.slots_m
-    arrivals: dict[int, list[int]] = {}
-    for number, party in enumerate(plan.parties):
-        frame = max(0, int(np.ceil(party.arrival_s / settings.frame_s)))
-        arrivals.setdefault(frame, []).append(number)
+    arrival_s = np.array([party.arrival_s for party in plan.parties])
+    arrival_frame = np.maximum(0, np.ceil(arrival_s / settings.frame_s))
     frames, people, places = [], [], []
     for frame in range(settings.n_frames):
-        for number in arrivals.get(frame, []):
-            _enter(crowd, plan, number, noise)
+        for arrived in np.flatnonzero(arrival_frame == frame):
+            _enter(crowd, plan, int(arrived), noise)
         rows = np.flatnonzero(crowd.here)
         frames.append(np.full(rows.size, frame))
         people.append(rows)
@@ -212,21 +210,18 @@ def _advance(
         wander = keep_wander * crowd.wander[rows] + np.sqrt(1.0 - keep_wander**2) * xi[:, 1]
         sway = keep_sway * crowd.sway[rows] + kick_sway * (xi[:, 2] + 1j * xi[:, 3])
 
-        to_target = target[local] - centre[local]
-        ahead = to_target / np.maximum(np.hypot(*to_target.T), 1e-9)[:, None]
+        ahead = _unit(target[local] - centre[local])
         angle = traits.turn_rad[rows] * wander * _unsteadiness(v)
         course = _turned(np.stack([np.cos(angle), np.sin(angle)], axis=1), ahead)
         wanted = np.where(standing, STANDING * PACE_MPS * pace, speed + PACE_MPS * pace)
         force = (np.maximum(wanted, -BACKWARD_MPS)[:, None] * course - v) / RELAXATION_S
         force += _avoidance(x, v, together=local[:, None] == local[None, :])
-        front = _sum_by(local, heading)
-        front = front / np.maximum(np.hypot(*front.T), 1e-9)[:, None]
+        front = _unit(_sum_by(local, heading))
         place = FORMATION_PER_S2 * (centre[local] + _turned(slot, front[local]) - x)
         force += _capped(place, FORMATION_MAX_MPS2)
 
         v = _capped(v + dt * force, TOP_SPEED_MPS)
-        heading = heading + (dt / HEADING_S) * v
-        heading = heading / np.maximum(np.hypot(*heading.T), 1e-9)[:, None]
+        heading = _unit(heading + (dt / HEADING_S) * v)
         moved = dt * v
         crowd.xy[rows] = np.round(x + moved, GRID_DIGITS)
         crowd.v[rows] = np.round(v, GRID_DIGITS)
@@ -321,6 +316,10 @@ def _turned(vector: Floats, ahead: Floats) -> Floats:
     """Return vectors given as (ahead, left) in the plane's axes, for unit vectors `ahead`."""
     left = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
     return np.asarray(vector[..., :1] * ahead + vector[..., 1:] * left)
+
+
+def _unit(vector: Floats) -> Floats:
+    return np.asarray(vector / np.maximum(np.hypot(*vector.T), 1e-9)[:, None])
 
 
 def _capped(vector: Floats, longest: float) -> Floats:

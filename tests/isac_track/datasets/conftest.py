@@ -17,6 +17,14 @@ def empty_machine(monkeypatch, tmp_path):
 
 
 @pytest.fixture
+def data_folder(empty_machine, monkeypatch, tmp_path):  # noqa: ARG001 - all else is to be empty
+    """An empty data folder of the user's."""
+    (tmp_path / "data").mkdir()
+    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
+    return tmp_path / "data"
+
+
+@pytest.fixture
 def ucy():
     """Give the folder of the real recordings, which are not part of the project."""
     folder = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere"))
@@ -26,7 +34,10 @@ def ucy():
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
-    """Answers with what `server.files` holds: bytes, a status, or a function of the handler."""
+    """Answers with what `server.files` holds.
+
+    Bytes, a status, a function of the handler, or (announced length, bytes, what comes then).
+    """
 
     def do_GET(self):
         self.server.asked.append(self.path)
@@ -36,10 +47,16 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         elif isinstance(answer, int):
             self.send_error(answer)
         else:
+            length, data, then = (
+                answer if isinstance(answer, tuple) else (len(answer), answer, None)
+            )
             self.send_response(200)
-            self.send_header("Content-Length", str(len(answer)))
+            if length is not None:
+                self.send_header("Content-Length", str(length))
             self.end_headers()
-            self.wfile.write(answer)
+            self.wfile.write(data)
+            if then:
+                then(self)
 
     def log_message(self, *_):
         pass

@@ -10,27 +10,16 @@ import time
 from dataclasses import replace
 
 import pytest
+from helpers.recordings import files_in
 
 from isac_track.datasets import download, load
-from isac_track.datasets.download import fetch, url_of, usable
+from isac_track.datasets.download import fetch, url_of
 from isac_track.datasets.registry import KNOWN, Known, locate
 from isac_track.errors import DataError
 
 WALK = b"1 1 0 0 0 0 0 0\n11 1 0.4 0 0 0 0 0\n"
 OTHER = WALK + b"\n"
-SMALL = Known(
-    name="small",
-    about="",
-    citation="",
-    licence="",
-    format="obsmat",
-    fps=25.0,
-    sha256={"obsmat.txt": hashlib.sha256(WALK).hexdigest()},
-)
-
-
-def files_in(folder):
-    return [path for path in folder.rglob("*") if path.is_file()]
+SMALL = Known(name="small", sha256={"obsmat.txt": hashlib.sha256(WALK).hexdigest()})
 
 
 def put(folder, name, *sources, **contents):
@@ -51,22 +40,15 @@ def test_a_plain_import_and_the_help_stay_light():
     assert done.stdout.strip() == ""
 
 
-def test_the_default_is_the_bundled_crowd_with_a_notice(empty_machine):
+def test_the_default_is_the_bundled_crowd_with_a_notice(mirror, monkeypatch, tmp_path):
     loaded = load()
     assert (loaded.name, loaded.simulated, loaded.repairs) == ("plaza", True, ())
     assert loaded.path == "isac_track/datasets/plaza.npz"
     assert "students03 is not here (ISAC_TRACK_DATA is not set; cache is" in loaded.notice
     assert "python -m isac_track.datasets fetch students03" in loaded.notice
-
-
-def test_the_default_says_so_if_the_data_folder_is_none(empty_machine, monkeypatch, tmp_path):
     monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "typo"))
     assert "typo, which is no folder" in load().notice
-
-
-def test_the_default_never_asks_a_network(mirror):
-    load()
-    assert mirror.asked == []
+    assert mirror.asked == []  # never a network
 
 
 def test_the_bundled_sessions_by_name(empty_machine):
@@ -86,58 +68,49 @@ def test_the_default_takes_the_real_recording_if_it_is_here(ucy):
     assert "Lerner" in loaded.citation
 
 
-def test_data_folder_before_cache(empty_machine, monkeypatch, tmp_path):
-    put(empty_machine, "small", obsmat=WALK)
-    assert locate(SMALL) == {"obsmat.txt": empty_machine / "small" / "obsmat.txt"}
-    put(tmp_path / "data", "small", obsmat=WALK)
-    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
-    assert locate(SMALL) == {"obsmat.txt": tmp_path / "data" / "small" / "obsmat.txt"}
+def test_data_folder_before_cache(empty_machine, data_folder):
+    for folder in (empty_machine, data_folder):
+        put(folder, "small", obsmat=WALK)
+        assert locate(SMALL) == {"obsmat.txt": folder / "small" / "obsmat.txt"}
 
 
 @pytest.mark.parametrize("name", [None, "students03"])
-def test_a_wrong_file_is_an_error_with_both_hashes(name, ucy, empty_machine, monkeypatch, tmp_path):
-    data = tmp_path / "data"
-    put(data, "students03", ucy / "students03" / "groups.txt", obsmat=WALK)
-    monkeypatch.setenv("ISAC_TRACK_DATA", str(data))
+def test_a_wrong_file_is_an_error_with_both_hashes(name, ucy, data_folder):
+    put(data_folder, "students03", ucy / "students03" / "groups.txt", obsmat=WALK)
     with pytest.raises(DataError) as caught:
         load(name)
     message = str(caught.value)
-    assert message.startswith(f"{data}/students03/obsmat.txt is not the obsmat.txt of students03")
+    assert message.startswith(
+        f"{data_folder}/students03/obsmat.txt is not the obsmat.txt of students03"
+    )
     assert hashlib.sha256(WALK).hexdigest() in message
     assert KNOWN["students03"].sha256["obsmat.txt"] in message
     assert "give its path, --format obsmat and --fps" in message
     # The way out that it names.
-    assert load(data / "students03" / "obsmat.txt", format="obsmat", fps=25).tracks.t.size == 2
+    assert load(path, format="obsmat", fps=25).tracks.t.size == 2
 
 
-def test_students03_without_its_groups_is_an_error_not_other_intervals(
-    ucy, empty_machine, monkeypatch, tmp_path
-):
-    put(tmp_path / "data", "students03", ucy / "students03" / "obsmat.txt")
-    monkeypatch.setenv("ISAC_TRACK_DATA", str(tmp_path / "data"))
+def test_students03_without_its_groups_is_an_error_not_other_intervals(ucy, data_folder):
+    put(data_folder, "students03", ucy / "students03" / "obsmat.txt")
     for name in (None, "students03"):
         with pytest.raises(DataError, match=r"students03: groups.txt not found; .*obsmat.txt is "):
             load(name, download=False)
 
 
-def test_a_mistyped_name(empty_machine):
-    with pytest.raises(
-        DataError, match=r"'student03' is neither .* did you mean students03\? .*zara01"
-    ):
-        load("student03")
-    with pytest.raises(DataError, match=r"'xyz' is neither a known data set nor a file \(known: "):
-        load("xyz")
-
-
-def test_paths_that_are_no_files(empty_machine, tmp_path):
-    with pytest.raises(DataError, match=r"walk.csv: no such file"):
-        load("walk.csv")
-    with pytest.raises(DataError, match=r"this is a folder"):
-        load(tmp_path)
-    with pytest.raises(DataError, match=r"no such file"):
-        load("walk\0.csv")
-    with pytest.raises(DataError, match=r"cannot be read .File name too long"):
-        load("x" * 5000 + ".csv")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("student03", r"'student03' is neither .* did you mean students03\? .*zara01"),
+        ("xyz", r"'xyz' is neither a known data set nor a file \(known: "),
+        ("walk.csv", r"walk.csv: no such file"),
+        ("walk\0.csv", r"no such file"),
+        (os.sep, r"this is a folder"),
+        ("x" * 5000 + ".csv", r"cannot be read .File name too long"),
+    ],
+)
+def test_what_is_neither_a_name_nor_a_file(empty_machine, name, message):
+    with pytest.raises(DataError, match=message):
+        load(name)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
@@ -172,7 +145,7 @@ def test_a_named_data_set_is_downloaded_once(ucy, mirror):
 
 def test_a_download_shows_its_progress_on_stderr(mirror, empty_machine, capsys):
     mirror.files["/base/small/obsmat.txt"] = WALK
-    files = fetch(SMALL, found={})
+    files, _ = fetch(SMALL)
     assert files == {"obsmat.txt": empty_machine / "small" / "obsmat.txt"}
     assert files["obsmat.txt"].read_bytes() == WALK
     shown = capsys.readouterr()
@@ -181,15 +154,21 @@ def test_a_download_shows_its_progress_on_stderr(mirror, empty_machine, capsys):
     assert shown.out == ""
 
 
-def truncated(handler):
-    handler.send_response(200)
-    handler.send_header("Content-Length", str(len(WALK)))
-    handler.end_headers()
-    handler.wfile.write(WALK[:10])
-
-
 def closed(handler):
     handler.connection.close()
+
+
+def silent(handler):
+    handler.server.over.wait(10)
+
+
+def endless(handler):
+    with contextlib.suppress(OSError):
+        for _ in range(100_000):
+            handler.wfile.write(bytes(100_000))
+
+
+TRUNCATED = (len(WALK), WALK[:10], None)
 
 
 @pytest.mark.parametrize(
@@ -197,20 +176,26 @@ def closed(handler):
     [
         (404, "the server answered 404"),
         (503, "the server answered 503"),
-        (
-            OTHER,
-            f"not the expected file: sha256 is {hashlib.sha256(OTHER).hexdigest()}",
-        ),
+        (OTHER, f"not the expected file: sha256 is {hashlib.sha256(OTHER).hexdigest()}, expected"),
         (b"", "not the expected file: sha256 is e3b0c442"),
-        (truncated, "the connection broke off"),
+        (TRUNCATED, "the connection broke off"),
         (closed, "no connection, or it broke off"),
+        ((len(WALK), WALK[:10], silent), "no answer in time"),
+        (silent, "no answer in time"),
+        ((None, b"", endless), "not the expected file: over 100000000 bytes"),
     ],
-    ids=["not there", "down", "other file", "nothing", "truncated", "closed"],
 )
-def test_a_failed_download_is_one_line_and_leaves_nothing(mirror, empty_machine, answer, message):
+def test_a_failed_download_is_one_line_and_leaves_nothing(
+    mirror, empty_machine, monkeypatch, answer, message
+):
+    monkeypatch.setattr(download, "READ_TIMEOUT_S", 0.3)
     mirror.files["/base/small/obsmat.txt"] = answer
+    mirror.over = threading.Event()
+    began = time.monotonic()
     with pytest.raises(DataError) as caught:
-        fetch(SMALL, found={})
+        fetch(SMALL)
+    mirror.over.set()
+    assert time.monotonic() - began < 5
     assert str(caught.value).startswith(f"{url_of(SMALL, 'obsmat.txt')}: {message}")
     assert "Way out: get obsmat.txt of that folder" in str(caught.value)
     assert "save in DIR/small and set ISAC_TRACK_DATA=DIR" in str(caught.value)
@@ -218,47 +203,7 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(mirror, empty_machine,
     assert files_in(empty_machine) == []
 
 
-def stalled(handler):
-    handler.send_response(200)
-    handler.send_header("Content-Length", str(len(WALK)))
-    handler.end_headers()
-    handler.wfile.write(WALK[:10])
-    handler.server.over.wait(10)
-
-
-def silent(handler):
-    handler.server.over.wait(10)
-
-
-@pytest.mark.parametrize("answer", [stalled, silent])
-def test_a_server_that_stalls_is_not_waited_for(mirror, empty_machine, monkeypatch, answer):
-    monkeypatch.setattr(download, "READ_TIMEOUT_S", 0.3)
-    mirror.files["/base/small/obsmat.txt"] = answer
-    mirror.over = threading.Event()
-    began = time.monotonic()
-    with pytest.raises(DataError, match=r"small/obsmat.txt: no answer in time. Way out: get obs"):
-        fetch(SMALL, found={})
-    mirror.over.set()
-    assert time.monotonic() - began < 5
-    assert files_in(empty_machine) == []
-
-
-def endless(handler):
-    handler.send_response(200)
-    handler.end_headers()
-    with contextlib.suppress(OSError):
-        for _ in range(100_000):
-            handler.wfile.write(bytes(100_000))
-
-
-def test_a_server_that_never_ends_is_cut_off(mirror, empty_machine):
-    mirror.files["/base/small/obsmat.txt"] = endless
-    with pytest.raises(DataError, match=r"small/obsmat.txt: not the expected file: over \d+ bytes"):
-        fetch(SMALL, found={})
-    assert files_in(empty_machine) == []
-
-
-@pytest.mark.parametrize("answer", [404, OTHER, truncated, closed])
+@pytest.mark.parametrize("answer", [404, OTHER, TRUNCATED, closed])
 def test_what_was_fetched_earlier_stays_when_the_next_file_cannot_be_had(
     mirror, empty_machine, answer
 ):
@@ -266,54 +211,49 @@ def test_what_was_fetched_earlier_stays_when_the_next_file_cannot_be_had(
     mirror.files |= {"/base/small/obsmat.txt": WALK, "/base/small/groups.txt": answer}
     for _ in range(2):
         with pytest.raises(DataError, match=r"small/groups.txt: .*Way out"):
-            fetch(two, found=usable(two, found=locate(two)))
+            fetch(two)
         assert files_in(empty_machine) == [empty_machine / "small" / "obsmat.txt"]
         assert (empty_machine / "small" / "obsmat.txt").read_bytes() == WALK
     mirror.files["/base/small/groups.txt"] = b"1 2"
-    assert set(fetch(two, found=usable(two, found=locate(two)))) == {"obsmat.txt", "groups.txt"}
+    assert set(fetch(two)[0]) == {"obsmat.txt", "groups.txt"}
     assert mirror.asked.count("/base/small/obsmat.txt") == 1
 
 
 def test_a_damaged_file_in_the_cache_is_replaced_by_a_good_one_alone(mirror, empty_machine):
     put(empty_machine, "small", obsmat=OTHER)
     path = empty_machine / "small" / "obsmat.txt"
-    for answer in (404, truncated):
+    for answer in (404, TRUNCATED):
         mirror.files["/base/small/obsmat.txt"] = answer
         with pytest.raises(DataError, match="Way out"):
-            fetch(SMALL, found=usable(SMALL, found=locate(SMALL)))
+            fetch(SMALL)
         assert files_in(empty_machine) == [path]
         assert path.read_bytes() == OTHER
     mirror.files["/base/small/obsmat.txt"] = WALK
-    fetch(SMALL, found=usable(SMALL, found=locate(SMALL)))
+    fetch(SMALL)
     assert path.read_bytes() == WALK
 
 
-def test_nobody_listens(empty_machine):
-    with pytest.raises(DataError, match=r"127.0.0.1:1/zara01/obsmat.txt: no connection"):
-        load("zara01")
-    assert files_in(empty_machine) == []
-
-
-@pytest.mark.parametrize("base", ["ftp://127.0.0.1", "nonsense", "http://"])
-def test_a_mirror_that_is_no_address(base, empty_machine, monkeypatch):
-    monkeypatch.setenv("ISAC_TRACK_MIRROR", base)
-    with pytest.raises(DataError, match=r"cannot be downloaded"):
-        fetch(SMALL, found={})
-
-
-def test_a_proxy_that_refuses(mirror, empty_machine, monkeypatch):
-    monkeypatch.delenv("NO_PROXY")
-    monkeypatch.delenv("no_proxy", raising=False)
-    monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")
-    with pytest.raises(DataError, match=r"the proxy refuses the connection. Way out"):
-        fetch(SMALL, found={})
-
-
-def test_a_cache_that_cannot_be_written(mirror, monkeypatch, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("ISAC_TRACK_CACHE", str(tmp_path / "file"))
-    with pytest.raises(DataError, match=r"small/obsmat.txt: cannot be written \(Not a directory\)"):
-        fetch(SMALL, found={})
+@pytest.mark.parametrize(
+    ("variables", "message"),
+    [
+        ({"ISAC_TRACK_MIRROR": "ftp://127.0.0.1"}, "cannot be downloaded"),
+        ({"ISAC_TRACK_MIRROR": "nonsense"}, "cannot be downloaded"),
+        ({"ISAC_TRACK_MIRROR": "http://"}, "cannot be downloaded"),
+        (
+            {"http_proxy": "http://127.0.0.1:1", "NO_PROXY": "", "no_proxy": ""},
+            "the proxy refuses the connection. Way out",
+        ),
+        (
+            {"ISAC_TRACK_CACHE": __file__},
+            r"small/obsmat.txt: cannot be written \(Not a directory\)",
+        ),
+    ],
+)
+def test_a_machine_that_is_not_set_up(mirror, monkeypatch, variables, message):
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(DataError, match=message):
+        fetch(SMALL)
 
 
 def test_the_real_address_is_a_pinned_commit(monkeypatch):

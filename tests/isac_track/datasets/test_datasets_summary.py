@@ -1,27 +1,30 @@
 import numpy as np
 import pytest
+from helpers.recordings import tracks_of
 
 from isac_track.datasets import load
 from isac_track.datasets.summary import summarise
 from isac_track.types import Tracks
 
 
-def tracks_of(*walks):
-    """One track a walk, given as [(t, x), ...]; y is 0."""
-    rows = np.array([row for walk in walks for row in walk], dtype=float)
-    names = tuple(str(index) for index in range(len(walks)))
+def along(*xs):
+    """Positions (x, 0), a second apart."""
+    return [(x, 0.0) for x in xs]
+
+
+def one_walk(t, x):
     return Tracks(
-        t=rows[:, 0],
-        xy=np.column_stack([rows[:, 1], np.zeros(len(rows))]),
-        offsets=np.cumsum([0, *map(len, walks)]),
-        source=names,
-        group=names,
+        t=np.array(t, dtype=float),
+        xy=np.column_stack([x, np.zeros(len(x))]),
+        offsets=np.array([0, len(t)]),
+        source=("a",),
+        group=("a",),
     )
 
 
 def test_by_hand():
     # Steps of 1 m in 1 s, none in 1 s, 1 m in 2 s: 2 m in 4 s.
-    summary = summarise(tracks_of([(0, 0), (1, 1), (2, 1), (4, 2)]))
+    summary = summarise(one_walk([0, 1, 2, 4], [0.0, 1, 1, 2]))
     assert len(summary) == 1
     assert summary.samples[0] == 4
     assert summary.duration_s[0] == 4
@@ -35,10 +38,8 @@ def test_by_hand():
 
 
 def test_per_track_and_no_step_from_one_track_to_the_next():
-    walking = [(step, 1.3 * step) for step in range(11)]
-    frozen = [(step, 0.0) for step in range(10)] + [(10, 0.3)]
-    slow = [(step, 0.1 * step) for step in range(6)]
-    summary = summarise(tracks_of(walking, frozen, slow))
+    walking, frozen, slow = 1.3 * np.arange(11), [0.0] * 10 + [0.3], 0.1 * np.arange(6)
+    summary = summarise(tracks_of(along(*walking), along(*frozen), along(*slow), frame_s=1.0))
     np.testing.assert_allclose(summary.speed_mean_mps, [1.3, 0.03, 0.1])
     np.testing.assert_allclose(summary.slow_share, [0, 0.9, 1])
     np.testing.assert_allclose(summary.still_share, [0, 0.9, 0])
@@ -48,7 +49,7 @@ def test_per_track_and_no_step_from_one_track_to_the_next():
 
 
 def test_a_single_sample_has_no_speed():
-    summary = summarise(tracks_of([(0, 0)], [(0, 0), (1, 1)]))
+    summary = summarise(tracks_of(along(0.0), along(0.0, 1.0), frame_s=1.0))
     np.testing.assert_array_equal(summary.speed_mean_mps, [np.nan, 1])
     np.testing.assert_array_equal(summary.still_share, [np.nan, 0])
     np.testing.assert_array_equal(summary.frozen, [False, False])
@@ -57,8 +58,8 @@ def test_a_single_sample_has_no_speed():
 
 def test_lasting_forgives_the_rounding_of_the_clock():
     end = 0.4 + 21.6  # a little short of 22 s behind the start, in floating point
-    assert summarise(tracks_of([(0.4, 0), (np.nextafter(end, 0), 1)])).n_lasting(21.6) == 1
-    assert summarise(tracks_of([(0.4, 0), (end - 0.04, 1)])).n_lasting(21.6) == 0
+    assert summarise(one_walk([0.4, np.nextafter(end, 0)], [0, 1])).n_lasting(21.6) == 1
+    assert summarise(one_walk([0.4, end - 0.04], [0, 1])).n_lasting(21.6) == 0
 
 
 @pytest.mark.usefixtures("ucy")
@@ -69,9 +70,8 @@ def test_students03():
     assert summary.n_lasting(12) == 276
     assert summary.total_still_share == pytest.approx(0.187, abs=5e-4)
     assert (summary.still_share > 0).sum() == 63
-    assert [loaded.tracks.source[row] for row in np.flatnonzero(summary.frozen)] == [
-        "289", "453", "454", "468", "473",
-    ]  # fmt: skip
+    frozen = [loaded.tracks.source[row] for row in np.flatnonzero(summary.frozen)]
+    assert frozen == ["289", "453", "454", "468", "473"]
 
 
 def test_the_bundled_crowd_has_no_frozen_tracks():

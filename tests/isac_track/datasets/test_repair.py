@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
+from helpers.recordings import kinds, read_walk
 
 from isac_track.datasets import load
-from isac_track.datasets.formats import read
 from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError
 
@@ -10,107 +10,72 @@ from isac_track.errors import DataError
 def recording(*rows, step_s=0.4):
     """Rows (step, id, x) as a csv; y is 0."""
     lines = [f"{step * step_s!r},{person},{x},0" for step, person, x in rows]
-    return read(data="\n".join(["t,id,x,y", *lines]).encode(), path="f.csv", format="csv")
+    return read_walk("\n".join(["t,id,x,y", *lines]).encode(), "csv")
 
 
-def kinds(repairs):
-    return {repair.kind: repair.count for repair in repairs}
+def walk(*steps, person="a", speed=0.4):
+    """Rows of one person who walks on at `speed` m a step."""
+    return [(step, person, speed * step) for step in steps]
 
 
-def test_rows_out_of_order_are_sorted_and_counted():
-    tracks, repairs = recording(
-        (2, "a", 0.8), (0, "a", 0.0), (1, "a", 0.4), (0, "b", 0), (1, "b", 1)
-    )
-    np.testing.assert_allclose(tracks.xy[:, 0], [0, 0.4, 0.8, 0, 1])
-    assert kinds(repairs) == {"unsorted": 1}
-    assert repairs[0].detail == (
-        "f.csv: line 3: earlier than the row before of the same id; sorted"
-    )
+A, B = walk(0, 1), walk(0, 1, person="b")
 
 
-@pytest.mark.parametrize("by", [lambda row: row[:2], lambda row: (row[1], row[0])], ids=["t", "id"])
-def test_rows_by_time_or_by_person_are_in_order(by):
-    rows = sorted([(step, person, 0.4 * step) for step in range(3) for person in "ab"], key=by)
+@pytest.mark.parametrize(
+    ("rows", "expected", "detail"),
+    [
+        ([*walk(2, 0, 1), *B], {"unsorted": 1},
+         "f: line 3: earlier than the row before of the same id; sorted"),
+        ([*A, *A, A[1]], {"unsorted": 1, "duplicate": 3},
+         "f: lines 4, 5, 6: the same id, time and position again; dropped"),
+        ([*A, (0, "b", 3.0), (1, "c", 3.0)], {"one-point": 2},
+         "f: lines 4, 5: a single sample (id b, c); dropped"),
+        ([*A, *((0, str(person), person) for person in range(9))], {"one-point": 9},
+         "f: lines 4, 5, 6, 7, 8 and 4 more: a single sample"),
+        (walk(0, 1, 2, 6, 7, 8), {"gap": 1},
+         "f: line 5: behind a gap (longest 1.6 s, usual step 0.4 s); kept"),
+        ([(step, "a", x) for step, x in enumerate((0, 0.4, 0.8, 9, 9.4))], {"fast-step": 1},
+         "f: line 5: over 12 m/s from the sample before; kept"),
+        ([*walk(0, 1, 2, 3, 9, 10, 20, 30, 31), *B], {"split": 3, "one-point": 1},
+         "f: lines 6, 8, 9: behind a gap (longest 4 s, usual step 0.4 s); too long"),
+        # People who never move, and rows by time or by person, are nothing to repair.
+        ([(0, "a", 1), (1, "a", 1)], {}, None),
+        ([*walk(0, 1, 2), *walk(0, 1, 2, person="b")], {}, None),
+        (sorted([*walk(0, 1, 2), *walk(0, 1, 2, person="b")]), {}, None),
+    ],
+)  # fmt: skip
+def test_what_is_mended_is_counted_and_says_where(rows, expected, detail):
     tracks, repairs = recording(*rows)
-    assert tracks.source == ("a", "b")
-    assert repairs == ()
-
-
-def test_copies_are_dropped_and_counted():
-    rows = [(0, "a", 0.0), (1, "a", 0.4), (0, "a", 0.0), (1, "a", 0.4), (1, "a", 0.4)]
-    tracks, repairs = recording(*rows)
-    assert tracks.t.size == 2
-    assert kinds(repairs) == {"unsorted": 1, "duplicate": 3}
-    assert (
-        "f.csv: lines 4, 5, 6: the same id, time and position again; dropped" in repairs[1].detail
-    )
+    assert kinds(repairs) == expected
+    assert detail is None or any(detail in repair.detail for repair in repairs)
+    dropped = sum(expected.get(kind, 0) for kind in ("duplicate", "one-point"))
+    assert tracks.t.size == len(rows) - dropped
+    assert set(tracks.group) <= {"a", "b"}
+    for track in tracks:  # sorted, none twice
+        assert (np.diff(track.t) > 0).all()
 
 
 def test_copies_with_a_contradiction_among_them_are_an_error():
-    with pytest.raises(
-        DataError, match=r"f.csv, line 4: id a is somewhere else at the same time in"
-    ):
+    with pytest.raises(DataError, match=r"f, line 4: id a is somewhere else at the same time in"):
         recording((0, "a", 0.0), (0, "a", 0.0), (0, "a", 0.1), (1, "a", 0.4))
 
 
-def test_a_single_sample_is_no_track():
-    tracks, repairs = recording((0, "a", 0.0), (1, "a", 0.4), (0, "b", 3.0), (1, "c", 3.0))
-    assert tracks.source == ("a",)
-    assert kinds(repairs) == {"one-point": 2}
-    assert repairs[0].detail == "f.csv: lines 4, 5: a single sample (id b, c); dropped"
-
-
-def test_a_short_gap_is_kept_and_counted():
-    tracks, repairs = recording(*[(step, "a", 0.4 * step) for step in (0, 1, 2, 6, 7, 8)])
-    assert tracks.source == ("a",)
-    assert tracks.t.size == 6
-    assert kinds(repairs) == {"gap": 1}
-    assert (
-        "f.csv: line 5: behind a gap (longest 1.6 s, usual step 0.4 s); kept" in repairs[0].detail
-    )
-
-
 def test_a_long_gap_makes_two_tracks_of_one_cluster():
-    steps = [0, 1, 2, 3, 9, 10, 20, 30, 31]
-    tracks, repairs = recording(
-        *[(step, "a", 0.4 * step) for step in steps], (0, "b", 9), (1, "b", 9.4)
-    )
+    tracks, _ = recording(*walk(0, 1, 2, 3, 9, 10, 20, 30, 31), *B)
     assert tracks.source == ("a#1", "a#2", "a#3", "b")  # the one at step 20 is alone
     assert tracks.group == ("a", "a", "a", "b")
     np.testing.assert_array_equal(np.diff(tracks.offsets), [4, 2, 2, 2])
-    assert kinds(repairs) == {"split": 3, "one-point": 1}
 
 
 def test_a_split_never_makes_an_id_that_is_there_already():
-    steps = [0, 1, 2, 3, 9, 10]
-    rows = [(step, "a", 0.4 * step) for step in steps]
-    tracks, _ = recording(*rows, (0, "a#1", 9), (1, "a#1", 9.4))
+    tracks, _ = recording(*walk(0, 1, 2, 3, 9, 10), (0, "a#1", 9), (1, "a#1", 9.4))
     assert tracks.source == ("a##1", "a##2", "a#1")
 
 
 def test_slow_recordings_may_have_longer_gaps():
-    tracks, repairs = recording(*[(step, "a", step) for step in (0, 1, 2, 5, 6)], step_s=1.5)
+    tracks, repairs = recording(*walk(0, 1, 2, 5, 6, speed=1), step_s=1.5)
     assert tracks.source == ("a",)
     assert kinds(repairs) == {"gap": 1}  # 4.5 s, but only three steps
-
-
-def test_a_jump_is_kept_and_counted():
-    tracks, repairs = recording(*[(step, "a", x) for step, x in enumerate((0, 0.4, 0.8, 9, 9.4))])
-    assert tracks.t.size == 5
-    assert kinds(repairs) == {"fast-step": 1}
-    assert "f.csv: line 5: over 12 m/s from the sample before; kept" in repairs[0].detail
-
-
-def test_people_who_never_move_are_no_error():
-    tracks, repairs = recording((0, "a", 1), (1, "a", 1))
-    assert len(tracks) == 1
-    assert repairs == ()
-
-
-def test_only_the_first_lines_are_named():
-    rows = [(0, str(person), person) for person in range(9)]
-    _, repairs = recording((0, "a", 0.0), (1, "a", 0.4), *rows)
-    assert "f.csv: lines 4, 5, 6, 7, 8 and 4 more: a single sample" in repairs[0].detail
 
 
 def test_groups_are_transitive_whatever_the_order():

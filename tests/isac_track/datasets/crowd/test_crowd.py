@@ -1,38 +1,22 @@
 from collections import Counter
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.recordings import same, tracks_of
 
+import isac_track
+from isac_track import datasets
 from isac_track.datasets import crowd
-from isac_track.datasets.crowd import CrowdSettings, __main__, model, plan, stats
+from isac_track.datasets.crowd import CrowdSettings, __main__, model, plan
 from isac_track.errors import DataError, SettingsError
-from isac_track.types import Tracks
+
+ROOT = Path(isac_track.__file__).parent.parent
 
 SHORT = CrowdSettings(duration_s=40.0, n_people=70)
 CONSTANT_DENSITY = CrowdSettings(duration_s=150.0, n_people=280)
-
-# Measured on Students03 by crowd.stats.statistics (see docs/plaza.md).
-STUDENTS03 = {
-    "step speed, mean [m/s]": 0.610,
-    "step speed, sd [m/s]": 0.464,
-    "steps below 0.2 m/s [share]": 0.255,
-    "moving speed between tracks, mean [m/s]": 0.854,
-    "moving speed between tracks, sd [m/s]": 0.247,
-    "turn rate, median [deg/s]": 9.55,
-    "turn rate, 95 % [deg/s]": 54.8,
-    "nearest neighbour, 5 % [m]": 0.444,
-    "nearest neighbour, median [m]": 0.690,
-    "people present, mean": 40.5,
-    "duration, median [s]": 14.8,
-    "duration, mean [s]": 20.0,
-    "tracks of at least 21.6 s [share]": 0.248,
-    "line prediction error, mean [m]": 0.204,
-    "line prediction error, everywhere, mean [m]": 0.180,
-    "line prediction error, median [m]": 0.163,
-    "tracks in walking groups [share]": 0.547,
-}
 
 
 @pytest.fixture(scope="module")
@@ -41,27 +25,15 @@ def plaza():
 
 
 @pytest.fixture(scope="module")
-def plaza_statistics(plaza):
+def stats():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT))
+        return import_module("benchmarks.crowd_table")
+
+
+@pytest.fixture(scope="module")
+def plaza_statistics(plaza, stats):
     return stats.statistics(plaza)
-
-
-def make_tracks(*walks, frame_s=0.4):
-    """Tracks of the given positions, sampled every `frame_s`."""
-    return Tracks(
-        t=np.concatenate([frame_s * np.arange(len(walk)) for walk in walks]),
-        xy=np.concatenate([np.asarray(walk, dtype=float) for walk in walks]),
-        offsets=np.cumsum([0, *(len(walk) for walk in walks)]),
-        source=tuple(f"w{row}" for row in range(len(walks))),
-        group=tuple(f"w{row}" for row in range(len(walks))),
-    )
-
-
-def same(one, other):
-    return (
-        np.array_equal(one.xy, other.xy)
-        and np.array_equal(one.t, other.t)
-        and (one.source, one.group) == (other.source, other.group)
-    )
 
 
 # the generator
@@ -114,7 +86,7 @@ def test_everybody_walks_once_in_every_session():
         assert tracks.source == tuple(plan.person_id(row) for row in range(SHORT.n_people))
 
 
-def test_without_traits_nobody_is_recognised_by_speed():
+def test_without_traits_nobody_is_recognised_by_speed(stats):
     settings = replace(CONSTANT_DENSITY, trait_strength=0.0)
     one, two = (
         stats.moving_speeds_mps(crowd.generate(settings, seed=5, session=session))
@@ -140,9 +112,11 @@ def test_settings_that_make_no_crowd_are_refused(wrong):
         CrowdSettings(**wrong)
 
 
-def test_sessions_are_numbered_from_one():
+def test_sessions_that_are_not():
     with pytest.raises(ValueError, match="numbered from 1"):
         crowd.generate(SHORT, seed=5, session=0)
+    with pytest.raises(ValueError, match="sessions 1 and 2"):
+        crowd.bundled_path(3)
 
 
 # the forces
@@ -210,16 +184,11 @@ def test_plaza_is_in_metres_near_the_place_of_the_real_crowd(plaza):
     assert (high - low > 11).all()
 
 
-@pytest.mark.parametrize("name", STUDENTS03)
-def test_plaza_resembles_students03(plaza_statistics, name):
-    assert plaza_statistics[name] == pytest.approx(STUDENTS03[name], rel=0.2)
-
-
-def test_plaza_offers_a_few_hundred_long_tracks(plaza):
+def test_plaza_offers_a_few_hundred_long_tracks(plaza, stats):
     assert 200 < stats.line_errors_m(plaza).size < 400
 
 
-def test_people_keep_their_speed_between_the_bundled_sessions(plaza):
+def test_people_keep_their_speed_between_the_bundled_sessions(plaza, stats):
     second = crowd.bundled(2)
     assert second.source == plaza.source
     one, two = stats.moving_speeds_mps(plaza), stats.moving_speeds_mps(second)
@@ -262,40 +231,50 @@ def test_company_is_new_in_the_second_session(plaza):
     assert len(companions(plaza) & companions(crowd.bundled(2))) <= 2
 
 
-def test_the_table_in_the_document_is_that_of_the_bundled_files(plaza_statistics):
-    text = Path(__file__).parents[4].joinpath("docs", "plaza.md").read_text()
-    rows = [line.split("|")[1:3] for line in text.splitlines() if line.startswith("| ")]
-    table = {name.strip(): value for name, value in rows}
-    for name, value in plaza_statistics.items():
-        assert float(table[name]) == pytest.approx(value, rel=1e-3)
+def documented(column):
+    """A column of the table in the document."""
+    text = (ROOT / "docs" / "plaza.md").read_text().partition("| statistic |")[2]
+    rows = [line.split("|")[1:-1] for line in text.splitlines()[2:] if line.startswith("| ")]
+    return {cells[0].strip(): float(cells[column]) for cells in rows}
 
 
-def test_there_is_no_third_bundled_session():
-    with pytest.raises(ValueError, match="sessions 1 and 2"):
-        crowd.bundled_path(3)
+def test_plaza_resembles_students03_as_the_document_says(plaza_statistics):
+    assert documented(1) == pytest.approx(plaza_statistics, rel=1e-3)
+    real = documented(3)
+    for name in real.keys() - {"tracks"}:
+        assert plaza_statistics[name] == pytest.approx(real[name], rel=0.2), name
+
+
+@pytest.mark.usefixtures("ucy")
+def test_the_document_tells_students03(stats):
+    measured = stats.statistics(datasets.load("students03").tracks)
+    assert documented(3) == pytest.approx(measured, rel=1e-3)
 
 
 # the file
 
 
 def test_a_file_gives_back_the_millimetres(tmp_path):
-    tracks = make_tracks([(32.767, -32.767), (0.0, 1.0)], [(-32.767, 32.767)] * 3)
+    tracks = tracks_of([(32.767, -32.767), (0.0, 1.0)], [(-32.767, 32.767)] * 3)
     crowd.write_npz(tmp_path / "a.npz", tracks)
     assert same(crowd.read_npz(tmp_path / "a.npz"), tracks)
 
 
-@pytest.mark.parametrize("x", [32.768, -32.768, 100.0])
-def test_a_coordinate_that_does_not_fit_is_refused(tmp_path, x):
-    with pytest.raises(DataError, match="does not fit in int16"):
-        crowd.write_npz(tmp_path / "a.npz", make_tracks([(0.0, 0.0), (x, 0.0)]))
-    assert not (tmp_path / "a.npz").exists()
-
-
-@pytest.mark.parametrize("frame_s", [0.3, 0.8])
-def test_a_track_with_gaps_or_off_the_clock_is_refused(tmp_path, frame_s):
-    tracks = make_tracks([(0.0, 0.0), (1.0, 0.0)], frame_s=frame_s)
-    with pytest.raises(DataError, match="without gaps"):
+@pytest.mark.parametrize(
+    ("x", "frame_s", "message"),
+    [
+        (32.768, 0.4, "does not fit in int16"),
+        (-32.768, 0.4, "does not fit in int16"),
+        (100.0, 0.4, "does not fit in int16"),
+        (1.0, 0.3, "without gaps"),
+        (1.0, 0.8, "without gaps"),
+    ],
+)
+def test_a_walk_that_does_not_fit_or_is_off_the_clock_is_refused(tmp_path, x, frame_s, message):
+    tracks = tracks_of([(0.0, 0.0), (x, 0.0)], frame_s=frame_s)
+    with pytest.raises(DataError, match=message):
         crowd.write_npz(tmp_path / "a.npz", tracks, frame_s=0.4)
+    assert not (tmp_path / "a.npz").exists()
 
 
 def test_a_file_of_another_kind_is_an_error_that_names_it(tmp_path):
@@ -317,41 +296,41 @@ def test_the_command_writes_both_sessions(tmp_path, monkeypatch, capsys):
 # the statistics, by hand
 
 
-def test_speeds_and_turns_of_a_square_corner():
+def test_speeds_and_turns_of_a_square_corner(stats):
     # 1 m/s east for 1.6 s, then north: one turn of 90 degrees, sampled across the corner.
-    tracks = make_tracks([(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)])
+    tracks = tracks_of([(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)])
     assert np.allclose(stats.step_speeds_mps(tracks), 1.0)
     assert np.allclose(stats.turn_rates_dps(tracks), 90 / 0.8)
     assert np.allclose(stats.moving_speeds_mps(tracks), 1.0)
 
 
-def test_nobody_turns_who_stands_and_steps_never_cross_tracks():
-    tracks = make_tracks([(0, 0)] * 6, [(5, 5)] * 6)
+def test_nobody_turns_who_stands_and_steps_never_cross_tracks(stats):
+    tracks = tracks_of([(0, 0)] * 6, [(5, 5)] * 6)
     assert stats.turn_rates_dps(tracks).size == 0
     assert stats.step_speeds_mps(tracks).size == 10
     assert np.isnan(stats.moving_speeds_mps(tracks)).all()
 
 
-def test_neighbours_are_counted_per_frame():
+def test_neighbours_are_counted_per_frame(stats):
     nearest, present = stats.neighbour_distances_m(
-        make_tracks([(0, 0), (0, 0)], [(3, 4), (0, 1)], [(9, 9)])
+        tracks_of([(0, 0), (0, 0)], [(3, 4), (0, 1)], [(9, 9)])
     )
     assert present.tolist() == [3, 2]
     assert np.allclose(sorted(nearest), [1, 1, 5, 5, np.hypot(6, 5)])
 
 
-def test_a_straight_walk_is_predicted_by_a_line_and_a_bent_one_is_not():
+def test_a_straight_walk_is_predicted_by_a_line_and_a_bent_one_is_not(stats):
     t = 0.4 * np.arange(80)
-    straight = make_tracks(np.stack([t, -0.5 * t], axis=1))
+    straight = tracks_of(np.stack([t, -0.5 * t], axis=1))
     assert stats.line_errors_m(straight) == pytest.approx([0.0], abs=1e-9)
     assert stats.line_errors_m(straight, everywhere=True).size > 10
     # x = a t^2 / 2: the line through a window of length w, at h past its end, errs by
     # a / 2 * (h^2 + h w + w^2 / 6) in the limit of many samples.
-    bent = make_tracks(np.stack([0.05 * t**2, 0 * t], axis=1))
+    bent = tracks_of(np.stack([0.05 * t**2, 0 * t], axis=1))
     assert stats.line_errors_m(bent)[0] == pytest.approx(
         0.05 * (0.917**2 + 0.917 * 1.25 + 1.25**2 / 6), rel=0.25
     )
 
 
-def test_short_tracks_have_no_line_error():
-    assert stats.line_errors_m(make_tracks([(0, 0)] * 54)).size == 0
+def test_short_tracks_have_no_line_error(stats):
+    assert stats.line_errors_m(tracks_of([(0, 0)] * 54)).size == 0
