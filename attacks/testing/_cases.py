@@ -57,6 +57,9 @@ class Estimate(NamedTuple):
 class Case:
     """One release with M samples, and everything that an adversary may know besides."""
 
+    asked: ClassVar[tuple[str, ...]] = ("release",)
+    """What the function from `fit` is called with."""
+    everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)
     answers: ClassVar[str] = "positions"
     compared: ClassVar[str] = "positions or std"
     unit: ClassVar[str] = " m"
@@ -70,16 +73,6 @@ class Case:
     mechanism: Fixed
     train: TrainingSet
     repeats: tuple[Release, ...]
-
-    @property
-    def asked(self) -> dict[str, Release]:
-        """What the function from `fit` is called with, by name."""
-        return {"release": self.release}
-
-    @property
-    def everything(self) -> frozenset[Knowledge]:
-        """All that there is to grant."""
-        return frozenset(Knowledge)
 
     def read(self, result: Any) -> Estimate:  # noqa: ANN401 - a stranger's
         """Return a result as arrays; positions alone will do, the check of the type is another one.
@@ -219,21 +212,9 @@ def made_up(
 ) -> Case:
     """Return smooth walks at about 1 m/s, shared with errors of standard deviation `sigma_m`.
 
-    Walks and unit errors depend on `name` and sizes alone, so that two noise levels differ in
-    nothing else. The training set is other people, recorded and shared alike.
-
-    Parameters
-    ----------
-    name : str
-        Of the random streams.
-    about : str
-    sizes : sequence of int
-        Samples of each track.
-    sigma_m : float
-        `RAW_SIGMA_M` or more.
-    law : {"radial", "isotropic"}
-    sampling : {"steady", "irregular"}
-        Steps at 8 to 16 Hz, or from a millisecond to half a minute.
+    Walks and unit errors depend on `name` and `sizes` (samples of each track) alone, so that two
+    noise levels, of `RAW_SIGMA_M` or more, differ in nothing else. The training set is other
+    people, recorded and shared alike.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 

@@ -52,7 +52,7 @@ def inputs_are_not_mutated(row: Row) -> None:
         row.fail(
             case,
             f"changed {', '.join(changed)}; others read the same arrays: "
-            f"work on a copy, as in xy = {next(iter(case.asked))}.xy.copy()",
+            f"work on a copy, as in xy = {case.asked[0]}.xy.copy()",
         )
 
 

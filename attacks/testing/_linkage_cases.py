@@ -59,6 +59,10 @@ class LinkageCase:
     is in one frame and on one clock, and the gallery goes on after `GAP_S` of silence.
     """
 
+    asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
+    """What the function from `fit` is called with."""
+    repeats: ClassVar[None] = None
+    """Nobody who links is granted any: the repeats of a walk would be linked already."""
     answers: ClassVar[str] = "scores"
     compared: ClassVar[str] = "scores"
     unit: ClassVar[str] = ""
@@ -74,15 +78,6 @@ class LinkageCase:
     train: LinkageTrainingSet
     scene: bool
     """Whether the true frame and clock are shown."""
-
-    @property
-    def repeats(self) -> None:
-        """Nobody who links is granted any: the repeats of a walk would be linked already."""
-
-    @property
-    def asked(self) -> dict[str, Release]:
-        """What the function from `fit` is called with, by name."""
-        return {"probe": self.probe, "gallery": self.gallery}
 
     @property
     def everything(self) -> frozenset[Knowledge]:
@@ -240,25 +235,10 @@ def made_up(
     """Return people who differ in speed, in how evenly they walk and in how they turn.
 
     People, sampling instants, frames and unit errors depend on `name` and sizes alone, so that
-    two noise levels differ in nothing else. The training set is other people, made alike.
-
-    Parameters
-    ----------
-    name : str
-        Of the random streams.
-    about : str
-    probe, gallery : sequence of int
-        Samples of each probe, and of the gallery track of the same person; the gallery comes in
-        an order of its own.
-    sigma_m : float
-        `RAW_SIGMA_M` or more, in all four releases.
-    scene : bool
-        Whether the true frame and clock are shown.
-    others : sequence of int
-        Samples of the tracks of the training set, in either of its releases.
-    law : {"radial", "isotropic"}
-    sampling : {"steady", "irregular"}
-        Steps at 8 to 16 Hz, or from a millisecond to half a minute.
+    two noise levels differ in nothing else; a noise of `sigma_m`, `RAW_SIGMA_M` or more, is in all
+    four releases. `probe` and `gallery` are the samples of each track of the same people (the
+    gallery comes in an order of its own), `others` those of either release of the training set,
+    which is other people, made alike.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 

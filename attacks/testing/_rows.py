@@ -138,7 +138,7 @@ class Row:
             if not callable(fitted):
                 raise TypeError(f"fit must return a function {gives}, got {fitted!r}")
             doing = "the function from fit"
-            return [fitted(*case.asked.values()) for case in cases]
+            return [fitted(*(getattr(case, name) for name in case.asked)) for case in cases]
 
         def failing(error: BaseException) -> str:
             hint = ""

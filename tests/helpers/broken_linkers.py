@@ -285,7 +285,7 @@ def rounds_times(release):
     way_m = [np.hypot(*np.diff(track.xy, axis=0).T) for track in release]
     with np.errstate(invalid="ignore", divide="ignore"):
         fastest = [(m / s).max(initial=0.0) for m, s in zip(way_m, step_s, strict=True)]
-        return HONEST.traits(release) + 1e-4 * np.array(fastest)
+    return HONEST.traits(release) + 1e-4 * np.where(np.isinf(fastest), np.nan, fastest)
 
 
 @fails("training_without_mates_is_handled", "a mate of -1 is no index", uses=TRAIN)
