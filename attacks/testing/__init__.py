@@ -20,21 +20,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from dataclasses import dataclass
-from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, Literal
-from unittest import SkipTest
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from attacks.testing._checks import CHECKS
-from attacks.testing._kit import granted_rows, reject_what_is_no_attack
-from attacks.testing._linkage_checks import LINKAGE_CHECKS
+from attacks.testing import _linkage_checks, _reconstruction_checks
+from attacks.testing._rows import granted_rows, in_every_row, reject_what_is_no_attack
 from isac_track.errors import PluginError, SettingsError
 from isac_track.protocols import ADVERSARIES, kind_of
+from isac_track.testing import engine
+from isac_track.testing.engine import Check
+from isac_track.testing.engine import Outcome as CheckResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isac_track.protocols import LinkageAttack, ReconstructionAttack
+    from attacks.testing._rows import Attack, Row
 
 __all__ = [
     "CHECKS",
@@ -47,24 +47,25 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class CheckResult:
-    """What became of one check."""
-
-    name: str
-    status: Literal["passed", "failed", "skipped"]
-    message: str = ""
-    """What was expected and what came, or why the check does not apply."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether the check ran and what it states holds."""
-        return self.status == "passed"
+def _kit(bodies: Iterable[Callable[[Row], None]]) -> dict[str, Check]:
+    return {
+        body.__name__: Check(
+            name=body.__name__,
+            statement=engine.statement_of(body),
+            body=partial(in_every_row, body),
+        )
+        for body in bodies
+    }
 
 
-def checks_for(
-    attack: ReconstructionAttack | LinkageAttack,
-) -> dict[str, Callable[[Any], None]]:
+CHECKS = _kit(_reconstruction_checks.ALL)
+"""All checks of reconstruction attacks by name, in the order in which they run."""
+
+LINKAGE_CHECKS = _kit(_linkage_checks.ALL)
+"""All checks of linkage attacks by name, in the order in which they run."""
+
+
+def checks_for(attack: Attack) -> dict[str, Check]:
     """Return the checks of an attack of this kind by name, in the order in which they run.
 
     Raises
@@ -76,7 +77,7 @@ def checks_for(
     return dict(LINKAGE_CHECKS if kind_of(attack) == "linkage" else CHECKS)
 
 
-def adversaries_of(attack: ReconstructionAttack | LinkageAttack) -> tuple[str, ...]:
+def adversaries_of(attack: Attack) -> tuple[str, ...]:
     """Return the names of the adversaries whose rows an attack makes, weakest first.
 
     Those of a linkage attack are the adversaries of a task that shows what it requires: SCENE is
@@ -92,9 +93,7 @@ def adversaries_of(attack: ReconstructionAttack | LinkageAttack) -> tuple[str, .
     return tuple(adversary for adversary in ADVERSARIES if adversary in named)
 
 
-def run_checks(
-    attack: ReconstructionAttack | LinkageAttack, *, names: Sequence[str] | None = None
-) -> tuple[CheckResult, ...]:
+def run_checks(attack: Attack, *, names: Sequence[str] | None = None) -> tuple[CheckResult, ...]:
     """Run the checks on an attack; one that fails ends nothing.
 
     Parameters
@@ -111,18 +110,12 @@ def run_checks(
         For a check that does not exist.
     """
     checks = checks_for(attack)
-    for name in names or ():
-        if name not in checks:
-            near = get_close_matches(name, checks, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(checks)}"
-            raise SettingsError(f"unknown check {name!r} of a {kind_of(attack)} attack; {hint}")
-    return tuple(
-        _result(name, checks[name], attack) for name in (checks if names is None else names)
-    )
+    kit, known = f" of a {kind_of(attack)} attack", f"known: {', '.join(checks)}"
+    return tuple(engine.outcomes(engine.select(checks, names, kit=kit, known=known), attack))
 
 
 def parametrize_attack_checks(
-    attacks: Iterable[ReconstructionAttack | LinkageAttack],
+    attacks: Iterable[Attack],
 ) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     """Return a pytest decorator that runs a test once per attack and check.
 
@@ -141,8 +134,6 @@ def parametrize_attack_checks(
     SettingsError
         Without any attack.
     """
-    import pytest  # noqa: PLC0415 - only those who test with pytest need it
-
     if not isinstance(attacks, Iterable):
         raise PluginError(
             f"expected a list of attacks, got {attacks!r}: write parametrize_attack_checks([...])"
@@ -150,24 +141,12 @@ def parametrize_attack_checks(
     given = list(attacks)
     if not given:
         raise SettingsError("no attack to check: the list is empty")
-    return pytest.mark.parametrize(
-        ("attack", "check"),
-        [
-            pytest.param(attack, check, id=f"{_label(attack)}-{name}")
-            for attack in given
-            for name, check in checks_for(attack).items()
-        ],
+    cases = (
+        (f"{_label(attack)}-{name}", (attack, check))
+        for attack in given
+        for name, check in checks_for(attack).items()
     )
-
-
-def _result(name: str, check: Callable[[Any], None], attack: object) -> CheckResult:
-    try:
-        check(attack)
-    except AssertionError as error:
-        return CheckResult(name=name, status="failed", message=str(error))
-    except SkipTest as reason:
-        return CheckResult(name=name, status="skipped", message=str(reason))
-    return CheckResult(name=name, status="passed")
+    return engine.parametrize("attack,check", cases)
 
 
 def _label(attack: Any) -> str:  # noqa: ANN401 - a frozen dataclass

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -12,16 +12,15 @@ from attacks.testing._releases import (
     BOX_M,
     RAW_SIGMA_M,
     Motion,
-    copied_release,
     draws,
     in_order,
-    joined,
-    renamed_release,
+    of_each,
     shared,
     steps,
 )
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.sharing import Fixed
+from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -45,6 +44,7 @@ N_PEOPLE = 24
 N_OTHERS = 20
 N_SAMPLES = 128
 """12 s at 8 to 16 Hz."""
+_ROUND = (0.0, 2.0 * np.pi)
 _GRID_S = 0.02
 _FARTHEST_M = 100.0
 _LATEST_S = 1000.0
@@ -59,6 +59,15 @@ class LinkageCase:
     is in one frame and on one clock, and the gallery goes on after `GAP_S` of silence.
     """
 
+    asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
+    """What the function from `fit` is called with."""
+    repeats: ClassVar[None] = None
+    """Nobody who links is granted any: the repeats of a walk would be linked already."""
+    answers: ClassVar[str] = "scores"
+    compared: ClassVar[str] = "scores"
+    unit: ClassVar[str] = ""
+    relative: ClassVar[str] = " of their spread"
+
     about: str
     """For messages."""
     probe: Release
@@ -67,39 +76,74 @@ class LinkageCase:
     """(P,) gallery track of the same person, or -1. No attack is given it."""
     mechanism: Fixed
     train: LinkageTrainingSet
+    scene: bool
+    """Whether the true frame and clock are shown."""
 
+    @property
+    def everything(self) -> frozenset[Knowledge]:
+        """All that there is to grant."""
+        hidden = {Knowledge.REPEATS} if self.scene else {Knowledge.REPEATS, Knowledge.SCENE}
+        return frozenset(Knowledge) - hidden
 
-@dataclass(frozen=True, slots=True)
-class _Person:
-    """How somebody walks: speed and turning rate, each swaying about a mean of their own."""
+    def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
+        """Return a result as an array; the check of its type is another one.
 
-    speed_mps: float
-    sway: float
-    sway_s: float
-    sway_phase: float
-    turn_radps: float
-    wind_radps: float
-    wind_s: float
-    wind_phase: float
-    heading_rad: float
-    start_m: tuple[float, float]
-    """Where they are at time 0."""
+        Raises
+        ------
+        ValueError
+            If it is not one finite real number for each probe and gallery track.
+        """
+        expected = (len(self.probe), len(self.gallery))
+        try:
+            scores = np.asarray(result)
+        except ValueError:  # rows of different lengths
+            scores = np.asarray(None)
+        if scores.dtype.kind not in "fiub":
+            shown = type(result).__name__ if scores.ndim == 0 else f"an array of {scores.dtype}"
+            raise ValueError(f"expected real numbers of shape (P, G) = {expected}, got {shown}")
+        if scores.shape != expected:
+            turned = " (turned round?)" if scores.shape == expected[::-1] else ""
+            raise ValueError(
+                f"scores of shape {scores.shape}, expected (P, G) = {expected}: "
+                f"a row for every probe, a column for every gallery track{turned}"
+            )
+        read_as = scores.astype(np.float64)
+        lost = np.count_nonzero(~np.isfinite(read_as))
+        if lost:
+            raise ValueError(
+                f"{lost} of {read_as.size} scores are not finite; who cannot tell gives all "
+                "candidates the same score"
+            )
+        return read_as
 
-    def positions(self, t: Floats) -> Floats:
-        """Return where they are at times before and after 0, (M, 2) m."""
-        first, last = min(float(t[0]), 0.0) - _GRID_S, max(float(t[-1]), 0.0) + _GRID_S
-        grid = np.linspace(first, last, 2 + int((last - first) / _GRID_S))
-        cycle = 2.0 * np.pi / np.array([self.sway_s, self.wind_s])
-        speed = self.speed_mps * (1.0 + self.sway * np.sin(cycle[0] * grid + self.sway_phase))
-        wind = self.wind_radps / cycle[1] * -np.cos(cycle[1] * grid + self.wind_phase)
-        heading = self.heading_rad + self.turn_radps * grid + wind
-        velocity = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
-        step = np.diff(grid)[:, None] * (velocity[1:] + velocity[:-1]) / 2.0
-        way = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
-        xy = np.column_stack([np.interp(t, grid, axis) for axis in way.T])
-        here = [float(np.interp(0.0, grid, axis)) for axis in way.T]
-        placed: Floats = xy - here + self.start_m
-        return placed
+    def gaps(self, one: Floats, other: Floats) -> list[Floats]:
+        """Return how far apart scores are."""
+        return [np.abs(one - other)]
+
+    def spread(self, scores: Floats) -> float:
+        """Return what gaps are measured in: scores have no unit, but a lowest and a highest."""
+        # Where all scores are alike there is no spread; their size will do.
+        return float(np.ptp(scores)) or float(np.abs(scores).max()) or 1.0
+
+    def reordered(
+        self,
+        rows: Sequence[int] = (5, 2, 0, 3, 6, 1, 4),
+        columns: Sequence[int] = (4, 8, 0, 6, 2, 7, 1, 5, 3),
+    ) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
+        """Return the case with probes and gallery in another order, and how scores follow."""
+        changed = replace(
+            self,
+            probe=in_order(self.probe, rows),
+            gallery=in_order(self.gallery, columns),
+            mate=np.argsort(columns)[self.mate[list(rows)]],
+        )
+        return changed, lambda scores: scores[np.ix_(rows, columns)]
+
+    def in_other_frames(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
+        """Return the case with every walk of all four releases in yet another frame and clock."""
+        rng = draws("linkage", "other frames")
+        changed = of_each(self, lambda release: _moved(release, rng, together=False))
+        return changed, lambda scores: scores
 
 
 @cache
@@ -109,32 +153,21 @@ def ordinary(*, scene: bool) -> LinkageCase:
 
 
 @cache
-def sized(n_probes: int, n_gallery: int, *, scene: bool) -> LinkageCase:
+def sized(n_probes: int, n_gallery: int, *, scene: bool, name: str = "ordinary") -> LinkageCase:
     """Return so many probes against so many gallery tracks."""
-    return made_up(
-        "ordinary",
-        about=f"P = {n_probes}, G = {n_gallery}, noise of 0.3 m",
-        probe=(N_SAMPLES,) * n_probes,
-        gallery=(N_SAMPLES,) * n_gallery,
-        sigma_m=0.3,
-        scene=scene,
-    )
+    about = f"P = {n_probes}, G = {n_gallery}, noise of 0.3 m"
+    probe, gallery = (N_SAMPLES,) * n_probes, (N_SAMPLES,) * n_gallery
+    return made_up(name, about=about, probe=probe, gallery=gallery, scene=scene)
 
 
 @cache
 def another(*, scene: bool) -> LinkageCase:
     """Return other people with the pseudonyms and numbers of samples of the ordinary case."""
     base = ordinary(scene=scene)
-    case = made_up(
-        "another",
-        about=f"{base.about}, of other people",
-        probe=(N_SAMPLES,) * len(base.probe),
-        gallery=(N_SAMPLES,) * len(base.gallery),
-        sigma_m=0.3,
-        scene=scene,
-    )
+    case = sized(7, 9, scene=scene, name="another")
     return replace(
         case,
+        about=f"{base.about}, of other people",
         probe=replace(case.probe, pseudonym=base.probe.pseudonym),
         gallery=replace(case.gallery, pseudonym=base.gallery.pseudonym),
     )
@@ -143,15 +176,8 @@ def another(*, scene: bool) -> LinkageCase:
 @cache
 def noisy(sigma_m: float, law: ErrorLaw, *, scene: bool) -> LinkageCase:
     """Return the same 24 people against each other, with the same errors times `sigma_m`."""
-    return made_up(
-        "noisy",
-        about=f"{N_PEOPLE} people, {law} noise of {sigma_m:g} m",
-        probe=(N_SAMPLES,) * N_PEOPLE,
-        gallery=(N_SAMPLES,) * N_PEOPLE,
-        sigma_m=sigma_m,
-        law=law,
-        scene=scene,
-    )
+    about = f"{N_PEOPLE} people, {law} noise of {sigma_m:g} m"
+    return made_up("noisy", about=about, sigma_m=sigma_m, law=law, scene=scene)
 
 
 @cache
@@ -159,19 +185,9 @@ def short(
     probe: tuple[int, ...], gallery: tuple[int, ...], others: tuple[int, ...], *, scene: bool
 ) -> LinkageCase:
     """Return tracks of so many samples, in both releases and in both of the training set."""
-
-    def shown(sizes: tuple[int, ...]) -> str:
-        return ", ".join(map(str, sizes))
-
-    return made_up(
-        "short",
-        about=f"probes of {shown(probe)} samples against {shown(gallery)}",
-        probe=probe,
-        gallery=gallery,
-        others=others,
-        sigma_m=0.3,
-        scene=scene,
-    )
+    probes, candidates = (", ".join(map(str, sizes)) for sizes in (probe, gallery))
+    about = f"probes of {probes} samples against {candidates}"
+    return made_up("short", about=about, probe=probe, gallery=gallery, others=others, scene=scene)
 
 
 @cache
@@ -183,7 +199,6 @@ def irregular(*, scene: bool) -> LinkageCase:
         probe=(60,) * 6,
         gallery=(60,) * 8,
         others=(60,) * 12,
-        sigma_m=0.3,
         scene=scene,
         sampling="irregular",
     )
@@ -196,17 +211,9 @@ def unrelated(*, scene: bool) -> LinkageCase:
     Mates are drawn one by one, apart from both releases. Whatever the scores, each probe's mate
     comes first with probability 1 / G, independently of all others.
     """
-    base = noisy(RAW_SIGMA_M, "radial", scene=scene)
-    strangers = made_up(
-        "strangers",
-        about="",
-        probe=(N_SAMPLES,) * N_PEOPLE,
-        gallery=(N_SAMPLES,) * N_PEOPLE,
-        sigma_m=RAW_SIGMA_M,
-        scene=scene,
-    )
+    strangers = made_up("strangers", about="", sigma_m=RAW_SIGMA_M, scene=scene)
     return replace(
-        base,
+        noisy(RAW_SIGMA_M, "radial", scene=scene),
         about=f"{N_PEOPLE} probes of people who are not among the {N_PEOPLE} of the gallery",
         gallery=strangers.gallery,
         mate=draws("linkage", "strangers", "mate").integers(0, N_PEOPLE, N_PEOPLE),
@@ -217,9 +224,9 @@ def made_up(
     name: str,
     *,
     about: str,
-    probe: Sequence[int],
-    gallery: Sequence[int],
-    sigma_m: float,
+    probe: Sequence[int] = (N_SAMPLES,) * N_PEOPLE,
+    gallery: Sequence[int] = (N_SAMPLES,) * N_PEOPLE,
+    sigma_m: float = 0.3,
     scene: bool,
     others: Sequence[int] = (N_SAMPLES,) * N_OTHERS,
     law: ErrorLaw = "radial",
@@ -228,72 +235,52 @@ def made_up(
     """Return people who differ in speed, in how evenly they walk and in how they turn.
 
     People, sampling instants, frames and unit errors depend on `name` and sizes alone, so that
-    two noise levels differ in nothing else. The training set is other people, made alike.
-
-    Parameters
-    ----------
-    name : str
-        Of the random streams.
-    about : str
-    probe, gallery : sequence of int
-        Samples of each probe, and of the gallery track of the same person; the gallery comes in
-        an order of its own.
-    sigma_m : float
-        `RAW_SIGMA_M` or more, in all four releases.
-    scene : bool
-        Whether the true frame and clock are shown.
-    others : sequence of int
-        Samples of the tracks of the training set, in either of its releases.
-    law : {"radial", "isotropic"}
-    sampling : {"steady", "irregular"}
-        Steps at 8 to 16 Hz, or from a millisecond to half a minute.
+    two noise levels differ in nothing else; a noise of `sigma_m`, `RAW_SIGMA_M` or more, is in all
+    four releases. `probe` and `gallery` are the samples of each track of the same people (the
+    gallery comes in an order of its own), `others` those of either release of the training set,
+    which is other people, made alike.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
-    pairs = [
-        _pair(
-            (name, what),
-            sizes,
-            mechanism=mechanism,
-            law=law,
-            scene=scene,
-            sampling=sampling,
-        )
-        for what, sizes in (("victims", (probe, gallery)), ("others", (others, others)))
-    ]
+
+    def pair(who: str, *sizes: Sequence[int]) -> LinkageTrainingSet:
+        streams = "linkage", name, who
+        return _pair(streams, sizes, mechanism=mechanism, scene=scene, sampling=sampling)
+
+    victims = pair("victims", probe, gallery)
     return LinkageCase(
         about=about + (", in one frame" if scene else ""),
-        probe=pairs[0].probe,
-        gallery=pairs[0].gallery,
-        mate=pairs[0].mate,
+        probe=victims.probe,
+        gallery=victims.gallery,
+        mate=victims.mate,
         mechanism=mechanism,
-        train=pairs[1],
+        train=pair("others", others, others),
+        scene=scene,
     )
 
 
 def _pair(
     name: tuple[str, ...],
-    sizes: tuple[Sequence[int], Sequence[int]],
+    sizes: tuple[Sequence[int], ...],
     *,
     mechanism: Fixed,
-    law: ErrorLaw,
     scene: bool,
     sampling: Sampling,
 ) -> LinkageTrainingSet:
     """Return two releases of the same people, and who is who in them."""
-    name = ("linkage", *name)
-    people = _people(name, max(map(len, sizes)))
+    rng = draws(*name, "people")
+    speeds = rng.permutation(np.linspace(*SPEEDS_MPS, max(map(len, sizes))))
+    people = [_person(float(speed_mps), rng) for speed_mps in speeds]
     releases = []
     for side, of_side in zip(("probe", "gallery"), sizes, strict=True):
         walks = []
         for row, size in enumerate(of_side):
             elapsed = np.cumsum(steps(draws(*name, side, row), size, sampling=sampling))
             t = GAP_S + elapsed if scene and side == "gallery" else elapsed - elapsed[-1]
-            walks.append((t, people[row].positions(t)))
-        release = shared(joined(walks), (*name, side), mechanism=mechanism, law=law)
+            walks.append((t, people[row](t)))
+        release = shared(walks, (*name, side), mechanism=mechanism)
         # One motion for all that is in one frame, or one for every walk.
         frames = draws(*name, *(() if scene else (side,)), "frames")
-        count = 1 if scene else len(of_side)
-        releases.append(moved(release, [_motion(frames) for _ in range(count)]))
+        releases.append(_moved(release, frames, together=scene))
     # In an order of its own, lest a place in the list tell who is who.
     order = draws(*name, "order").permutation(len(sizes[1]))
     place = np.argsort(order)
@@ -305,40 +292,46 @@ def _pair(
     )
 
 
-def _people(name: tuple[str, ...], count: int) -> list[_Person]:
-    rng = draws(*name, "people")
-    speeds = rng.permutation(np.linspace(*SPEEDS_MPS, count))
-    return [
-        _Person(
-            speed_mps=float(speed),
-            sway=rng.uniform(*SWAY),
-            sway_s=rng.uniform(*SWAY_S),
-            sway_phase=rng.uniform(0.0, 2.0 * np.pi),
-            turn_radps=rng.uniform(*TURN_RADPS),
-            wind_radps=rng.uniform(*WIND_RADPS),
-            wind_s=rng.uniform(*WIND_S),
-            wind_phase=rng.uniform(0.0, 2.0 * np.pi),
-            heading_rad=rng.uniform(0.0, 2.0 * np.pi),
-            start_m=tuple(rng.uniform(-BOX_M / 2, BOX_M / 2, 2)),
-        )
-        for speed in speeds
-    ]
+def _person(speed_mps: float, rng: np.random.Generator) -> Callable[[Floats], Floats]:
+    """Return where somebody is at times before and after 0, (M,) s -> (M, 2) m.
+
+    Speed and turning rate each sway about a mean of their own.
+    """
+    sway, sway_s, sway_phase = rng.uniform(*SWAY), rng.uniform(*SWAY_S), rng.uniform(*_ROUND)
+    turn_radps = rng.uniform(*TURN_RADPS)
+    wind_radps, wind_s = rng.uniform(*WIND_RADPS), rng.uniform(*WIND_S)
+    wind_phase, heading_rad = rng.uniform(*_ROUND), rng.uniform(*_ROUND)
+    start_m = rng.uniform(-BOX_M / 2, BOX_M / 2, 2)
+
+    def positions(t: Floats) -> Floats:
+        first, last = min(float(t[0]), 0.0) - _GRID_S, max(float(t[-1]), 0.0) + _GRID_S
+        grid = np.linspace(first, last, 2 + int((last - first) / _GRID_S))
+        cycle = 2.0 * np.pi / np.array([sway_s, wind_s])
+        speed = speed_mps * (1.0 + sway * np.sin(cycle[0] * grid + sway_phase))
+        wind = wind_radps / cycle[1] * -np.cos(cycle[1] * grid + wind_phase)
+        heading = heading_rad + turn_radps * grid + wind
+        velocity = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+        step = np.diff(grid)[:, None] * (velocity[1:] + velocity[:-1]) / 2.0
+        way = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
+        xy = np.column_stack([np.interp(t, grid, axis) for axis in way.T])
+        here = [float(np.interp(0.0, grid, axis)) for axis in way.T]
+        placed: Floats = xy - here + start_m
+        return placed
+
+    return positions
 
 
-def _motion(rng: np.random.Generator) -> Motion:
-    return Motion(
-        angle_rad=rng.uniform(0.0, 2.0 * np.pi),
-        shift_m=tuple(rng.uniform(-_FARTHEST_M, _FARTHEST_M, 2)),
-        clock_s=rng.uniform(0.0, _LATEST_S),
-    )
-
-
-# The same case, seen otherwise
-
-
-def moved(release: Release, motions: Sequence[Motion]) -> Release:
+def _moved(release: Release, rng: np.random.Generator, *, together: bool) -> Release:
     """Return a release with one motion for all its walks, or with one for each."""
-    if len(motions) == 1:
+    motions = [
+        Motion(
+            angle_rad=rng.uniform(*_ROUND),
+            shift_m=tuple(rng.uniform(-_FARTHEST_M, _FARTHEST_M, 2)),
+            clock_s=rng.uniform(0.0, _LATEST_S),
+        )
+        for _ in range(1 if together else len(release))
+    ]
+    if together:
         return motions[0].of_release(release)
     walks = [motion.of_release(walk) for motion, walk in zip(motions, release, strict=True)]
     return replace(
@@ -346,46 +339,6 @@ def moved(release: Release, motions: Sequence[Motion]) -> Release:
         t=np.concatenate([walk.t for walk in walks]),
         xy=np.concatenate([walk.xy for walk in walks]),
     )
-
-
-def in_other_frames(case: LinkageCase) -> LinkageCase:
-    """Return the case with every walk of all four releases in yet another frame and clock."""
-    rng = draws("linkage", "other frames")
-
-    def elsewhere(release: Release) -> Release:
-        return moved(release, [_motion(rng) for _ in range(len(release))])
-
-    return _of_each(case, elsewhere)
-
-
-def reordered(case: LinkageCase, rows: Sequence[int], columns: Sequence[int]) -> LinkageCase:
-    """Return the case with its probes and its gallery tracks in another order."""
-    return replace(
-        case,
-        probe=in_order(case.probe, rows),
-        gallery=in_order(case.gallery, columns),
-        mate=np.argsort(columns)[case.mate[list(rows)]],
-    )
-
-
-def renamed(case: LinkageCase) -> LinkageCase:
-    """Return the case with other pseudonyms, whose alphabetical order is another one, too.
-
-    Probes and gallery share their pseudonyms then, but not with whom they belong together.
-    """
-    return _of_each(case, renamed_release)
-
-
-def copied(case: LinkageCase) -> LinkageCase:
-    """Return the case in arrays of its own; nothing done to them reaches another run."""
-    own = _of_each(case, copied_release)
-    mate = case.train.mate.copy()
-    return replace(own, mate=own.mate.copy(), train=replace(own.train, mate=mate))
-
-
-def without_sigma(case: LinkageCase) -> LinkageCase:
-    """Return the case as an adversary without SIGMA gets it."""
-    return _of_each(case, type(case.probe).without_sigma)
 
 
 def without_mates(case: LinkageCase) -> LinkageCase:
@@ -404,9 +357,9 @@ def without_mates(case: LinkageCase) -> LinkageCase:
         case,
         about=f"{case.about}, {np.count_nonzero(mate < 0)} of {mate.size} others without a mate",
         train=LinkageTrainingSet(
-            probe=train.probe,
-            gallery=in_order(train.gallery, stays.tolist()),
-            mate=np.where(mate >= 0, place[mate], -1),
+            train.probe,
+            in_order(train.gallery, stays.tolist()),
+            np.where(mate >= 0, place[mate], -1),
         ),
     )
 
@@ -415,24 +368,6 @@ def with_others_reordered(case: LinkageCase) -> LinkageCase:
     """Return the case with the gallery of the training set from last to first."""
     train = case.train
     last = len(train.gallery) - 1
-    return replace(
-        case,
-        train=LinkageTrainingSet(
-            probe=train.probe,
-            gallery=in_order(train.gallery, range(last, -1, -1)),
-            mate=np.where(train.mate >= 0, last - train.mate, -1),
-        ),
-    )
-
-
-def _of_each(case: LinkageCase, change: Callable[[Release], Release]) -> LinkageCase:
-    return replace(
-        case,
-        probe=change(case.probe),
-        gallery=change(case.gallery),
-        train=LinkageTrainingSet(
-            probe=change(case.train.probe),
-            gallery=change(case.train.gallery),
-            mate=case.train.mate,
-        ),
-    )
+    gallery = in_order(train.gallery, range(last, -1, -1))
+    mate = np.where(train.mate >= 0, last - train.mate, -1)
+    return replace(case, train=LinkageTrainingSet(train.probe, gallery, mate))

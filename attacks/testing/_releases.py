@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from copy import deepcopy
+from dataclasses import dataclass, fields, is_dataclass, replace
 from math import log
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
+from isac_track.protocols import LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import fisher_information_density, unit_errors
 from isac_track.types import Release, Sensed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from isac_track.sharing import Fixed
-    from isac_track.types import ErrorLaw, Floats, Ints
+    from isac_track.types import Floats, Ints
 
 Sampling: TypeAlias = Literal["steady", "irregular"]
+Walk: TypeAlias = "tuple[Floats, Floats]"
+"""Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
+Holder = TypeVar("Holder", bound=Any)
+"""A case, or a training set."""
 
 SEED = 0
 EPSILON_M = 0.3
@@ -28,18 +36,6 @@ BOX_M = 20.0
 """Side of the square in which walks start."""
 STEADY_STEP_S = (1 / 16, 1 / 8)
 IRREGULAR_STEP_S = (1e-3, 30.0)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Walks:
-    """N true walks, M samples in all."""
-
-    t: Floats
-    """(M,) s"""
-    xy: Floats
-    """(M, 2) m"""
-    offsets: Ints
-    """(N + 1,)"""
 
 
 def draws(*name: str | int) -> np.random.Generator:
@@ -56,29 +52,21 @@ def steps(rng: np.random.Generator, size: int, *, sampling: Sampling) -> Floats:
     return step_s
 
 
-def joined(tracks: Sequence[tuple[Floats, Floats]]) -> Walks:
-    """Return walks end to end, from times and positions of each."""
-    return Walks(
-        t=np.concatenate([t for t, _ in tracks]),
-        xy=np.concatenate([xy for _, xy in tracks]),
-        offsets=np.concatenate([[0], np.cumsum([t.size for t, _ in tracks])]),
-    )
-
-
-def shared(
-    walks: Walks, name: tuple[str | int, ...], *, mechanism: Fixed, law: ErrorLaw
-) -> Release:
+def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fixed) -> Release:
     """Return walks as the mechanism shares them, under new pseudonyms."""
-    unit = unit_errors(n_samples=walks.t.size, law=law, rng=draws("errors", *name))
-    information = np.full(walks.t.size, RAW_SIGMA_M**-2)
+    t, xy = (np.concatenate(arrays) for arrays in zip(*walks, strict=True))
+    offsets = np.concatenate([[0], np.cumsum([times.size for times, _ in walks])])
+    law = mechanism.law or "radial"
+    unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
+    information = np.full(t.size, RAW_SIGMA_M**-2)
     sensed = Sensed(
-        t=walks.t,
-        xy=walks.xy + RAW_SIGMA_M * unit,
+        t=t,
+        xy=xy + RAW_SIGMA_M * unit,
         unit_error=unit,
-        sigma_raw=np.full(walks.t.size, RAW_SIGMA_M),
+        sigma_raw=np.full(t.size, RAW_SIGMA_M),
         information=information,
-        fid=fisher_information_density(information=information, t=walks.t, offsets=walks.offsets),
-        offsets=walks.offsets,
+        fid=fisher_information_density(information=information, t=t, offsets=offsets),
+        offsets=offsets,
         law=law,
     )
     return mechanism.share(sensed, draws("share", *name))
@@ -121,18 +109,59 @@ def in_order(release: Release, order: Sequence[int]) -> Release:
     )
 
 
-def renamed_release(release: Release) -> Release:
-    """Return other pseudonyms, whose alphabetical order is another one, too."""
+def _renamed(release: Release) -> Release:
     ranks = {name: rank for rank, name in enumerate(sorted(release.pseudonym, reverse=True))}
     return replace(release, pseudonym=tuple(f"p{ranks[name]:04}" for name in release.pseudonym))
 
 
-def copied_release(release: Release) -> Release:
-    """Return a release in arrays of its own."""
-    return Release(
-        t=release.t.copy(),
-        xy=release.xy.copy(),
-        sigma=None if release.sigma is None else release.sigma.copy(),
-        offsets=release.offsets.copy(),
-        pseudonym=release.pseudonym,
-    )
+# The same case, seen otherwise; what is said of cases holds for the training sets in them
+
+
+def of_each(case: Holder, change: Callable[[Release], Release]) -> Holder:
+    """Return a case with every release in it changed, in the order of its fields."""
+
+    def changed(held: object) -> object:
+        if isinstance(held, Release):
+            return change(held)
+        if isinstance(held, TrainingSet | LinkageTrainingSet):
+            return of_each(held, change)
+        return tuple(map(changed, held)) if isinstance(held, tuple) else held
+
+    held = {item.name: getattr(case, item.name) for item in fields(case)}
+    return replace(case, **{name: changed(one) for name, one in held.items()})
+
+
+def copied(case: Holder) -> Holder:
+    """Return the case in arrays of its own; nothing done to them reaches another run."""
+    own = deepcopy(case)
+    for array in arrays_of(own).values():
+        array.flags.writeable = False  # as `Release` has it
+    return own
+
+
+def renamed(case: Holder) -> Holder:
+    """Return the case with other pseudonyms, whose alphabetical order is another one, too.
+
+    Releases share their pseudonyms then, but not with whom they belong together.
+    """
+    return of_each(case, _renamed)
+
+
+def without_sigma(case: Holder) -> Holder:
+    """Return the case as an adversary without SIGMA gets it."""
+    return of_each(case, Release.without_sigma)
+
+
+def arrays_of(held: object, name: str = "") -> dict[str, NDArray[Any]]:
+    """Return every array in a case or a part of it, by the path to it behind `name`."""
+    if isinstance(held, np.ndarray):
+        return {name: held}
+    inside: dict[str, object] = {}
+    if isinstance(held, tuple):
+        inside = {f"{name}[{place}]": one for place, one in enumerate(held)}
+    elif is_dataclass(held):
+        inside = {f"{name}.{item.name}": getattr(held, item.name) for item in fields(held)}
+    found: dict[str, NDArray[Any]] = {}
+    for path, one in inside.items():
+        found |= arrays_of(one, path)
+    return found

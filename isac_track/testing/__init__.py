@@ -11,20 +11,19 @@ or with pytest, where every check becomes a test of its own::
     def test_metrics(check):
         check()
 
-A package rather than one file, so that ``python -m`` and an import see one `Metrics` class.
+A package rather than one file, so that ``python -m`` and an import see one `Metrics` class. What
+this kit shares with the attack kit is in `isac_track.testing.engine`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from isac_track.errors import SettingsError
-from isac_track.testing import _conflict_checks, _exposure_checks, _plr_checks
-from isac_track.testing._kit import Check, Metrics, registered
+from isac_track.testing import _conflict_checks, _exposure_checks, _metrics, _plr_checks, engine
+from isac_track.testing._metrics import Metrics
 from isac_track.testing._own import OWN
+from isac_track.testing.engine import Check, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -40,24 +39,11 @@ __all__ = [
     "select_checks",
 ]
 
-_DEFINED_IN = (
-    _plr_checks,
-    _exposure_checks,
-    _conflict_checks,
-)  # importing them registers the checks
+_DEFINED_IN = (_plr_checks, _exposure_checks, _conflict_checks)
+"""Importing them fills the kit."""
 
-CHECKS: tuple[Check, ...] = registered()
+CHECKS: tuple[Check, ...] = tuple(_metrics.CHECKS.values())
 """All checks, in the order in which they run."""
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one check."""
-
-    check: str
-    status: Literal["passed", "failed", "skipped"]
-    detail: str = ""
-    """The counterexample of a failure, or the reason of a skip."""
 
 
 def select_checks(names: Sequence[str] | None = None) -> tuple[Check, ...]:
@@ -68,15 +54,7 @@ def select_checks(names: Sequence[str] | None = None) -> tuple[Check, ...]:
     SettingsError
         For a name that does not exist, with the nearest one that does.
     """
-    if names is None:
-        return CHECKS
-    known = {one.name: one for one in CHECKS}
-    for name in names:
-        if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else "; `--list` names all checks"
-            raise SettingsError(f"unknown check {name!r}{hint}")
-    return tuple(known[name] for name in dict.fromkeys(names))
+    return engine.select(_metrics.CHECKS, names, known="`--list` names all checks")
 
 
 def run_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Iterator[Outcome]:
@@ -94,7 +72,7 @@ def run_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Itera
     SettingsError
         For a check that does not exist.
     """
-    return (_outcome(one, metrics) for one in select_checks(names))
+    return engine.outcomes(select_checks(names), metrics)
 
 
 def parametrize_metric_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
@@ -109,22 +87,5 @@ def parametrize_metric_checks(metrics: Metrics, *, names: Sequence[str] | None =
     names : sequence of str, optional
         Only these checks; by default all.
     """
-    import pytest  # noqa: PLC0415 - only those who test with pytest need it
-
-    cases = []
-    for one in select_checks(names):
-        reason = one.missing(metrics)
-        marks = [pytest.mark.skip(reason=reason)] if reason else []
-        cases.append(pytest.param(partial(one, metrics), id=one.name, marks=marks))
-    return pytest.mark.parametrize("check", cases)
-
-
-def _outcome(one: Check, metrics: Metrics) -> Outcome:
-    reason = one.missing(metrics)
-    if reason:
-        return Outcome(check=one.name, status="skipped", detail=reason)
-    try:
-        one(metrics)
-    except AssertionError as error:
-        return Outcome(check=one.name, status="failed", detail=str(error))
-    return Outcome(check=one.name, status="passed")
+    cases = ((one.name, (partial(one, metrics),)) for one in select_checks(names))
+    return engine.parametrize("check", cases)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import PluginError, SettingsError, told
-from isac_track.testing import CHECKS, Metrics, run_checks, select_checks
+from isac_track.testing import CHECKS, Metrics, Outcome, run_checks, select_checks
+from isac_track.testing.engine import report
 
 if TYPE_CHECKING:
     import argparse
@@ -44,17 +45,13 @@ def _check(options: argparse.Namespace) -> int:
     metrics = _load(options.target)
     if all(one.missing(metrics) for one in select_checks(options.check)):
         raise SettingsError(f"{options.target} offers no function for the checks chosen")
-    return _report(metrics, options.check)
+    found = run_checks(metrics, names=options.check)
+    return DONE if report(found, line=_line) else LIMIT_NOT_MET
 
 
-def _report(metrics: Metrics, names: list[str] | None) -> int:
-    counts = {"passed": 0, "failed": 0, "skipped": 0}
-    for outcome in run_checks(metrics, names=names):
-        counts[outcome.status] += 1
-        line = f"{outcome.status:8}{outcome.check}"
-        print(f"{line}: {outcome.detail}" if outcome.detail else line, flush=True)  # noqa: T201
-    print(", ".join(f"{count} {status}" for status, count in counts.items()))  # noqa: T201
-    return LIMIT_NOT_MET if counts["failed"] else DONE
+def _line(outcome: Outcome) -> str:
+    line = f"{outcome.status:8}{outcome.name}"
+    return f"{line}: {outcome.message}" if outcome.message else line
 
 
 def _load(target: str) -> Metrics:

@@ -7,15 +7,17 @@ between the zeros. This is the brute-force oracle of the suite; it is meant to b
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import comb, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isac_track.rng import stream
+from isac_track.testing._metrics import expect_that
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.random import Generator
 
@@ -146,6 +148,13 @@ def random_walks(name: str) -> list[tuple[Floats, Floats, Floats]]:
         t = np.cumsum(rng.uniform(0.05, 0.3, size))
         walks.append((true_xy + rng.normal(0.0, 0.5, (size, 2)), true_xy, t))
     return walks
+
+
+def expect_rising(value: Callable[[float], float], *, what: str) -> None:
+    """Fail if a value falls anywhere when epsilon grows."""
+    values = [value(epsilon_m) for epsilon_m in EPSILONS_M]
+    rising = all(low <= high for low, high in pairwise(values))
+    expect_that(rising, what=f"{what} falls: {values}", case=f"epsilon {EPSILONS_M.tolist()} m")
 
 
 def moved(track: Track) -> Track:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.rng import stream
-from isac_track.testing._kit import check, expect, expect_that, show
+from isac_track.testing._metrics import check, expect, expect_call, expect_that, show
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from isac_track.testing._kit import (
+    from isac_track.testing._metrics import (
         Decision,
         DistanceError,
         ErrorControl,
@@ -31,16 +31,14 @@ def grid_starts_now(prediction_grid: Grid) -> None:
     """Step 0 is the last sample, step h lies h mean intervals of the window later."""
     t = np.array([0.0, 7.0, 8.0, 10.0])
     for window, grid in ((2, [10, 12, 14]), (3, [10, 11.5, 13]), (4, [10, 40 / 3, 50 / 3])):
-        case = f"t = {t.tolist()} s, window {window}, 3 steps"
-        expect(prediction_grid(t, window, 3), grid, what="the grid", case=case)
+        expect_call(prediction_grid, t, window, 3, gives=grid)
 
 
 @check
 def grid_of_a_short_track(prediction_grid: Grid) -> None:
     """A track shorter than the window uses all of its samples."""
     t = np.array([1.0, 2.0, 4.0])
-    case = f"t = {t.tolist()} s, window 16, 4 steps"
-    expect(prediction_grid(t, 16, 4), [4.0, 5.5, 7.0, 8.5], what="the grid", case=case)
+    expect_call(prediction_grid, t, 16, 4, gives=[4.0, 5.5, 7.0, 8.5])
 
 
 @check
@@ -49,11 +47,9 @@ def grid_matches_brute_force(prediction_grid: Grid) -> None:
     for rng in _generators("grid_matches_brute_force"):
         t = rng.uniform(-9, 9) + np.cumsum(rng.uniform(0.02, 0.5, int(rng.integers(2, 30))))
         window, steps = int(rng.integers(2, 20)), int(rng.integers(1, 13))
-        recent = t[-window:]
-        gaps = [later - earlier for earlier, later in pairwise(recent)]
+        gaps = [later - earlier for earlier, later in pairwise(t[-window:])]
         grid = [t[-1] + h * sum(gaps) / len(gaps) for h in range(steps)]
-        case = f"t = {show(t)} s, window {window}, {steps} steps"
-        expect(prediction_grid(t, window, steps), grid, what="the grid", case=case)
+        expect_call(prediction_grid, t, window, steps, gives=grid)
 
 
 @check
@@ -62,8 +58,7 @@ def path_walks_then_waits(robot_path: Path) -> None:
     start, destination = np.array([1.0, 1.0]), np.array([4.0, 5.0])  # 5 m apart
     elapsed_s = np.array([0.0, 1.0, 2.5, 4.0, 100.0])
     path = [[1, 1], [2.2, 2.6], [4, 5], [4, 5], [4, 5]]
-    case = f"from (1, 1) to (4, 5) m at 2 m/s after {elapsed_s.tolist()} s"
-    expect(robot_path(start, destination, 2.0, elapsed_s), path, what="the path", case=case)
+    expect_call(robot_path, start, destination, 2.0, elapsed_s, gives=path)
 
 
 @check
@@ -77,9 +72,8 @@ def path_matches_brute_force(robot_path: Path) -> None:
         for h in range(12):
             share = min(speed_mps * h * step_s, way_m) / way_m
             path.append([a + share * (b - a) for a, b in zip(start, destination, strict=True)])
-        case = f"{show(start)} to {show(destination)} m, {speed_mps} m/s, steps of {step_s} s"
-        walked = robot_path(start, destination, speed_mps, step_s * np.arange(12.0))
-        expect(walked, path, what="the path", case=case)
+        elapsed_s = step_s * np.arange(12.0)
+        expect_call(robot_path, start, destination, speed_mps, elapsed_s, gives=path)
 
 
 @check
@@ -88,10 +82,10 @@ def separation_hand_examples(minimum_separation: Separation) -> None:
     robot = np.array([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]])
     # Stands where the robot was one step before: on its curve, but never closer than 1 m.
     follower = np.array([[[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]])
-    expect(minimum_separation(robot, follower), 1.0, what="the separation", case="a follower")
+    expect_call(minimum_separation, robot, follower, gives=1.0)
+    # A second agent passes at 0.5 m at step 1.
     both = np.concatenate([follower, [[[9.0, 9.0], [1.3, 0.4], [9.0, 9.0]]]])
-    value = minimum_separation(np.concatenate([robot, robot]), both)
-    expect(value, 0.5, what="the separation", case="a second agent passes at 0.5 m at step 1")
+    expect_call(minimum_separation, np.concatenate([robot, robot]), both, gives=0.5)
 
 
 @check
@@ -100,9 +94,7 @@ def separation_matches_brute_force(minimum_separation: Separation) -> None:
     for rng in _generators("separation_matches_brute_force"):
         robot, agents = _scene(rng)
         pairs = zip(robot.reshape(-1, 2), agents.reshape(-1, 2), strict=True)
-        nearest = min(dist(one, other) for one, other in pairs)
-        value = minimum_separation(robot, agents)
-        expect(value, nearest, what="the separation", case=_scene_text(robot, agents))
+        expect_call(minimum_separation, robot, agents, gives=min(dist(a, b) for a, b in pairs))
 
 
 @check
@@ -111,7 +103,7 @@ def separation_symmetries(minimum_separation: Separation) -> None:
     turn = np.array([[0.6, 0.8], [0.8, -0.6]])
     for rng in _generators("separation_symmetries", count=40):
         robot, agents = _scene(rng)
-        value, case = minimum_separation(robot, agents), _scene_text(robot, agents)
+        value, case = minimum_separation(robot, agents), f"robot {show(robot)}, {show(agents)} m"
         for change, other in (
             ("after a rigid motion", (robot @ turn + 7.0, agents @ turn + 7.0)),
             ("with the agents in reverse", (robot[::-1], agents[::-1])),
@@ -147,9 +139,7 @@ def missed_rate_hand_examples(missed_conflict_rate: Rate) -> None:
         ("10000000", "00000000", 1.0),
         ("0000", "1010", nan),
     ):
-        value = missed_conflict_rate(_flags(conflict), _flags(predicted))
-        case = f"conflict {conflict}, predicted {predicted}"
-        expect(value, rate, what="the missed rate", case=case)
+        expect_call(missed_conflict_rate, _flags(conflict), _flags(predicted), gives=rate)
 
 
 @check
@@ -162,44 +152,27 @@ def false_alarm_rate_hand_examples(false_alarm_rate: Rate) -> None:
         ("01111111", "10000000", 1.0),
         ("1111", "0101", nan),
     ):
-        value = false_alarm_rate(_flags(conflict), _flags(predicted))
-        case = f"conflict {conflict}, predicted {predicted}"
-        expect(value, rate, what="the false-alarm rate", case=case)
+        expect_call(false_alarm_rate, _flags(conflict), _flags(predicted), gives=rate)
 
 
 @check
 def missed_rate_matches_brute_force(missed_conflict_rate: Rate) -> None:
     """The missed rate equals the count on random scenes; conflict-free scenes do not matter."""
-    for rng in _generators("missed_rate_matches_brute_force"):
-        conflict, predicted = _decisions(rng)
-        hits = [seen for true, seen in zip(conflict, predicted, strict=True) if true]
-        rate = hits.count(False) / len(hits) if hits else nan
-        value = missed_conflict_rate(conflict, predicted)
-        case = f"conflict {show(conflict)}, predicted {show(predicted)}"
-        expect(value, rate, what="the missed rate", case=case)
+    _wrong_among(True, missed_conflict_rate, "missed_rate_matches_brute_force")
 
 
 @check
 def false_alarm_rate_matches_brute_force(false_alarm_rate: Rate) -> None:
     """The false-alarm rate equals the count on random scenes; true conflicts do not matter."""
-    for rng in _generators("false_alarm_rate_matches_brute_force"):
-        conflict, predicted = _decisions(rng)
-        alarms = [seen for true, seen in zip(conflict, predicted, strict=True) if not true]
-        rate = alarms.count(True) / len(alarms) if alarms else nan
-        value = false_alarm_rate(conflict, predicted)
-        case = f"conflict {show(conflict)}, predicted {show(predicted)}"
-        expect(value, rate, what="the false-alarm rate", case=case)
+    _wrong_among(False, false_alarm_rate, "false_alarm_rate_matches_brute_force")
 
 
 @check
 def distance_mae_hand_examples(distance_mae_m: DistanceError) -> None:
     """The distance MAE is the mean absolute error; errors of either sign do not cancel."""
     true_m = np.array([1.0, 2.0, 3.0, 0.0])
-    predicted_m = np.array([1.5, 1.0, 3.0, 0.5])
-    case = f"true {true_m.tolist()} m, predicted {predicted_m.tolist()} m"
-    expect(distance_mae_m(true_m, predicted_m), 0.5, what="the distance MAE", case=case)
-    none = np.array([])
-    expect(distance_mae_m(none, none), nan, what="the distance MAE", case="no scene at all")
+    expect_call(distance_mae_m, true_m, np.array([1.5, 1.0, 3.0, 0.5]), gives=0.5)
+    expect_call(distance_mae_m, np.array([]), np.array([]), gives=nan)
 
 
 @check
@@ -208,19 +181,16 @@ def distance_mae_matches_brute_force(distance_mae_m: DistanceError) -> None:
     for rng in _generators("distance_mae_matches_brute_force"):
         true_m, predicted_m = rng.exponential(1.0, (2, int(rng.integers(1, 12))))
         mean = sum(abs(a - b) for a, b in zip(true_m, predicted_m, strict=True)) / len(true_m)
-        case = f"true {show(true_m)} m, predicted {show(predicted_m)} m"
-        for value in (distance_mae_m(true_m, predicted_m), distance_mae_m(predicted_m, true_m)):
-            expect(value, mean, what="the distance MAE", case=case)
+        expect_call(distance_mae_m, true_m, predicted_m, gives=mean)
+        expect_call(distance_mae_m, predicted_m, true_m, gives=mean)
 
 
 @check
 def fid_rule_hand_examples(fid_d_sigma: ErrorControl) -> None:
     """0 up to rho = 1, alpha (beta - 1) just above, alpha (beta - 1/e) at 2, alpha beta at inf."""
-    eta, alpha_m, beta = 8.0, 0.5, 1.5
     fid = np.array([0.0, 4.0, 8.0, float(np.nextafter(8.0, 9.0)), 16.0, 1e300, inf])
     wanted = [0.0, 0.0, 0.0, 0.25, 0.5 * (1.5 - exp(-1.0)), 0.75, 0.75]
-    case = f"fid {fid.tolist()}, eta 8, alpha 0.5 m, beta 1.5"
-    expect(fid_d_sigma(fid, eta, alpha_m, beta), wanted, what="d_sigma", case=case)
+    expect_call(fid_d_sigma, fid, 8.0, 0.5, 1.5, gives=wanted)
 
 
 @check
@@ -230,12 +200,9 @@ def fid_rule_matches_brute_force(fid_d_sigma: ErrorControl) -> None:
         eta = float(10.0 ** rng.uniform(-2, 6))
         alpha_m, beta = float(rng.uniform(0, 2)), float(rng.uniform(1, 3))
         fid = eta * 10.0 ** rng.uniform(-2, 2, int(rng.integers(1, 20)))
-        wanted = []
-        for density in fid:
-            rho = density / eta
-            wanted.append(0.0 if rho <= 1 else alpha_m * (beta - exp(-(rho - 1))))
-        case = f"fid {show(fid)}, eta {eta}, alpha {alpha_m} m, beta {beta}"
-        expect(fid_d_sigma(fid, eta, alpha_m, beta), wanted, what="d_sigma", case=case)
+        rho = (fid / eta).tolist()
+        wanted = [0.0 if one <= 1 else alpha_m * (beta - exp(-(one - 1))) for one in rho]
+        expect_call(fid_d_sigma, fid, eta, alpha_m, beta, gives=wanted)
 
 
 @check
@@ -259,15 +226,15 @@ def _flags(text: str) -> Bools:
     return np.array([scene == "1" for scene in text])
 
 
-def _decisions(rng: Generator) -> tuple[Bools, Bools]:
-    size = int(rng.integers(1, 15))
-    return rng.random(size) < rng.random(), rng.random(size) < rng.random()
+def _wrong_among(truth: bool, rate_of: Rate, name: str) -> None:  # noqa: FBT001 - as in a formula
+    for rng in _generators(name):
+        size = int(rng.integers(1, 15))
+        conflict, predicted = rng.random(size) < rng.random(), rng.random(size) < rng.random()
+        decided = [p for c, p in zip(conflict, predicted, strict=True) if c == truth]
+        rate = decided.count(not truth) / len(decided) if decided else nan
+        expect_call(rate_of, conflict, predicted, gives=rate)
 
 
 def _scene(rng: Generator) -> tuple[Floats, Floats]:
     shape = (int(rng.integers(1, 5)), int(rng.integers(1, 13)), 2)
     return rng.uniform(-4, 4, shape), rng.uniform(-4, 4, shape)
-
-
-def _scene_text(robot: Floats, agents: Floats) -> str:
-    return f"robot {show(robot)} m, agents {show(agents)} m"

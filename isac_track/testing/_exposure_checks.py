@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from functools import partial
 from math import nan, sqrt
 from typing import TYPE_CHECKING
 
@@ -13,12 +13,12 @@ from isac_track.rng import stream
 from isac_track.testing._cases import (
     BOUNDARY_M,
     EPSILON_M,
-    EPSILONS_M,
     ON_THE_BOUNDARY,
     STANDARD_ERRORS,
     Track,
     ael_by_definition,
     backwards,
+    expect_rising,
     longest_run_expected,
     mean_run_expected,
     mel_by_definition,
@@ -28,127 +28,101 @@ from isac_track.testing._cases import (
     random_tracks,
     random_walks,
 )
-from isac_track.testing._kit import check, expect, expect_that
+from isac_track.testing._metrics import check, expect, expect_that, register
+from isac_track.testing.engine import statement_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-    from isac_track.testing._kit import Batch, Duration, PointRatio
+    from isac_track.testing._metrics import Batch, Duration, PointRatio
     from isac_track.types import Floats
 
 
-@check
-def ael_hand_examples(ael_s: Duration) -> None:
-    """AEL is the mean duration of the leaked segments; n samples last n intervals of 0.25 s."""
-    for pattern, duration_s in (("0110", 0.5), ("1011", 0.375), ("10101", 0.25), ("0001", 0.25)):
-        track = plain_track(pattern)
-        expect(ael_s(*track.timed), duration_s, what="AEL", case=track)
+_MEANING = {
+    "AEL": "mean duration of the leaked segments",
+    "MEL": "duration of the longest leaked segment",
+}
 
 
-@check
-def mel_hand_examples(mel_s: Duration) -> None:
-    """MEL is the duration of the longest leaked segment; n samples last n intervals of 0.25 s."""
-    for pattern, duration_s in (("0110", 0.5), ("101110", 0.75), ("10101", 0.25), ("0001", 0.25)):
-        track = plain_track(pattern)
-        expect(mel_s(*track.timed), duration_s, what="MEL", case=track)
+def _check_both(body: Callable[[str, Duration], None]) -> None:
+    """Register a check of AEL and one of MEL; it receives the name, and the function."""
+    for of, meaning in _MEANING.items():
+        prefix = of.lower()
+        register(
+            partial(body, of),
+            name=prefix + body.__name__,
+            statement=statement_of(body).format(of=of, meaning=meaning),
+            needs=(f"{prefix}_s",),
+        )
 
 
-@check
-def ael_boundary_is_strict(ael_s: Duration) -> None:
-    """AEL is 0 when every sample lies at exactly epsilon."""
-    _boundary(ael_s, "AEL")
+@_check_both
+def _hand_examples(of: str, duration: Duration) -> None:
+    """{of} is the {meaning}; n samples last n intervals of 0.25 s."""
+    long = {"AEL": ("1011", 0.375), "MEL": ("101110", 0.75)}
+    _by_hand(of, duration, ("0110", 0.5), long[of], ("10101", 0.25), ("0001", 0.25))
 
 
-@check
-def mel_boundary_is_strict(mel_s: Duration) -> None:
-    """MEL is 0 when every sample lies at exactly epsilon."""
-    _boundary(mel_s, "MEL")
+@_check_both
+def _boundary_is_strict(of: str, duration: Duration) -> None:
+    """{of} is 0 when every sample lies at exactly epsilon."""
+    truth = np.zeros_like(ON_THE_BOUNDARY)
+    t = np.array([0.0, 1.0, 2.0])
+    case = f"errors {ON_THE_BOUNDARY.tolist()} m, all of length 1.25 m, 1 s apart"
+    for epsilon_m, duration_s in ((BOUNDARY_M, 0.0), (float(np.nextafter(BOUNDARY_M, 2.0)), 3.0)):
+        value = duration(ON_THE_BOUNDARY, truth, t, epsilon_m)
+        expect(value, duration_s, what=f"{of} at epsilon {epsilon_m!r} m", case=case)
 
 
-@check
-def ael_all_and_none_leaked(ael_s: Duration) -> None:
-    """AEL is n intervals when all n samples leak and 0 when none does."""
-    _all_and_none(ael_s, "AEL")
+@_check_both
+def _all_and_none_leaked(of: str, duration: Duration) -> None:
+    """{of} is n intervals when all n samples leak and 0 when none does."""
+    for size in (2, 5, 50):
+        _by_hand(of, duration, ("1" * size, 0.25 * size), ("0" * size, 0.0))
 
 
-@check
-def mel_all_and_none_leaked(mel_s: Duration) -> None:
-    """MEL is n intervals when all n samples leak and 0 when none does."""
-    _all_and_none(mel_s, "MEL")
+@_check_both
+def _irregular_sampling(of: str, duration: Duration) -> None:
+    """{of} counts samples in mean intervals of the whole trajectory, not elapsed time."""
+    last = {"AEL": 5.0, "MEL": 20 / 3}
+    examples = ("1100", 20 / 3), ("0011", 20 / 3), ("1011", last[of])
+    _by_hand(of, duration, *examples, t=[0.0, 1.0, 2.0, 10.0])
 
 
-@check
-def ael_irregular_sampling(ael_s: Duration) -> None:
-    """AEL counts samples in mean intervals of the whole trajectory, not elapsed time."""
-    for pattern, duration_s in (("1100", 20 / 3), ("0011", 20 / 3), ("1011", 5.0)):
-        track = plain_track(pattern, t=[0.0, 1.0, 2.0, 10.0])
-        expect(ael_s(*track.timed), duration_s, what="AEL", case=track)
+@_check_both
+def _segment_at_either_end(of: str, duration: Duration) -> None:
+    """{of} counts segments that touch the first or the last sample."""
+    both = {"AEL": ("1000111", 0.5), "MEL": ("1001100111", 0.75)}
+    _by_hand(of, duration, ("00111", 0.75), ("11100", 0.75), both[of])
 
 
-@check
-def mel_irregular_sampling(mel_s: Duration) -> None:
-    """MEL counts samples in mean intervals of the whole trajectory, not elapsed time."""
-    for pattern, duration_s in (("1100", 20 / 3), ("0011", 20 / 3), ("1011", 20 / 3)):
-        track = plain_track(pattern, t=[0.0, 1.0, 2.0, 10.0])
-        expect(mel_s(*track.timed), duration_s, what="MEL", case=track)
+@_check_both
+def _single_sample(of: str, duration: Duration) -> None:
+    """{of} of one leaked sample is NaN: there is no interval; of one that does not leak, 0."""
+    _by_hand(of, duration, ("1", nan), ("0", 0.0))
 
 
-@check
-def ael_segment_at_either_end(ael_s: Duration) -> None:
-    """AEL counts segments that touch the first or the last sample."""
-    for pattern, duration_s in (("00111", 0.75), ("11100", 0.75), ("1000111", 0.5)):
-        track = plain_track(pattern)
-        expect(ael_s(*track.timed), duration_s, what="AEL", case=track)
+@_check_both
+def _matches_brute_force(of: str, duration: Duration) -> None:
+    """{of} equals the definition on random walks with a known pattern."""
+    by_definition = {"AEL": ael_by_definition, "MEL": mel_by_definition}[of]
+    for track in random_tracks(f"{of.lower()}_matches_brute_force"):
+        expect(duration(*track.timed), by_definition(track), what=of, case=track)
 
 
-@check
-def mel_segment_at_either_end(mel_s: Duration) -> None:
-    """MEL counts segments that touch the first or the last sample."""
-    for pattern, duration_s in (("00111", 0.75), ("11100", 0.75), ("1001100111", 0.75)):
-        track = plain_track(pattern)
-        expect(mel_s(*track.timed), duration_s, what="MEL", case=track)
-
-
-@check
-def ael_single_sample(ael_s: Duration) -> None:
-    """AEL of one leaked sample is NaN: there is no interval; of one that does not leak, 0."""
-    for pattern, duration_s in (("1", nan), ("0", 0.0)):
-        track = plain_track(pattern)
-        expect(ael_s(*track.timed), duration_s, what="AEL", case=track)
-
-
-@check
-def mel_single_sample(mel_s: Duration) -> None:
-    """MEL of one leaked sample is NaN: there is no interval; of one that does not leak, 0."""
-    for pattern, duration_s in (("1", nan), ("0", 0.0)):
-        track = plain_track(pattern)
-        expect(mel_s(*track.timed), duration_s, what="MEL", case=track)
-
-
-@check
-def ael_matches_brute_force(ael_s: Duration) -> None:
-    """AEL equals the definition on random walks with a known pattern."""
-    for track in random_tracks("ael_matches_brute_force"):
-        expect(ael_s(*track.timed), ael_by_definition(track), what="AEL", case=track)
-
-
-@check
-def mel_matches_brute_force(mel_s: Duration) -> None:
-    """MEL equals the definition on random walks with a known pattern."""
-    for track in random_tracks("mel_matches_brute_force"):
-        expect(mel_s(*track.timed), mel_by_definition(track), what="MEL", case=track)
-
-
-@check
-def ael_rigid_motion_and_clock(ael_s: Duration) -> None:
-    """AEL ignores rigid motion, time reversal and a clock's offset; it scales with the clock."""
-    _invariances(ael_s, "AEL")
-
-
-@check
-def mel_rigid_motion_and_clock(mel_s: Duration) -> None:
-    """MEL ignores rigid motion, time reversal and a clock's offset; it scales with the clock."""
-    _invariances(mel_s, "MEL")
+@_check_both
+def _rigid_motion_and_clock(of: str, duration: Duration) -> None:
+    """{of} ignores rigid motion, time reversal and a clock's offset; it scales with the clock."""
+    for track in random_tracks(f"invariances of {of}", count=60):
+        value = duration(*track.timed)
+        for change, other, factor in (
+            ("turned, shifted and mirrored", moved(track), 1.0),
+            ("backwards", backwards(track), 1.0),
+            ("100 s later", replace(track, t=track.t + 100.0), 1.0),
+            ("at half the speed", replace(track, t=2.0 * track.t), 2.0),
+        ):
+            what = f"{of} {change}"
+            expect(duration(*other.timed), factor * value, what=what, case=track)
 
 
 @check
@@ -166,13 +140,8 @@ def ael_may_fall_as_epsilon_grows(ael_s: Duration) -> None:
 @check
 def mel_monotone_in_epsilon(mel_s: Duration) -> None:
     """MEL never falls when epsilon grows."""
-    for shared_xy, true_xy, t in random_walks("mel_monotone_in_epsilon"):
-        longest = [mel_s(shared_xy, true_xy, t, epsilon_m) for epsilon_m in EPSILONS_M]
-        expect_that(
-            all(low <= high for low, high in pairwise(longest)),
-            what=f"MEL falls: {longest}",
-            case=f"epsilon {EPSILONS_M.tolist()} m",
-        )
+    for walk in random_walks("mel_monotone_in_epsilon"):
+        expect_rising(partial(mel_s, *walk), what="MEL")
 
 
 @check
@@ -217,7 +186,7 @@ def exposure_stops_at_the_end_of_a_track(exposure: Batch) -> None:
 @check
 def exposure_matches_brute_force(exposure: Batch) -> None:
     """In a batch, every trajectory gets what the definitions give it alone."""
-    tracks = [replace(track, epsilon_m=EPSILON_M) for track in _one_epsilon("exposure_random")]
+    tracks = _one_epsilon("exposure_random")
     for first in range(0, len(tracks), 8):
         _batch(exposure, tracks[first : first + 8])
 
@@ -225,39 +194,19 @@ def exposure_matches_brute_force(exposure: Batch) -> None:
 @check
 def exposure_order_of_tracks(exposure: Batch) -> None:
     """In a batch, the values follow the trajectories when these change places."""
-    tracks = list(_one_epsilon("exposure_order"))
+    tracks = _one_epsilon("exposure_order")
     order = stream(0, "testing", "exposure_order").permutation(len(tracks))
-    straight = np.stack(_run_batch(exposure, tracks))
-    mixed = np.stack(_run_batch(exposure, [tracks[place] for place in order]))
+    straight = _run_batch(exposure, tracks)
+    mixed = _run_batch(exposure, [tracks[place] for place in order])
     expect(mixed, straight[:, order], what="PLR, AEL, MEL in the new order", case="40 tracks")
 
 
-def _boundary(duration: Duration, what: str) -> None:
-    truth = np.zeros_like(ON_THE_BOUNDARY)
-    t = np.array([0.0, 1.0, 2.0])
-    case = f"errors {ON_THE_BOUNDARY.tolist()} m, all of length 1.25 m, 1 s apart"
-    for epsilon_m, duration_s in ((BOUNDARY_M, 0.0), (float(np.nextafter(BOUNDARY_M, 2.0)), 3.0)):
-        value = duration(ON_THE_BOUNDARY, truth, t, epsilon_m)
-        expect(value, duration_s, what=f"{what} at epsilon {epsilon_m!r} m", case=case)
-
-
-def _all_and_none(duration: Duration, what: str) -> None:
-    for size in (2, 5, 50):
-        leaked, safe = plain_track("1" * size), plain_track("0" * size)
-        expect(duration(*leaked.timed), 0.25 * size, what=what, case=f"{size} leaked, 0.25 s apart")
-        expect(duration(*safe.timed), 0.0, what=what, case=f"{size} not leaked, 0.25 s apart")
-
-
-def _invariances(duration: Duration, what: str) -> None:
-    for track in random_tracks(f"invariances of {what}", count=60):
-        value = duration(*track.timed)
-        for change, other, factor in (
-            ("turned, shifted and mirrored", moved(track), 1.0),
-            ("backwards", backwards(track), 1.0),
-            ("100 s later", replace(track, t=track.t + 100.0), 1.0),
-            ("at half the speed", replace(track, t=2.0 * track.t), 2.0),
-        ):
-            expect(duration(*other.timed), factor * value, what=f"{what} {change}", case=track)
+def _by_hand(
+    of: str, duration: Duration, *examples: tuple[str, float], t: Sequence[float] | None = None
+) -> None:
+    for pattern, duration_s in examples:
+        track = plain_track(pattern, t=t)
+        expect(duration(*track.timed), duration_s, what=of, case=track)
 
 
 def _independent(duration: Duration, what: str, *, exact: Callable[[int, float], float]) -> None:
@@ -286,15 +235,19 @@ def _one_epsilon(name: str) -> list[Track]:
     return tracks
 
 
-def _run_batch(exposure: Batch, tracks: list[Track]) -> tuple[Floats, Floats, Floats]:
+def _run_batch(exposure: Batch, tracks: list[Track]) -> Floats:
     sizes = [len(track.pattern) for track in tracks]
-    return exposure(
+    found = exposure(
         np.concatenate([track.shared_xy for track in tracks]),
         np.concatenate([track.true_xy for track in tracks]),
         np.concatenate([track.t for track in tracks]),
         np.concatenate([[0], np.cumsum(sizes)]),
         tracks[0].epsilon_m,
     )
+    shapes = [values.shape for values in found]
+    what = f"PLR, AEL and MEL have the shapes {shapes}, expected ({len(tracks)},) each"
+    expect_that(shapes == 3 * [(len(tracks),)], what=what, case=f"{len(tracks)} tracks")
+    return np.stack(found)
 
 
 def _batch(exposure: Batch, tracks: list[Track]) -> None:

@@ -2,46 +2,39 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isac_track import conflict, privacy, sharing
-from isac_track.testing._kit import Metrics
+from isac_track.testing._metrics import Metrics
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from isac_track.testing._metrics import Duration
     from isac_track.types import Floats, Ints
-
-
-def _leakage(
-    shared_xy: Floats, true_xy: Floats, t: Floats, offsets: Ints, epsilon_m: float
-) -> privacy.Exposure:
-    leaked = privacy.leakage_indicator(shared_xy=shared_xy, true_xy=true_xy, epsilon_m=epsilon_m)
-    return privacy.exposure(leaked=leaked, t=t, offsets=offsets)
-
-
-def _alone(shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float) -> privacy.Exposure:
-    return _leakage(shared_xy, true_xy, t, np.array([0, len(t)]), epsilon_m)
-
-
-def _plr(shared_xy: Floats, true_xy: Floats, epsilon_m: float) -> float:
-    t = np.arange(len(true_xy), dtype=float)  # any clock: PLR counts samples
-    return float(_alone(shared_xy, true_xy, t, epsilon_m).plr[0])
-
-
-def _ael_s(shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float) -> float:
-    return float(_alone(shared_xy, true_xy, t, epsilon_m).ael_s[0])
-
-
-def _mel_s(shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float) -> float:
-    return float(_alone(shared_xy, true_xy, t, epsilon_m).mel_s[0])
 
 
 def _exposure(
     shared_xy: Floats, true_xy: Floats, t: Floats, offsets: Ints, epsilon_m: float
 ) -> tuple[Floats, Floats, Floats]:
-    found = _leakage(shared_xy, true_xy, t, offsets, epsilon_m)
+    leaked = privacy.leakage_indicator(shared_xy=shared_xy, true_xy=true_xy, epsilon_m=epsilon_m)
+    found = privacy.exposure(leaked=leaked, t=t, offsets=offsets)
     return found.plr, found.ael_s, found.mel_s
+
+
+def _alone(place: int) -> Duration:
+    def of_one(shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float) -> float:
+        whole = np.array([0, len(t)])
+        return float(_exposure(shared_xy, true_xy, t, whole, epsilon_m)[place][0])
+
+    return of_one
+
+
+def _plr(shared_xy: Floats, true_xy: Floats, epsilon_m: float) -> float:
+    t = np.arange(len(true_xy), dtype=float)  # any clock: PLR counts samples
+    return _alone(0)(shared_xy, true_xy, t, epsilon_m)
 
 
 def _prediction_grid(t: Floats, window: int, horizon_steps: int) -> Floats:
@@ -65,30 +58,29 @@ def _minimum_separation(robot: Floats, agents: Floats) -> float:
     return float(conflict.minimum_separation(robot=robot[None], agents=agents[None])[0])
 
 
+def _is_conflict(separation_m: float, safety_radius_m: float) -> bool:
+    separation = np.array([separation_m])
+    return bool(conflict.is_conflict(separation_m=separation, safety_radius_m=safety_radius_m)[0])
+
+
+def _positional(function: Callable[..., Any], *names: str) -> Callable[..., Any]:
+    return lambda *values: function(**dict(zip(names, values, strict=True)))
+
+
 OWN = Metrics(
     plr=_plr,
-    ael_s=_ael_s,
-    mel_s=_mel_s,
+    ael_s=_alone(1),
+    mel_s=_alone(2),
     exposure=_exposure,
     prediction_grid=_prediction_grid,
     robot_path=_robot_path,
     minimum_separation=_minimum_separation,
-    is_conflict=lambda separation_m, safety_radius_m: bool(
-        conflict.is_conflict(
-            separation_m=np.array([separation_m]), safety_radius_m=safety_radius_m
-        )[0]
+    is_conflict=_is_conflict,
+    missed_conflict_rate=_positional(conflict.missed_conflict_rate, "conflict", "predicted"),
+    false_alarm_rate=_positional(conflict.false_alarm_rate, "conflict", "predicted"),
+    distance_mae_m=_positional(
+        conflict.distance_mae_m, "true_separation_m", "predicted_separation_m"
     ),
-    missed_conflict_rate=lambda true, predicted: conflict.missed_conflict_rate(
-        conflict=true, predicted=predicted
-    ),
-    false_alarm_rate=lambda true, predicted: conflict.false_alarm_rate(
-        conflict=true, predicted=predicted
-    ),
-    distance_mae_m=lambda true_m, predicted_m: conflict.distance_mae_m(
-        true_separation_m=true_m, predicted_separation_m=predicted_m
-    ),
-    fid_d_sigma=lambda fid, eta, alpha_m, beta: sharing.fid_d_sigma(
-        fid=fid, eta=eta, alpha_m=alpha_m, beta=beta
-    ),
+    fid_d_sigma=_positional(sharing.fid_d_sigma, "fid", "eta", "alpha_m", "beta"),
 )
 """Passes every check."""

@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from math import sqrt
+from functools import partial
+from math import expm1, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr
 
 from isac_track.rng import stream
 from isac_track.testing._cases import (
     BOUNDARY_M,
     EPSILON_M,
-    EPSILONS_M,
     ON_THE_BOUNDARY,
     STANDARD_ERRORS,
     backwards,
+    expect_rising,
     moved,
     plain_track,
     plr_by_definition,
     random_tracks,
     random_walks,
 )
-from isac_track.testing._kit import check, expect, expect_that
+from isac_track.testing._metrics import check, expect, expect_that
 
 if TYPE_CHECKING:
-    from isac_track.testing._kit import PointRatio
+    from numpy.random import Generator
+
+    from isac_track.testing._metrics import PointRatio
+    from isac_track.types import Floats
 
 _LARGE = 20_000
 
@@ -34,9 +37,7 @@ _LARGE = 20_000
 @check
 def plr_hand_examples(plr: PointRatio) -> None:
     """PLR is the share of leaked samples."""
-    for pattern, share in (("1000", 0.25), ("1101", 0.75), ("01", 0.5), ("00100", 0.2)):
-        track = plain_track(pattern)
-        expect(plr(*track.points), share, what="PLR", case=track)
+    _by_hand(plr, ("1000", 0.25), ("1101", 0.75), ("01", 0.5), ("00100", 0.2))
 
 
 @check
@@ -62,16 +63,13 @@ def plr_boundary_is_strict(plr: PointRatio) -> None:
 def plr_all_and_none_leaked(plr: PointRatio) -> None:
     """PLR is 1 when every sample leaks and 0 when none does."""
     for size in (2, 5, 50):
-        expect(plr(*plain_track("1" * size).points), 1.0, what="PLR", case=f"{size} leaked")
-        expect(plr(*plain_track("0" * size).points), 0.0, what="PLR", case=f"{size} not leaked")
+        _by_hand(plr, ("1" * size, 1.0), ("0" * size, 0.0))
 
 
 @check
 def plr_single_sample(plr: PointRatio) -> None:
     """PLR of one sample is 1 or 0: no duration is needed."""
-    for pattern, share in (("1", 1.0), ("0", 0.0)):
-        track = plain_track(pattern)
-        expect(plr(*track.points), share, what="PLR", case=track)
+    _by_hand(plr, ("1", 1.0), ("0", 0.0))
 
 
 @check
@@ -101,38 +99,41 @@ def plr_time_reversal(plr: PointRatio) -> None:
 def plr_monotone_in_epsilon(plr: PointRatio) -> None:
     """PLR never falls when epsilon grows."""
     for shared_xy, true_xy, _ in random_walks("plr_monotone_in_epsilon"):
-        shares = [plr(shared_xy, true_xy, epsilon_m) for epsilon_m in EPSILONS_M]
-        expect_that(
-            all(low <= high for low, high in pairwise(shares)),
-            what=f"PLR falls: {shares}",
-            case=f"epsilon {EPSILONS_M.tolist()} m",
-        )
+        expect_rising(partial(plr, shared_xy, true_xy), what="PLR")
 
 
 @check
 def plr_radial_gaussian(plr: PointRatio) -> None:
     """PLR of radial errors |N(0, s)| tends to 2 Phi(epsilon / s) - 1."""
-    for sigma_m in (0.1, 0.3, 0.75):
-        rng = stream(0, "testing", "plr_radial_gaussian", str(sigma_m))
+    for sigma_m, rng in _sizes("plr_radial_gaussian"):
         angle = rng.uniform(0.0, 2.0 * np.pi, _LARGE)
         norm = rng.normal(0.0, sigma_m, _LARGE)
         error = norm[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        limit = 2.0 * float(stats.norm.cdf(EPSILON_M / sigma_m)) - 1.0
-        _near_share(plr(error, np.zeros_like(error), EPSILON_M), limit, f"radial, s = {sigma_m} m")
+        limit = 2.0 * float(ndtr(EPSILON_M / sigma_m)) - 1.0
+        _near_share(plr, error, limit, f"radial, s = {sigma_m} m")
 
 
 @check
 def plr_isotropic_gaussian(plr: PointRatio) -> None:
     """PLR of errors N(0, s) on each axis tends to 1 - exp(-epsilon^2 / 2 s^2)."""
-    for sigma_m in (0.1, 0.3, 0.75):
-        rng = stream(0, "testing", "plr_isotropic_gaussian", str(sigma_m))
+    for sigma_m, rng in _sizes("plr_isotropic_gaussian"):
         error = rng.normal(0.0, sigma_m, (_LARGE, 2))
-        limit = float(stats.rayleigh.cdf(EPSILON_M, scale=sigma_m))
-        case = f"isotropic, s = {sigma_m} m"
-        _near_share(plr(error, np.zeros_like(error), EPSILON_M), limit, case)
+        limit = -expm1(-0.5 * (EPSILON_M / sigma_m) ** 2)
+        _near_share(plr, error, limit, f"isotropic, s = {sigma_m} m")
 
 
-def _near_share(share: float, limit: float, case: str) -> None:
+def _sizes(name: str) -> list[tuple[float, Generator]]:
+    return [(size_m, stream(0, "testing", name, str(size_m))) for size_m in (0.1, 0.3, 0.75)]
+
+
+def _by_hand(plr: PointRatio, *examples: tuple[str, float]) -> None:
+    for pattern, share in examples:
+        track = plain_track(pattern)
+        expect(plr(*track.points), share, what="PLR", case=track)
+
+
+def _near_share(plr: PointRatio, error: Floats, limit: float, case: str) -> None:
+    share = plr(error, np.zeros_like(error), EPSILON_M)
     tolerance = STANDARD_ERRORS * sqrt(limit * (1.0 - limit) / _LARGE)
     what = f"PLR is {share!r}, expected {limit:.6f} within {tolerance:.6f}"
     expect_that(abs(share - limit) <= tolerance, what=what, case=f"{case}, {_LARGE} samples")

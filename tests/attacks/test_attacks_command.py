@@ -37,7 +37,10 @@ def installed(monkeypatch):
 
 class TestList:
     def test_names_rows_and_what_they_do(self, capsys, installed):
-        installed(mine="broken_attacks:OneFrameForAll", linker="broken_linkers:Continues")
+        installed(
+            mine="helpers.broken_attacks:one_frame_for_all",
+            linker="helpers.broken_linkers:Continues",
+        )
         assert main(["list"]) == 0
         captured = capsys.readouterr()
         head, *lines = captured.out.splitlines()
@@ -60,8 +63,8 @@ class TestList:
     def test_a_broken_one_is_reported_and_skipped(self, capsys, installed):
         installed(
             lost="no_such_module:Lost",
-            fine="broken_attacks:OwnDice",
-            many="broken_linkers:NeedsRepeats",
+            fine="helpers.broken_attacks:own_dice",
+            many="helpers.broken_linkers:NeedsRepeats",
         )
         assert main(["list"]) == 0
         captured = capsys.readouterr()
@@ -82,7 +85,7 @@ class TestCheck:
         assert summary == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
 
     def test_an_attack_that_fails(self, capsys):
-        assert main(["check", "broken_attacks:AcrossTracks"]) == 1
+        assert main(["check", "helpers.broken_attacks:across_tracks"]) == 1
         shown = capsys.readouterr().out
         assert f"{len(CHECKS) - 1} passed, 1 failed, 0 skipped" in shown
         columns = {
@@ -91,7 +94,7 @@ class TestCheck:
         assert columns == {8}
         (failed,) = re.findall(r"^  FAIL  (\w+) +(.*)$", shown, re.MULTILINE)
         assert failed[0] == "order_of_tracks_does_not_matter"
-        assert failed[1].startswith("AcrossTracks as blind (granted nothing), 8 walks")
+        assert failed[1].startswith("across_tracks as blind (granted nothing), 8 walks")
 
     def test_a_check_that_does_not_apply(self, capsys):
         assert main(["check", "averaging"]) == 0
@@ -102,22 +105,22 @@ class TestCheck:
         assert shown.endswith(f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped\n")
 
     def test_a_linker(self, capsys):
-        assert main(["check", "broken_linkers:Base"]) == 0
+        assert main(["check", "helpers.broken_linkers:Base"]) == 0
         head, *lines, summary = capsys.readouterr().out.splitlines()
-        assert head == "broken_linkers:Base as blind:"
+        assert head == "helpers.broken_linkers:Base as blind:"
         assert lines == [f"  pass  {name}" for name in LINKAGE_CHECKS]
         assert summary == f"{len(LINKAGE_CHECKS)} passed, 0 failed, 0 skipped"
 
     def test_a_linker_that_fails(self, capsys):
-        assert main(["check", "broken_linkers:LikesTheFirst"]) == 1
+        assert main(["check", "helpers.broken_linkers:likes_the_first"]) == 1
         shown = capsys.readouterr().out
         assert f"{len(LINKAGE_CHECKS) - 1} passed, 1 failed, 0 skipped" in shown
-        assert re.search(r"^  FAIL  order_of_tracks_does_not_matter +Likes", shown, re.MULTILINE)
+        assert re.search(r"^  FAIL  order_of_tracks_does_not_matter +likes", shown, re.MULTILINE)
 
     def test_a_linker_that_sees_the_scene(self, capsys):
-        assert main(["check", "broken_linkers:Continues"]) == 0
+        assert main(["check", "helpers.broken_linkers:Continues"]) == 0
         shown = capsys.readouterr().out
-        assert shown.startswith("broken_linkers:Continues as blind:\n")
+        assert shown.startswith("helpers.broken_linkers:Continues as blind:\n")
         assert "  skip  frames_and_clocks_do_not_matter    granted SCENE in every row" in shown
 
     def test_with_parameters(self, capsys):
@@ -132,10 +135,16 @@ class TestCheck:
                 "no_such_package.module:Attack",
                 "cannot be loaded from no_such_package.module:Attack",
             ),
-            ("broken_attacks:Nobody", "cannot be loaded from broken_attacks:Nobody"),
-            ("broken_attacks:BROKEN", "broken_attacks:BROKEN must be a frozen dataclass"),
+            (
+                "helpers.broken_attacks:Nobody",
+                "cannot be loaded from helpers.broken_attacks:Nobody",
+            ),
+            (
+                "helpers.broken_attacks:BROKEN",
+                "helpers.broken_attacks:BROKEN must be a frozen dataclass",
+            ),
             ("kalman_rts:-1", "q must be positive"),
-            ("broken_linkers:NeedsRepeats", "nobody who links is granted"),
+            ("helpers.broken_linkers:NeedsRepeats", "nobody who links is granted"),
             (
                 "profile@kalman_rts:0.1",
                 "what the other makes of a release; check the two parts apart: profile, then kal",
@@ -349,7 +358,7 @@ class TestCommandLine:
         assert run_python(tmp_path, "-c", code).returncode == 0
 
     def test_as_a_module(self, tmp_path):
-        done = run_python(tmp_path, "-m", "attacks", "check", "broken_attacks:Barehanded")
+        done = run_python(tmp_path, "-m", "attacks", "check", "helpers.broken_attacks:barehanded")
         assert done.returncode == 1
         assert "expected a Reconstruction, got ndarray" in done.stdout
         assert done.stderr == ""

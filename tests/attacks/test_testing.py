@@ -1,4 +1,4 @@
-"""The attack kit: the built-in attacks pass it, and each broken one fails the right check."""
+"""The attack kit: what is built in passes it, and each broken attack fails the right check."""
 
 import re
 import subprocess
@@ -9,30 +9,45 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from broken_attacks import BROKEN, Base
+from helpers import broken_attacks, broken_linkers
+from helpers.broken_attacks import SIGMA, TRAIN, attack
+from helpers.broken_linkers import Continues, Learns, NeedsRepeats, linker
 
-from attacks.testing import CHECKS, CheckResult, parametrize_attack_checks, run_checks
-from attacks.testing import _cases as cases
-from attacks.testing._releases import BOX_M, RAW_SIGMA_M, Motion
-from isac_track import plugins as registry
+from attacks.testing import (
+    CHECKS,
+    LINKAGE_CHECKS,
+    CheckResult,
+    adversaries_of,
+    checks_for,
+    parametrize_attack_checks,
+    run_checks,
+)
+from attacks.testing._rows import rows
+from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
 from isac_track.types import Knowledge, Reconstruction
 
 BUILT_IN = [
-    registry.parse("attacks", name)[0].instance
-    for name, origin in registry.names("attacks").items()
-    if origin.startswith("attacks.reconstruction.")
+    plugins.parse("attacks", name)[0].instance
+    for name, origin in plugins.names("attacks").items()
+    if origin.startswith("attacks.")
 ]
-DOCS = Path(__file__).parents[2] / "docs" / "attacks.md"
+HONEST = [broken_linkers.Base(), Learns(), Continues(), broken_linkers.Jitters()]
+BROKEN = [*broken_attacks.BROKEN, *broken_linkers.BROKEN]
+DOCS = Path(__file__).parents[2] / "docs"
+SCENE = frozenset({Knowledge.SCENE})
+ABOUT_SUCCESS = {"easy_case_beats_chance", "success_falls_with_noise"}
+ABOUT_OTHER_THINGS = {"inputs_are_not_mutated", "only_granted_knowledge_is_touched"}
 
 
-@parametrize_attack_checks(BUILT_IN)
-def test_built_in_attack(attack, check):
+@parametrize_attack_checks([*BUILT_IN, *HONEST])
+def test_what_is_fair_passes(attack, check):
     check(attack)
 
 
 @pytest.mark.parametrize(
-    ("broken", "name", "message"), [pytest.param(*case, id=case[0].__name__) for case in BROKEN]
+    ("broken", "name", "message"),
+    [pytest.param(*case, id=f"{case[0].__name__}-{case[1]}") for case in BROKEN],
 )
 def test_a_mistake_fails_the_one_check_about_it(broken, name, message):
     failed = [result for result in run_checks(broken()) if result.status == "failed"]
@@ -43,11 +58,12 @@ def test_a_mistake_fails_the_one_check_about_it(broken, name, message):
 
 
 def test_every_check_catches_a_mistake():
-    assert {name for _, name, _ in BROKEN} == CHECKS.keys()
+    assert {name for _, name, _ in broken_attacks.BROKEN} == CHECKS.keys()
+    assert {name for _, name, _ in broken_linkers.BROKEN} == LINKAGE_CHECKS.keys()
 
 
 @dataclass(frozen=True)
-class Jitters(Base):
+class Jitters(broken_attacks.Base):
     """Draws, from the stream that it was given."""
 
     sigma_m: float = 0.05
@@ -58,119 +74,160 @@ class Jitters(Base):
         )
 
 
-def failed(attack):
-    return {result.name: result.message for result in run_checks(attack) if not result.passed}
+def failed(made):
+    """Return the messages of what does not pass, of an attack or the class of one."""
+    subject = made() if isinstance(made, type) else made
+    return {result.name: result.message for result in run_checks(subject) if not result.passed}
+
+
+def returning(answer):
+    """An attack of which the function from fit is this."""
+    return attack(lambda context: answer)  # noqa: ARG005
 
 
 class TestMistakesWithoutEnd:
     """What spoils every run is reported by every check, and ends none."""
 
     def test_the_wrong_number_of_positions(self):
-        class Short(Base):
-            def positions(self, release):
-                return release.xy[1:] if len(release.xy) > 1 else np.zeros((2, 2))
-
-        messages = failed(Short())
-        about_something_else = {"inputs_are_not_mutated", "only_granted_knowledge_is_touched"}
-        assert messages.keys() == CHECKS.keys() - about_something_else
+        messages = failed(
+            attack(lambda release: release.xy[1:] if len(release.t) > 1 else [[0, 0]] * 2)
+        )
+        assert messages.keys() == CHECKS.keys() - ABOUT_OTHER_THINGS
         assert "shape (271, 2), expected (272, 2)" in messages["result_is_a_reconstruction"]
 
-    def test_not_finite(self):
-        class Lost(Base):
-            def track(self, track):
-                return track.xy * np.nan
-
-        class LostAndBare(Lost):
-            def fit(self, context):
-                del context
-                return self.positions
-
-        messages = failed(Lost())
+    def test_positions_that_are_not_finite(self):
+        messages = failed(attack(lambda release: release.xy * np.nan))
         assert messages.keys() == CHECKS.keys()
         assert "ValueError: a reconstructed position is not finite" in next(iter(messages.values()))
-        message = failed(LostAndBare())["null_stays_at_chance"]
+        message = failed(returning(lambda release: release.xy * np.nan))["null_stays_at_chance"]
         assert "3096 of 3096 positions are not finite" in message
 
-    def test_nothing_to_call(self):
-        class Eager(Base):
-            def fit(self, context):
-                del context
+    def test_scores_that_are_not_finite(self):
+        messages = failed(
+            linker(lambda probe, gallery: np.full((len(probe), len(gallery)), np.nan))
+        )
+        assert messages.keys() == LINKAGE_CHECKS.keys() - ABOUT_OTHER_THINGS
+        assert "576 of 576 scores are not finite" in messages["null_stays_at_chance"]
 
-        assert "fit must return a function" in failed(Eager())["null_stays_at_chance"]
+    def test_scores_turned_round(self):
+        turned = linker(lambda probe, gallery: broken_linkers.HONEST.link(probe, gallery).T)
+        message = failed(turned)["result_is_a_score_matrix"]
+        assert "scores of shape (9, 7), expected (P, G) = (7, 9)" in message
+        assert "(turned round?)" in message
 
-    def test_leaving(self):
-        class Leaves(Base):
-            def fit(self, context):
-                del context
-                sys.exit("enough")
+    @pytest.mark.parametrize(
+        ("result", "shown"),
+        [
+            (None, "got NoneType"),
+            ("same", "got str"),
+            ([[1.0], [2.0, 3.0]], "got list"),
+            (np.full((7, 9), 1j), "got an array of complex128"),
+        ],
+    )
+    def test_scores_that_are_no_real_numbers(self, result, shown):
+        message = failed(linker(lambda probe, gallery: result))["order_of_tracks_does_not_matter"]  # noqa: ARG005
+        assert "expected real numbers of shape (P, G) = (7, 9), " + shown in message
 
-        assert "fit(context) raised SystemExit: enough" in failed(Leaves())["null_stays_at_chance"]
+    @pytest.mark.parametrize(
+        ("answer", "message"),
+        [
+            (print, "positions of shape (), expected (1, 2)"),
+            (lambda release: [["here", "there"]] * len(release.xy), "Reconstruction, got list"),
+        ],
+    )
+    def test_no_positions(self, answer, message):
+        assert message in failed(returning(answer))["short_tracks_are_handled"]
 
-    def test_nothing_returned(self):
-        class Silent(Base):
-            def fit(self, context):
-                del context
-                return print
+    @pytest.mark.parametrize(
+        ("make", "gives"),
+        [(attack, "a release to a rec"), (linker, "two releases, probe and gallery, to a matrix")],
+    )
+    def test_nothing_to_call(self, make, gives):
+        eager = make(lambda context: 3)  # noqa: ARG005
+        message = failed(eager)["null_stays_at_chance"]
+        assert f"fit must return a function from {gives}" in message
 
-        message = failed(Silent())["short_tracks_are_handled"]
-        assert "positions of shape (), expected (1, 2)" in message
-
-    def test_no_numbers(self):
-        class Wordy(Base):
-            def positions(self, release):
-                return [["here", "there"]] * len(release.xy)
-
-            def fit(self, context):
-                del context
-                return self.positions
-
-        message = failed(Wordy())["null_stays_at_chance"]
-        assert "expected a Reconstruction, got list" in message
+    @pytest.mark.parametrize("make", [attack, linker])
+    def test_leaving(self, make):
+        message = failed(make(lambda context: sys.exit("enough")))["null_stays_at_chance"]  # noqa: ARG005
+        assert "fit(context) raised SystemExit: enough" in message
 
     def test_writing_to_the_release(self):
-        class Writes(Base):
-            def positions(self, release):
-                release.xy[:] = 0.0
-                return release.xy
-
-        message = failed(Writes())["inputs_are_not_mutated"]
+        message = failed(attack(lambda release: release.xy.fill(0.0)))["inputs_are_not_mutated"]
         assert re.search(r"read-only \(test_testing\.py, line \d+\)$", message)
+
+    @pytest.mark.parametrize(
+        ("base", "kind", "gives"),
+        [
+            (broken_attacks.Base, "linkage", "to a matrix of scores"),
+            (broken_linkers.Base, "reconstruction", "from a release to a reconstruction"),
+        ],
+    )
+    def test_the_other_kind(self, base, kind, gives):
+        message = failed(type("Other", (base,), {"kind": kind}))["null_stays_at_chance"]
+        assert message.endswith(f"{gives}: which `kind` is the attack?")
 
 
 class TestMoreMistakes:
     def test_std_that_comes_and_goes(self):
-        class Moody(Base):
-            def fit(self, context):
-                del context
-                return lambda release: Reconstruction(
-                    release.xy,
-                    np.ones(len(release.t)) if release.pseudonym[0] < "p" else None,
-                )
+        def certain(release):
+            return np.ones(len(release.t)) if release.pseudonym[0] < "p" else None
 
-        assert failed(Moody()).keys() == {"pseudonyms_do_not_matter"}
-        assert "differ by inf m" in failed(Moody())["pseudonyms_do_not_matter"]
+        moody = returning(lambda release: Reconstruction(release.xy, certain(release)))
+        messages = failed(moody)
+        assert messages.keys() == {"pseudonyms_do_not_matter"}
+        assert "differ by inf m" in messages["pseudonyms_do_not_matter"]
+
+    def test_the_wrong_sign(self):
+        messages = failed(
+            linker(lambda probe, gallery: -broken_linkers.HONEST.link(probe, gallery))
+        )
+        assert messages.keys() == ABOUT_SUCCESS
+        assert "is the sign right?" in messages["easy_case_beats_chance"]
+
+    def test_one_score_for_all(self):
+        messages = failed(linker(lambda probe, gallery: np.zeros((len(probe), len(gallery)))))
+        assert messages.keys() == ABOUT_SUCCESS
+        assert "1 of 24 mates come first, expected at least 6" in messages["easy_case_beats_chance"]
 
     def test_knowledge_that_is_missing_from_one_adversary_only(self):
-        class Half(Base):
-            uses = frozenset({Knowledge.TRAIN, Knowledge.REPEATS})
+        def half(context):
+            if Knowledge.TRAIN in context.granted:
+                assert context.repeats
 
-            def fit(self, context):
-                if Knowledge.TRAIN in context.granted:
-                    assert context.repeats
-                return super().fit(context)
+        (message,) = failed(attack(half, uses=TRAIN | {Knowledge.REPEATS})).values()
+        assert "half as informed (granted TRAIN)" in message
 
-        (message,) = failed(Half()).values()
-        assert "Half as informed (granted TRAIN)" in message
+        def takes_sigma(probe, gallery):
+            assert probe.sigma.min() > 0
+            return broken_linkers.HONEST.link(probe, gallery)
+
+        def half_of_them(context):
+            return takes_sigma if context.granted == TRAIN else None
+
+        (message,) = failed(linker(half_of_them, uses=TRAIN | SIGMA)).values()
+        assert "half_of_them as informed (granted TRAIN)" in message
+
+    def test_repeats_are_not_for_those_who_link(self):
+        def hopes(context):
+            assert context.repeats
+
+        message = failed(linker(hopes))["only_granted_knowledge_is_touched"]
+        assert "REPEATS was not granted" in message
 
     def test_a_fault_of_its_own_is_not_blamed_on_knowledge(self):
-        class Fails(Base):
-            def fit(self, context):
-                del context
-                raise RuntimeError("of its own")
+        def fails(context):  # noqa: ARG001
+            raise RuntimeError("of its own")
 
-        message = failed(Fails())["only_granted_knowledge_is_touched"]
+        message = failed(attack(fails))["only_granted_knowledge_is_touched"]
         assert "RuntimeError: of its own" in message
         assert "given all knowledge" not in message
+
+    def test_frames_where_the_scene_may_be_shown_or_not(self):
+        always = type("Always", (Continues,), {"requires": frozenset(), "uses": SCENE})
+        messages = failed(always)
+        assert "frames_and_clocks_do_not_matter" in messages
+        assert all("Always as blind (granted nothing)" in one for one in messages.values())
 
 
 class TestWhatIsFair:
@@ -178,135 +235,84 @@ class TestWhatIsFair:
         assert failed(Jitters()) == {}
 
     def test_but_not_more_of_it_in_another_frame(self):
-        class Leans(Jitters):
-            def fit(self, context):
-                return lambda release: Reconstruction(
-                    release.xy
-                    + context.rng.normal(0.0, 0.05, release.xy.shape)
-                    * (1.0 + 10.0 * (release.t[:1] > 100.0))
-                )
+        def leans(context):
+            def reconstruct(release):
+                drawn = context.rng.normal(0.0, 0.05, release.xy.shape)
+                return Reconstruction(release.xy + drawn * (1.0 + 10.0 * (release.t[:1] > 100.0)))
 
-        assert failed(Leans()).keys() == {"frame_and_clock_do_not_matter"}
-        (message,) = failed(Leans()).values()
-        assert "two seeds differ by" in message
+            return reconstruct
+
+        messages = failed(attack(leans))
+        assert messages.keys() == {"frame_and_clock_do_not_matter"}
+        assert "two seeds differ by" in messages["frame_and_clock_do_not_matter"]
 
     def test_scene_exempts_from_another_frame_as_long_as_it_is_granted(self):
-        class KnowsWalls(Base):
-            requires = frozenset({Knowledge.SCENE})
+        def walls(track):
+            return np.round(track.xy, 1)
 
-            def track(self, track):
-                return np.round(track.xy, 1)
+        for knows, check in (
+            (attack(walls, requires=SCENE), "frame_and_clock_do_not_matter"),
+            (Continues, "frames_and_clocks_do_not_matter"),
+        ):
+            (skipped,) = [one for one in run_checks(knows()) if not one.passed]
+            assert (skipped.name, skipped.status) == (check, "skipped")
+            assert "granted SCENE in every row" in skipped.message
+        (message,) = failed(attack(walls, uses=SCENE)).values()
+        assert "walls as blind" in message
 
-        (skipped,) = [one for one in run_checks(KnowsWalls()) if not one.passed]
-        assert (skipped.name, skipped.status) == ("frame_and_clock_do_not_matter", "skipped")
-        assert "granted SCENE in every row" in skipped.message
+    def test_both_scene_shown_and_hidden(self):
+        def both(context):
+            return Continues().fit(context) if Knowledge.SCENE in context.granted else None
 
-        class WantsWalls(KnowsWalls):
-            requires: ClassVar[frozenset[Knowledge]] = frozenset()
-            uses = frozenset({Knowledge.SCENE})
+        made = linker(both, uses=SCENE)()
+        assert failed(made) == {}
+        assert [row.scene for row in rows(made)] == [False, True]
+        assert adversaries_of(made) == ("blind",)
 
-        (message,) = failed(WantsWalls()).values()
-        assert "WantsWalls as blind" in message
-
-
-class TestCases:
-    def test_noise_is_as_announced(self):
-        for sigma_m, law, square in ((0.3, "radial", 1.0), (1.0, "isotropic", 2.0)):
-            case = cases.noisy(sigma_m, law)
-            gap = case.release.xy - case.truth
-            mean = np.mean((gap**2).sum(axis=1)) / square
-            assert np.sqrt(mean) == pytest.approx(sigma_m, rel=0.05)
-            np.testing.assert_allclose(case.release.sigma, sigma_m)
-            assert case.mechanism.d_sigma == pytest.approx(sigma_m - RAW_SIGMA_M)
-
-    def test_levels_differ_in_the_size_of_the_errors_alone(self):
-        low, high = cases.noisy(0.3, "isotropic"), cases.noisy(3.0, "isotropic")
-        np.testing.assert_array_equal(low.truth, high.truth)
-        np.testing.assert_allclose(
-            10.0 * (low.release.xy - low.truth), high.release.xy - high.truth, atol=1e-9
-        )
-
-    def test_walks_are_those_of_people(self):
-        case = cases.noisy(0.05, "radial")
-        sizes = np.diff(case.release.offsets)
-        assert (sizes.min(), sizes.max(), len(sizes)) == (60, 198, 24)
-        steps, speeds = [], []
-        for first, end in zip(case.release.offsets[:-1], case.release.offsets[1:], strict=True):
-            step_s = np.diff(case.release.t[first:end])
-            steps.append(step_s)
-            speeds.append(np.hypot(*np.diff(case.truth[first:end], axis=0).T) / step_s)
-        rate_hz = 1 / np.concatenate(steps)
-        assert rate_hz.min() >= 8.0 - 1e-9
-        assert rate_hz.max() <= 16.0 + 1e-9
-        assert 0.8 < np.mean(np.concatenate(speeds)) < 1.4
-
-    def test_acceleration_is_as_announced(self):
-        # Velocity gains q dt of variance per axis: look at long steps, where it dominates.
-        case = cases.made_up("test", about="", sizes=(4000,), sigma_m=0.3, sampling="irregular")
-        step_s = np.diff(case.release.t)
-        velocity = np.diff(case.truth, axis=0) / step_s[:, None]
-        # Mean velocities of two neighbouring steps differ by q (dt1 + dt2) / 3 of variance.
-        scaled = np.diff(velocity, axis=0) ** 2 / ((step_s[1:] + step_s[:-1]) / 3)[:, None]
-        assert scaled.mean() == pytest.approx(cases.ACCELERATION, rel=0.05)
-
-    def test_irregular_steps_cover_the_range(self):
-        step_s = np.diff(cases.irregular().release[0].t)
-        assert step_s.min() < 0.01
-        assert step_s.max() > 10.0
-        assert step_s.max() <= 30.0
-
-    def test_other_people_and_repeats_are_what_they_should_be(self):
-        case = cases.noisy(0.3, "radial")
-        assert len(case.repeats) == 2
-        errors = [case.release.xy - case.truth, *(one.xy - case.truth for one in case.repeats)]
-        for one, other in ((0, 1), (0, 2), (1, 2)):
-            product = (errors[one] * errors[other]).sum(axis=1)
-            assert abs(product.mean()) < 5 * product.std() / np.sqrt(product.size)
-            assert np.any(errors[one] != errors[other])
-        assert not np.isin(case.train.truth, case.truth).any()
-
-    def test_null_truth_has_nothing_to_do_with_the_release(self):
-        case = cases.unrelated()
-        assert abs(np.corrcoef(case.release.xy[:, 0], case.truth[:, 0])[0, 1]) < 0.1
-        assert np.abs(case.truth).max() <= BOX_M / 2
-        gap = np.hypot(*(case.release.xy - case.truth).T)
-        assert np.mean(gap < 3.0) == pytest.approx(np.pi * 9 / 400, rel=0.2)
-
-    def test_motion_is_rigid(self):
-        motion = Motion(angle_rad=0.5 * np.pi, shift_m=(10.0, 20.0), clock_s=3.0)
-        np.testing.assert_allclose(motion.of_points(np.array([[1.0, 0.0]])), [[10.0, 21.0]])
-
-    def test_changed_cases_change_what_they_say(self):
-        case = cases.ordinary()
-        changed, origin = cases.reordered(case, [7, 6, 5, 4, 3, 2, 1, 0])
-        np.testing.assert_array_equal(changed.release[0].xy, case.release[7].xy)
-        np.testing.assert_array_equal(changed.repeats[1][7].t, case.repeats[1][0].t)
-        np.testing.assert_array_equal(changed.truth, case.truth[origin])
-        assert changed.release.pseudonym == case.release.pseudonym[::-1]
-        renamed = cases.renamed(case).release.pseudonym
-        assert not set(renamed) & set(case.release.pseudonym)
-        assert np.argmin(renamed) != np.argmin(case.release.pseudonym)
-        assert cases.without_sigma(case).repeats[0].sigma is None
+    def test_any_scale(self):
+        link = broken_linkers.HONEST.link
+        assert failed(linker(lambda probe, gallery: 1e-200 * link(probe, gallery) - 1e-195)) == {}
 
 
 class TestRunning:
-    def test_results_come_in_order_and_by_name(self):
-        assert [one.name for one in run_checks(BUILT_IN[0])] == list(CHECKS)
-        (one,) = run_checks(BUILT_IN[0], names=["null_stays_at_chance"])
+    @pytest.mark.parametrize(
+        ("made", "checks"),
+        [(broken_attacks.Base(), CHECKS), (broken_linkers.Base(), LINKAGE_CHECKS)],
+    )
+    def test_checks_go_by_the_kind_in_order_and_by_name(self, made, checks):
+        assert list(checks_for(made)) == [one.name for one in run_checks(made)] == list(checks)
+        (one,) = run_checks(made, names=["null_stays_at_chance"])
         assert one == CheckResult("null_stays_at_chance", "passed")
 
-    def test_a_wrong_name_is_answered_with_the_nearest(self):
-        with pytest.raises(SettingsError, match="did you mean 'null_stays_at_chance'"):
-            run_checks(BUILT_IN[0], names=["nul_stays_at_chance"])
-        with pytest.raises(SettingsError, match="known: result_is_a_reconstruction, "):
-            run_checks(BUILT_IN[0], names=["xyzzy"])
+    @pytest.mark.parametrize(
+        ("made", "name", "message"),
+        [
+            (broken_attacks.Base(), "nul_stays_at_chance", "did you mean 'null_stays_at_chance'"),
+            (broken_attacks.Base(), "xyzzy", "known: result_is_a_reconstruction, "),
+            (
+                broken_linkers.Base(),
+                "frame_and_clock_do_not_matter",
+                "of a linkage attack; did you mean 'frames_and_cl",
+            ),
+        ],
+    )
+    def test_a_wrong_name_is_answered_with_the_nearest(self, made, name, message):
+        with pytest.raises(SettingsError, match=message):
+            run_checks(made, names=[name])
 
-    def test_every_check_states_what_it_shows(self):
-        assert all((check.__doc__ or "").splitlines()[0].endswith(".") for check in CHECKS.values())
+    def test_rows_are_those_of_tasks_that_show_what_it_requires(self):
+        assert adversaries_of(broken_linkers.Base()) == ("blind",)
+        assert adversaries_of(Continues()) == ("blind",)
+        assert adversaries_of(Learns()) == ("blind", "informed", "oracle")
+        assert adversaries_of(broken_attacks.one_frame_for_all()) == ("oracle",)
+        granted = [row.granted for row in rows(Learns())]
+        assert granted[1:] == [Learns.uses - SIGMA, Learns.uses]
 
-    def test_every_check_is_in_the_guide(self):
-        guide = DOCS.read_text(encoding="utf-8")
-        assert [name for name in CHECKS if f"`{name}`" not in guide] == []
+    @pytest.mark.parametrize("checks", [CHECKS, LINKAGE_CHECKS])
+    def test_every_check_states_what_it_shows_and_is_in_the_guide(self, checks):
+        assert all(check.statement.endswith(".") for check in checks.values())
+        guide = "".join(path.read_text(encoding="utf-8") for path in DOCS.glob("*.md"))
+        assert [name for name in checks if f"`{name}`" not in guide] == []
 
     def test_pytest_is_not_needed(self, tmp_path):
         code = "import sys, attacks.testing; sys.exit('pytest' in sys.modules)"
@@ -330,7 +336,7 @@ class Undeclared:
 
 
 @dataclass(frozen=True)
-class Listing(Base):
+class Listing(broken_attacks.Base):
     uses: ClassVar[list[Knowledge]] = [Knowledge.TRAIN]
 
 
@@ -338,6 +344,11 @@ class TestWhatIsNoAttack:
     @pytest.mark.parametrize(
         ("attack", "message"),
         [
+            (NeedsRepeats(), "requires REPEATS, which nobody who links is grant"),
+            (
+                type("Odd", (broken_linkers.Base,), {"kind": "linking"})(),
+                'attack Odd: kind must be "reconstruction" or "li',
+            ),
             (Jitters, r"got its class: write Jitters\(\)"),
             (Undeclared(), "Undeclared needs a class attribute requires: a frozenset"),
             (Listing(), r"Listing needs a class attribute uses: .*, got \[<Knowledge.TRAIN"),
@@ -368,18 +379,19 @@ def ids(attacks):
 
 class TestWithPytest:
     def test_ids_name_attack_and_check(self):
-        assert ids([Jitters()]) == [f"Jitters-{name}" for name in CHECKS]
-        assert ids([Jitters(), replace(Jitters(), sigma_m=0.1)])[-1] == (
-            "Jitters(sigma_m=0.1)-success_falls_with_noise"
-        )
+        assert ids([Jitters(), replace(Jitters(), sigma_m=0.1), broken_linkers.Base()]) == [
+            *(f"Jitters-{name}" for name in CHECKS),
+            *(f"Jitters(sigma_m=0.1)-{name}" for name in CHECKS),
+            *(f"Base-{name}" for name in LINKAGE_CHECKS),
+        ]
 
     @pytest.fixture
     def folder(self, tmp_path):
         (tmp_path / "test_mine.py").write_text(
-            "from broken_attacks import AcrossTracks\n"
+            "from helpers.broken_attacks import across_tracks\n"
             "from attacks.reconstruction.averaging import Averaging\n"
             "from attacks.testing import parametrize_attack_checks\n\n\n"
-            "@parametrize_attack_checks([AcrossTracks(), Averaging()])\n"
+            "@parametrize_attack_checks([across_tracks(), Averaging()])\n"
             "def test_attack(attack, check):\n"
             "    check(attack)\n",
             encoding="utf-8",
@@ -393,7 +405,7 @@ class TestWithPytest:
         assert done.returncode == 1
         last = done.stdout.splitlines()[-1]
         assert f"1 failed, {2 * len(CHECKS) - 2} passed, 1 skipped" in last
-        assert "test_attack[AcrossTracks-order_of_tracks_does_not_matter]" in done.stdout
+        assert "test_attack[across_tracks-order_of_tracks_does_not_matter]" in done.stdout
         assert "tracks in another order: positions or std differ by" in done.stdout
         assert "granted SCENE in every row" in done.stdout
 

@@ -1,4 +1,4 @@
-"""What a check is made of: the offered functions, the guard around them, comparison, registry."""
+"""What a metric check is made of: the offered functions, the guard around them, comparison."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from isac_track.errors import told
+from isac_track.testing.engine import Check, attempt, statement_of
 from isac_track.types import Bools, Floats, Ints
 
 PointRatio: TypeAlias = Callable[[Floats, Floats, float], float]
@@ -61,52 +63,29 @@ class Metrics:
     """(fid (T,) 1/(m^2 s), eta 1/(m^2 s), alpha_m, beta) -> (T,) m."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Check:
-    """One named statement about one or more of the functions."""
-
-    name: str
-    needs: tuple[str, ...]
-    """Names of the functions of `Metrics` that it calls."""
-    statement: str
-    """What it shows, one line."""
-    body: Callable[..., None]
-
-    def missing(self, metrics: Metrics) -> str | None:
-        """Return why the check cannot run, or None if it can."""
-        absent = [name for name in self.needs if getattr(metrics, name) is None]
-        return f"not offered: {', '.join(absent)}" if absent else None
-
-    def __call__(self, metrics: Metrics) -> None:
-        """Run the check.
-
-        Raises
-        ------
-        AssertionError
-            With the counterexample, if the statement does not hold.
-        """
-        self.body(**{name: _guarded(name, getattr(metrics, name)) for name in self.needs})
-
-
-_REGISTRY: dict[str, Check] = {}
+CHECKS: dict[str, Check] = {}
+"""Filled as the modules of checks are imported."""
 
 
 def check(body: Callable[..., None]) -> Callable[..., None]:
     """Register a check; it receives the functions that its parameters are called after."""
     needs = tuple(inspect.signature(body).parameters)
-    unknown = set(needs) - {item.name for item in fields(Metrics)}
-    if unknown:
-        raise TypeError(f"{body.__name__} asks for unknown functions: {sorted(unknown)}")
-    statement = (body.__doc__ or "").strip().splitlines()[0]
-    _REGISTRY[body.__name__] = Check(
-        name=body.__name__, needs=needs, statement=statement, body=body
-    )
+    register(body, name=body.__name__, statement=statement_of(body), needs=needs)
     return body
 
 
-def registered() -> tuple[Check, ...]:
-    """Return all checks in the order of their definition."""
-    return tuple(_REGISTRY.values())
+def register(
+    body: Callable[..., None], *, name: str, statement: str, needs: tuple[str, ...]
+) -> None:
+    """Add a check to the kit; `body` receives the functions that it needs, guarded."""
+    unknown = set(needs) - {item.name for item in fields(Metrics)}
+    if unknown:
+        raise TypeError(f"{name} asks for unknown functions: {sorted(unknown)}")
+
+    def on_offered(metrics: Metrics) -> None:
+        body(*(_guarded(need, getattr(metrics, need)) for need in needs))
+
+    CHECKS[name] = Check(name=name, statement=statement, body=on_offered, needs=needs)
 
 
 def expect(actual: object, expected: object, *, what: str, case: object) -> None:
@@ -117,6 +96,12 @@ def expect(actual: object, expected: object, *, what: str, case: object) -> None
         left, right, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE, equal_nan=True
     ):
         raise AssertionError(f"{what} is {show(left)}, expected {show(right)}; {case}")
+
+
+def expect_call(function: Callable[..., Any], *arguments: object, gives: object) -> None:
+    """Compare what a function returns with numbers; the call is the case."""
+    name = function.__name__
+    expect(function(*arguments), gives, what=name, case=_call(name, arguments))
 
 
 def expect_that(holds: object, *, what: str, case: object) -> None:
@@ -150,12 +135,10 @@ def _guarded(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     def call(*arguments: object) -> Any:  # noqa: ANN401 - a number, a decision or arrays
         # Copies: a function that changes its input must not spoil the case for the next one.
         given = [one.copy() if isinstance(one, np.ndarray) else one for one in arguments]
-        try:
-            result = function(*given)
-        except Exception as error:
-            raise AssertionError(
-                f"{name} raised {type(error).__name__}: {error}; {_call(name, arguments)}"
-            ) from error
+        result = attempt(
+            lambda: function(*given),
+            failing=lambda error: f"{name} raised {told(error)}; {_call(name, arguments)}",
+        )
         for before, after in zip(arguments, given, strict=True):
             if isinstance(after, np.ndarray) and after.tobytes() != np.asarray(before).tobytes():
                 raise AssertionError(f"{name} changed its input; {_call(name, arguments)}")
@@ -167,6 +150,7 @@ def _guarded(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
                 f"{_call(name, arguments)}"
             ) from error
 
+    call.__name__ = name
     return call
 
 

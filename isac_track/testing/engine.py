@@ -1,0 +1,157 @@
+"""The engine of the conformance kits: named checks, run one by one on a stranger's code.
+
+A kit is a dictionary of `Check`s by name. What its checks are held against (functions, an attack as
+each adversary runs it) is the kit's own; the engine selects, catches, reports, and hands over to
+pytest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, Literal
+from unittest import SkipTest
+
+from isac_track.errors import SettingsError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Check:
+    """One named statement about somebody's code."""
+
+    name: str
+    statement: str
+    """What it shows, one line."""
+    body: Callable[[Any], None]
+    """Raises AssertionError where the statement does not hold, SkipTest where it says nothing."""
+    needs: tuple[str, ...] = ()
+    """Names of the attributes of its subject that it cannot do without."""
+
+    def missing(self, subject: object) -> str | None:
+        """Return why the check cannot run, or None if it can."""
+        absent = [name for name in self.needs if getattr(subject, name) is None]
+        return f"not offered: {', '.join(absent)}" if absent else None
+
+    def __call__(self, subject: object) -> None:
+        """Run the check.
+
+        Raises
+        ------
+        AssertionError
+            With the counterexample, if the statement does not hold.
+        unittest.SkipTest
+            With the reason, if the check does not apply; pytest takes it for a skip.
+        """
+        if reason := self.missing(subject):
+            raise SkipTest(reason)
+        self.body(subject)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one check."""
+
+    name: str
+    status: Literal["passed", "failed", "skipped"]
+    message: str = ""
+    """The counterexample of a failure, or the reason of a skip."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the check ran and what it states holds."""
+        return self.status == "passed"
+
+    @property
+    def check(self) -> str:
+        """The name of the check."""
+        return self.name
+
+    @property
+    def detail(self) -> str:
+        """The message."""
+        return self.message
+
+
+def statement_of(function: Callable[..., None]) -> str:
+    """Return the first line of a docstring: what a check shows."""
+    return (function.__doc__ or "").strip().partition("\n")[0]
+
+
+def select(
+    checks: Mapping[str, Check], names: Sequence[str] | None, *, kit: str = "", known: str = ""
+) -> tuple[Check, ...]:
+    """Return the checks called `names`, each once, or all.
+
+    Parameters
+    ----------
+    checks : mapping of str to Check
+    names : sequence of str or None
+    kit, known : str
+        For the message: of which kit a check is unknown, and how to learn what there is.
+
+    Raises
+    ------
+    SettingsError
+        For a name that does not exist, with the nearest one that does.
+    """
+    for name in names or ():
+        if name not in checks:
+            near = get_close_matches(name, checks, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else known
+            raise SettingsError(f"unknown check {name!r}{kit}; {hint}")
+    return tuple(checks[name] for name in dict.fromkeys(checks if names is None else names))
+
+
+def outcomes(checks: Iterable[Check], subject: object) -> Iterator[Outcome]:
+    """Run checks one by one; one that fails ends nothing."""
+    for one in checks:
+        try:
+            one(subject)
+        except AssertionError as error:
+            yield Outcome(one.name, "failed", str(error))
+        except SkipTest as reason:
+            yield Outcome(one.name, "skipped", str(reason))
+        else:
+            yield Outcome(one.name, "passed")
+
+
+def report(found: Iterable[Outcome], *, line: Callable[[Outcome], str]) -> bool:
+    """Print a line for each outcome as it comes, and their counts; return whether none failed."""
+    counts = {"passed": 0, "failed": 0, "skipped": 0}
+    for outcome in found:
+        counts[outcome.status] += 1
+        print(line(outcome).rstrip(), flush=True)  # noqa: T201 - a command's output
+    print(", ".join(f"{count} {status}" for status, count in counts.items()))  # noqa: T201
+    return not counts["failed"]
+
+
+def parametrize(arguments: str, cases: Iterable[tuple[str, tuple[object, ...]]]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
+    """Return a pytest decorator that runs a test once for each (id, values) of its arguments."""
+    import pytest  # noqa: PLC0415 - only those who test with pytest need it
+
+    return pytest.mark.parametrize(
+        arguments, [pytest.param(*values, id=name) for name, values in cases]
+    )
+
+
+def attempt(function: Callable[[], Any], *, failing: Callable[[BaseException], str]) -> Any:  # noqa: ANN401 - whatever a stranger returns
+    """Return what a stranger's function returns; whatever it raises fails the check.
+
+    Parameters
+    ----------
+    function : callable
+    failing : callable
+        The message, from what was raised.
+
+    Raises
+    ------
+    AssertionError
+        For anything that the function raises, its leaving the program included.
+    """
+    try:
+        return function()
+    except (Exception, SystemExit) as error:
+        raise AssertionError(failing(error)) from error

@@ -1,0 +1,224 @@
+"""What the attack kit makes up to try attacks on, and how it measures."""
+
+import numpy as np
+import pytest
+from helpers.broken_linkers import Base
+
+from attacks.testing import _cases, _linkage_cases
+from attacks.testing._linkage_checks import hits, log_ranks
+from attacks.testing._releases import BOX_M, RAW_SIGMA_M, Motion, renamed, without_sigma
+
+
+class TestReconstruction:
+    def test_noise_is_as_announced(self):
+        for sigma_m, law, square in ((0.3, "radial", 1.0), (1.0, "isotropic", 2.0)):
+            case = _cases.noisy(sigma_m, law)
+            gap = case.release.xy - case.truth
+            mean = np.mean((gap**2).sum(axis=1)) / square
+            assert np.sqrt(mean) == pytest.approx(sigma_m, rel=0.05)
+            np.testing.assert_allclose(case.release.sigma, sigma_m)
+            assert case.mechanism.d_sigma == pytest.approx(sigma_m - RAW_SIGMA_M)
+
+    def test_levels_differ_in_the_size_of_the_errors_alone(self):
+        low, high = _cases.noisy(0.3, "isotropic"), _cases.noisy(3.0, "isotropic")
+        np.testing.assert_array_equal(low.truth, high.truth)
+        np.testing.assert_allclose(
+            10.0 * (low.release.xy - low.truth), high.release.xy - high.truth, atol=1e-9
+        )
+
+    def test_walks_are_those_of_people(self):
+        case = _cases.noisy(0.05, "radial")
+        sizes = np.diff(case.release.offsets)
+        assert (sizes.min(), sizes.max(), len(sizes)) == (60, 198, 24)
+        steps, speeds = [], []
+        for first, end in zip(case.release.offsets[:-1], case.release.offsets[1:], strict=True):
+            step_s = np.diff(case.release.t[first:end])
+            steps.append(step_s)
+            speeds.append(np.hypot(*np.diff(case.truth[first:end], axis=0).T) / step_s)
+        rate_hz = 1 / np.concatenate(steps)
+        assert rate_hz.min() >= 8.0 - 1e-9
+        assert rate_hz.max() <= 16.0 + 1e-9
+        assert 0.8 < np.mean(np.concatenate(speeds)) < 1.4
+
+    def test_acceleration_is_as_announced(self):
+        # Velocity gains q dt of variance per axis: look at long steps, where it dominates.
+        case = _cases.made_up("test", about="", sizes=(4000,), sigma_m=0.3, sampling="irregular")
+        step_s = np.diff(case.release.t)
+        velocity = np.diff(case.truth, axis=0) / step_s[:, None]
+        # Mean velocities of two neighbouring steps differ by q (dt1 + dt2) / 3 of variance.
+        scaled = np.diff(velocity, axis=0) ** 2 / ((step_s[1:] + step_s[:-1]) / 3)[:, None]
+        assert scaled.mean() == pytest.approx(_cases.ACCELERATION, rel=0.05)
+
+    def test_irregular_steps_cover_the_range(self):
+        step_s = np.diff(_cases.irregular().release[0].t)
+        assert step_s.min() < 0.01
+        assert step_s.max() > 10.0
+        assert step_s.max() <= 30.0
+
+    def test_other_people_and_repeats_are_what_they_should_be(self):
+        case = _cases.noisy(0.3, "radial")
+        assert len(case.repeats) == 2
+        errors = [case.release.xy - case.truth, *(one.xy - case.truth for one in case.repeats)]
+        for one, other in ((0, 1), (0, 2), (1, 2)):
+            product = (errors[one] * errors[other]).sum(axis=1)
+            assert abs(product.mean()) < 5 * product.std() / np.sqrt(product.size)
+            assert np.any(errors[one] != errors[other])
+        assert not np.isin(case.train.truth, case.truth).any()
+
+    def test_null_truth_has_nothing_to_do_with_the_release(self):
+        case = _cases.unrelated()
+        assert abs(np.corrcoef(case.release.xy[:, 0], case.truth[:, 0])[0, 1]) < 0.1
+        assert np.abs(case.truth).max() <= BOX_M / 2
+        gap = np.hypot(*(case.release.xy - case.truth).T)
+        assert np.mean(gap < 3.0) == pytest.approx(np.pi * 9 / 400, rel=0.2)
+
+    def test_motion_is_rigid(self):
+        motion = Motion(angle_rad=0.5 * np.pi, shift_m=(10.0, 20.0), clock_s=3.0)
+        np.testing.assert_allclose(motion.of_points(np.array([[1.0, 0.0]])), [[10.0, 21.0]])
+
+    def test_changed_cases_change_what_they_say(self):
+        case = _cases.ordinary()
+        changed, follow = case.reordered([7, 6, 5, 4, 3, 2, 1, 0])
+        np.testing.assert_array_equal(changed.release[0].xy, case.release[7].xy)
+        np.testing.assert_array_equal(changed.repeats[1][7].t, case.repeats[1][0].t)
+        truth = follow(_cases.Estimate(case.truth, None)).xy
+        np.testing.assert_array_equal(changed.truth, truth)
+        assert changed.release.pseudonym == case.release.pseudonym[::-1]
+        names = renamed(case).release.pseudonym
+        assert not set(names) & set(case.release.pseudonym)
+        assert np.argmin(names) != np.argmin(case.release.pseudonym)
+        assert without_sigma(case).repeats[0].sigma is None
+
+
+class TestMeasures:
+    SCORES = np.array([[3.0, 2.0, 1.0], [1.0, 1.0, 1.0], [0.0, 5.0, 5.0]])
+
+    def test_hits_are_shared_among_equals(self):
+        assert hits(self.SCORES, np.array([0, 2, 1])) == pytest.approx(1 + 1 / 3 + 1 / 2)
+        assert hits(self.SCORES, np.array([1, 0, 0])) == pytest.approx(1 / 3)
+
+    def test_a_mate_is_in_the_middle_of_its_equals(self):
+        np.testing.assert_allclose(
+            np.exp(log_ranks(self.SCORES, np.array([2, 0, 2]))), [3.0, 2.0, 1.5]
+        )
+
+
+class TestLinkage:
+    @pytest.mark.parametrize("scene", [False, True])
+    def test_noise_is_as_announced(self, scene):
+        for sigma_m in (0.3, 10.0):
+            less, more = (
+                _linkage_cases.noisy(size, "isotropic", scene=scene)
+                for size in (sigma_m, 2 * sigma_m)
+            )
+            for side in ("probe", "gallery"):
+                gap = getattr(more, side).xy - getattr(less, side).xy
+                rms = np.sqrt(np.mean(gap**2))
+                assert rms == pytest.approx(sigma_m, rel=0.05)
+            np.testing.assert_allclose(less.train.gallery.sigma, sigma_m)
+            assert less.mechanism.d_sigma == pytest.approx(sigma_m - 0.05)
+
+    def test_walks_are_those_of_people(self):
+        case = _linkage_cases.noisy(0.05, "radial", scene=False)
+        speeds = []
+        for track in case.probe:
+            steps = np.diff(track.t)
+            assert 8.0 - 1e-6 <= 1 / steps.max() < 1 / steps.min() <= 16.0 + 1e-6
+            assert track.t[-1] - track.t[0] == pytest.approx(12.0, abs=1.0)
+            speeds.append(Base().trait(track))
+        assert np.min(speeds) == pytest.approx(0.6, abs=0.1)
+        assert np.max(speeds) == pytest.approx(2.0, abs=0.2)
+        assert np.diff(np.sort(speeds)).max() < 0.2
+
+    def test_hidden_walks_are_recorded_twice_each_in_a_frame_of_its_own(self):
+        case = _linkage_cases.noisy(0.05, "radial", scene=False)
+        for track, mate in zip(case.probe, case.mate, strict=True):
+            other = case.gallery[mate]
+            # The same walk: turned and shifted upon each other they differ by the noise alone.
+            at = track.t[-1] - other.t[-1]
+            shared_t = np.linspace(track.t[0] + 1.0, track.t[-1], 100)
+            one = complexes(track.t, track.xy, shared_t)
+            two = complexes(other.t + at, other.xy, shared_t)
+            turn = np.vdot(two, one) / abs(np.vdot(two, one))
+            assert np.sqrt(np.mean(abs(one - turn * two) ** 2)) < 0.1
+            assert abs(turn - 1) > 1e-3
+            assert np.hypot(*(track.xy[-1] - other.xy[-1])) > 0.1
+
+    def test_a_shown_walk_goes_on_after_the_gap(self):
+        case = _linkage_cases.noisy(0.05, "radial", scene=True)
+        ends = {float(track.t[-1]) for track in case.probe}
+        assert len({round(end, 6) for end in ends}) == 1
+        for track, mate in zip(case.probe, case.mate, strict=True):
+            other = case.gallery[mate]
+            silence_s = other.t[0] - track.t[-1]
+            assert 1.0 < silence_s <= 1.125 + 1e-9
+            assert np.hypot(*(other.xy[0] - track.xy[-1])) / silence_s < 3.0
+
+    def test_the_training_set_is_other_people_made_alike(self):
+        case = _linkage_cases.noisy(0.05, "radial", scene=False)
+        train = case.train
+        assert (len(train.probe), len(train.gallery)) == (20, 20)
+        assert sorted(train.mate) == list(range(20))
+        assert not np.isin(train.probe.xy, case.probe.xy).any()
+        own = Base().link(train.probe, train.gallery)
+        assert hits(own, train.mate) > 6
+
+    def test_mates_are_not_where_the_probes_are(self):
+        case = _linkage_cases.noisy(0.05, "radial", scene=False)
+        assert sorted(case.mate) == list(range(24))
+        assert np.count_nonzero(case.mate == np.arange(24)) < 5
+        assert _linkage_cases.sized(9, 7, scene=False).mate.tolist().count(-1) == 2
+
+    def test_null_people_are_not_in_the_gallery(self):
+        for scene in (False, True):
+            case = _linkage_cases.unrelated(scene=scene)
+            assert hits(Base().link(case.probe, case.gallery), case.mate) < 6
+            assert (case.mate.min() >= 0) & (case.mate.max() < 24)
+
+    def test_without_mates(self):
+        case = _linkage_cases.without_mates(_linkage_cases.ordinary(scene=False))
+        train, whole = case.train, _linkage_cases.ordinary(scene=False).train
+        assert np.flatnonzero(train.mate < 0).tolist() == list(range(0, 20, 3))
+        assert (len(train.probe), len(train.gallery)) == (20, 16)
+        for row in np.flatnonzero(train.mate >= 0):
+            np.testing.assert_array_equal(
+                train.gallery[int(train.mate[row])].xy, whole.gallery[int(whole.mate[row])].xy
+            )
+        back = _linkage_cases.with_others_reordered(case).train
+        np.testing.assert_array_equal(back.gallery[0].xy, train.gallery[15].xy)
+        np.testing.assert_array_equal(
+            back.gallery[int(back.mate[1])].xy, train.gallery[int(train.mate[1])].xy
+        )
+
+    def test_changed_cases_change_what_they_say(self):
+        case = _linkage_cases.ordinary(scene=False)
+        other, follow = case.reordered([6, 5, 4, 3, 2, 1, 0], [8, 7, 6, 5, 4, 3, 2, 1, 0])
+        np.testing.assert_array_equal(other.probe[0].xy, case.probe[6].xy)
+        np.testing.assert_array_equal(
+            other.gallery[int(other.mate[0])].xy, case.gallery[int(case.mate[6])].xy
+        )
+        scores = np.arange(63.0).reshape(7, 9)
+        np.testing.assert_array_equal(follow(scores), scores[::-1, ::-1])
+        names = renamed(case)
+        assert set(names.probe.pseudonym) <= set(names.gallery.pseudonym)
+        assert not set(names.gallery.pseudonym) & set(case.gallery.pseudonym)
+        elsewhere, _ = case.in_other_frames()
+        for one, two in zip(case.train.gallery, elsewhere.train.gallery, strict=True):
+            np.testing.assert_allclose(np.diff(one.t), np.diff(two.t), atol=1e-9)
+            np.testing.assert_allclose(
+                np.hypot(*np.diff(one.xy, axis=0).T), np.hypot(*np.diff(two.xy, axis=0).T)
+            )
+            assert np.hypot(*(one.xy[0] - two.xy[0])) > 0.1
+        assert without_sigma(case).train.probe.sigma is None
+
+    def test_irregular_steps_cover_the_range(self):
+        case = _linkage_cases.irregular(scene=False)
+        step_s = np.concatenate([np.diff(track.t) for track in case.gallery])
+        assert step_s.min() < 0.01
+        assert 10.0 < step_s.max() <= 30.0 + 1e-9
+
+
+def complexes(t, xy, at):
+    """Positions at other instants about their mean, as complex numbers."""
+    found = np.interp(at, t, xy[:, 0]) + 1j * np.interp(at, t, xy[:, 1])
+    return found - found.mean()

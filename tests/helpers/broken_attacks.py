@@ -1,0 +1,260 @@
+"""Plausible mistakes, each of which exactly one check of the attack kit must catch.
+
+A broken attack is the honest `Base` with one step replaced by a function; which step is said by
+what the function takes (`replacing`). The decorator names the check and a piece of its message.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from isac_track.noise import innovation_variance_m2
+from isac_track.types import Knowledge, Reconstruction
+
+TRAIN, SIGMA = frozenset({Knowledge.TRAIN}), frozenset({Knowledge.SIGMA})
+MECHANISM, REPEATS = frozenset({Knowledge.MECHANISM}), frozenset({Knowledge.REPEATS})
+
+
+@dataclass(frozen=True)
+class Base:
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset()
+
+    def fit(self, context):
+        del context
+        return lambda release: Reconstruction(self.positions(release))
+
+    def positions(self, release):
+        """For each track by itself, unless a broken attack says otherwise."""
+        return np.concatenate([self.track(track) for track in release])
+
+    def track(self, track):
+        return track.xy
+
+
+def replacing(base, steps, function, **attributes):
+    """Return `base` with one step replaced, called as the function is.
+
+    Parameters
+    ----------
+    base : type
+    steps : dict of str to str
+        Step by the first argument of a function that replaces it. Of `fit`, a function that returns
+        nothing only prepares: the rest is the honest fit.
+    function : callable
+    attributes
+        Of the class.
+    """
+    step = steps[next(iter(inspect.signature(function).parameters))]
+
+    def fit(self, context):
+        return function(context) or super(made, self).fit(context)
+
+    method = fit if step == "fit" else lambda _, *given: function(*given)
+    words = {"__doc__": function.__doc__, "__module__": function.__module__}
+    made = type(function.__name__, (base,), {step: method, **words, **attributes})
+    return made
+
+
+BROKEN = []
+"""(class, the one check that it fails, part of the message with `.*` for anything)"""
+
+
+def attack(function, **attributes):
+    """Return `Base` with the step replaced that takes what the function takes."""
+    steps = {"track": "track", "release": "positions", "context": "fit"}
+    return replacing(Base, steps, function, **attributes)
+
+
+def fails(check, message, **knowledge):
+    def decorate(function):
+        made = attack(function, **knowledge)
+        BROKEN.append((made, check, message))
+        return made
+
+    return decorate
+
+
+def halfway_back(xy):
+    """Each position drawn a little towards the one before it."""
+    return 0.9 * xy + 0.1 * np.concatenate([xy[:1], xy[:-1]])
+
+
+@fails("result_is_a_reconstruction", "expected a Reconstruction, got ndarray")
+def barehanded(context):  # noqa: ARG001
+    return Base().positions
+
+
+@fails("same_seed_same_result", "draw from context.rng alone")
+def own_dice(track):
+    return track.xy + np.random.default_rng().normal(0.0, 0.05, track.xy.shape)
+
+
+@fails("same_seed_same_result", "keep nothing between two calls of fit")
+def memory(track, calls=[]):  # noqa: B006 - it remembers how often it was asked
+    calls.append(1)
+    return track.xy + 1e-9 * len(calls)
+
+
+@fails("inputs_are_not_mutated", "changed release.xy; ")
+def in_place(release):
+    release.xy.flags.writeable = True
+    for track in release:
+        track.xy.flags.writeable = True
+        track.xy[:] = halfway_back(track.xy)
+    return release.xy
+
+
+@fails("inputs_are_not_mutated", "as informed (granted TRAIN), .*train.truth", uses=TRAIN)
+def shifts_training_set(context):
+    if Knowledge.TRAIN in context.granted:
+        context.train.truth.flags.writeable = True
+        context.train.truth[:] += 1.0
+
+
+@fails("inputs_are_not_mutated", "as oracle .* changed context.repeats[1].t", uses=REPEATS)
+def retimes_repeats(context):
+    if Knowledge.REPEATS in context.granted:
+        context.repeats[1].t.flags.writeable = True
+        context.repeats[1].t[:] -= context.repeats[1].t[0]
+
+
+@fails("only_granted_knowledge_is_touched", "TRAIN was not granted")
+def takes_training_set(context):
+    assert len(context.train.release)
+
+
+@fails("only_granted_knowledge_is_touched", "as blind (granted nothing)", uses=MECHANISM)
+def never_looks(context):
+    """A blind adversary grants it nothing, yet it reads what it only `uses`."""
+    assert context.mechanism.d_sigma >= 0
+
+
+@fails("only_granted_knowledge_is_touched", "without SIGMA, release.sigma is None", uses=SIGMA)
+def takes_sigma(release):
+    return release.xy * (release.sigma * 0.0 + 1.0)[:, None]
+
+
+@fails("order_of_tracks_does_not_matter", "tracks in another order")
+def across_tracks(release):
+    return halfway_back(release.xy)
+
+
+@fails("order_of_tracks_does_not_matter", "positions or std differ by 0.5 m")
+def certain_of_the_first(context):  # noqa: ARG001
+    """The positions are right, the claimed standard deviation knows the track's number."""
+    return lambda release: Reconstruction(
+        release.xy, np.repeat(np.arange(len(release)) * 0.1, np.diff(release.offsets))
+    )
+
+
+@fails("frame_and_clock_do_not_matter", "another frame and clock")
+def on_the_grid(track):
+    return 0.1 * np.round(track.xy / 0.1)
+
+
+@fails("frame_and_clock_do_not_matter", "another frame and clock")
+def by_the_clock(track):
+    return track.xy + 0.01 * np.column_stack([np.sin(track.t), np.cos(track.t)])
+
+
+@fails("frame_and_clock_do_not_matter", "as oracle (granted REPEATS)", requires=REPEATS)
+def one_frame_for_all(context):
+    """Averages repeats as if their frames were one, without asking for SCENE."""
+    return lambda release: Reconstruction(
+        np.mean([release.xy, *(repeat.xy for repeat in context.repeats)], axis=0)
+    )
+
+
+@fails("pseudonyms_do_not_matter", "other pseudonyms")
+def first_by_name(release):
+    first = min(release.pseudonym)
+    return np.concatenate(
+        [one.xy if one.pseudonym[0] == first else halfway_back(one.xy) for one in release]
+    )
+
+
+@fails("short_tracks_are_handled", "raised IndexError: .* (broken_attacks.py, line ")
+def needs_three(track):
+    assert np.isfinite(track.xy[2]).all()
+    return halfway_back(track.xy)
+
+
+@fails("short_tracks_are_handled", "an answer lies 71 m from the middle of track 0")
+def far_from_a_point(track):
+    """A walk of no extent is sent far away."""
+    return track.xy if len(track.t) > 1 else track.xy + 50.0
+
+
+@fails("irregular_sampling_is_handled", "is anything divided by a time step?")
+def dead_reckoning(track):
+    """Carries the last velocity on, however short the step that it was taken from."""
+    t, xy = track.t, track.xy.copy()
+    if len(t) > 2:
+        velocity = np.diff(track.xy, axis=0)[:-1] / np.diff(t)[:-1, None]
+        xy[2:] = 0.8 * xy[2:] + 0.2 * (track.xy[1:-1] + velocity * np.diff(t)[1:, None])
+    return xy
+
+
+@fails("calls_do_not_remember", "asked once more, after another release: .* 0 m;")
+def counts_calls(context):  # noqa: ARG001
+    """Drifts with every release that one function is asked about."""
+    seen = []
+
+    def reconstruct(release):
+        seen.append(release)
+        return Reconstruction(release.xy + 1e-9 * len(seen))
+
+    return reconstruct
+
+
+@fails("calls_do_not_remember", "another release, asked after the first: positions")
+def keeps_by_name(context):  # noqa: ARG001
+    """Answers pseudonyms that it has seen from a cache."""
+    known = {}
+    return lambda release: known.setdefault(release.pseudonym, Reconstruction(release.xy))
+
+
+def locals_called(name, shape):
+    """Yield the arrays of that name and shape of whoever called."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        held = frame.f_locals.get(name)
+        if isinstance(held, np.ndarray) and held.shape == shape:
+            yield held
+        frame = frame.f_back
+
+
+@fails("null_stays_at_chance", "samples leak, expected about 2 by chance")
+def peeks(release):
+    """Takes every tenth position from whoever called and has it."""
+    xy = release.xy.copy()
+    for truth in locals_called("truth", xy.shape):
+        xy[::10] = truth[::10]
+    return xy
+
+
+@fails("easy_case_beats_chance", "expected at least 0.5")
+def steps_aside(track):
+    """Off by 0.4 m to the left of the way."""
+    way = track.xy[-1] - track.xy[0]
+    length = np.hypot(*way)
+    left = np.array([-way[1], way[0]]) / length if length else np.zeros(2)
+    return track.xy + 0.4 * left
+
+
+@fails("success_falls_with_noise", "expected a fall of more than")
+def gives_up_in_between(release):
+    """Takes noise of a few decimetres for a person who stands still."""
+    std = np.sqrt(innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets))
+    return np.concatenate(
+        [
+            track.xy * 0 + track.xy.mean(axis=0) if 0.25 < noise < 0.6 else track.xy
+            for track, noise in zip(release, std, strict=True)
+        ]
+    )

@@ -1,0 +1,355 @@
+"""Four honest linkers, and plausible mistakes, each for exactly one check of the attack kit.
+
+A broken linker is the honest `Base` with one step replaced by a function; which step is said by
+what the function takes, as in `helpers.broken_attacks`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from helpers.broken_attacks import MECHANISM, SIGMA, TRAIN, locals_called, replacing
+
+from isac_track.noise import innovation_variance_m2
+from isac_track.types import Knowledge
+
+BIN_S = 1.0
+
+
+@dataclass(frozen=True)
+class Base:
+    """Compares mean speeds: honest, as long as nobody spoils it."""
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset()
+
+    def fit(self, context):
+        del context
+        return self.link
+
+    def link(self, probe, gallery):
+        return -np.abs(self.traits(probe)[:, None] - self.traits(gallery))
+
+    def traits(self, release):
+        """One number for each track by itself, unless a broken linker says otherwise."""
+        return np.array([self.trait(track) for track in release])
+
+    def trait(self, track):
+        return mean_speed(track.t, track.xy)
+
+
+def mean_speed(t, xy):
+    """Length of the way through the means of every second, over its duration; 0 for one."""
+    _, place = np.unique(np.floor((t - t[0]) / BIN_S), return_inverse=True)
+    if place[-1] == 0:
+        return 0.0
+    count = np.bincount(place)
+    when = np.bincount(place, t - t[0]) / count
+    where = np.stack([np.bincount(place, axis) / count for axis in (xy - xy[0]).T])
+    return np.hypot(*np.diff(where)).sum() / (when[-1] - when[0])
+
+
+@dataclass(frozen=True)
+class Learns(Base):
+    """Learns from other people how much a person's speed varies, and takes all that it may."""
+
+    uses = frozenset({Knowledge.TRAIN, Knowledge.MECHANISM, Knowledge.SIGMA})
+    least_mps: float = 0.01
+
+    def fit(self, context):
+        scale = 0.1
+        if Knowledge.TRAIN in context.granted:
+            train = context.train
+            known = train.mate >= 0
+            mates = self.traits(train.gallery)[train.mate[known]]
+            scale = np.sqrt(np.mean((self.traits(train.probe)[known] - mates) ** 2))
+        if Knowledge.MECHANISM in context.granted:
+            scale = np.hypot(scale, 1e-3 * context.mechanism.d_sigma)
+        scale = max(scale, self.least_mps)
+        return lambda probe, gallery: -((self.link(probe, gallery) / scale) ** 2)
+
+
+class Continues(Base):
+    """Asks how far the gallery begins from where a probe would have got to."""
+
+    requires = frozenset({Knowledge.SCENE})
+
+    def link(self, probe, gallery):
+        first = np.stack([track.xy[0] for track in gallery])
+        scores = []
+        for track in probe:
+            then = track.t[-1] - 1.0 <= track.t
+            velocity = np.zeros(2)
+            if then.sum() > 1:
+                velocity = np.polyfit(track.t[then] - track.t[-1], track.xy[then], 1)[0]
+            ahead_s = np.stack([other.t[0] - track.t[-1] for other in gallery])
+            gap = first - track.xy[then].mean(axis=0) - np.outer(ahead_s + 0.5, velocity)
+            scores.append(-np.hypot(*gap.T))
+        return np.array(scores)
+
+
+@dataclass(frozen=True)
+class Jitters(Base):
+    """Draws, from the stream that it was given."""
+
+    sigma: float = 0.02
+
+    def fit(self, context):
+        def link(probe, gallery):
+            scores = self.link(probe, gallery)
+            return scores + context.rng.normal(0.0, self.sigma, scores.shape)
+
+        return link
+
+
+class NeedsRepeats(Base):
+    requires = frozenset({Knowledge.REPEATS})
+
+
+BROKEN = []
+"""(class, the one check that it fails, part of the message with `.*` for anything)"""
+HONEST = Base()
+
+
+def linker(function, base=Base, **attributes):
+    """Return `base` with the step replaced that takes what the function takes."""
+    steps = {"track": "trait", "release": "traits", "probe": "link", "context": "fit"}
+    return replacing(base, steps, function, **attributes)
+
+
+def fails(check, message, **knowledge):
+    def decorate(function):
+        made = linker(function, **knowledge)
+        BROKEN.append((made, check, message))
+        return made
+
+    return decorate
+
+
+@fails("result_is_a_score_matrix", "expected a numpy array of floats, got list")
+def listing(probe, gallery):
+    return HONEST.link(probe, gallery).tolist()
+
+
+@fails("result_is_a_score_matrix", "got ndarray of int64")
+def whole_numbers(probe, gallery):
+    return np.round(1e9 * HONEST.link(probe, gallery)).astype(np.int64)
+
+
+@fails("same_seed_same_result", "draw from context.rng alone")
+def own_dice(probe, gallery):
+    noise = np.random.default_rng().normal(0.0, 1e-3, (len(probe), len(gallery)))
+    return HONEST.link(probe, gallery) + noise
+
+
+@fails("same_seed_same_result", "keep nothing between two calls of fit")
+def memory(context, fits=[]):  # noqa: ARG001, B006 - it remembers how often it was fitted
+    fits.append(1)
+    drift = 1e-9 * len(fits)
+    return lambda probe, gallery: (
+        HONEST.link(probe, gallery) + drift * np.eye(len(probe), len(gallery))
+    )
+
+
+@fails("inputs_are_not_mutated", "changed gallery.xy; ")
+def in_place(probe, gallery):
+    """Takes walks back to where the first began, without a copy."""
+    gallery.xy.flags.writeable = True
+    gallery.xy[:] -= gallery.xy[0]
+    return HONEST.link(probe, gallery)
+
+
+@fails("inputs_are_not_mutated", "as informed (granted TRAIN), .* context.train.mate", uses=TRAIN)
+def crosses_out(context):
+    """Marks the training pairs that it has learnt from."""
+    if Knowledge.TRAIN in context.granted:
+        context.train.mate.flags.writeable = True
+        context.train.mate[:] = -1
+
+
+@fails("only_granted_knowledge_is_touched", "TRAIN was not granted")
+def takes_training_set(context):
+    assert len(context.train.probe)
+
+
+@fails("only_granted_knowledge_is_touched", "as blind (granted nothing)", uses=MECHANISM)
+def never_looks(context):
+    """A blind adversary grants it nothing, yet it reads what it only `uses`."""
+    assert context.mechanism.d_sigma >= 0
+
+
+@fails("only_granted_knowledge_is_touched", "gallery.sigma are None", uses=SIGMA)
+def takes_sigma(release):
+    return HONEST.traits(release) / (1.0 + release.sigma.mean())
+
+
+@fails("order_of_tracks_does_not_matter", "depend on a track's number?")
+def likes_the_first(probe, gallery):
+    """Breaks ties by the number of the gallery track."""
+    return HONEST.link(probe, gallery) - 1e-3 * np.arange(len(gallery))
+
+
+@fails("order_of_tracks_does_not_matter", "depend on a track's number?")
+def numbers_probes(probe, gallery):
+    return HONEST.link(probe, gallery) - 1e-3 * np.arange(len(probe))[:, None]
+
+
+@fails("order_of_tracks_does_not_matter", "tracks in another order: scores differ by")
+def across_tracks(release):
+    """Smooths the speeds of all tracks as if they were one series."""
+    speeds = HONEST.traits(release)
+    return 0.999 * speeds + 0.001 * np.concatenate([speeds[:1], speeds[:-1]])
+
+
+@fails("frames_and_clocks_do_not_matter", "in another frame and clock")
+def northbound(track):
+    """Looks at the heading, too."""
+    heading = np.arctan2(*(track.xy[-1] - track.xy[0]))
+    return HONEST.trait(track) + 0.003 * heading
+
+
+@fails("frames_and_clocks_do_not_matter", "on absolute times")
+def by_the_clock(track):
+    return HONEST.trait(track) + 1e-5 * track.t[0]
+
+
+def ends(probe, gallery):
+    """Where probes end, and where the tracks of a gallery begin."""
+    return probe.xy[probe.offsets[1:] - 1], gallery.xy[gallery.offsets[:-1]]
+
+
+@fails("frames_and_clocks_do_not_matter", "two walks sharing a frame?")
+def same_frame_for_both(probe, gallery):
+    """Asks how far apart the walks are, without asking for SCENE."""
+    last, first = ends(probe, gallery)
+    away_m = np.hypot(*(last[:, None] - first).transpose(2, 0, 1))
+    return HONEST.link(probe, gallery) - 1e-4 * away_m
+
+
+@fails("frames_and_clocks_do_not_matter", "as informed (granted TRAIN)", uses=TRAIN)
+def trains_in_one_frame(context):
+    """Learns how far people get between the two releases, in frames that have nothing in common."""
+    if Knowledge.TRAIN not in context.granted:
+        return None
+    train = context.train
+    last, first = ends(train.probe, train.gallery)
+    known = train.mate >= 0
+    away_m = np.hypot(*(last[known] - first[train.mate[known]]).T).mean()
+    return lambda probe, gallery: HONEST.link(probe, gallery) * (1.0 + away_m)
+
+
+@fails("pseudonyms_do_not_matter", "other pseudonyms: scores differ by")
+def same_name(probe, gallery):
+    """Trusts that nobody changes their pseudonym."""
+    same = np.array([[one == other for other in gallery.pseudonym] for one in probe.pseudonym])
+    return HONEST.link(probe, gallery) + 0.1 * same
+
+
+@fails("pseudonyms_do_not_matter", "drawn afresh")
+def first_by_name(release):
+    first = np.array([name == min(release.pseudonym) for name in release.pseudonym])
+    return HONEST.traits(release) + 0.01 * first
+
+
+@fails("one_candidate_is_handled", "P = 1, G = 1, .* 1 of 1 scores are not")
+def against_the_others(probe, gallery):
+    """Standard scores over the candidates; a single one has no spread."""
+    scores = HONEST.link(probe, gallery)
+    gap = scores - scores.mean(axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        square = (gap**2).sum(axis=1, keepdims=True) / np.float64(scores.shape[1] - 1)
+    return gap / np.maximum(np.sqrt(square), 1e-9)
+
+
+@fails("short_tracks_are_handled", "raised IndexError: .* (broken_linkers.py, line ")
+def needs_three(track):
+    assert np.isfinite(track.xy[2]).all()
+    return HONEST.trait(track)
+
+
+@fails("short_tracks_are_handled", "who cannot tell gives all candidates the same score")
+def per_second(track):
+    """A walk of one sample goes nowhere in no time."""
+    with np.errstate(invalid="ignore"):
+        straight = np.hypot(*(track.xy[-1] - track.xy[0])) / (track.t[-1] - track.t[0])
+    return HONEST.trait(track) + 1e-3 * straight
+
+
+@fails("irregular_sampling_is_handled", "steps from 1 ms to 30 s: .* are not finite")
+def rounds_times(release):
+    """Takes the recording to have frames of 10 ms."""
+    step_s = [np.diff(np.round(track.t - track.t[0], 2)) for track in release]
+    way_m = [np.hypot(*np.diff(track.xy, axis=0).T) for track in release]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fastest = [(m / s).max(initial=0.0) for m, s in zip(way_m, step_s, strict=True)]
+    return HONEST.traits(release) + 1e-4 * np.where(np.isinf(fastest), np.nan, fastest)
+
+
+@fails("training_without_mates_is_handled", "a mate of -1 is no index", uses=TRAIN)
+def takes_the_last_for_nobody(context):
+    """A mate of -1 is an index to numpy."""
+    if Knowledge.TRAIN not in context.granted:
+        return None
+    train = context.train
+    gap = HONEST.traits(train.probe) - HONEST.traits(train.gallery)[train.mate]
+    scale = np.sqrt(np.mean(gap**2))
+    return lambda probe, gallery: -np.log1p((HONEST.link(probe, gallery) / scale) ** 2)
+
+
+@fails("training_without_mates_is_handled", "AssertionError: who is this?", uses=TRAIN)
+def insists_on_mates(context):
+    if Knowledge.TRAIN in context.granted:
+        assert (context.train.mate >= 0).all(), "who is this?"
+
+
+@fails("calls_do_not_remember", "asked once more, after other releases")
+def counts_calls(context):  # noqa: ARG001
+    """Drifts with every question that one function is asked."""
+    asked = []
+
+    def link(probe, gallery):
+        asked.append(probe)
+        return HONEST.link(probe, gallery) - 1e-9 * len(asked)
+
+    return link
+
+
+@fails("calls_do_not_remember", "other releases, asked after the first: scores")
+def keeps_by_name(context):  # noqa: ARG001
+    """Looks a track up that has been seen under the same pseudonym."""
+    probes, candidates = {}, {}
+
+    def traits(release, known):
+        for track in release:
+            known.setdefault(track.pseudonym, HONEST.trait(track))
+        return np.array([known[track.pseudonym] for track in release])
+
+    return lambda probe, gallery: (
+        -np.abs(traits(probe, probes)[:, None] - traits(gallery, candidates))
+    )
+
+
+@fails("null_stays_at_chance", "24 of 24 drawn mates come first, expected about 1 by")
+def peeks(probe, gallery):
+    """Takes the mates from whoever called and has them."""
+    scores = HONEST.link(probe, gallery)
+    for mate in locals_called("mate", (len(probe),)):
+        scores[np.arange(len(probe)), mate] += 10.0
+    return scores
+
+
+@fails("easy_case_beats_chance", "expected at least 6; chance brings 1")
+def slow_or_fast(release):
+    """Tells who strolls from who hurries, and no more."""
+    return (HONEST.traits(release) > 1.3).astype(float)
+
+
+@fails("success_falls_with_noise", "expected a rise by a factor of more than")
+def gives_up_in_between(probe, gallery):
+    """Takes noise of decimetres for people who stand still."""
+    variance = innovation_variance_m2(t=probe.t, xy=probe.xy, offsets=probe.offsets)
+    still = (variance > 0.06**2) & (variance < 1.0)
+    return np.where(still[:, None], 0.0, HONEST.link(probe, gallery))
