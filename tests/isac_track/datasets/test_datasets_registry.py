@@ -79,10 +79,8 @@ def test_a_wrong_file_is_an_error_with_both_hashes(name, ucy, data_folder):
     put(data_folder, "students03", ucy / "students03" / "groups.txt", obsmat=WALK)
     with pytest.raises(DataError) as caught:
         load(name)
-    message = str(caught.value)
-    assert message.startswith(
-        f"{data_folder}/students03/obsmat.txt is not the obsmat.txt of students03"
-    )
+    message, path = str(caught.value), data_folder / "students03" / "obsmat.txt"
+    assert message.startswith(f"{path} is not the obsmat.txt of students03")
     assert hashlib.sha256(WALK).hexdigest() in message
     assert KNOWN["students03"].sha256["obsmat.txt"] in message
     assert "give its path, --format obsmat and --fps" in message
