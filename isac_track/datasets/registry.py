@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,48 +46,44 @@ class Known:
         return self.session is not None
 
 
-_UCY = (
-    "A. Lerner, Y. Chrysanthou, D. Lischinski: Crowds by Example. "
-    "Computer Graphics Forum 26(3), 655-664, 2007"
+_UCY = Known(
+    name="UCY",
+    citation="A. Lerner, Y. Chrysanthou, D. Lischinski: Crowds by Example. "
+    "Computer Graphics Forum 26(3), 655-664, 2007",
+    licence="free to use with credit to the authors; in metres by OpenTraj",
+    format="obsmat",
+    fps=25.0,
 )
-_UCY_LICENCE = "free to use with credit to the authors; in metres by OpenTraj"
-_OWN = "isac-track: the simulated crowd plaza, made by isac_track.datasets.crowd"
+_PLAZA = Known(
+    name="plaza",
+    about="simulated crowd, bundled",
+    citation="isac-track: the simulated crowd plaza, made by isac_track.datasets.crowd",
+    licence="MIT, as isac-track",
+    session=1,
+)
 KNOWN: Mapping[str, Known] = {
     known.name: known
     for known in (
-        Known(
+        replace(
+            _UCY,
             name="students03",
             about="UCY students 3, Tel Aviv campus",
-            citation=_UCY,
-            licence=_UCY_LICENCE,
-            format="obsmat",
-            fps=25.0,
             sha256={
                 MAIN_FILE: "d9fd7048eab7d3d9550d7ac4f59b19d97a87612310e8c8e48cf3aaf59764ff80",
                 GROUPS_FILE: "93f1c1d59e089de38ca9d3a81d1592f8add87fac92130abdedcc3a8267177e02",
             },
         ),
-        Known(
+        replace(
+            _UCY,
             name="zara01",
             about="UCY zara 1, shopping street",
-            citation=_UCY,
-            licence=_UCY_LICENCE,
-            format="obsmat",
-            fps=25.0,
             sha256={MAIN_FILE: "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa"},
         ),
-        Known(
-            name="plaza",
-            about="simulated crowd, bundled",
-            citation=_OWN,
-            licence="MIT, as isac-track",
-            session=1,
-        ),
-        Known(
+        _PLAZA,
+        replace(
+            _PLAZA,
             name="plaza-session2",
             about="the same simulated people another time, bundled",
-            citation=_OWN,
-            licence="MIT, as isac-track",
             session=2,
         ),
     )
@@ -116,17 +112,16 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def data_folder() -> Path | None:
-    """Return the folder that ``ISAC_TRACK_DATA`` names, if it is set."""
-    value = os.environ.get(DATA_VARIABLE, "").strip()
+def _folder(variable: str) -> Path | None:
+    """Return the folder that an environment variable names, if it is set."""
+    value = os.environ.get(variable, "").strip()
     return Path(os.path.expanduser(value)) if value else None  # noqa: PTH111 - never raises
 
 
 def cache_folder() -> Path:
     """Return the folder of downloads: ``ISAC_TRACK_CACHE`` or the user's cache."""
-    value = os.environ.get(CACHE_VARIABLE, "").strip()
-    if value:
-        return Path(os.path.expanduser(value))  # noqa: PTH111 - never raises
+    if folder := _folder(CACHE_VARIABLE):
+        return folder
     import pooch  # noqa: PLC0415 - a plain import stays quick
 
     return Path(pooch.os_cache("isac-track"))
@@ -137,14 +132,12 @@ def locate(data_set: Known) -> dict[str, Path]:
 
     The data folder comes before the cache. Hashes are checked when the files are read.
     """
-    folders = [folder for folder in (data_folder(), cache_folder()) if folder is not None]
-    found = {}
-    for file_name in data_set.sha256:
-        for folder in folders:
+    found: dict[str, Path] = {}
+    for folder in filter(None, (_folder(DATA_VARIABLE), cache_folder())):
+        for file_name in data_set.sha256:
             path = folder / data_set.name / file_name
             if os.path.isfile(path):  # noqa: PTH113 - never raises
-                found[file_name] = path
-                break
+                found.setdefault(file_name, path)
     return found
 
 
@@ -155,7 +148,7 @@ def complete(data_set: Known, files: Mapping[str, Path]) -> bool:
 
 def searched() -> str:
     """Return in words where a data set was looked for."""
-    folder = data_folder()
+    folder = _folder(DATA_VARIABLE)
     if folder is None:
         first = f"{DATA_VARIABLE} is not set"
     elif os.path.isdir(folder):  # noqa: PTH112 - never raises
