@@ -257,36 +257,26 @@ def draw_channel(
     seed : int
     """
     n_tracks = int(n_samples.shape[1])
-    large_scale: list[Floats] = []
-    path_power: list[Floats] = []
-    path_delay: list[Floats] = []
-    beam: list[Floats] = []
-    unit_error: list[Floats] = []
+    batches = []
     for sizes, key in zip(n_samples, keys, strict=True):
-        total = int(sizes.sum())
-        large_scale.append(stream(seed, "sensing", "large scale", *key).standard_normal(n_tracks))
-        paths = stream(seed, "sensing", "paths", *key)
-        path_power.append(paths.standard_exponential((n_tracks, settings.n_paths)))
-        path_delay.append(paths.random((n_tracks, settings.n_paths)))
-        beam.append(stream(seed, "sensing", "beam", *key).standard_normal(total))
-        rng = stream(seed, "sensing", "error", *key)
-        unit_error.append(
-            unit_errors(
-                n_samples=total,
-                law=settings.law,
-                rng=rng,
-                offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        offsets = np.concatenate([[0], np.cumsum(sizes)])
+        total = int(offsets[-1])
+        of = {
+            name: stream(seed, "sensing", name, *key)
+            for name in ("large scale", "paths", "beam", "error")
+        }
+        batches.append(
+            (
+                of["large scale"].standard_normal(n_tracks),
+                of["paths"].standard_exponential((n_tracks, settings.n_paths)),
+                of["paths"].random((n_tracks, settings.n_paths)),
+                of["beam"].standard_normal(total),
+                unit_errors(n_samples=total, law=settings.law, rng=of["error"], offsets=offsets),
             )
         )
-    delays = np.concatenate(path_delay)
-    delays[:, 0] = 0.0  # the direct path
-    return Channel(
-        large_scale=np.concatenate(large_scale),
-        path_power=np.concatenate(path_power),
-        path_delay=delays,
-        beam=np.concatenate(beam),
-        unit_error=np.concatenate(unit_error),
-    )
+    channel = Channel(*map(np.concatenate, zip(*batches, strict=True)))
+    channel.path_delay[:, 0] = 0.0  # the direct path
+    return channel
 
 
 def sense(

@@ -8,7 +8,7 @@ fewer samples. A descriptor that tells how linkable people are must tell under t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, get_args
 
 import numpy as np
 
@@ -49,27 +49,24 @@ def correlated_errors(
     ValueError
         For an unknown law.
     """
+    if law not in get_args(ErrorLaw):
+        raise ValueError(f"unknown error law {law!r}; known: {', '.join(get_args(ErrorLaw))}")
     draws = rng.standard_normal((t.size, 3))
     first = offsets[:-1]
     dt_s = np.diff(t, prepend=t[:1])
+    decay, noise = _ornstein_uhlenbeck(dt_s / (2.0 * tau_s if law == "radial" else tau_s), first)
     if law == "isotropic":
-        decay, noise = _ornstein_uhlenbeck(dt_s / tau_s, first)
         return _recursion(decay, noise[:, None] * draws[:, 1:], offsets)
-    if law == "radial":
-        decay, noise = _ornstein_uhlenbeck(dt_s / (2.0 * tau_s), first)
-        amplitude = _recursion(decay, noise * draws[:, 0], offsets)
-        turn = np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]  # |...|: from one track to the next
-        turn[first] = np.arctan2(draws[first, 2], draws[first, 1])
-        remembers = np.ones(t.size)
-        remembers[first] = 0.0
-        angle = _recursion(remembers, turn, offsets)
-        direction: Floats = np.column_stack([np.cos(angle), np.sin(angle)])
-        return amplitude[:, None] * direction
+    amplitude = _recursion(decay, noise * draws[:, 0], offsets)[:, None]
     if law == "fixed_direction":
-        decay, noise = _ornstein_uhlenbeck(dt_s / tau_s, first)
-        amplitude = _recursion(decay, noise * draws[:, 0], offsets)
-        return amplitude[:, None] * track_directions(draws[:, 1:], offsets=offsets)
-    raise ValueError(f"unknown error law {law!r}; known: radial, isotropic, fixed_direction")
+        return amplitude * track_directions(draws[:, 1:], offsets=offsets)
+    turn = np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]  # |...|: from one track to the next
+    turn[first] = np.arctan2(draws[first, 2], draws[first, 1])
+    remembers = np.ones(t.size)
+    remembers[first] = 0.0
+    angle = _recursion(remembers, turn, offsets)
+    direction: Floats = np.column_stack([np.cos(angle), np.sin(angle)])
+    return amplitude * direction
 
 
 def _ornstein_uhlenbeck(elapsed: Floats, first: Ints) -> tuple[Floats, Floats]:

@@ -8,7 +8,7 @@ The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covar
 # ruff: noqa: C901, FBT001, PLR0912, PLR0917
 from __future__ import annotations
 
-from math import exp, expm1, inf, log, pi
+from math import exp, inf, log, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,71 +35,6 @@ if TYPE_CHECKING:
 
 _LOG_2PI = log(2 * pi)
 _STATES = 4
-_TAYLOR_TERMS = 18  # the first one left out is below 1e-16
-
-
-@part_of_loop
-def _transition(dt: float, rates: Floats, work: Floats, matrix: Floats) -> None:
-    """Write exp(rates * dt), the chance of every mode after `dt`, row by row, to `matrix`.
-
-    Two modes: closed form. More: the powers of the uniformised chain, summed over a fraction of
-    the step and squared; every term is positive, so that nothing cancels.
-    """
-    modes = rates.shape[0]
-    if modes == 2:  # noqa: PLR2004
-        leave = rates[0, 1] + rates[1, 0]
-        changed = -expm1(-leave * dt) / leave if leave > 0 else 0.0
-        matrix[0, 1] = rates[0, 1] * changed
-        matrix[1, 0] = rates[1, 0] * changed
-        matrix[0, 0] = 1 - matrix[0, 1]
-        matrix[1, 1] = 1 - matrix[1, 0]
-        return
-    fastest = 0.0
-    for i in range(modes):
-        fastest = max(fastest, -rates[i, i])
-    events = fastest * dt
-    halvings = 0
-    while events > 1:
-        events /= 2
-        halvings += 1
-    # work[0]: jump chain; work[1]: its power; work[2]: scratch
-    for i in range(modes):
-        for j in range(modes):
-            same = 1.0 if i == j else 0.0
-            work[0, i, j] = same + (rates[i, j] / fastest if fastest > 0 else 0.0)
-            work[1, i, j] = same
-            matrix[i, j] = same
-    factor = 1.0
-    for n in range(1, _TAYLOR_TERMS):
-        factor *= events / n
-        _product(work[1], work[0], work[2])
-        for i in range(modes):
-            for j in range(modes):
-                work[1, i, j] = work[2, i, j]
-                matrix[i, j] += factor * work[2, i, j]
-    for squaring in range(halvings + 1):
-        # The rows must add up to one: at first this divides by exp(events).
-        for i in range(modes):
-            row = 0.0
-            for j in range(modes):
-                row += matrix[i, j]
-            for j in range(modes):
-                matrix[i, j] /= row
-        if squaring < halvings:
-            _product(matrix, matrix, work[2])
-            for i in range(modes):
-                for j in range(modes):
-                    matrix[i, j] = work[2, i, j]
-
-
-@part_of_loop
-def _product(left: Floats, right: Floats, out: Floats) -> None:
-    for i in range(left.shape[0]):
-        for j in range(right.shape[1]):
-            entry = 0.0
-            for m in range(right.shape[0]):
-                entry += left[i, m] * right[m, j]
-            out[i, j] = entry
 
 
 @part_of_loop
@@ -173,7 +108,7 @@ def _copy(mu: Floats, x: Floats, p: Floats, out_mu: Floats, out_x: Floats, out_p
 
 
 @compiled(
-    *(FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1, FLOATS2, FLOATS2, FLOATS3, FLOATS1),
+    *(FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1, FLOATS3, FLOATS2, FLOATS3, FLOATS1),
     *(FLOAT, INT, BOOL),
     *(OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS2, OUT_FLOATS3),
     OUT_FLOATS1,
@@ -184,7 +119,7 @@ def imm_filter(
     variance: Floats,
     offsets: Ints,
     q: Floats,
-    rates: Floats,
+    chances: Floats,
     initial_mean: Floats,
     initial_cov: Floats,
     initial_probability: Floats,
@@ -198,13 +133,15 @@ def imm_filter(
     mixed_cov: Floats,
     log_likelihood: Floats,
 ) -> None:
-    """Filter; row k of the outputs is sample k, or row i track i's last one if not `every`."""
+    """Filter; row k of the outputs is sample k, or row i track i's last one if not `every`.
+
+    ``chances[k, m, n]`` is that of mode n at sample k after mode m at the sample before.
+    """
     modes = q.size
     x, p = np.empty((modes, _STATES)), np.empty((modes, _STATES, _STATES))
     before_x, before_p = np.empty((modes, _STATES)), np.empty((modes, _STATES, _STATES))
     mu, before_mu = np.empty(modes), np.empty(modes)
     weight, log_mode = np.empty(modes), np.empty(modes)
-    jump, work = np.empty((modes, modes)), np.empty((3, modes, modes))
     for i in range(offsets.size - 1):
         for n in range(modes):
             mu[n] = initial_probability[n]
@@ -217,7 +154,7 @@ def imm_filter(
         for k in range(first, offsets[i + 1]):
             if k > first:
                 dt = t[k] - t[k - 1]
-                _transition(dt, rates, work, jump)
+                jump = chances[k]
                 _copy(mu, x, p, before_mu, before_x, before_p)
                 for n in range(modes):
                     mu[n] = 0.0
@@ -389,14 +326,14 @@ def _smooth_pair(
 
 
 @compiled(
-    *(FLOATS1, INTS1, FLOATS1, FLOATS2, FLOATS3, FLOATS4, FLOATS2),
+    *(FLOATS1, INTS1, FLOATS1, FLOATS3, FLOATS3, FLOATS4, FLOATS2),
     *(OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS2, OUT_FLOATS3),
 )
 def imm_smoother(
     t: Floats,
     offsets: Ints,
     q: Floats,
-    rates: Floats,
+    chances: Floats,
     filtered_mean: Floats,
     filtered_cov: Floats,
     filtered_probability: Floats,
@@ -408,7 +345,6 @@ def imm_smoother(
 ) -> None:
     """Smooth by expectation correction, one Gaussian per mode, from the last sample back."""
     modes = q.size
-    jump, work = np.empty((modes, modes)), np.empty((3, modes, modes))
     pair_x, pair_p = np.empty((modes, modes, _STATES)), np.empty((modes, modes, _STATES, _STATES))
     share = np.empty((modes, modes))  # of mode m now and n next
     weight, lower, rows = np.empty(12), np.empty((_STATES, _STATES)), np.empty((_STATES, 8))
@@ -424,7 +360,7 @@ def imm_smoother(
         for step in range(1, offsets[i + 1] - offsets[i]):
             k = last - step
             dt = t[k + 1] - t[k]
-            _transition(dt, rates, work, jump)
+            jump = chances[k + 1]
             for m in range(modes):
                 _factorise(filtered_cov[k, m], weight, lower)
                 for n in range(modes):

@@ -196,9 +196,9 @@ def ca_last(
     weight = np.empty(9)
     lower = np.empty((3, 3))
     rows = np.empty((3, 6))
+    state = np.empty((2, 3))
     error = np.empty(2)
     for i in range(offsets.size - 1):
-        state = mean[i]
         for axis in range(2):
             for m in range(3):
                 state[axis, m] = initial_mean[i, axis, m]
@@ -238,6 +238,9 @@ def ca_last(
             if scale > _BIG or scale < 1 / _BIG:
                 total += log(scale)
                 scale = 1.0
+        for axis in range(2):
+            for m in range(3):
+                mean[i, axis, m] = state[axis, m]
         for m in range(3):
             for n in range(m + 1):
                 entry = 0.0

@@ -163,10 +163,10 @@ def imm_smoother(
     systems", J. Machine Learning Research 7, 2006, 2515-2540.
     """
     t, offsets = ragged_times(t, offsets)
-    density, generator = _modes(q, rates)
+    density, chances = _modes(q, rates, t)
     out = _empty(t.size, modes=density.size, log_likelihood=filtered.log_likelihood)
     _loops().imm_smoother(
-        *(t, offsets, density, generator),
+        *(t, offsets, density, chances),
         _planar(floats("filtered.mean", filtered.mean, out.mean.shape)),
         floats("filtered.cov", filtered.cov, out.cov.shape),
         floats("filtered.probability", filtered.probability, out.probability.shape),
@@ -220,7 +220,7 @@ def _arguments(
 ) -> tuple[Any, ...]:
     t, offsets = ragged_times(t, offsets)
     n_tracks = offsets.size - 1
-    density, generator = _modes(q, rates)
+    density, chances = _modes(q, rates, t)
     per_axis = covariances("initial_cov", initial_cov, (n_tracks, 2, 2))
     cov = np.zeros((n_tracks, 4, 4))
     cov[:, :2, :2] = cov[:, 2:, 2:] = per_axis
@@ -234,7 +234,7 @@ def _arguments(
         variances(variance, t.size),
         offsets,
         density,
-        generator,
+        chances,
         mean,
         cov,
         prior / prior.sum(),
@@ -242,8 +242,11 @@ def _arguments(
     )
 
 
-def _modes(q: Floats, rates: Floats) -> tuple[Floats, Floats]:
-    """Return spectral densities (J,) and the generator (J, J) of the chain of modes."""
+def _modes(q: Floats, rates: Floats, t: Floats) -> tuple[Floats, Floats]:
+    """Return spectral densities (J,), and the chances (M, J, J) of modes after the step to each t.
+
+    The step to the first sample of a track counts for nothing.
+    """
     density = np.ascontiguousarray(q, dtype=np.float64)
     if density.ndim != 1 or density.size < 2:  # noqa: PLR2004 - one mode is a Kalman filter
         raise ValueError(f"q must have shape (J,) with J >= 2, got {density.shape}")
@@ -257,4 +260,24 @@ def _modes(q: Floats, rates: Floats) -> tuple[Floats, Floats]:
     if not np.isfinite(generator).all() or not (generator >= 0).all():
         raise ValueError("rates must be finite and not negative")
     np.fill_diagonal(generator, -generator.sum(axis=1))
-    return density, generator
+    return density, chances(generator, np.abs(np.diff(t, prepend=t[:1])))
+
+
+def chances(generator: Floats, step_s: Floats) -> Floats:
+    """Return exp(generator * step), (M, J, J), of steps (M,): row by row of the mode before.
+
+    Two modes: in closed form.
+    """
+    if len(generator) > 2:  # noqa: PLR2004
+        from scipy.linalg import expm  # noqa: PLC0415 - two modes do without
+
+        found: Floats = expm(generator * step_s[:, None, None])
+        return found
+    leave = generator[0, 1] + generator[1, 0]
+    changed = -np.expm1(-leave * step_s) / leave if leave > 0 else np.zeros_like(step_s)
+    found = np.empty((step_s.size, 2, 2))
+    found[:, 0, 1] = generator[0, 1] * changed
+    found[:, 1, 0] = generator[1, 0] * changed
+    found[:, 0, 0] = 1 - found[:, 0, 1]
+    found[:, 1, 1] = 1 - found[:, 1, 0]
+    return found

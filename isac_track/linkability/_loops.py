@@ -194,28 +194,6 @@ def fill_cells(
             second[at] = one if gallery_cluster[j] == probe_cluster[i] else gallery_cluster[j]
 
 
-@compiled(FLOATS2, INTS1, INTS1, INTS1, OUT_FLOATS2, OUT_FLOATS1)
-def add_costs(
-    costs: Floats,
-    mate: Ints,
-    probe_cluster: Ints,
-    gallery_cluster: Ints,
-    between: Floats,
-    within: Floats,
-) -> None:
-    """Add the costs of non-mated scores, (P, G), to those of their clusters, (C, C) or (C,)."""
-    for i in range(costs.shape[0]):
-        a = probe_cluster[i]
-        for j in range(costs.shape[1]):
-            b = gallery_cluster[j]
-            if j == mate[i]:
-                continue
-            if a == b:
-                within[a] += costs[i, j]
-            else:
-                between[a, b] += costs[i, j]
-
-
 @part_of_loop
 def _excess(mated: float, non_mated: float) -> float:
     """D of Gomez-Barrero et al. (2017) times the mated share, from the shares of one bin."""
@@ -464,16 +442,3 @@ def replicates(
             else:
                 for column in range(2, COLUMNS):
                     line[column] = np.nan
-
-
-@compiled(OUT_FLOATS2, FLOATS1, OUT_FLOATS1)
-def linked_shares(mated: Floats, total: Floats, out: Floats) -> None:
-    """Write D_sys for each row of mated counts per bin; `total` counts all scores of a bin."""
-    n_scores = total.sum()
-    for row in range(mated.shape[0]):
-        n_mated = mated[row].sum()
-        linked = 0.0
-        for k in range(total.size):
-            share = (total[k] - mated[row, k]) / (n_scores - n_mated)
-            linked += _excess(mated[row, k] / n_mated, share)
-        out[row] = linked

@@ -255,9 +255,16 @@ def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tup
         np.bincount(np.searchsorted(edges, x, side="right"), minlength=n_bins) / x.size
         for x in (mated, non_mated)
     )
-    linked = p > q
-    p, q = p[linked], q[linked]
-    return float((p * (p - q) / (p + q)).sum()), n_bins
+    return float(linked_share(p, q)), n_bins
+
+
+def linked_share(p: Floats, q: Floats) -> Floats:
+    """Return `d_sys` of histograms, (...,): shares of mated and non-mated scores, (..., bins)."""
+    excess = np.zeros(p.shape)
+    # 2 LR / (1 + LR) - 1 = (LR - 1) / (LR + 1), which is 1 where LR is infinite.
+    np.divide(p * (p - q), p + q, out=excess, where=p > q)
+    share: Floats = excess.sum(axis=-1)
+    return share
 
 
 def default_bins(n_mated: int) -> int:

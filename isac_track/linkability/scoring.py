@@ -31,7 +31,7 @@ from isac_track.linkability.ranks import (
     log_factorials,
     residual_risk,
 )
-from isac_track.linkability.scores import default_bins, inner_edges, is_refused
+from isac_track.linkability.scores import default_bins, inner_edges, is_refused, linked_share
 from isac_track.linkability.significance import (
     add_shuffles,
     check_searches,
@@ -368,9 +368,8 @@ def _score_scale(
     if n_mated and n_non_mated:
         total_bins = np.bincount(cut.bins, weights=counts, minlength=n_bins)
         total_bins += np.bincount(cut.bins[mated_cell], minlength=n_bins)
-        null_d_sys = np.empty(len(cut.null_bins))
-        import_loops().linked_shares(cut.null_bins, total_bins, null_d_sys)
-        bias = float(null_d_sys.mean())
+        null, others = cut.null_bins / n_mated, (total_bins - cut.null_bins) / n_non_mated
+        bias = float(linked_share(null, others).mean())
 
     tables, rows = _tables(weights[:, cut.clusters])
     columns = _replicates(trials, counts, mated_cell, cut.bins, tables)[: rows.shape[1]]
@@ -427,21 +426,25 @@ def _cllr_rows(
     values = np.full(rows.shape[1], np.nan)
     if calibration is None:
         return values
-    between, within = np.zeros((len(rows), len(rows))), np.zeros(len(rows))
-    mated = np.zeros(len(rows))
+    n_clusters = len(rows)
+    between, mated = np.zeros((n_clusters, n_clusters)), np.zeros(n_clusters)
     for trial in trials:
         mate, probes = trial.mate, trial.probes
         llr = calibration.slope * trial.scores + calibration.intercept
         # log(1 + LR), in a way that does not overflow and that numpy computes several at a time.
         costs = np.log1p(np.exp(-np.abs(llr)))
         costs += np.maximum(llr, 0.0)
-        clusters = trial.probe_cluster, trial.gallery_cluster
-        import_loops().add_costs(costs, mate, *clusters, between, within)
+        costs[probes, mate[probes]] = 0.0
+        pair = n_clusters * trial.probe_cluster[:, None] + trial.gallery_cluster
+        sums = np.bincount(pair.ravel(), weights=costs.ravel(), minlength=n_clusters**2)
+        between += sums.reshape(between.shape)
         mated += np.bincount(
             trial.probe_cluster[probes],
             weights=np.logaddexp(0.0, -llr[probes, mate[probes]]),
             minlength=mated.size,
         )
+    within = between.diagonal().copy()
+    np.fill_diagonal(between, 0.0)
     non_mated = np.einsum("cr,cr->r", between @ rows, rows) + within @ rows
     defined = (columns[:, 0] > 0) & (columns[:, 1] > 0)
     both = (mated @ rows)[defined] / columns[defined, 0]

@@ -137,6 +137,11 @@ def test_spellings_of_one_thing_are_one_thing(spec):
     assert one("mechanisms", spec).spec == "fid:100"
 
 
+def test_the_order_of_the_parameters_does_not_matter():
+    specs = ("thin:4,d_sigma=0.75,adding=independent", "thin:4,adding=independent,d_sigma=0.75")
+    assert one("mechanisms", specs[0]) == one("mechanisms", specs[1])
+
+
 def test_levels_are_rounded_to_twelve_digits():
     plugin = one("mechanisms", "fixed:0.30000000000000004")
     assert plugin.level == 0.3
@@ -148,6 +153,8 @@ def test_a_logarithmic_and_a_linear_sweep():
     assert levels == [1.0, 10.0, 100.0, 1000.0]
     levels = [plugin.level for plugin in plugins.parse("mechanisms", "fixed:0.1..1/10")]
     assert levels == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
+    whole = [plugin.level for plugin in plugins.parse("mechanisms", "thin:1..8/8")]
+    assert whole == [1, 2, 3, 4, 5, 6, 7, 8]
     down = [plugin.level for plugin in plugins.parse("mechanisms", "fid:100..1/3")]
     assert down == [100.0, 10.0, 1.0]
 

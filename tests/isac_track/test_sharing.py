@@ -7,47 +7,17 @@ from math import exp, inf, sqrt
 import numpy as np
 import pytest
 from helpers import oracles
+from helpers.sensed import ADDING, LAWS, rng, sensed, truth
 from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
 from isac_track.protocols import Mechanism
-from isac_track.rng import stream
 from isac_track.sensing import unit_errors
 from isac_track.sharing import Clean, Fid, Fixed, Raw, fid_d_sigma, perturb
-from isac_track.types import Sensed
 
-LAWS = ["radial", "isotropic"]
-ADDING = ["linear", "independent"]
 LARGE = 40_000
-
-
-def truth(n_samples):
-    return stream(0, "test", "truth").uniform(-20.0, 20.0, (n_samples, 2))
-
-
-def sensed(*, sizes=(5, 1, 7), law="radial", fid=None, sigma_raw=None):
-    n_samples = int(np.sum(sizes))
-    rng = stream(0, "test", "sensed")
-    sigma = (
-        rng.uniform(0.05, 2.0, n_samples) if sigma_raw is None else np.full(n_samples, sigma_raw)
-    )
-    unit = unit_errors(n_samples=n_samples, law=law, rng=rng)
-    return Sensed(
-        t=np.arange(n_samples) / 12.0,
-        xy=truth(n_samples) + sigma[:, None] * unit,
-        unit_error=unit,
-        sigma_raw=sigma,
-        information=24.0 / sigma**2,
-        fid=288.0 / sigma**2 if fid is None else np.full(n_samples, fid),
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        law=law,
-    )
-
-
-def rng(*names):
-    return stream(0, "test", *(names or ("share",)))
 
 
 def norms(vectors):
@@ -177,6 +147,22 @@ class TestPerturb:
             perturb(sensed(), 0.1, rng(), adding="square")
         with pytest.raises(ValueError, match="unknown error law 'square'"):
             perturb(sensed(), 0.1, rng(), adding="independent", law="square")
+
+
+class TestAGivenError:
+    def test_is_added_as_it_is(self):
+        batch = sensed(sigma_raw=0.3)
+        unit = np.tile([0.6, -0.8], (13, 1))
+        release = perturb(batch, 0.4, rng(), adding="independent", unit_error=unit)
+        np.testing.assert_allclose(release.xy - batch.xy, 0.4 * unit, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(release.sigma, 0.5, rtol=1e-15)
+
+    def test_linear_adding_takes_none(self):
+        batch = sensed()
+        with pytest.raises(
+            ValueError, match=r"^linear adding scales the raw error and takes no other$"
+        ):
+            perturb(batch, 0.4, rng(), unit_error=batch.unit_error)
 
 
 class TestPseudonyms:

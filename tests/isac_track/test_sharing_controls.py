@@ -6,54 +6,22 @@ from math import exp, sqrt
 
 import numpy as np
 import pytest
+from helpers.sensed import ADDING, LAWS, error_of, rng, sensed
 from scipy import stats
 
 from isac_track import plugins
 from isac_track.errors import SettingsError
 from isac_track.protocols import Mechanism
-from isac_track.rng import stream
 from isac_track.sensing import unit_errors
-from isac_track.sharing import Fixed, perturb
+from isac_track.sharing import Fixed
 from isac_track.sharing_controls import Correlated, Offset, Thin, correlated_errors
-from isac_track.types import Sensed
 
-LAWS = ["radial", "isotropic"]
-ADDING = ["linear", "independent"]
 TAU_S = 2.0
 INSTANTS_S = np.array([10.0, 10.1, 10.9, 11.0, 13.5, 16.0])
 """Of every track: irregular, and some far apart."""
 N_TRACKS = 20_000
 SQUARE = {"radial": 1.0, "isotropic": 2.0}
 """E[|c|^2] of a standardised error."""
-
-
-def rng(*names):
-    return stream(0, "test", *(names or ("share",)))
-
-
-def sensed(*, sizes=(5, 1, 7), law="radial", sigma_raw=None, t=None):
-    n_samples = int(np.sum(sizes))
-    draw = stream(0, "test", "sensed")
-    sigma = (
-        draw.uniform(0.05, 2.0, n_samples) if sigma_raw is None else np.full(n_samples, sigma_raw)
-    )
-    unit = unit_errors(n_samples=n_samples, law=law, rng=draw)
-    truth = stream(0, "test", "truth").uniform(-20.0, 20.0, (n_samples, 2))
-    return Sensed(
-        t=np.arange(n_samples) / 12.0 if t is None else t,
-        xy=truth + sigma[:, None] * unit,
-        unit_error=unit,
-        sigma_raw=sigma,
-        information=24.0 / sigma**2,
-        fid=288.0 / sigma**2,
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        law=law,
-    )
-
-
-def error_of(release, batch):
-    """Whole error of every sample, (M, 2) m."""
-    return release.xy - (batch.xy - batch.sigma_raw[:, None] * batch.unit_error)
 
 
 def many_tracks(law, *, tau_s=TAU_S):
@@ -282,23 +250,9 @@ class TestByName:
         assert plugin.instance == instance
         assert isinstance(plugin.instance, Mechanism)
 
-    def test_the_order_of_the_parameters_does_not_matter(self):
-        one, other = (
-            plugins.parse("mechanisms", f"thin:4,{parameters}")
-            for parameters in ("d_sigma=0.75,adding=independent", "adding=independent,d_sigma=0.75")
-        )
-        assert one == other
-
-    def test_they_sweep(self):
-        levels = [one.level for one in plugins.parse("mechanisms", "thin:1..8/8")]
-        assert levels == [1, 2, 3, 4, 5, 6, 7, 8]
-
     @pytest.mark.parametrize(
         ("spec", "message"),
         [
-            ("correlatd:1", "unknown mechanism 'correlatd'; did you mean 'correlated'?"),
-            ("ofset:1", "unknown mechanism 'ofset'; did you mean 'offset'?"),
-            ("thn:1", "unknown mechanism 'thn'; did you mean 'thin'?"),
             ("correlated:-1", "'correlated:-1': d_sigma must be 0 m or more, got -1.0"),
             ("correlated:1,tau_s=0", "'correlated:1,tau_s=0': tau_s must be positive, got 0.0"),
             ("correlated", "'correlated': correlated needs a value for d_sigma"),
@@ -318,19 +272,3 @@ class TestByName:
     def test_levels_must_be_finite(self, instance, value):
         with pytest.raises(ValueError, match="must be 0 m or more"):
             instance(value)
-
-
-class TestAGivenError:
-    def test_is_added_as_it_is(self):
-        batch = sensed(sigma_raw=0.3)
-        unit = np.tile([0.6, -0.8], (13, 1))
-        release = perturb(batch, 0.4, rng(), adding="independent", unit_error=unit)
-        np.testing.assert_allclose(release.xy - batch.xy, 0.4 * unit, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(release.sigma, 0.5, rtol=1e-15)
-
-    def test_linear_adding_takes_none(self):
-        batch = sensed()
-        with pytest.raises(
-            ValueError, match=r"^linear adding scales the raw error and takes no other$"
-        ):
-            perturb(batch, 0.4, rng(), unit_error=batch.unit_error)

@@ -266,20 +266,25 @@ def test_agents_fill_scenes_evenly(index):
         scenes(index=index)
 
 
-def test_predictions_are_checked():
+def test_a_prediction_needs_no_covariance():
     mean = np.zeros((2, 3, 2))
     assert Prediction(mean=mean).cov is None
     assert Prediction(mean=mean, cov=np.zeros((2, 3, 2, 2))).cov.shape == (2, 3, 2, 2)
-    with pytest.raises(ValueError, match=r"\(N, H, 2\)"):
-        Prediction(mean=np.zeros((2, 3, 3)))
-    with pytest.raises(ValueError, match="3 dimension"):
-        Prediction(mean=np.zeros((3, 2)))
-    with pytest.raises(ValueError, match="not finite"):
-        Prediction(mean=np.full((2, 3, 2), np.nan))
-    with pytest.raises(ValueError, match=r"\(N, H, 2, 2\)"):
-        Prediction(mean=mean, cov=np.zeros((2, 4, 2, 2)))
-    with pytest.raises(ValueError, match="4 dimension"):
-        Prediction(mean=mean, cov=np.zeros((2, 3, 2)))
+
+
+@pytest.mark.parametrize(
+    ("mean", "cov", "message"),
+    [
+        (np.zeros((2, 3, 3)), None, r"\(N, H, 2\)"),
+        (np.zeros((3, 2)), None, "3 dimension"),
+        (np.full((2, 3, 2), np.nan), None, "not finite"),
+        (np.zeros((2, 3, 2)), np.zeros((2, 4, 2, 2)), r"\(N, H, 2, 2\)"),
+        (np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), "4 dimension"),
+    ],
+)
+def test_another_prediction_is_refused(mean, cov, message):
+    with pytest.raises(ValueError, match=message):
+        Prediction(mean=mean, cov=cov)
 
 
 def covariances(*one):
@@ -358,8 +363,42 @@ def test_a_claimed_standard_deviation_has_a_limit():
         Reconstruction(np.zeros((1, 2)), 1.01 * limit)
 
 
-def test_no_tracks_no_prediction():
+def test_nothing_was_shared_nothing_is_estimated():
     assert Prediction(np.zeros((0, 3, 2)), np.zeros((0, 3, 2, 2))).mean.shape == (0, 3, 2)
+    assert Reconstruction(np.zeros((0, 2)), np.zeros(0)).xy.shape == (0, 2)
+
+
+def test_a_reconstruction_is_read_only_and_needs_no_claim():
+    xy, std = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 0.5])
+    found = Reconstruction(xy, std)
+    assert found.xy.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert found.std.tolist() == [0.0, 0.5]
+    for array in (found.xy, found.std):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 9.0
+    assert xy.flags.writeable  # what the caller holds stays theirs to write
+    assert Reconstruction([[1, 2]]).std is None
+    assert Reconstruction([[1, 2]]).xy.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("xy", "std", "message"),
+    [
+        (np.zeros(4), None, r"xy must have 2 dimension\(s\), got shape \(4,\)"),
+        (np.zeros((4, 3)), None, r"xy must have shape \(M, 2\), got \(4, 3\)"),
+        (np.zeros((2, 2, 2)), None, "xy must have 2 dimension"),
+        (np.array([[0.0, np.nan]]), None, "position is not finite"),
+        (np.array([[np.inf, 0.0]]), None, "position is not finite"),
+        (np.zeros((4, 2)), np.zeros(3), r"std must have shape \(M,\), got \(3,\)"),
+        (np.zeros((4, 2)), np.zeros((4, 2)), "std must have 1 dimension"),
+        (np.zeros((2, 2)), np.array([0.1, -0.1]), "finite and not negative"),
+        (np.zeros((2, 2)), np.array([0.1, np.nan]), "finite and not negative"),
+        (np.zeros((2, 2)), np.array([0.1, np.inf]), "finite and not negative"),
+    ],
+)
+def test_another_reconstruction_is_refused(xy, std, message):
+    with pytest.raises(ValueError, match=message):
+        Reconstruction(xy, std)
 
 
 def test_within_both_bounds():

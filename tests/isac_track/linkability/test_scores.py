@@ -1,0 +1,179 @@
+"""Score metrics against brute force, closed forms and what must not matter."""
+
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+from helpers import linkability_oracles as oracles
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.stats import norm
+
+from isac_track.linkability import (
+    Calibration,
+    auc,
+    cllr,
+    cllr_min,
+    d_sys,
+    eer,
+    fit_calibration,
+    roc_hull,
+    tpr_at_fpr,
+)
+from isac_track.rng import stream
+
+
+@pytest.mark.parametrize("decimals", [0, 1, 8])
+def test_score_metrics_are_brute_force(decimals):
+    rng = stream(decimals, "test", "scores")
+    for n_mated, n_non_mated in ((1, 1), (3, 20), (25, 60)):
+        mated = np.round(rng.standard_normal(n_mated) + 0.7, decimals)
+        non_mated = np.round(rng.standard_normal(n_non_mated), decimals)
+        classes = {"mated": mated, "non_mated": non_mated}
+        assert auc(**classes) == pytest.approx(oracles.auc(mated, non_mated), abs=1e-12)
+        assert eer(**classes) == pytest.approx(oracles.eer(mated, non_mated), abs=1e-12)
+        assert cllr_min(**classes) == pytest.approx(oracles.cllr_min(mated, non_mated), abs=1e-9)
+        edges = oracles.histogram_edges(mated, non_mated)
+        assert d_sys(**classes) == (
+            pytest.approx(oracles.d_sys(mated, non_mated, edges), abs=1e-12),
+            edges.size - 1,
+        )
+        assert d_sys(**classes, n_bins=1) == (0.0, 1)
+        direct = cllr(llr_mated=mated, llr_non_mated=non_mated)
+        assert direct == pytest.approx(oracles.cllr(mated, non_mated), abs=1e-12)
+
+
+@pytest.mark.parametrize("alpha", [0.01, 0.05])
+@pytest.mark.parametrize("decimals", [0, 1, 8])
+def test_tpr_at_fpr_is_brute_force(decimals, alpha):
+    rng = stream(decimals, "test", "tpr")
+    mated, non_mated = rng.standard_normal(30) + 2, rng.standard_normal(1_000)
+    mated, non_mated = np.round(mated, decimals), np.round(non_mated, decimals)
+    expected = oracles.tpr(mated, non_mated, alpha)
+    actual = tpr_at_fpr(mated=mated, non_mated=non_mated, alpha=alpha)
+    assert actual == pytest.approx(expected, abs=1e-12)
+
+
+def test_tpr_is_refused_below_ten_expected_false_links():
+    mated, non_mated = np.ones(3), np.zeros(1_000)
+    assert tpr_at_fpr(mated=mated, non_mated=non_mated, alpha=0.01) == (1.0, 0.0)
+    refused = tpr_at_fpr(mated=mated, non_mated=non_mated[1:], alpha=0.01)
+    assert np.isnan(refused).all()
+
+
+def test_a_share_exactly_at_the_level_is_allowed():
+    non_mated = np.arange(1_000.0)
+    # Ten of a thousand are at least as high as 990, eleven as 989.
+    assert tpr_at_fpr(mated=np.array([989.0, 990.0]), non_mated=non_mated, alpha=0.01) == (
+        0.5,
+        pytest.approx(0.01),
+    )
+
+
+def test_gaussian_scores_have_the_closed_forms():
+    rng = stream(3, "test", "gaussian")
+    d, n = 1.3, 100_000
+    mated, non_mated = rng.standard_normal(n) + d, rng.standard_normal(n)
+    classes = {"mated": mated, "non_mated": non_mated}
+    # Standard errors are below 0.002.
+    assert auc(**classes) == pytest.approx(norm.cdf(d / math.sqrt(2)), abs=0.006)
+    assert eer(**classes) == pytest.approx(norm.cdf(-d / 2), abs=0.006)
+    variation = 2 * norm.cdf(d / 2) - 1
+    assert variation / 2 < d_sys(**classes)[0] < variation
+    fitted = fit_calibration(**classes)
+    # The true log-likelihood ratio of the score s is d s - d^2 / 2.
+    assert fitted.slope == pytest.approx(d, abs=0.03)
+    assert fitted.intercept == pytest.approx(-(d**2) / 2, abs=0.03)
+    best = cllr_min(**classes)
+    calibrated = cllr(llr_mated=d * mated - d**2 / 2, llr_non_mated=d * non_mated - d**2 / 2)
+    assert 0 < best <= calibrated < best + 0.01 < 1
+
+
+def test_the_hull_is_convex_and_lies_above_the_roc():
+    rng = stream(4, "test", "hull")
+    mated, non_mated = (
+        np.round(rng.standard_normal(40) + 1, 1),
+        np.round(rng.standard_normal(60), 1),
+    )
+    fpr, tpr = roc_hull(mated=mated, non_mated=non_mated)
+    assert (fpr[0], tpr[0]) == (0, 0)
+    assert (fpr[-1], tpr[-1]) == pytest.approx((1, 1))
+    # Not slopes, which are infinite at the left.
+    turns = np.diff(fpr)[:-1] * np.diff(tpr)[1:] - np.diff(fpr)[1:] * np.diff(tpr)[:-1]
+    assert (turns < 1e-12).all()
+    points = oracles.roc(mated, non_mated)
+    for f, t in points:
+        assert t <= np.interp(f, fpr, tpr) + 1e-12 or f == 0
+    assert all(
+        any(np.allclose(vertex, point) for point in points) for vertex in zip(fpr, tpr, strict=True)
+    )
+
+
+SCORES = arrays(np.int64, st.integers(1, 12), elements=st.integers(-4, 4))
+
+
+@given(mated=SCORES, non_mated=SCORES)
+@settings(deadline=None, max_examples=150)
+def test_rising_maps_leave_auc_eer_and_cllr_min_alone(mated, non_mated):
+    def risen(x):
+        return np.exp(x / 3) + x**3
+
+    before = {"mated": mated.astype(float), "non_mated": non_mated.astype(float)}
+    after = {"mated": risen(mated), "non_mated": risen(non_mated)}
+    for metric in (auc, eer, cllr_min):
+        assert metric(**after) == pytest.approx(metric(**before), abs=1e-12)
+    assert -1e-12 <= cllr_min(**before) <= 1 + 1e-12
+    assert 0 <= eer(**before) <= 0.5 + 1e-12
+    assert 0 <= d_sys(**before)[0] <= 1
+    swapped = auc(mated=before["non_mated"], non_mated=before["mated"])
+    assert swapped == pytest.approx(1 - auc(**before))
+
+
+def test_calibration_minimises_the_cost_that_it_should():
+    rng = stream(5, "test", "calibration")
+    mated, non_mated = rng.standard_normal(50) * 1.5 + 11, rng.standard_normal(300) + 10
+    fitted = fit_calibration(mated=mated, non_mated=non_mated)
+
+    def cost(slope, intercept):
+        llrs = {"llr_mated": mated, "llr_non_mated": non_mated}
+        return cllr(**{name: slope * x + intercept for name, x in llrs.items()})
+
+    least = cost(fitted.slope, fitted.intercept)
+    for slope, intercept in product((-1e-2, 0, 1e-2), repeat=2):
+        assert cost(fitted.slope + slope, fitted.intercept + intercept) >= least
+    # Each class weighs 1, however many there are of it.
+    threefold = fit_calibration(mated=mated, non_mated=np.tile(non_mated, 3))
+    assert threefold.slope == pytest.approx(fitted.slope, rel=1e-5)
+    shifted = fit_calibration(mated=1e3 * mated, non_mated=1e3 * non_mated)
+    assert shifted.slope == pytest.approx(fitted.slope / 1e3, rel=1e-5)
+    assert shifted.intercept == pytest.approx(fitted.intercept, rel=1e-4)
+
+
+def test_calibration_of_scores_that_say_nothing_or_everything():
+    zero = Calibration(0.0, 0.0)
+    low, high = np.arange(5.0), np.arange(10.0, 15.0)
+    assert fit_calibration(mated=low, non_mated=high) == zero
+    assert fit_calibration(mated=np.ones(3), non_mated=np.ones(9)) == zero
+    separated = fit_calibration(mated=high, non_mated=low)
+    assert 1 < separated.slope < 100
+    assert separated.slope * 4 + separated.intercept < -3
+    assert separated.slope * 10 + separated.intercept > 3
+
+
+@pytest.mark.parametrize("function", [auc, eer, roc_hull, cllr_min, d_sys, fit_calibration])
+def test_metrics_refuse_an_empty_class_and_infinity(function):
+    for mated, non_mated in (([], [1.0]), ([1.0], []), ([[1.0]], [1.0])):
+        with pytest.raises(ValueError, match="must have shape"):
+            function(mated=np.array(mated), non_mated=np.array(non_mated))
+    with pytest.raises(ValueError, match="finite"):
+        function(mated=np.array([np.inf]), non_mated=np.ones(1))
+
+
+def test_numbers_out_of_range_are_refused():
+    ones = np.ones(3)
+    with pytest.raises(ValueError, match="alpha"):
+        tpr_at_fpr(mated=ones, non_mated=ones, alpha=0.0)
+    with pytest.raises(ValueError, match="n_bins"):
+        d_sys(mated=ones, non_mated=ones, n_bins=0)

@@ -1,0 +1,262 @@
+"""Tests of a link: their law, their size, their power."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from helpers import linkability_oracles as oracles
+from helpers.searches import gaussian, search
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.stats import binom
+
+from isac_track.linkability import (
+    Search,
+    log_rank,
+    minimum_detectable_rank1,
+    outcome,
+    permutation_p,
+    rank1,
+    rank1_p,
+    reciprocal_rank,
+)
+from isac_track.linkability.ranks import log_factorials
+from isac_track.linkability.significance import add_shuffles, rank_rows
+from isac_track.rng import stream
+
+
+@given(scores=arrays(np.int64, (6, 6), elements=st.integers(-3, 3)))
+@settings(deadline=None, max_examples=60)
+def test_rising_maps_leave_ranks_and_p_alone(scores):
+    before, after = search(scores), search(np.exp(scores / 3) + scores**3)
+    for metric in (rank1, reciprocal_rank, log_rank):
+        assert np.array_equal(
+            metric(scores=after.scores, mate=after.mate),
+            metric(scores=before.scores, mate=before.mate),
+        )
+    assert permutation_p(searches=[after], rng=stream(0, "test")) == permutation_p(
+        searches=[before], rng=stream(0, "test")
+    )
+
+
+def clustered(rng, sizes):
+    """A search with clusters of these sizes in a random order, and two probes without a mate."""
+    n = sum(sizes)
+    cluster = 3 * np.repeat(np.arange(len(sizes)), sizes)
+    mate, probes = np.full(n + 2, -1), rng.permutation(n + 2)[:n]
+    mate[probes] = rng.permutation(n + 1)[:n]
+    # Whoever has no mate belongs to somebody's cluster all the same.
+    probe_cluster, gallery_cluster = np.zeros(n + 2, dtype=int), np.zeros(n + 1, dtype=int)
+    probe_cluster[probes] = cluster
+    gallery_cluster[mate[probes]] = cluster
+    return Search(rng.standard_normal((n + 2, n + 1)), mate, probe_cluster, gallery_cluster)
+
+
+CLUSTERED = {
+    (1, 1, 1, 1, 1): 120,
+    (2, 2, 2): 3 * 2 * 2**3,
+    (3, 1, 3, 1): 2 * 2 * 6**2,
+    (2, 3, 1, 2): 2 * 2**2 * 6,
+    (1, 2, 4): 2 * 24,
+    (): 1,
+}
+"""How many sets of mates the null allows: products of factorials."""
+
+
+@pytest.mark.parametrize("sizes", CLUSTERED)
+def test_shuffled_mates_keep_clusters_together_and_are_uniform(sizes):
+    # The very mates that the scorecard draws, as its p-value says below.
+    one = clustered(stream(6, "test", "clusters"), sizes)
+    possible = oracles.possible_mates(one)
+    assert len(possible) == CLUSTERED[sizes]
+    n = 300 * len(possible)
+    mates = oracles.shuffled_mates(one, rng=stream(6, "test"), n=n)
+    drawn, counts = np.unique(mates, axis=0, return_counts=True)
+    assert np.array_equal(drawn, np.unique(possible, axis=0))
+    assert np.abs(counts - 300).max() < 5 * math.sqrt(300)
+
+
+@pytest.mark.parametrize("sizes", CLUSTERED)
+def test_the_null_is_the_law_over_all_possible_mates(sizes):
+    one = clustered(stream(16, "test", "law"), sizes)
+    values = np.array(
+        [np.nansum(log_rank(scores=one.scores, mate=mate)) for mate in oracles.possible_mates(one)]
+    )
+    n = 300 * values.size
+    null, null_bins = np.zeros(n), np.zeros((n, 1))
+    ranks = rank_rows(one, np.empty(0), log_factorials(one.scores.shape[1]))
+    observed = add_shuffles(
+        one,
+        ranks,
+        np.zeros(1, dtype=np.uint8),
+        stream(17, "test", "law"),
+        np.empty(n * one.mate.size),
+        null,
+        null_bins,
+    )
+    assert observed == pytest.approx(np.nansum(log_rank(scores=one.scores, mate=one.mate)))
+    assert (null_bins == sum(sizes)).all()
+    expected, weight = np.unique(values.round(9), return_counts=True)
+    actual, counts = np.unique(null.round(9), return_counts=True)
+    assert actual == pytest.approx(expected)
+    assert (np.abs(counts - 300 * weight) < 5 * np.sqrt(300 * weight)).all()
+    # And so says the test.
+    p = permutation_p(searches=[one], rng=stream(18, "test", "law"), n_shuffles=20_000)
+    assert p == pytest.approx((values >= observed - 1e-9).mean(), abs=0.018)
+
+
+@pytest.mark.parametrize("decimals", [0, 6])
+def test_the_permutation_test_has_its_size_on_null_data(decimals):
+    rng = stream(7, "test", "size", decimals)
+    p = np.array(
+        [
+            permutation_p(
+                searches=[gaussian(rng, n, 0.0, decimals=decimals) for n in (15, 8)], rng=rng
+            )
+            for _ in range(1_000)
+        ]
+    )
+    # 3 standard deviations are 2.1 points at 5 %, 3.8 at 20 %.
+    assert 0.029 <= (p <= 0.05).mean() <= 0.071
+    assert 0.162 <= (p <= 0.2).mean() <= 0.238
+
+
+def alike(rng, sizes):
+    """Scores of people who resemble their group within a session, and nobody across sessions."""
+    group = np.repeat(np.arange(len(sizes)), sizes)
+    probes, gallery = (
+        rng.standard_normal((len(sizes), 3))[group] + 0.5 * rng.standard_normal((group.size, 3))
+        for _ in range(2)
+    )
+    return search(-np.linalg.norm(probes[:, None] - gallery, axis=2), cluster=group)
+
+
+GROUPS = {
+    "pairs": [2] * 20,
+    "fours": [4] * 10,
+    "mixed": [1] * 30 + [2] * 15 + [3] * 5 + [4] * 3,
+    "hardly exchangeable": [1] * 20 + [2, 3, 4, 5],
+}
+
+
+def rejected(groups, n_repetitions, *, is_grouped=True):
+    """The share of null data that the test rejects at 5 %."""
+    rng = stream(19, "test", "groups", groups)
+    p = []
+    for _ in range(n_repetitions):
+        one = alike(rng, GROUPS[groups])
+        if not is_grouped:
+            one = search(one.scores)
+        p.append(permutation_p(searches=[one], rng=rng))
+    return np.mean(np.array(p) <= 0.05)
+
+
+@pytest.mark.parametrize("groups", GROUPS)
+def test_the_permutation_test_has_its_size_where_groups_are_alike(groups):
+    # Three standard deviations are 2 points.
+    assert 0.03 <= rejected(groups, 1_000) <= 0.07
+
+
+@pytest.mark.parametrize("groups", ["pairs", "fours"])
+def test_shuffling_one_by_one_would_reject_too_often(groups):
+    assert rejected(groups, 1_000, is_grouped=False) > 0.08
+
+
+def test_the_permutation_test_keeps_its_power_for_singles():
+    rng = stream(20, "test", "power")
+    found, expected = [], []
+    for _ in range(400):
+        one = gaussian(rng, 30, 0.6)
+        found.append(permutation_p(searches=[one], rng=rng) <= 0.05)
+        value = np.stack(
+            [log_rank(scores=one.scores, mate=(np.arange(30) + k) % 30) for k in range(30)]
+        )
+        # Row k: what column i + k is worth to probe i.
+        columns = rng.permuted(np.tile(np.arange(30), (999, 1)), axis=1)
+        null = value[(columns - np.arange(30)) % 30, np.arange(30)].sum(axis=1)
+        expected.append(1 + (null >= value[0].sum()).sum() <= 50)
+    assert np.mean(found) == pytest.approx(np.mean(expected), abs=0.02)
+    assert 0.5 < np.mean(found) < 1
+
+
+def test_a_link_is_found_between_clusters_and_among_members_but_not_without_choice():
+    rng = stream(21, "test", "found")
+    pairs, own = np.repeat(np.arange(15), 2), np.eye(30)
+    of_pair = (pairs[:, None] == pairs).astype(float)
+    noise = 0.1 * rng.standard_normal((30, 30))
+    for scores, cluster in ((of_pair, pairs), (own, pairs), (own, np.zeros(30, dtype=int))):
+        one = search(scores + noise, cluster=cluster)
+        assert permutation_p(searches=[one], rng=rng) == 1 / 1000
+    # Two clusters of different sizes cannot be mistaken for each other: only members count.
+    sizes = np.repeat([0, 1], [10, 20])
+    one = search((sizes[:, None] == sizes) + noise, cluster=sizes)
+    assert permutation_p(searches=[one], rng=rng) > 0.05
+
+
+def test_the_permutation_test_finds_a_link_and_no_reversed_one():
+    rng = stream(8, "test", "power")
+    linked = gaussian(rng, 30, 3.0)
+    assert permutation_p(searches=[linked], rng=rng) == 1 / 1000
+    reverse = search(-linked.scores)
+    assert permutation_p(searches=[reverse], rng=rng) > 0.99
+
+
+@pytest.mark.parametrize("n_hits", [0, 1, 2.5, 3, 6])
+def test_rank1_p_is_the_poisson_binomial_tail(n_hits):
+    chances = np.array([0.5, 0.2, 0.2, 0.1, 0.5, 0.05])
+    hits = np.full(6, n_hits / 6)
+    expected = oracles.poisson_binomial_tail(chances, math.floor(n_hits))
+    assert rank1_p(hits=hits, chance=chances) == pytest.approx(expected, abs=1e-12)
+    equal = rank1_p(hits=hits, chance=np.full(6, 0.2))
+    assert equal == pytest.approx(binom.sf(math.floor(n_hits) - 1, 6, 0.2), abs=1e-12)
+
+
+def test_three_thirds_of_a_hit_are_a_hit():
+    thirds = np.full(3, 1 / 3)
+    assert rank1_p(hits=thirds, chance=thirds) == pytest.approx(1 - (2 / 3) ** 3)
+    assert rank1_p(hits=np.empty(0), chance=np.empty(0)) == 1.0
+
+
+@pytest.mark.parametrize(("n", "rate"), [(20, 0.05), (140, 1 / 140), (320, 1 / 40)])
+def test_the_minimum_detectable_rate_is_detected_as_often_as_promised(n, rate):
+    least = minimum_detectable_rank1(n=n, chance=rate)
+    hits = stream(9, "test", "power", n).binomial(n, least, 20_000)
+    p = np.array([rank1_p(hits=np.arange(n) < k, chance=np.full(n, rate)) for k in range(n + 1)])
+    # The standard error is 0.0028.
+    assert (p[hits] <= 0.05).mean() == pytest.approx(0.8, abs=0.01)
+
+
+def test_too_few_probes_detect_no_rate():
+    assert minimum_detectable_rank1(n=1, chance=0.1) == math.inf
+    assert minimum_detectable_rank1(n=0, chance=0.1) == math.inf
+    assert minimum_detectable_rank1(n=50, chance=1.0) == math.inf
+    assert minimum_detectable_rank1(n=1, chance=0.04, power=0.9) == pytest.approx(0.9)
+
+
+def test_outcomes():
+    assert outcome(p_value=0.05, ceiling_p_value=1.0) == "links"
+    assert outcome(p_value=0.06, ceiling_p_value=0.05) == "no link detected"
+    assert outcome(p_value=0.06, ceiling_p_value=0.06) == "attack too weak"
+    assert outcome(p_value=0.06, ceiling_p_value=0.06, level=0.1) == "links"
+
+
+def test_numbers_out_of_range_are_refused():
+    ones = np.ones(3)
+    with pytest.raises(ValueError, match="one shape"):
+        rank1_p(hits=ones, chance=np.ones(2))
+    with pytest.raises(ValueError, match=r"0\.\.1"):
+        rank1_p(hits=2 * ones, chance=ones)
+    with pytest.raises(ValueError, match="n >= 0"):
+        minimum_detectable_rank1(n=-1, chance=0.1)
+    with pytest.raises(ValueError, match="p-value"):
+        outcome(p_value=0.1, ceiling_p_value=math.nan)
+    with pytest.raises(ValueError, match="at least 999"):
+        permutation_p(searches=[search(np.eye(2))], rng=stream(0, "test"), n_shuffles=10)
+
+
+def test_importing_the_modules_does_not_import_numba():
+    code = "import sys, isac_track.linkability; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
