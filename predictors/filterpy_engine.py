@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import IMMEstimator, KalmanFilter
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, expm
+
+from isac_track.kalman import MAX_REJECTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,32 +34,11 @@ def last_states(
     initial_mean: Floats,
     initial_cov: Floats,
     gate: float,
-    patience: int,
 ) -> tuple[Floats, Floats]:
-    """Filter every track and return its last state.
+    """Filter every track and return its last state: mean (N, 2, d) and covariance (N, d, d).
 
-    Parameters
-    ----------
-    t : (M,) s
-    xy : (M, 2) m
-    variance : (M,) m^2
-        Error variance per axis.
-    offsets : (N + 1,) int
-    q : float
-        Spectral density of the white noise on the highest derivative.
-    initial_mean : (N, 2, d)
-        Before the first sample; d = 2 is constant velocity, d = 3 constant acceleration.
-    initial_cov : (N, d, d)
-    gate : float
-        Largest normalised innovation squared that is believed.
-    patience : int
-        Rejections in a row after which a sample is believed whatever it says.
-
-    Returns
-    -------
-    mean : (N, 2, d)
-    cov : (N, d, d)
-        Of either axis: they share it.
+    Parameters are those of `isac_track.kalman.kalman_last`; d = 2 is constant velocity, d = 3
+    constant acceleration.
     """
     n_tracks, _, d = initial_mean.shape
     mean = np.empty((n_tracks, 2, d))
@@ -71,7 +52,7 @@ def last_states(
                 kf.predict(F=_motion(dt, d), Q=_process_noise(dt, q, d))
             innovation = z - kf.H @ kf.x
             spread = kf.P[0, 0] + noise[k]
-            if innovation @ innovation / spread > gate and misses < patience:
+            if innovation @ innovation / spread > gate and misses < MAX_REJECTIONS:
                 misses += 1
                 continue
             misses = 0
@@ -93,25 +74,13 @@ def last_modes(
     initial_cov: Floats,
     initial_probability: Floats,
     gate: float,
-    patience: int,
 ) -> tuple[Floats, Floats, Floats]:
     """Run an interacting-multiple-model filter over every track and return its last modes.
 
     Every mode is a constant-velocity model with its own q; the modes change as a
     continuous-time Markov chain, so that M belongs to the step that follows.
 
-    Parameters
-    ----------
-    t, xy, variance, offsets, gate, patience
-        As in `last_states`; a sample is rejected when every mode would.
-    q : (J,) m^2/s^3
-    rates : (J, J) 1/s
-        Generator of the chain: rows add up to zero.
-    initial_mean : (N, 2, 2)
-        (position, velocity) per axis before the first sample.
-    initial_cov : (N, 2, 2)
-        Of either axis.
-    initial_probability : (J,)
+    Parameters are those of `isac_track.kalman.imm_last`.
 
     Returns
     -------
@@ -121,8 +90,6 @@ def last_modes(
         Of (x, vx, y, vy).
     probability : (N, J)
     """
-    from scipy.linalg import expm  # noqa: PLC0415 - only here
-
     n_tracks, n_modes = initial_mean.shape[0], q.size
     mean = np.empty((n_tracks, n_modes, 2, 2))
     cov = np.empty((n_tracks, n_modes, 4, 4))
@@ -143,7 +110,7 @@ def last_modes(
             imm.M = expm(rates * steps[k])
             for mode in modes:
                 mode.R = np.eye(2) * noise[k]
-            if min(_distance2(mode, z) for mode in modes) > gate and misses < patience:
+            if min(_distance2(mode, z) for mode in modes) > gate and misses < MAX_REJECTIONS:
                 misses += 1
                 imm.mu = imm.cbar.copy()  # update(None) would weigh the modes all the same
                 imm._compute_mixing_probabilities()  # noqa: SLF001 - filterpy has no public way

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from isac_track.kalman import MAX_REJECTIONS, imm_last, kalman_last
+from isac_track.kalman import imm_last, kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import ErrorLaw, Knowledge, Prediction
 from predictors.recent import Recent, recent
@@ -61,7 +61,7 @@ class KalmanCV:
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            mean, cov = filterpy_engine.last_states(**arguments, patience=MAX_REJECTIONS)
+            mean, cov = filterpy_engine.last_states(**arguments)
         else:
             last = kalman_last(model=self.model, **arguments)
             mean, cov = last.mean, last.cov
@@ -142,7 +142,7 @@ class KalmanIMM:
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            return filterpy_engine.last_modes(**arguments, patience=MAX_REJECTIONS)
+            return filterpy_engine.last_modes(**arguments)
         last = imm_last(**arguments)
         return last.mean, last.cov, last.probability
 

@@ -80,7 +80,6 @@ class GaussianProcess:
             given=None
             if self.length_s is None or self.scale_m is None
             else (self.length_s, self.scale_m),
-            default=self.DEFAULT,
             candidates=CANDIDATES,
             tried=by_filter,  # the engines agree, and the candidates are many
         )

@@ -66,7 +66,6 @@ class ImmRTS:
             context,
             partial(smooth, stay_s=(self.walk_s, self.turn_s)),
             given=None if self.q is None or self.q_turn is None else (self.q, self.q_turn),
-            default=self.DEFAULT_Q,
             candidates=CANDIDATES,
         )
 

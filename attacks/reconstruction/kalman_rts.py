@@ -40,9 +40,7 @@ class KalmanRTS:
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the smoother of releases like those in the training set."""
-        return smoother(
-            context, smooth, given=self.q, default=self.DEFAULT_Q, candidates=CANDIDATES
-        )
+        return smoother(context, smooth, given=self.q, candidates=CANDIDATES)
 
 
 CANDIDATES = around(KalmanRTS.DEFAULT_Q, factor=4.0)

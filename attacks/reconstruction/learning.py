@@ -69,8 +69,7 @@ def fitted(
     smooth: Callable[[Release, _Choice], Reconstruction],
     *,
     given: _Choice | None,
-    default: _Choice,
-    candidates: Sequence[_Choice],
+    candidates: tuple[_Choice, ...],
 ) -> Callable[[Release], Reconstruction]:
     """Return what smooths releases like those in the training set.
 
@@ -81,14 +80,14 @@ def fitted(
         From a release and a choice.
     given : object or None
         The choice; None: learnt.
-    default, candidates
-        As in `choose`.
+    candidates : tuple of objects
+        The default in the middle, as from `around`.
     """
     choice = given
     if choice is None:
         choice = choose(
             context,
-            default=default,
+            default=candidates[len(candidates) // 2],
             candidates=candidates,
             reconstruct=lambda candidate, release: smooth(release, candidate).xy,
         )
@@ -100,8 +99,7 @@ def smoother(
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
     *,
     given: _Choice | None,
-    default: _Choice,
-    candidates: Sequence[_Choice],
+    candidates: tuple[_Choice, ...],
     tried: Callable[[Release, Floats, _Choice], Reconstruction] | None = None,
 ) -> Callable[[Release], Reconstruction]:
     """Return what smooths releases like those in the training set, by the noise of each sample.
@@ -111,19 +109,19 @@ def smoother(
     context : AttackContext
     smooth : callable
         From a release, the error variance per axis, (M,) m^2, and a choice.
-    given, default, candidates
+    given, candidates
         As in `fitted`.
     tried : callable, optional
         In place of `smooth` where candidates are compared.
     """
     variance = learn_variance(context)
-    choice = default if given is None else given
+    choice = candidates[len(candidates) // 2] if given is None else given
     if given is None and Knowledge.TRAIN in context.granted:
         known = variance(context.train.release)  # once for all candidates
         attempt = smooth if tried is None else tried
         choice = choose(
             context,
-            default=default,
+            default=choice,
             candidates=candidates,
             reconstruct=lambda candidate, release: attempt(release, known, candidate).xy,
         )

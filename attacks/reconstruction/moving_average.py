@@ -45,13 +45,7 @@ class MovingAverage:
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the average over releases like those in the training set."""
-        return fitted(
-            context,
-            smooth,
-            given=self.width_s,
-            default=self.DEFAULT_WIDTH_S,
-            candidates=CANDIDATES,
-        )
+        return fitted(context, smooth, given=self.width_s, candidates=CANDIDATES)
 
 
 CANDIDATES = around(MovingAverage.DEFAULT_WIDTH_S, factor=2.0)

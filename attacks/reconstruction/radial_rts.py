@@ -43,13 +43,8 @@ class RadialRTS:
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the smoother of releases like those in the training set."""
-        return smoother(
-            context,
-            partial(smooth, passes=self.passes, anneal=self.anneal),
-            given=self.q,
-            default=self.DEFAULT_Q,
-            candidates=CANDIDATES,
-        )
+        reweighted = partial(smooth, passes=self.passes, anneal=self.anneal)
+        return smoother(context, reweighted, given=self.q, candidates=CANDIDATES)
 
 
 CANDIDATES = around(RadialRTS.DEFAULT_Q, factor=4.0)

@@ -56,13 +56,7 @@ class Savgol:
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the filter of releases like those in the training set."""
-        return fitted(
-            context,
-            smooth,
-            given=self.width_s,
-            default=self.DEFAULT_WIDTH_S,
-            candidates=CANDIDATES,
-        )
+        return fitted(context, smooth, given=self.width_s, candidates=CANDIDATES)
 
 
 CANDIDATES = around(Savgol.DEFAULT_WIDTH_S, factor=2.0)

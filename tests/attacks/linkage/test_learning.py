@@ -2,9 +2,18 @@
 
 import numpy as np
 import pytest
-from helpers.walks import moved, odd_release, two_releases
+from helpers.walks import context, moved, odd_release, two_releases
 
-from attacks.linkage.learning import MARGIN, chosen, few_mates, learn, log_rank, tracks_of
+from attacks.linkage.learning import (
+    MARGIN,
+    chosen,
+    few_mates,
+    learn,
+    learn_motion,
+    log_rank,
+    tracks_of,
+)
+from attacks.linkage.signals import motions
 from isac_track.protocols import LinkageTrainingSet
 
 
@@ -53,3 +62,27 @@ def test_tracks_of_a_release():
         assert np.array_equal(some[row].xy, release[source].xy)
         assert np.array_equal(some[row].t, release[source].t)
     assert some.pseudonym == tuple(release.pseudonym[row] for row in (5, 0, 9))
+
+
+def test_motion_is_learnt_from_pairs_of_mates_and_blind_it_is_the_default():
+    probe, gallery, mate = two_releases(12, noise_m=1.0)
+    train = LinkageTrainingSet(probe, gallery, mate)
+    few, asked = few_mates(train, most=9), []
+
+    def score(a, b, other):
+        factor = next(
+            factor
+            for factor in (1.0, 2.0)
+            if all(
+                np.array_equal(each.turn, motions(release, factors=(factor,))[0].turn)
+                for each, release in ((a, few.probe), (b, few.gallery))
+            )
+        )
+        asked.append((factor, other))
+        return np.eye(9) if (factor, other) == (2.0, 4.0) else np.zeros((9, 9))
+
+    options = ((1.0, 2.0), (4.0, 3.0))
+    assert learn_motion(context(), options, most=9, score=score) == (1.0, 4.0)
+    assert not asked
+    assert learn_motion(context(train), options, most=9, score=score) == (2.0, 4.0)
+    assert asked == [(1.0, 4.0), (2.0, 4.0), (2.0, 3.0)]

@@ -8,7 +8,7 @@ from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
-from attacks.linkage.learning import LEAST_MATES, tracks_of
+from attacks.linkage.learning import LEAST_MATES, log_rank, tracks_of
 from attacks.linkage.profile import Profile
 from attacks.linkage.shape import Shape
 from isac_track.protocols import LinkageAttack, LinkageTrainingSet, grants, kind_of
@@ -93,6 +93,16 @@ def test_a_pair_is_scored_for_itself(attack):
         one = score(probe, tracks_of(gallery, np.array([column])))
         assert one.shape == (14, 1)
         assert np.allclose(one[:, 0], scores[:, column], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(("attack", "sway"), [(Profile(), 0.02), (Shape(), 0.01)])
+def test_it_learns_how_small_a_misfit_counts(attack, sway):
+    # People who differ by millimetres: the default floors blur them.
+    habits = {"sway": sway, "turn_rad_s": 0.01, "speed_m_s": 1.2}
+    train = LinkageTrainingSet(*two_releases(40, seed=7, **habits))
+    probe, gallery, mate = two_releases(40, seed=8, **habits)
+    blind, learnt = (fitted(attack, known)(probe, gallery) for known in (None, train))
+    assert log_rank(learnt, mate=mate) < log_rank(blind, mate=mate) - 0.1
 
 
 @pytest.mark.parametrize("attack", ALL, ids=name)

@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from helpers.walks import release_of, smooth_walks
+from helpers.walks import context, release_of, smooth_walks
 
 from attacks.reconstruction import kalman_rts
-from attacks.reconstruction.imm_rts import smooth
+from attacks.reconstruction.imm_rts import ImmRTS, smooth
 from isac_track.rng import stream
+from isac_track.types import Knowledge
 
 STAY_S = (4.0, 1.5)
 
@@ -44,3 +45,13 @@ def test_it_beats_one_model_where_walks_have_two_moods():
         for q in (0.001, 0.01, 0.04, 0.16, 0.64, 2.0)
     )
     assert np.square(both.xy - truth).mean() < 0.8 * best
+
+
+def test_the_attack_smooths_with_its_own_times():
+    release, _ = smooth_walks(60)
+    told = replace(release, sigma=np.full(60, 0.5))
+    attack = ImmRTS(q=0.01, q_turn=0.5, walk_s=6.0, turn_s=1.0)
+    found = attack.fit(context(granted={Knowledge.SIGMA}))(told)
+    same = smooth(told, np.full(60, 0.125), (0.01, 0.5), stay_s=(6.0, 1.0))
+    assert np.array_equal(found.xy, same.xy)
+    assert not np.array_equal(found.xy, replace(attack, walk_s=1.0).fit(context())(told).xy)

@@ -78,6 +78,15 @@ def test_an_audit_sees_nothing_but_its_own(name, leak):
     assert leaking(name, leak) > ALPHA
 
 
+def test_the_frame_is_place_and_heading_by_hand():
+    # All begin at 0 and end 1 m off, in three directions.
+    ways = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]])
+    one = release_of([(np.arange(4.0), np.repeat([[0.0, 0.0], way], 2, axis=0)) for way in ways])
+    scores = CONTROLS["frame"].score(one, one, None)
+    # First and second: 1 m and 2, over standard deviations of 1/2 and 1 times the root of 2/3.
+    assert scores[0, :2].tolist() == pytest.approx([0.0, -2.0 * np.sqrt(3.0)])
+
+
 def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
     def p_value_of(task, level_of):
         p_values = []
