@@ -232,7 +232,7 @@ def reject_what_is_no_attack(attack: object) -> None:
     Raises
     ------
     PluginError
-        As `the registry` would, when the attack is named on a command line.
+        As `isac_track.plugins` would, when the attack is named on a command line.
     """
     if isinstance(attack, type):
         raise PluginError(f"expected an attack, got its class: write {attack.__name__}()")

@@ -1,10 +1,8 @@
 """The attack kit: what is built in passes it, and each broken attack fails the right check."""
 
 import re
-import subprocess
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +10,7 @@ import pytest
 from helpers import broken_attacks, broken_linkers
 from helpers.broken_attacks import SIGMA, TRAIN, attack
 from helpers.broken_linkers import Continues, Learns, NeedsRepeats, linker
+from helpers.processes import ROOT, run_python
 
 from attacks.testing import (
     CHECKS,
@@ -34,7 +33,7 @@ BUILT_IN = [
 ]
 HONEST = [broken_linkers.Base(), Learns(), Continues(), broken_linkers.Jitters()]
 BROKEN = [*broken_attacks.BROKEN, *broken_linkers.BROKEN]
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 SCENE = frozenset({Knowledge.SCENE})
 ABOUT_SUCCESS = {"easy_case_beats_chance", "success_falls_with_noise"}
 ABOUT_OTHER_THINGS = {"inputs_are_not_mutated", "only_granted_knowledge_is_touched"}
@@ -396,8 +395,6 @@ class TestWithPytest:
             "    check(attack)\n",
             encoding="utf-8",
         )
-        tests = Path(__file__).parents[1]
-        (tmp_path / "pytest.ini").write_text(f"[pytest]\npythonpath = {tests}\n", encoding="utf-8")
         return tmp_path
 
     def test_checks_are_tests_of_their_own(self, folder):
@@ -415,14 +412,3 @@ class TestWithPytest:
         assert done.returncode == 0
         assert "test_attack[Averaging-null_stays_at_chance] PASSED" in done.stdout
         assert f"2 passed, {2 * len(CHECKS) - 2} deselected" in done.stdout
-
-
-def run_python(folder, *arguments):
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from dataclasses import fields, replace
 from itertools import product
 from math import nan
-from pathlib import Path
 from unittest import SkipTest
 
 import numpy as np
 import pytest
 from helpers import broken_metrics, oracles
 from helpers.broken_metrics import BROKEN
+from helpers.processes import ROOT, run_python
 
 from isac_track.errors import SettingsError
 from isac_track.testing import (
@@ -35,7 +34,7 @@ from isac_track.testing._cases import (
 )
 from isac_track.testing._metrics import check as register
 
-DOCS = Path(__file__).parents[2] / "docs" / "metrics.md"
+DOCS = ROOT / "docs" / "metrics.md"
 
 
 def status(metrics, name):
@@ -294,17 +293,6 @@ class TestDocumentation:
 
 def python_blocks():
     return re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
-
-
-def run_python(folder, *arguments):
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
 
 
 @pytest.fixture
