@@ -106,7 +106,7 @@ class Row:
         try:
             return case.read(result)
         except ValueError as error:
-            self.fail(case, str(error))
+            raise AssertionError(f"{self}, {case.about}: {error}") from None
 
     def raw(self, cases: Sequence[Case], *, seed: int = 0) -> list[object]:
         """Return whatever the attack returns for each case, given what it is and no more.
