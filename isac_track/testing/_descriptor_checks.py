@@ -142,7 +142,7 @@ def ael_may_fall_as_epsilon_grows(ael_s: Duration) -> None:
 @check
 def mel_monotone_in_epsilon(mel_s: Duration) -> None:
     """MEL never falls when epsilon grows."""
-    for track in random_tracks("mel_monotone_in_epsilon", count=90, least=2):
+    for track in random_tracks("mel_monotone_in_epsilon", count=48, least=2):
         expect_rising(partial(mel_s, *track.timed[:-1]), what="MEL")
 
 
@@ -266,7 +266,7 @@ def plr_time_reversal(plr: PointRatio) -> None:
 @check
 def plr_monotone_in_epsilon(plr: PointRatio) -> None:
     """PLR never falls when epsilon grows."""
-    for track in random_tracks("plr_monotone_in_epsilon", count=90, least=2):
+    for track in random_tracks("plr_monotone_in_epsilon", count=48, least=2):
         expect_rising(partial(plr, *track.points[:-1]), what="PLR")
 
 
