@@ -13,7 +13,7 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
-from isac_track.command_line import DONE, Parser, exit_code
+from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
@@ -98,14 +98,14 @@ def parser() -> argparse.ArgumentParser:
 
 def _list() -> None:
     from attacks.testing import adversaries_of  # noqa: PLC0415 - `--help` stays quick
-    from isac_track import plugins as registry  # noqa: PLC0415 - as above
+    from isac_track import plugins  # noqa: PLC0415 - as above
     from isac_track.protocols import kind_of  # noqa: PLC0415 - it needs numpy, as above
 
     lines = [("attack", "kind", "adversaries", "", "")]
     skipped = {}
-    for name in registry.names("attacks"):
+    for name in plugins.names("attacks"):
         try:
-            (plugin,) = registry.parse("attacks", name)
+            (plugin,) = plugins.parse("attacks", name)
             adversaries = ", ".join(adversaries_of(plugin.instance))
         except IsacTrackError as error:
             skipped[name] = str(error)
@@ -114,9 +114,9 @@ def _list() -> None:
         kind = kind_of(plugin.instance)
         lines.append((name, kind, adversaries, slow, _summary(plugin.instance)))
     widths = [max(len(line[column]) for line in lines) for column in range(4)]
-    for *shown_first, summary in lines:
-        columns = zip(shown_first, widths, strict=True)
-        shown = "  ".join(f"{text:<{width}}" for text, width in columns if width)
+    for *columns, summary in lines:
+        padded = zip(columns, widths, strict=True)
+        shown = "  ".join(f"{text:<{width}}" for text, width in padded if width)
         print(f"{shown}  {summary}".rstrip())
     for name, wrong in skipped.items():
         print(f"skipped {name}: {wrong}", file=sys.stderr)
@@ -136,28 +136,21 @@ def _check(spec: str) -> int:
             f"{spec!r} is two attacks, one on what the other makes of a release; check the two "
             f"parts apart: {linker or 'LINKER'}, then {reconstruction or 'RECONSTRUCTION'}"
         )
-    from attacks.testing import (  # noqa: PLC0415 - `--help` stays quick
-        adversaries_of,
-        checks_for,
-        run_checks,
-    )
-    from isac_track import plugins as registry  # noqa: PLC0415 - as above
+    from attacks.testing import adversaries_of, checks_for  # noqa: PLC0415 - `--help` stays quick
+    from isac_track import plugins  # noqa: PLC0415 - as above
+    from isac_track.testing import engine  # noqa: PLC0415 - as above
 
     words = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
-    failed = False
-    for plugin in registry.parse("attacks", spec):
+    passed = True
+    for plugin in plugins.parse("attacks", spec):
         checks = checks_for(plugin.instance)
         width = max(map(len, checks))
         print(f"{plugin.spec} as {', '.join(adversaries_of(plugin.instance))}:")
-        counts = dict.fromkeys(words, 0)
-        for name in checks:  # one by one, for those who watch
-            (result,) = run_checks(plugin.instance, names=(name,))
-            counts[result.status] += 1
-            print(f"  {words[result.status]}  {name:<{width}}  {result.message}".rstrip())
-            sys.stdout.flush()
-        print(", ".join(f"{count} {status}" for status, count in counts.items()))
-        failed = failed or counts["failed"] > 0
-    return int(failed)
+        passed &= engine.report(
+            engine.outcomes(checks.values(), plugin.instance),
+            line=lambda one: f"  {words[one.status]}  {one.name:<{width}}  {one.message}",  # noqa: B023 - called at once
+        )
+    return DONE if passed else LIMIT_NOT_MET
 
 
 def _new(name: str, *, kind: str, into: Path) -> None:

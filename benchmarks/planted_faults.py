@@ -32,7 +32,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 ROOT = Path(__file__).resolve().parent.parent
-END_TO_END = ("test_matrix*", "test_command*", "test_run*", "test_execute*", "test_workers*", "test_cluster*", "test_dask*")
+END_TO_END = (
+    "test_matrix*",
+    "test_command*",
+    "test_run*",
+    "test_execute*",
+    "test_workers*",
+    "test_cluster*",
+    "test_dask*",
+)
 """Names of test files that are shown the lines that no test reaches in its own process."""
 HANGS_S: Final = 60.0
 """A test that takes this much, and 20 times what it took, hangs: the fault is noticed."""

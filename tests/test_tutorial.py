@@ -1,19 +1,15 @@
 """The tutorial, run as a reader would: in an empty folder, with the two files beside each other."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from helpers.processes import ROOT, run_python
 
 from evaluation.results import build
 
-ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "tutorial"
 MINE = "geometric_median:GeometricMedian"
 FILES = (
@@ -35,15 +31,7 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tutorial")
     for path in EXAMPLE.glob("*.py"):
         shutil.copy(path, folder)
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "tutorial.py"],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    done = run_python(folder, "-W", "error", "tutorial.py", timeout_s=600)
     assert done.returncode == 0, done.stderr
     return folder, done.stdout
 

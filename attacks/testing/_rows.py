@@ -94,11 +94,11 @@ class Row:
 
     def answer(self, case: Case, *, seed: int = 0) -> Answer:
         """Return what the attack makes of a case, given copies of all arrays."""
-        return self.read(case, self.raw([copied(case)], seed=seed)[0])
+        return self.answers(case, seed=seed)[0]
 
-    def answers(self, *cases: Case) -> list[Answer]:
+    def answers(self, *cases: Case, seed: int = 0) -> list[Answer]:
         """Return what one call of `fit`, which is for the first case, makes of several in turn."""
-        results = self.raw([copied(case) for case in cases])
+        results = self.raw([copied(case) for case in cases], seed=seed)
         return [self.read(case, result) for case, result in zip(cases, results, strict=True)]
 
     def read(self, case: Case, result: object) -> Answer:
@@ -106,7 +106,7 @@ class Row:
         try:
             return case.read(result)
         except ValueError as error:
-            self.fail(case, str(error))
+            raise AssertionError(f"{self}, {case.about}: {error}") from None
 
     def raw(self, cases: Sequence[Case], *, seed: int = 0) -> list[object]:
         """Return whatever the attack returns for each case, given what it is and no more.
@@ -151,19 +151,14 @@ class Row:
         return found
 
 
-def strict_rows(attack: Attack) -> Iterator[Row]:
-    """Yield the rows of an attack, weakest adversary first, given what they are granted."""
-    for adversary, granted in granted_rows(attack):
-        yield Row(attack=attack, adversary=adversary, granted=granted, given=granted)
-
-
 def rows(attack: Attack) -> Iterator[Row]:
-    """Yield the rows of an attack as all checks but one run them.
+    """Yield the rows of an attack, weakest adversary first, as all checks but one run them.
 
     An attack that touches what it was not granted fails the check about that. In all others it
     is given everything, or that one mistake would fail them all and hide the next one.
     """
-    for row in strict_rows(attack):
+    for adversary, granted in granted_rows(attack):
+        row = Row(attack=attack, adversary=adversary, granted=granted, given=granted)
         try:
             row.raw([copied(row.ordinary)])
         except AssertionError:
@@ -232,7 +227,7 @@ def reject_what_is_no_attack(attack: object) -> None:
     Raises
     ------
     PluginError
-        As `the registry` would, when the attack is named on a command line.
+        As `isac_track.plugins` would, when the attack is named on a command line.
     """
     if isinstance(attack, type):
         raise PluginError(f"expected an attack, got its class: write {attack.__name__}()")

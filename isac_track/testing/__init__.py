@@ -20,7 +20,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from isac_track.testing import _conflict_checks, _exposure_checks, _metrics, _plr_checks, engine
+from isac_track.testing import _conflict_checks, _descriptor_checks, _metrics, engine
 from isac_track.testing._metrics import Metrics
 from isac_track.testing._own import OWN
 from isac_track.testing.engine import Check, Outcome
@@ -39,7 +39,7 @@ __all__ = [
     "select_checks",
 ]
 
-_DEFINED_IN = (_plr_checks, _exposure_checks, _conflict_checks)
+_DEFINED_IN = (_conflict_checks, _descriptor_checks)
 """Importing them fills the kit."""
 
 CHECKS: tuple[Check, ...] = tuple(_metrics.CHECKS.values())

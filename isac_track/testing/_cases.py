@@ -131,23 +131,14 @@ def random_pattern(rng: Generator, *, size: int) -> str:
     return pattern
 
 
-def random_tracks(name: str, *, count: int = 150) -> Iterator[Track]:
-    """Yield seeded tracks, short ones first: the first counterexample is a small one."""
+def random_tracks(name: str, *, count: int = 150, least: int = 1) -> Iterator[Track]:
+    """Yield seeded tracks of `least` samples or more, short ones first.
+
+    So the first counterexample is a small one.
+    """
     for index in range(count):
         rng = stream(0, "testing", name, index)
-        yield random_track(rng, pattern=random_pattern(rng, size=1 + index // 6))
-
-
-def random_walks(name: str) -> list[tuple[Floats, Floats, Floats]]:
-    """Return seeded (shared_xy, true_xy, t) with errors of all sizes."""
-    walks = []
-    for index in range(30):
-        rng = stream(0, "testing", name, index)
-        size = 2 + index
-        true_xy = rng.normal(0.0, 5.0, (size, 2))
-        t = np.cumsum(rng.uniform(0.05, 0.3, size))
-        walks.append((true_xy + rng.normal(0.0, 0.5, (size, 2)), true_xy, t))
-    return walks
+        yield random_track(rng, pattern=random_pattern(rng, size=least + index // 6))
 
 
 def expect_rising(value: Callable[[float], float], *, what: str) -> None:

@@ -1,22 +1,19 @@
 """`python -m attacks`: list, check, and a package of one's own in one command."""
 
-import os
 import re
-import subprocess
 import sys
 import tomllib
 from importlib.metadata import EntryPoint
-from pathlib import Path
 
 import pytest
+from helpers.processes import ROOT, run_python
 
 from attacks import __main__ as command
 from attacks.__main__ import main
 from attacks.testing import CHECKS, LINKAGE_CHECKS
-from isac_track import plugins as registry
+from isac_track import plugins
 
-TESTS = Path(__file__).parents[1]
-DOCS = TESTS.parent / "docs" / "attacks.md"
+DOCS = ROOT / "docs" / "attacks.md"
 
 
 @pytest.fixture
@@ -29,7 +26,7 @@ def installed(monkeypatch):
             for name, value in points.items()
         )
         monkeypatch.setattr(
-            registry, "_entry_points", lambda kind: found if kind == "attacks" else ()
+            plugins, "_entry_points", lambda kind: found if kind == "attacks" else ()
         )
 
     return install
@@ -45,7 +42,7 @@ class TestList:
         captured = capsys.readouterr()
         head, *lines = captured.out.splitlines()
         assert head.split() == ["attack", "kind", "adversaries"]
-        assert [line.split()[0] for line in lines] == list(registry.names("attacks"))
+        assert [line.split()[0] for line in lines] == list(plugins.names("attacks"))
         assert re.search(
             r"^identity +reconstruction +blind +Return the shared", captured.out, re.MULTILINE
         )
@@ -77,51 +74,59 @@ class TestList:
 
 
 class TestCheck:
-    def test_an_attack_that_passes(self, capsys):
-        assert main(["check", "identity"]) == 0
+    @pytest.mark.parametrize(
+        ("spec", "checks"), [("identity", CHECKS), ("helpers.broken_linkers:Base", LINKAGE_CHECKS)]
+    )
+    def test_an_attack_that_passes(self, spec, checks, capsys):
+        assert main(["check", spec]) == 0
         head, *lines, summary = capsys.readouterr().out.splitlines()
-        assert head == "identity as blind:"
-        assert lines == [f"  pass  {name}" for name in CHECKS]
-        assert summary == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
+        assert head == f"{spec} as blind:"
+        assert lines == [f"  pass  {name}" for name in checks]
+        assert summary == f"{len(checks)} passed, 0 failed, 0 skipped"
 
-    def test_an_attack_that_fails(self, capsys):
-        assert main(["check", "helpers.broken_attacks:across_tracks"]) == 1
+    @pytest.mark.parametrize(
+        ("spec", "checks", "message"),
+        [
+            (
+                "helpers.broken_attacks:across_tracks",
+                CHECKS,
+                "across_tracks as blind (granted nothing), 8 walks",
+            ),
+            (
+                "helpers.broken_linkers:likes_the_first",
+                LINKAGE_CHECKS,
+                "likes_the_first as blind (granted nothing), P = 7, G = 9",
+            ),
+        ],
+    )
+    def test_an_attack_that_fails(self, spec, checks, message, capsys):
+        assert main(["check", spec]) == 1
         shown = capsys.readouterr().out
-        assert f"{len(CHECKS) - 1} passed, 1 failed, 0 skipped" in shown
-        columns = {
-            line.index(name) for line in shown.splitlines() for name in CHECKS if name in line
-        }
-        assert columns == {8}
+        assert f"{len(checks) - 1} passed, 1 failed, 0 skipped" in shown
+        lines = shown.splitlines()
+        assert {line.index(name) for line in lines for name in checks if name in line} == {8}
         (failed,) = re.findall(r"^  FAIL  (\w+) +(.*)$", shown, re.MULTILINE)
         assert failed[0] == "order_of_tracks_does_not_matter"
-        assert failed[1].startswith("across_tracks as blind (granted nothing), 8 walks")
+        assert failed[1].startswith(message)
 
-    def test_a_check_that_does_not_apply(self, capsys):
-        assert main(["check", "averaging"]) == 0
+    @pytest.mark.parametrize(
+        ("spec", "checks", "who", "skipped"),
+        [
+            ("averaging", CHECKS, "oracle", "frame_and_clock_do_not_matter"),
+            (
+                "helpers.broken_linkers:Continues",
+                LINKAGE_CHECKS,
+                "blind",
+                "frames_and_clocks_do_not_matter",
+            ),
+        ],
+    )
+    def test_a_check_that_does_not_apply(self, spec, checks, who, skipped, capsys):
+        assert main(["check", spec]) == 0
         shown = capsys.readouterr().out
-        assert re.search(
-            r"^  skip  frame_and_clock_do_not_matter +granted SCENE", shown, re.MULTILINE
-        )
-        assert shown.endswith(f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped\n")
-
-    def test_a_linker(self, capsys):
-        assert main(["check", "helpers.broken_linkers:Base"]) == 0
-        head, *lines, summary = capsys.readouterr().out.splitlines()
-        assert head == "helpers.broken_linkers:Base as blind:"
-        assert lines == [f"  pass  {name}" for name in LINKAGE_CHECKS]
-        assert summary == f"{len(LINKAGE_CHECKS)} passed, 0 failed, 0 skipped"
-
-    def test_a_linker_that_fails(self, capsys):
-        assert main(["check", "helpers.broken_linkers:likes_the_first"]) == 1
-        shown = capsys.readouterr().out
-        assert f"{len(LINKAGE_CHECKS) - 1} passed, 1 failed, 0 skipped" in shown
-        assert re.search(r"^  FAIL  order_of_tracks_does_not_matter +likes", shown, re.MULTILINE)
-
-    def test_a_linker_that_sees_the_scene(self, capsys):
-        assert main(["check", "helpers.broken_linkers:Continues"]) == 0
-        shown = capsys.readouterr().out
-        assert shown.startswith("helpers.broken_linkers:Continues as blind:\n")
-        assert "  skip  frames_and_clocks_do_not_matter    granted SCENE in every row" in shown
+        assert shown.startswith(f"{spec} as {who}:\n")
+        assert f"  skip  {skipped:<33}  granted SCENE in every row" in shown
+        assert shown.endswith(f"{len(checks) - 1} passed, 0 failed, 1 skipped\n")
 
     def test_with_parameters(self, capsys):
         assert main(["check", "kalman_rts:0.1"]) == 0
@@ -176,20 +181,6 @@ def here(tmp_path, monkeypatch):
 
 
 class TestNew:
-    def test_says_what_comes_next(self, here, capsys):
-        assert main(["new", "my_attack"]) == 0
-        assert {path.name for path in (here / "my_attack").iterdir()} == {
-            "my_attack.py",
-            "test_my_attack.py",
-            "pyproject.toml",
-            "README.md",
-        }
-        assert capsys.readouterr().out.splitlines()[-3:] == [
-            "  pip install -e ./my_attack",
-            "  pytest my_attack",
-            "  python -m evaluation.matrix --preset smoke --attack my_attack",
-        ]
-
     def test_the_guide_says_the_same(self, here, capsys):
         assert main(["new", "my_attack"]) == 0
         guide = DOCS.read_text(encoding="utf-8")
@@ -223,57 +214,48 @@ class TestNew:
         assert project["name"] == "my_attack"
         assert project["entry-points"]["isac_track.attacks"] == {"my_attack": "my_attack:MyAttack"}
 
-    def test_its_own_tests_pass_from_where_it_was_made(self, here):
-        assert main(["new", "my_attack"]) == 0
-        done = run_python(here, "-m", "pytest", "-p", "no:cacheprovider", "my_attack")
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert f"{2 * len(CHECKS)} passed" in done.stdout
-
-    def test_a_linker_passes_its_own_tests(self, here, capsys):
-        assert main(["new", "my_linker", "--kind", "linkage"]) == 0
+    @pytest.mark.parametrize(
+        ("name", "kind", "checks", "parameter"),
+        [
+            ("my_attack", "reconstruction", CHECKS, "tau_s"),
+            ("my_linker", "linkage", LINKAGE_CHECKS, "bin_s"),
+        ],
+    )
+    def test_it_works_as_it_is(
+        self, name, kind, checks, parameter, here, capsys, installed, monkeypatch
+    ):
+        assert main(["new", name, "--kind", kind]) == 0
+        assert {path.name for path in (here / name).iterdir()} == {
+            f"{name}.py",
+            f"test_{name}.py",
+            "pyproject.toml",
+            "README.md",
+        }
         assert capsys.readouterr().out.splitlines()[-3:] == [
-            "  pip install -e ./my_linker",
-            "  pytest my_linker",
-            "  python -m evaluation.matrix --preset smoke --attack my_linker",
+            f"  pip install -e ./{name}",
+            f"  pytest {name}",
+            f"  python -m evaluation.matrix --preset smoke --attack {name}",
         ]
-        for name in ("README.md", "pyproject.toml"):
-            text = (here / "my_linker" / name).read_text(encoding="utf-8")
-            assert "A linkage attack for isac-track" in text
-        done = run_python(
-            here, "-W", "error", "-m", "pytest", "-p", "no:cacheprovider", "my_linker"
-        )
+        for file in ("README.md", "pyproject.toml"):
+            assert f"A {kind} attack for isac-track" in (here / name / file).read_text("utf-8")
+        # Its own tests, from where it was made.
+        done = run_python(here, "-W", "error", "-m", "pytest", "-p", "no:cacheprovider", name)
         assert done.returncode == 0, done.stdout + done.stderr
-        assert f"{2 * len(LINKAGE_CHECKS)} passed" in done.stdout
-
-    def test_a_linker_is_listed_and_takes_its_parameter(self, here, capsys, installed, monkeypatch):
-        assert main(["new", "my_linker", "--kind", "linkage"]) == 0
-        monkeypatch.syspath_prepend(here / "my_linker")
-        installed(my_linker="my_linker:MyLinker")
-        capsys.readouterr()
+        assert f"{2 * len(checks)} passed" in done.stdout
+        # By name, once installed.
+        monkeypatch.syspath_prepend(here / name)
+        class_name = name.title().replace("_", "")
+        installed(**{name: f"{name}:{class_name}"})
         try:
+            assert main(["check", name]) == 0
+            assert capsys.readouterr().out.startswith(f"{name} as blind, informed:\n")
             assert main(["list"]) == 0
             listed = capsys.readouterr().out
-            assert re.search(r"^my_linker +linkage +blind, informed ", listed, re.MULTILINE)
-            assert main(["check", "my_linker:0"]) == 2
-            assert "bin_s must be positive, got 0" in capsys.readouterr().err
+            assert re.search(rf"^{name} +{kind} +blind, informed ", listed, re.MULTILINE)
+            assert main(["check", f"{name}:0"]) == 2
+            assert f"{parameter} must be positive, got 0" in capsys.readouterr().err
         finally:
-            sys.modules.pop("my_linker", None)
-
-    def test_it_is_checked_and_listed_by_name(self, here, capsys, installed, monkeypatch):
-        assert main(["new", "my_attack"]) == 0
-        monkeypatch.syspath_prepend(here / "my_attack")
-        installed(my_attack="my_attack:MyAttack")
-        capsys.readouterr()
-        try:
-            assert main(["check", "my_attack"]) == 0
-            assert capsys.readouterr().out.startswith("my_attack as blind, informed:\n")
-            assert main(["list"]) == 0
-            listed = capsys.readouterr().out
-            assert re.search(r"^my_attack +reconstruction +blind, informed ", listed, re.MULTILINE)
-            assert main(["check", "my_attack:0"]) == 2
-            assert "tau_s must be positive, got 0" in capsys.readouterr().err
-        finally:
-            sys.modules.pop("my_attack", None)
+            sys.modules.pop(name, None)
 
     def test_ruff_and_its_formatter_have_nothing_to_say(self, here):
         assert main(["new", "a"]) == 0
@@ -374,15 +356,3 @@ class TestGuide:
         done = run_python(tmp_path, "-m", "pytest", "-p", "no:cacheprovider")
         assert done.returncode == 0, done.stdout + done.stderr
         assert f"{2 * len(CHECKS)} passed" in done.stdout
-
-
-def run_python(folder, *arguments):
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(TESTS)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )

@@ -1,0 +1,22 @@
+"""Commands as a user starts them: a process of their own, in a folder of their own."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+TESTS = Path(__file__).parents[1]
+ROOT = TESTS.parent
+
+
+def run_python(folder, *arguments, timeout_s=120):
+    """Run this Python with the project and the tests' helpers on its path; text comes back."""
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(TESTS)])},
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )
