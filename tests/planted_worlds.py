@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from evaluation.analysis.matching import EQUAL_ALARMS, comparisons
-from evaluation.analysis.summary import Key
+from evaluation.analysis.keys import Key
+from evaluation.analysis.matching import comparisons
+from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.experiment.presets import SHARED
 from evaluation.verdict.sections import verdict
 from evaluation.verdict.within_level import LevelTracks

@@ -7,22 +7,19 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import isotonic_regression
 
+from evaluation.analysis.keys import Key, Measure
 from evaluation.analysis.matching import (
     AT_EQUAL_ALARMS,
     COLUMNS,
-    EQUAL_ALARMS,
     MISSED,
     N_ATTACK_POINTS,
     N_POINTS,
     PLR,
-    Measure,
-    Sweeps,
     comparisons,
-    interpolated,
     matched,
-    monotone,
 )
-from evaluation.analysis.summary import Key
+from evaluation.analysis.metrics import EQUAL_ALARMS
+from evaluation.analysis.sweeps import Sweeps, interpolated, monotone
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import Estimate
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evaluation.analysis import matching, paper
-from evaluation.analysis.summary import Key
+from evaluation.analysis.keys import Key
 from isac_track.intervals import Estimate
 
 N = 200

@@ -8,8 +8,10 @@ import pytest
 from planted_worlds import KINDS, LINKER, PREDICTOR, World, run, simulated
 from scipy.stats import false_discovery_control, t
 
-from evaluation.analysis.matching import Measure, Sweeps, comparisons
+from evaluation.analysis.keys import Measure
+from evaluation.analysis.matching import comparisons
 from evaluation.analysis.strongest import strongest_linkers
+from evaluation.analysis.sweeps import Sweeps
 from evaluation.reporting.terminal import aligned
 from evaluation.reporting.verdict_tables import grids, verdict_tex
 from evaluation.verdict import rules
