@@ -36,7 +36,7 @@ from isac_track.errors import DataError, SettingsError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from evaluation.analysis.levels import Where
+    from evaluation.analysis.keys import Where
 
 Status: TypeAlias = Literal["met", "not met", "cannot say"]
 

@@ -12,7 +12,9 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families
 from evaluation.analysis.matching import MISSED, comparisons, matched
-from evaluation.analysis.strongest import strongest_linkers
+from evaluation.analysis.metrics import SUCCESS
+from evaluation.analysis.strongest import strongest
+from evaluation.analysis.sweeps import Sweeps
 from evaluation.experiment.plan import plan
 from evaluation.experiment.presets import SHARED
 from evaluation.experiment.settings import Settings
@@ -122,24 +124,22 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
     )
     read = linkability.cards(out, manifest)
     linked = summary.linkage_estimates(read)
-    everything = {**found, **at_raw_alarms, **linked}
-    compared = tuple(comparisons(everything, predictors=predictors))
-    at_equal = matched(compared, dataset=dataset)
+    known = families(manifest["cells"])
+    sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
+    compared = tuple(comparisons(sweeps, predictors=predictors))
+    at_equal = matched(compared, known=known, dataset=dataset)
+    values = {key: one.value for key, one in sweeps.found.items()}
+    success = strongest(values, known, metric=SUCCESS)
     said = verdict.verdict(
-        everything,
-        compared,
-        read_levels(out, manifest, success=strongest_linkers(everything)),
-        manifest=manifest,
+        sweeps, compared, read_levels(out, manifest, sweeps, success=success), manifest=manifest
     )
     results = Results(
         out=out,
         manifest=manifest,
-        summary=summary.to_frame(
-            {**found, **linked}, known=families(manifest["cells"]), dataset=dataset
-        ),
-        paper_table=paper.paper_table(found, dataset=dataset),
+        summary=summary.to_frame({**found, **linked}, known=known, dataset=dataset),
+        paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(
-            found,
+            sweeps,
             at_equal,
             dataset=dataset,
             history_points=manifest["history"]["points"],

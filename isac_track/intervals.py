@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,12 +21,43 @@ class Estimate:
     """A number with its interval, and the replicates that paired comparisons need."""
 
     value: float
-    ci_low: float
-    ci_high: float
-    n: int
+    ci_low: float = np.nan
+    ci_high: float = np.nan
+    n: int = 0
     """Clusters that contribute."""
-    replicates: Floats
+    replicates: Floats = field(default_factory=lambda: np.zeros(0))
     """(B,) bootstrap replicates; the same row of weights in every estimate of a run."""
+    closed_error: float | None = None
+    """Standard error where it has a closed form."""
+
+    @property
+    def standard_error(self) -> float:
+        """Of the closed form, or of the replicates that are known; NaN without two."""
+        if self.closed_error is not None:
+            return self.closed_error
+        drawn = self.replicates[np.isfinite(self.replicates)]
+        return float(drawn.std(ddof=1)) if drawn.size > 1 else np.nan
+
+
+def estimate_of(values: Floats, *, n: int) -> Estimate:
+    """Return the estimate that a number and its replicates, (1 + B,), make.
+
+    Parameters
+    ----------
+    values : (1 + B,)
+        Replicates that are not finite are left out of the interval.
+    n : int
+        Clusters.
+    """
+    drawn = values[1:]
+    return Estimate(float(values[0]), *percentile_interval(drawn[np.isfinite(drawn)]), n, drawn)
+
+
+def difference(a: Estimate, b: Estimate) -> Estimate:
+    """Return a - b, paired: both have their replicates from the same rows of weights."""
+    n_drawn = min(a.replicates.size, b.replicates.size)
+    drawn = a.replicates[:n_drawn] - b.replicates[:n_drawn]
+    return Estimate(a.value - b.value, *percentile_interval(drawn), min(a.n, b.n), drawn)
 
 
 def wilson(*, hits: float, n: float, confidence: float = CONFIDENCE) -> tuple[float, float]:

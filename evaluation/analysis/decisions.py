@@ -8,14 +8,16 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.curves import Curve, curve
-from evaluation.analysis.matching import EQUAL_ALARMS
-from evaluation.analysis.summary import Key, weights_of
-from isac_track.intervals import Estimate, percentile_interval
+from evaluation.analysis.keys import Key
+from evaluation.analysis.metrics import EQUAL_ALARMS
+from evaluation.analysis.summary import weights_of
+from isac_track.intervals import estimate_of, percentile_interval
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from evaluation.analysis.summary import Scored
+    from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
 N_POINTS = 51
@@ -89,8 +91,8 @@ def decisions(
             raw_alarm = found.get(Key("raw", None, entry.consumer, "false_alarm_rate"))
             if name == _SEPARATION and raw_alarm is not None:
                 missed = drawn.missed_at(np.concatenate([[raw_alarm.value], raw_alarm.replicates]))
-                at_raw_alarms[Key(*where, entry.consumer, EQUAL_ALARMS)] = Estimate(
-                    float(missed[0]), *percentile_interval(missed[1:]), raw_alarm.n, missed[1:]
+                at_raw_alarms[Key(*where, entry.consumer, EQUAL_ALARMS)] = estimate_of(
+                    missed, n=raw_alarm.n
                 )
             curve_rows.append(pd.DataFrame({**names, "score": name, **_points(drawn)}))
             rows.setdefault(place, []).append(

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.analysis.summary import Key
+    from evaluation.analysis.keys import Key
     from isac_track.intervals import Estimate
     from isac_track.types import Floats
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from attacks.tasks.task_list import TASKS
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, Where
 from evaluation.analysis.linkability import CLEAN
 from evaluation.analysis.matching import ADDING_SUFFIX
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, RECONSTRUCTION, UTILITY
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     import pandas as pd
-
-ORACLE = "oracle"
-
 
 SHOWN = {name: METRICS[name] for name in (*UTILITY, *RECONSTRUCTION, "rank1")}
 _READ = ["level", "consumer", "knowledge", "metric", "value", "ci_low", "ci_high"]
@@ -50,28 +48,10 @@ class Number:
         return f"{self.low}-{self.high}" if self.low else ""
 
 
-@dataclass(frozen=True, order=True, slots=True)
-class Source:
-    """Whose positions a descriptor is of: those shared, or an attack's under an adversary."""
-
-    consumer: str
-    knowledge: str = ""
-
-    @property
-    def label(self) -> str:
-        """For people."""
-        return f"{self.consumer} ({self.knowledge})" if self.knowledge else self.consumer
-
-
-AS_SHARED = Source(SHARED)
-
-
 After: TypeAlias = "dict[tuple[str, float | None], dict[Source, dict[str, Number]]]"
 """Mechanism and level to source to metric to number."""
 
 
-Where: TypeAlias = "tuple[str, float | None]"
-"""Mechanism and level."""
 INVALID = "invalid"
 REMARKS = {
     "no link detected": "no link detected",

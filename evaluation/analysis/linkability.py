@@ -15,6 +15,7 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
+from evaluation.analysis.significance import holm
 from evaluation.runs.cell_files import read_outcome
 from isac_track.linkability import LEVEL, outcome
 
@@ -166,12 +167,7 @@ def _leaks(
             audits.setdefault((entry["spec"], task), {})[name] = min(1.0, 2.0 * min(tails))
     leaks = {}
     for where, p_values in audits.items():
-        in_order = sorted(p_values, key=p_values.__getitem__)
-        beaten = []
-        for place, name in enumerate(in_order):
-            if p_values[name] > AUDIT_LEVEL / (len(in_order) - place):
-                break
-            beaten.append(name)
-        if beaten:
-            leaks[where] = tuple(sorted(beaten))
+        adjusted = zip(p_values, holm(np.array([*p_values.values()])), strict=True)
+        if beaten := sorted(name for name, p_value in adjusted if p_value <= AUDIT_LEVEL):
+            leaks[where] = tuple(beaten)
     return leaks

@@ -129,6 +129,8 @@ RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
 HEADLINE_METRICS: Final = tuple(metric.name for metric in _ROWS if metric.is_headline)
 MISSED_RATE: Final = "missed_conflict_rate"
 """What noise costs a robot."""
+EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
+"""The same at the false-alarm rate that the predictor has at raw; not in the summary."""
 EXPOSURE: Final = "plr"
 """The descriptor that reconstructions are ranked by."""
 SUCCESS: Final = "rank1"

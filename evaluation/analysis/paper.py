@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.matching import ADDING_SUFFIX, MIN_DEFINED, MISSED
-from evaluation.analysis.metrics import DESCRIPTORS
-from evaluation.analysis.summary import Key
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
+from evaluation.analysis.keys import Key
+from evaluation.analysis.matching import MIN_DEFINED, MISSED
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
-from isac_track.intervals import percentile_interval
+from isac_track.intervals import difference
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from isac_track.intervals import Estimate
+    from evaluation.analysis.sweeps import Sweeps
 
 DATASET = "students03"
 """The recording that the paper used."""
@@ -53,8 +53,6 @@ PAPER_COLUMNS = [
 ]
 CLAIM_COLUMNS = ["adding", "claim", "answer", "effect", "ci_low", "ci_high", "unit", "evidence"]
 
-_NOUN = {"missed_conflict_rate": "missed-conflict rate", "plr": "PLR", "ael": "AEL", "mel": "MEL"}
-
 MIN_CLUSTERS = 20
 """With fewer people a bootstrap decides nothing."""
 CLOSE_TO_RAW = 0.04
@@ -72,40 +70,30 @@ def tolerance(mechanism: str, metric: str, published: float) -> float:
     return (0.3 if metric == "ael" else 0.15) * published
 
 
-def paper_table(found: Mapping[Key, Estimate], *, dataset: str) -> pd.DataFrame:
+def paper_table(sweeps: Sweeps, *, dataset: str) -> pd.DataFrame:
     """Return the paper's numbers beside ours, for both adding rules.
 
     `within` says whether the paper's value lies in our interval; it is empty unless the data
     set is the paper's.
     """
     rows = []
-    for suffix in ADDING_SUFFIX.values():
-        for mechanism, level, metric, published in PUBLISHED:
-            if mechanism == "raw" and suffix:
-                continue
-            name = mechanism + suffix if mechanism != "raw" else mechanism
-            consumer = PREDICTOR if metric == "missed_conflict_rate" else SHARED
-            ours = found.get(Key(name, level, consumer, metric))
-            if ours is None:
+    for adding in ADDING_RULES:
+        for family, level, metric, published in PUBLISHED:
+            is_repeated = family == RAW and adding != ADDING_RULES[0]
+            name = RAW if family == RAW else sweeps.named(family, adding=adding)
+            ours = sweeps.found.get(_key(name, level, metric))
+            if ours is None or is_repeated:
                 continue
             within = ours.ci_low <= published <= ours.ci_high
+            row = (name, np.nan if level is None else level, metric, published, ours.value)
             rows.append(
-                {
-                    "mechanism": name,
-                    "level": np.nan if level is None else level,
-                    "metric": metric,
-                    "paper": published,
-                    "ours": ours.value,
-                    "ci_low": ours.ci_low,
-                    "ci_high": ours.ci_high,
-                    "within": bool(within) if dataset == DATASET else None,
-                }
+                (*row, ours.ci_low, ours.ci_high, bool(within) if dataset == DATASET else None)
             )
     return pd.DataFrame(rows, columns=PAPER_COLUMNS)
 
 
 def claims(
-    found: Mapping[Key, Estimate],
+    sweeps: Sweeps,
     matched: pd.DataFrame,
     *,
     dataset: str,
@@ -130,18 +118,35 @@ def claims(
     """
     rows: list[dict[str, object]] = []
     # What attacks get is no part of the claims, and may be known of fewer people.
-    n_clusters = min((one.n for key, one in found.items() if not key.knowledge), default=0)
-    for adding, suffix in ADDING_SUFFIX.items():
-        rows += _close_to_raw(found, adding=adding, mechanism=f"fixed{suffix}")
-        for metric, sign in (("missed_conflict_rate", -1.0), ("plr", 1.0), ("mel", 1.0)):
-            rows += _monotone_in_eta(
-                found, adding=adding, mechanism=f"fid{suffix}", metric=metric, sign=sign
+    n_clusters = min((one.n for key, one in sweeps.found.items() if not _is_attack(key)), default=0)
+    for adding in ADDING_RULES:
+        fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
+        found = [_close_to_raw(sweeps, fixed, level=level) for level in (0.1, 0.2)]
+        found += [
+            _monotone_in_eta(sweeps, fid, metric=metric, sign=sign)
+            for metric, sign in ((MISSED_RATE, -1.0), ("plr", 1.0), ("mel", 1.0))
+        ]
+        found += [
+            _better_at_every_rate(
+                matched[(matched["adding"] == adding) & (matched["mechanism"] == fid)],
+                metric=metric,
+                n=n_clusters,
             )
-        for metric in DESCRIPTORS:
-            rows += _better_at_every_rate(matched, adding=adding, metric=metric, n=n_clusters)
+            for metric in DESCRIPTORS
+        ]
+        rows += [{"adding": adding} | row for row in found if row is not None]
     if dataset == DATASET:
         rows.append(_history(points=history_points, interval_s=history_interval_s))
     return pd.DataFrame(rows, columns=CLAIM_COLUMNS)
+
+
+def _key(mechanism: str, level: float | None, metric: str) -> Key:
+    return Key(mechanism, level, PREDICTOR if metric == MISSED_RATE else SHARED, metric)
+
+
+def _is_attack(key: Key) -> bool:
+    """Whether it is about what an attack gets, or about linkage."""
+    return bool(key.knowledge or key.measure.source.task)
 
 
 def _history(*, points: float, interval_s: float) -> dict[str, object]:
@@ -152,132 +157,108 @@ def _history(*, points: float, interval_s: float) -> dict[str, object]:
         "claim": "history of about 366 points at 0.083 s",
         "answer": "holds" if points_ok and interval_ok else "does not hold",
         "effect": points,
-        "ci_low": np.nan,
-        "ci_high": np.nan,
         "unit": "points",
         "evidence": f"{points:.1f} points at {interval_s:.4f} s",
     }
 
 
-def _close_to_raw(
-    found: Mapping[Key, Estimate], *, adding: str, mechanism: str
-) -> list[dict[str, object]]:
-    metric = "missed_conflict_rate"
-    raw = found.get(Key("raw", None, PREDICTOR, metric))
-    rows: list[dict[str, object]] = []
-    for level in (0.1, 0.2):
-        ours = found.get(Key(mechanism, level, PREDICTOR, metric))
-        if raw is None or ours is None:
-            continue
-        low, high = percentile_interval(ours.replicates - raw.replicates)
-        answer = _answer(holds=high < CLOSE_TO_RAW, fails=low > CLOSE_TO_RAW, n=ours.n)
-        rows.append(
-            {
-                "adding": adding,
-                "claim": f"fixed error {level:g} m: missed-conflict rate close to raw",
-                "answer": answer,
-                "effect": ours.value - raw.value,
-                "ci_low": low,
-                "ci_high": high,
-                "unit": "fraction",
-                "evidence": f"rise over raw, margin {CLOSE_TO_RAW:g}",
-            }
-        )
-    return rows
+def _close_to_raw(sweeps: Sweeps, fixed: str, *, level: float) -> dict[str, object] | None:
+    raw, ours = (
+        sweeps.found.get(_key(name, at, MISSED_RATE)) for name, at in ((RAW, None), (fixed, level))
+    )
+    if raw is None or ours is None:
+        return None
+    rise = difference(ours, raw)
+    return {
+        "claim": f"fixed error {level:g} m: missed-conflict rate close to raw",
+        "answer": _answer(
+            holds=rise.ci_high < CLOSE_TO_RAW, fails=rise.ci_low > CLOSE_TO_RAW, n=ours.n
+        ),
+        "effect": rise.value,
+        "ci_low": rise.ci_low,
+        "ci_high": rise.ci_high,
+        "unit": METRICS[MISSED_RATE].summary_unit,
+        "evidence": f"rise over raw, margin {CLOSE_TO_RAW:g}",
+    }
 
 
 def _monotone_in_eta(
-    found: Mapping[Key, Estimate], *, adding: str, mechanism: str, metric: str, sign: float
-) -> list[dict[str, object]]:
-    consumer = PREDICTOR if metric == "missed_conflict_rate" else SHARED
+    sweeps: Sweeps, fid: str, *, metric: str, sign: float
+) -> dict[str, object] | None:
     lowest, highest = 1.0, 1000.0
-    levels = sorted(
-        key.level
-        for key in found
-        if (key.mechanism, key.consumer, key.metric) == (mechanism, consumer, metric)
-        and not key.knowledge
+    wanted = _key(fid, None, metric)
+    found = {
+        key.level: one
+        for key, one in sweeps.found.items()
+        if replace(key, level=None) == wanted
         and key.level is not None
         and lowest <= key.level <= highest
+    }
+    if not {lowest, highest} <= found.keys():
+        return None
+    points = [found[level] for level in sorted(found)]
+    # Turned so that what is claimed is a rise.
+    change, *steps = (
+        difference(*((b, a) if sign > 0 else (a, b)))
+        for a, b in ((points[0], points[-1]), *pairwise(points))
     )
-    if not levels or levels[0] != lowest or levels[-1] != highest:
-        return []
-    points = [found[Key(mechanism, level, consumer, metric)] for level in levels]
-    low, high = percentile_interval(sign * (points[-1].replicates - points[0].replicates))
-    against = 0
-    wrong = 0
-    for a, b in pairwise(points):
-        step_high = percentile_interval(sign * (b.replicates - a.replicates))[1]
-        against += sign * (b.value - a.value) < 0
-        wrong += step_high < 0
-    verb = "falls" if sign < 0 else "rises"
-    ends = sorted((sign * low, sign * high))
-    return [
-        {
-            "adding": adding,
-            "claim": f"eta 1 to 1000: {_NOUN[metric]} {verb} monotonically",
-            "answer": _answer(
-                holds=low > 0 and wrong == 0,
-                fails=high < 0 or wrong > 0,
-                n=min(point.n for point in points),
-            ),
-            "effect": points[-1].value - points[0].value,
-            "ci_low": ends[0],
-            "ci_high": ends[1],
-            "unit": "s" if metric == "mel" else "fraction",
-            "evidence": f"change between the ends; of {len(points) - 1} steps {against} go the "
-            f"other way, {wrong} beyond their interval",
-        }
-    ]
+    against = sum(step.value < 0 for step in steps)
+    wrong = sum(step.ci_high < 0 for step in steps)
+    ends = sorted((sign * change.ci_low, sign * change.ci_high))
+    return {
+        "claim": f"eta 1 to 1000: {METRICS[metric].text} {'falls' if sign < 0 else 'rises'} "
+        "monotonically",
+        "answer": _answer(
+            holds=change.ci_low > 0 and wrong == 0,
+            fails=change.ci_high < 0 or wrong > 0,
+            n=min(point.n for point in points),
+        ),
+        "effect": points[-1].value - points[0].value,
+        "ci_low": ends[0],
+        "ci_high": ends[1],
+        "unit": METRICS[metric].summary_unit,
+        "evidence": f"change between the ends; of {len(steps)} steps {against} go the "
+        f"other way, {wrong} beyond their interval",
+    }
 
 
 def _better_at_every_rate(
-    matched: pd.DataFrame, *, adding: str, metric: str, n: int
-) -> list[dict[str, object]]:
+    matched: pd.DataFrame, *, metric: str, n: int
+) -> dict[str, object] | None:
     every = matched[
         (matched["criterion"] == MISSED)
-        & (matched["adding"] == adding)
         & (matched["consumer"] == SHARED)
         & (matched["metric"] == metric)
         & (matched["predictor"] == PREDICTOR)
     ]
     if every.empty:
-        return []
-    part = every[every["defined"] >= MIN_DEFINED]
-    left_out = len(every) - len(part)
+        return None
+    reached = every[every["defined"] >= MIN_DEFINED]
+    left_out = len(every) - len(reached)
     row: dict[str, object] = {
-        "adding": adding,
-        "claim": f"at every matched missed-conflict rate: FID has lower {_NOUN[metric]}",
-        "unit": "fraction" if metric == "plr" else "s",
+        "claim": f"at every matched missed-conflict rate: FID has lower {METRICS[metric].text}",
+        "unit": METRICS[metric].summary_unit,
     }
-    if part.empty:
-        return [
-            row
-            | {
-                "answer": "undecided",
-                "effect": np.nan,
-                "ci_low": np.nan,
-                "ci_high": np.nan,
-                "evidence": f"none of {left_out} rates is reached by enough replicates",
-            }
-        ]
-    better = int((part["ci_high"] < 0).sum())
-    worse = int((part["ci_low"] > 0).sum())
-    # The rate shown is the one that speaks most against the claim.
-    against = part["ci_low" if worse else "ci_high"].to_numpy()
-    worst = part.iloc[int(against.argmax())]
-    return [
-        row
-        | {
-            "answer": _answer(holds=better == len(part), fails=worse > 0, n=n),
-            "effect": float(worst["difference"]),
-            "ci_low": float(worst["ci_low"]),
-            "ci_high": float(worst["ci_high"]),
-            "evidence": "FID minus fixed where it speaks most against, at a rate of "
-            f"{worst['missed_conflict_rate']:.3f}; of {len(part)} rates {better} better, "
-            f"{worse} worse beyond the interval; {left_out} more are not reached by enough "
-            "replicates",
+    if reached.empty:
+        return row | {
+            "answer": "undecided",
+            "evidence": f"none of {left_out} rates is reached by enough replicates",
         }
-    ]
+    better = int((reached["ci_high"] < 0).sum())
+    worse = int((reached["ci_low"] > 0).sum())
+    # The rate shown is the one that speaks most against the claim.
+    against = reached["ci_low" if worse else "ci_high"].to_numpy()
+    worst = reached.iloc[int(against.argmax())]
+    return row | {
+        "answer": _answer(holds=better == len(reached), fails=worse > 0, n=n),
+        "effect": float(worst["difference"]),
+        "ci_low": float(worst["ci_low"]),
+        "ci_high": float(worst["ci_high"]),
+        "evidence": "FID minus fixed where it speaks most against, at a rate of "
+        f"{worst['missed_conflict_rate']:.3f}; of {len(reached)} rates {better} better, "
+        f"{worse} worse beyond the interval; {left_out} more are not reached by enough "
+        "replicates",
+    }
 
 
 def _answer(*, holds: bool, fails: bool, n: int) -> str:

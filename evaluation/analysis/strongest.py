@@ -1,75 +1,98 @@
-"""The strongest attacks of a run: those that the verdict is about."""
+"""The strongest attack: one definition, for the verdict, the tables, the page and a site's level.
+
+It is the attack with the highest mean success over some levels: PLR after a reconstruction, rank 1
+of a linker. Of all rows (attack and adversary) those count that ran at all of these levels, short
+of the oracle, who is a reference, and of the control, which takes positions as they are. Of equals
+the first of the run counts.
+
+The strongest of a run is chosen over all levels of raw, fixed noise and FID, so that the choice
+favours none of them; of a run with neither of the two over all levels but the ceiling.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.analysis.matching import Measure
-from evaluation.experiment.presets import SHARED
+from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT
+from evaluation.analysis.keys import ORACLE, Key, Source
+from evaluation.experiment.presets import IDENTITY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
-    from evaluation.analysis.summary import Key
-    from isac_track.intervals import Estimate
+    import pandas as pd
 
-SWEPT: Final = ("raw", "fixed", "fid")
-"""Families whose levels the strongest attack of a run is chosen by."""
-_REFERENCE: Final = "oracle"
-"""Adversary who is granted all: a reference, never the headline."""
+    from evaluation.analysis.families import Family
 
 
-def strongest_linkers(
-    found: Mapping[Key, Estimate], *, mechanism: str | None = None
-) -> dict[str, Measure]:
-    """Return the strongest linker of every task, by its highest mean rank 1.
-
-    The reference adversary (oracle) is left out.
+def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
+    """Return the strongest attack over some levels; None if none counts.
 
     Parameters
     ----------
-    found : mapping
-    mechanism : str, optional
-        Against this one; by default over all levels of raw, fixed noise and FID, so that the
-        choice favours none of them.
+    levels : iterable of mapping
+        Of each level the success of every attack; what names no adversary is none.
     """
-    best: dict[str, tuple[float, Measure]] = {}
-    means = _means(
-        found,
-        "rank1",
-        lambda name: name.partition(":")[0] in SWEPT if mechanism is None else name == mechanism,
-    )
-    for measure, mean in means.items():
-        task, _, linker = measure.consumer.partition("/")
-        if not linker or linker.startswith("control-"):
-            continue
-        if task not in best or mean > best[task][0]:
-            best[task] = mean, measure
-    return {task: measure for task, (_, measure) in best.items()}
+    values: dict[Source, list[float]] = {}
+    for level in levels:
+        for source, value in level.items():
+            if source.knowledge not in ("", ORACLE) and source.consumer != IDENTITY:
+                values.setdefault(source, []).append(value)
+    most = max(map(len, values.values()), default=0)
+    means = {source: float(np.mean(one)) for source, one in values.items() if len(one) == most}
+    finite = {source: mean for source, mean in means.items() if np.isfinite(mean)}
+    return max(finite, key=finite.__getitem__, default=None)
 
 
-def strongest_reconstruction(found: Mapping[Key, Estimate]) -> Measure | None:
-    """Return the reconstruction with the highest mean PLR over all sweep levels, if any."""
-    means = {
-        measure: mean
-        for measure, mean in _means(
-            found, "plr", lambda name: name.partition(":")[0] in SWEPT
-        ).items()
-        if measure.consumer != SHARED and measure.knowledge
+def strongest(
+    values: Mapping[Key, float], known: Mapping[str, Family], *, metric: str
+) -> dict[str, Source]:
+    """Return the strongest attack of a run by task; reconstructions are under "".
+
+    Parameters
+    ----------
+    values : mapping
+        Every estimate of the run, or those of its summary (`values_in`).
+    known : mapping
+        The mechanisms of the run, from `families`.
+    metric : str
+        What success is: `EXPOSURE` or `SUCCESS`.
+    """
+    levels = by_task(values, metric=metric)
+    chosen = set(swept({name for blocks in levels.values() for name, _ in blocks}, known))
+    best = {
+        task: strongest_of(block for (name, _), block in blocks.items() if name in chosen)
+        for task, blocks in levels.items()
     }
-    return max(means, key=means.__getitem__, default=None)
+    return {task: source for task, source in best.items() if source is not None}
 
 
-def _means(
-    found: Mapping[Key, Estimate], metric: str, counts: Callable[[str], bool]
-) -> dict[Measure, float]:
-    """Return the mean over the levels that count, of attacks that ran at all of them."""
-    values: dict[Measure, list[float]] = {}
-    for key, one in found.items():
-        if key.metric == metric and key.knowledge != _REFERENCE and counts(key.mechanism):
-            values.setdefault(Measure(key.consumer, metric, key.knowledge), []).append(one.value)
-    most = max((len(one) for one in values.values()), default=0)
-    means = {measure: float(np.mean(one)) for measure, one in values.items() if len(one) == most}
-    return {measure: mean for measure, mean in means.items() if np.isfinite(mean)}
+def by_task(
+    values: Mapping[Key, float], *, metric: str
+) -> dict[str, dict[tuple[str, float | None], dict[Source, float]]]:
+    """Return the success of every attack by task, level, and attack."""
+    found: dict[str, dict[tuple[str, float | None], dict[Source, float]]] = {}
+    for key, value in values.items():
+        if key.metric == metric:
+            source = key.measure.source
+            found.setdefault(source.task, {}).setdefault(key.where, {})[source] = value
+    return found
+
+
+def swept(mechanisms: Collection[str], known: Mapping[str, Family]) -> list[str]:
+    """Return over which mechanisms the strongest attack of a run is chosen."""
+    families = {known[name].family for name in mechanisms}
+    wanted = SWEPT if families & {FIXED, FID} else families - {CLEAN}
+    return [name for name in mechanisms if known[name].family in wanted]
+
+
+def values_in(summary: pd.DataFrame) -> dict[Key, float]:
+    """Return the estimates of a summary by what they are about; the file's columns are enough."""
+    columns = ["mechanism", "level", "consumer", "metric", "knowledge", "value"]
+    rows = summary[columns].fillna({"knowledge": ""}).itertuples(index=False, name=None)
+    return {
+        Key(mechanism, None if np.isnan(level) else level, consumer, metric, knowledge): value
+        for mechanism, level, consumer, metric, knowledge, value in rows
+    }

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import METRICS, RECONSTRUCTION
 from evaluation.runs.cell_files import read_rows
@@ -64,17 +65,6 @@ _COLUMNS_OF = {
     "attack": _ATTACK_COLUMNS,
     "predictor": _PREDICTOR_COLUMNS,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Key:
-    """What a row of the summary is about."""
-
-    mechanism: str
-    level: float | None
-    consumer: str
-    metric: str
-    knowledge: str = ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -28,9 +28,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from evaluation.analysis.keys import Key
 from evaluation.analysis.levels import level_text
 from evaluation.analysis.paper import MIN_CLUSTERS
-from evaluation.analysis.summary import Key, clusters, weights_of
+from evaluation.analysis.summary import clusters, weights_of
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import (

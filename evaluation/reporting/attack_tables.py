@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source
 from evaluation.analysis.levels import (
-    AS_SHARED,
     HEADLINE,
-    ORACLE,
     SHOWN,
-    Source,
     after_attack,
     heading,
     level_text,

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rich.text import Text
 
+from evaluation.analysis.keys import Source
 from evaluation.analysis.levels import (
     LEVEL_UNITS,
     REMARKS,
     SHOWN,
     Number,
-    Source,
     amount,
     level_text,
     number,

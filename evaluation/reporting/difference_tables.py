@@ -13,7 +13,8 @@ from evaluation.analysis.differences import (
     UNTESTED,
     counts,
 )
-from evaluation.analysis.levels import Source, heading, level_text, shortened
+from evaluation.analysis.keys import Source
+from evaluation.analysis.levels import heading, level_text, shortened
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
 from evaluation.reporting.terminal import aligned, say, show_grouped, standard_output

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.levels import (
-    AS_SHARED,
     REMARKS,
     SHOWN,
     adding_of,
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from evaluation.analysis.levels import LinkedTask, Number, Source, Where
+    from evaluation.analysis.keys import Source, Where
+    from evaluation.analysis.levels import LinkedTask, Number
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
 
-    from evaluation.analysis.levels import LinkedTask, Source, Where
+    from evaluation.analysis.keys import Source, Where
+    from evaluation.analysis.levels import LinkedTask
 
 MARKS = dict(zip(REMARKS, "~?!", strict=True))
 _USUAL = "informed"

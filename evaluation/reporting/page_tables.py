@@ -8,14 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.levels import (
-    HEADLINE,
-    SHOWN,
-    Source,
-    adding_of,
-    is_attack,
-    level_text,
-)
+from evaluation.analysis.keys import Source
+from evaluation.analysis.levels import HEADLINE, SHOWN, adding_of, is_attack, level_text
 from evaluation.analysis.linkability import CLEAN
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.experiment.presets import IDENTITY, SHARED

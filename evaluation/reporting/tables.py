@@ -10,12 +10,10 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluation.analysis import weak_attacks as flags
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source
 from evaluation.analysis.levels import (
-    AS_SHARED,
     HEADLINE,
-    ORACLE,
     SHOWN,
-    Source,
     after_attack,
     amount,
     heading,

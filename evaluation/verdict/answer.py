@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.analysis.matching import ADDING_SUFFIX, MISSED
+from evaluation.analysis.families import ADDING_RULES
+from evaluation.analysis.matching import MISSED
 from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.verdict.claim import AFTER, AS_IS, LINKED
 from evaluation.verdict.items import NAME
 from evaluation.verdict.rules import (
+    CLAIM,
     DOES_NOT,
     HOLDS,
     INFLATED,
+    INFLATION,
     REVERSED,
     SUCCESS_MARGIN,
     TRACKS,
     UNDECIDED,
+    VALIDITY,
     WEAKLY,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     Items = Sequence[dict[str, Any]]
 
@@ -32,7 +37,7 @@ _PLURAL: Final = {
 }
 
 
-def answer(items: Items, *, dataset: str) -> list[str]:
+def answer(items: Items, *, dataset: str, fid: Collection[str]) -> list[str]:
     """Return three sentences for the first screen.
 
     Parameters
@@ -40,12 +45,14 @@ def answer(items: Items, *, dataset: str) -> list[str]:
     items : sequence of dict
         As in `verdict.json`.
     dataset : str
+    fid : collection of str
+        Names of the paper's mechanism under either adding rule.
     """
-    return [_tracking(items, dataset=dataset), _claim(items), _inflation(items)]
+    return [_tracking(items, dataset=dataset, fid=fid), _claim(items), _inflation(items)]
 
 
-def _tracking(items: Items, *, dataset: str) -> str:
-    mine = [one for one in items if one["section"] == "validity"]
+def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
+    mine = [one for one in items if one["section"] == VALIDITY]
     decided = {
         descriptor: next(
             (
@@ -81,11 +88,11 @@ def _tracking(items: Items, *, dataset: str) -> str:
     said = f"In {dataset}, " + "; ".join(parts)
     against = [one for one in mine if one["decision"] == DOES_NOT]
     if against:
-        said += f": {_evidence(against)}"
+        said += f": {_evidence(against, fid=fid)}"
     return said + "."
 
 
-def _evidence(against: Items) -> str:
+def _evidence(against: Items, *, fid: Collection[str]) -> str:
     """Return what speaks most against a descriptor: the largest differences either way."""
     surest = max(
         against,
@@ -101,7 +108,9 @@ def _evidence(against: Items) -> str:
         for gap, word in ((more, "more"), (fewer, "fewer"))
         if (gap["effect"] > 0) == (word == "more")
     ]
-    alike = any(gap["level"] is None and gap["reading"] == "equal" for gap in surest["contrasts"])
+    alike = any(
+        gap["mechanism"] in fid and gap["reading"] == "equal" for gap in surest["contrasts"]
+    )
     margin = f"{100 * SUCCESS_MARGIN:.0f} of 100"
     return (
         f"at equal {NAME[surest['descriptor']]}, {_listed(words)} than fixed noise "
@@ -119,16 +128,20 @@ def _label(gap: dict[str, Any]) -> str:
 
 
 def _claim(items: Items) -> str:
-    mine = [one for one in items if one["section"] == "claim" and one["criterion"] == MISSED]
+    mine = [
+        one
+        for one in items
+        if one["section"] == CLAIM and one["criterion"] == MISSED and "mechanism" not in one
+    ]
     if not mine:
         return "The run does not compare FID with fixed noise."
     parts = []
-    for adding in ADDING_SUFFIX:
+    for adding in ADDING_RULES:
         words = []
         for of, where in (
-            ("as-shared", "as shared"),
-            ("after-attack", "after the strongest smoother"),
-            ("linkage", "in linkage"),
+            (AS_IS, "as shared"),
+            (AFTER, "after the strongest smoother"),
+            (LINKED, "in linkage"),
         ):
             one_rule = [one for one in mine if one["adding"] == adding and one["of"] == of]
             if one_rule:
@@ -155,8 +168,9 @@ def _fares(items: Items) -> str:
 
 
 def _inflation(items: Items) -> str:
-    mine = [one for one in items if one["section"] == "inflation" and one["decision"] == INFLATED]
-    if not any(one["section"] == "inflation" for one in items):
+    every = [one for one in items if one["section"] == INFLATION]
+    mine = [one for one in every if one["decision"] == INFLATED]
+    if not every:
         return "What an attack makes of the descriptors was not tested: no attack was run."
     if not mine:
         return "That an attack raises the descriptors is undecided."
@@ -172,10 +186,6 @@ def _inflation(items: Items) -> str:
         f"The values as shared understate what is left to an adversary: {subject} raises "
         f"{_listed(parts)}."
     )
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _listed(words: Sequence[str]) -> str:

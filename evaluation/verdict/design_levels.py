@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import pandas as pd
 
-from evaluation.analysis.levels import AS_SHARED, Source, linked_tasks, most_knowing
+from evaluation.analysis.keys import AS_SHARED, Source
+from evaluation.analysis.levels import linked_tasks, most_knowing
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import DESCRIPTORS
 from isac_track.errors import DataError
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.analysis.levels import LinkedTask, Where
+    from evaluation.analysis.keys import Where
+    from evaluation.analysis.levels import LinkedTask
 
 METRIC_OF: Final = {
     "missed": "missed_conflict_rate",

@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS
 from evaluation.verdict.rules import SIGN, UNDECIDED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from evaluation.verdict.rules import Effect, Option
+    from evaluation.verdict.rules import Option
+    from isac_track.intervals import Estimate
 
-NAME: Final = {"plr": "PLR", "ael": "AEL", "mel": "MEL"}
-UNIT: Final = {"plr": "fraction", "ael": "s", "mel": "s"}
+NAME: Final = {name: METRICS[name].head for name in DESCRIPTORS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,24 +25,26 @@ class Draft:
 
     section: str
     adding: str
-    descriptor: str
-    task: str
     subject: str
-    criterion: str
-    effect: Effect
+    """The attack that it is about, if it is about one."""
+    effect: Estimate
     unit: str
     options: tuple[Option, ...]
     """In the order of precedence."""
     sentences: Mapping[str, str]
     """By decision; what an undecided item says is its number."""
     why_undecided: str
+    descriptor: str = ""
+    task: str = ""
+    criterion: str = ""
     details: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         """Identifier of the item, the same in every run."""
-        of = str(self.details.get("of", ""))
-        parts = (self.section, self.adding, self.criterion, of, self.descriptor, self.task)
+        of, mechanism = (str(self.details.get(name, "")) for name in ("of", "mechanism"))
+        what = (of, self.descriptor, self.task, mechanism)
+        parts = (self.section, self.adding, self.criterion, *what)
         return "/".join(part for part in parts if part)
 
 
@@ -59,8 +62,8 @@ def to_json(draft: Draft, *, decision: str, p_value: float, p_adjusted: float) -
         "decision": decision,
         "sign": SIGN[decision],
         "effect": known(one.value),
-        "ci_low": known(one.low),
-        "ci_high": known(one.high),
+        "ci_low": known(one.ci_low),
+        "ci_high": known(one.ci_high),
         "unit": draft.unit,
         "n": one.n,
         "p_value": p_value,
@@ -76,7 +79,7 @@ def known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def with_interval(one: Effect, unit: str, *, signed: bool = False, absolute: bool = False) -> str:
+def with_interval(one: Estimate, unit: str, *, signed: bool = False, absolute: bool = False) -> str:
     """Return an effect with its interval as people write it: +3.1 points [+1.0, +5.2].
 
     Parameters
@@ -91,7 +94,7 @@ def with_interval(one: Effect, unit: str, *, signed: bool = False, absolute: boo
         Turned so that the effect is positive.
     """
     scale, digits = (100.0, 1) if unit in {"fraction", "share"} else (1.0, 2)
-    numbers = [scale * number for number in (one.value, one.low, one.high)]
+    numbers = [scale * number for number in (one.value, one.ci_low, one.ci_high)]
     if absolute and one.value < 0:
         numbers = [-numbers[0], -numbers[2], -numbers[1]]
     if not np.isfinite(numbers[0]):

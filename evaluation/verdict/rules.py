@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import stdtr
 
-from isac_track.intervals import percentile_interval
+from evaluation.analysis.significance import holm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isac_track.types import Floats
+    from isac_track.intervals import Estimate
 
 TRACKS, WEAKLY, DOES_NOT = "tracks", "tracks weakly", "does not track"
 HOLDS, REVERSED = "holds", "reversed"
@@ -40,7 +40,8 @@ SIGN: Final = {
 
 ALPHA: Final = 0.05
 """Of the whole verdict."""
-SECTIONS: Final = ("validity", "within", "claim", "inflation")
+VALIDITY, WITHIN, CLAIM, INFLATION = "validity", "within", "claim", "inflation"
+SECTIONS: Final = (VALIDITY, WITHIN, CLAIM, INFLATION)
 SECTION_ALPHA: Final = ALPHA / len(SECTIONS)
 SUCCESS_MARGIN: Final = 0.05
 """Difference in rank 1 that counts as none: five people in a hundred."""
@@ -56,68 +57,37 @@ REACH: Final = 0.02
 _LEAST_SE = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
-class Effect:
-    """A number with its interval and standard error."""
-
-    value: float
-    low: float
-    high: float
-    standard_error: float
-    n: int
-    """Clusters."""
-
-    @property
-    def is_known(self) -> bool:
-        """Whether there is a number, a spread, and enough people."""
-        known = np.isfinite([self.value, self.standard_error]).all()
-        return bool(known) and self.n >= LEAST_CLUSTERS
+def is_known(one: Estimate) -> bool:
+    """Return whether there is a number, a spread, and enough people."""
+    known = np.isfinite([one.value, one.standard_error]).all()
+    return bool(known) and one.n >= LEAST_CLUSTERS
 
 
-def effect(values: Floats, *, n: int) -> Effect:
-    """Return the effect that an estimate and its replicates, (1 + B,), show."""
-    drawn = values[1:][np.isfinite(values[1:])]
-    few = 2
-    if drawn.size < few:
-        return Effect(float(values[0]), np.nan, np.nan, np.nan, n)
-    low, high = percentile_interval(drawn)
-    return Effect(float(values[0]), low, high, float(drawn.std(ddof=1)), n)
-
-
-def p_above(one: Effect, bound: float) -> float:
+def p_above(one: Estimate, bound: float) -> float:
     """Return the p-value of 'no more than the bound': small if the effect is surely above."""
-    if not one.is_known:
-        return 1.0
-    scale = max(one.standard_error, _LEAST_SE)
-    return float(stdtr(one.n - 1, (bound - one.value) / scale))
+    return _tail(one, bound - one.value)
 
 
-def p_below(one: Effect, bound: float) -> float:
+def p_below(one: Estimate, bound: float) -> float:
     """Return the p-value of 'no less than the bound'."""
-    if not one.is_known:
-        return 1.0
-    scale = max(one.standard_error, _LEAST_SE)
-    return float(stdtr(one.n - 1, (one.value - bound) / scale))
+    return _tail(one, one.value - bound)
 
 
-def p_within(one: Effect, margin: float) -> float:
+def p_within(one: Estimate, margin: float) -> float:
     """Return the p-value of two one-sided tests: small if surely within the margin of zero."""
     return max(p_below(one, margin), p_above(one, -margin))
 
 
-def p_beyond(one: Effect, margin: float) -> float:
+def p_beyond(one: Estimate, margin: float) -> float:
     """Return the p-value of 'within the margin': small if surely beyond it, on either side."""
-    if not one.is_known:
+    return min(1.0, sum(_tail(one, -abs(one.value) - end) for end in (-margin, margin)))
+
+
+def _tail(one: Estimate, distance: float) -> float:
+    """Return how much of t lies below a distance; 1 if nothing is known."""
+    if not is_known(one):
         return 1.0
-    scale = max(one.standard_error, _LEAST_SE)
-    size = abs(one.value)
-    tails = [float(stdtr(one.n - 1, -(size + end) / scale)) for end in (-margin, margin)]
-    return min(1.0, sum(tails))
-
-
-def p_differs(one: Effect) -> float:
-    """Return the two-sided p-value of 'nothing'."""
-    return p_beyond(one, 0.0)
+    return float(stdtr(one.n - 1, distance / max(one.standard_error, _LEAST_SE)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,14 +115,8 @@ def decide(
         Share of studies in which the section may err.
     """
     p_values = np.array([min(1.0, 2.0 * min(one.p_value for one in options)) for options in items])
-    order = np.argsort(p_values, kind="stable")
-    adjusted = np.ones(p_values.size)
-    running = 0.0
-    for place, item in enumerate(order):
-        running = max(running, min(1.0, p_values[item] * (p_values.size - place)))
-        adjusted[item] = running
     found = []
-    for options, p_value, final in zip(items, p_values, adjusted, strict=True):
+    for options, p_value, final in zip(items, p_values, holm(p_values), strict=True):
         decision = UNDECIDED
         if final <= alpha:
             # At its place in Holm's order an option passes if the item would with it alone.

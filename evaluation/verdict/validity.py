@@ -13,16 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from evaluation.analysis.matching import (
-    ADDING_SUFFIX,
-    MIN_DEFINED,
-    Measure,
-    compare,
-    interpolated,
-)
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
+from evaluation.analysis.keys import AS_SHARED
+from evaluation.analysis.matching import MIN_DEFINED, compare
 from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
-from evaluation.analysis.strongest import strongest_linkers
-from evaluation.experiment.presets import SHARED
+from evaluation.analysis.strongest import by_task, strongest_of
+from evaluation.analysis.sweeps import interpolated
 from evaluation.verdict.items import NAME, Draft, known, with_interval
 from evaluation.verdict.rules import (
     DOES_NOT,
@@ -31,25 +27,29 @@ from evaluation.verdict.rules import (
     SUCCESS_MARGIN,
     TRACKS,
     UNDECIDED,
+    VALIDITY,
     WEAK_MARGIN,
     WEAKLY,
-    Effect,
     Option,
-    effect,
+    is_known,
     p_above,
     p_below,
     p_beyond,
     p_within,
 )
+from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from evaluation.analysis.matching import Sweeps
+    from evaluation.analysis.keys import Measure, Source
+    from evaluation.analysis.sweeps import Sweeps
+    from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
-_FAMILIES: Final = ("fixed", "fid")
-_RULE: Final = "adding=independent"
+_UNADJUSTED: Final = 0.05
+"""For what is told beside a decision."""
+_FEWEST_FOR_TAU: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,54 +58,45 @@ class Contrast:
 
     mechanism: str
     level: float | None
-    """None for a sweep: the mean over the values that both reach."""
+    """None for a sweep, the mean over the values that both reach, and where there is no level."""
     subject: str
     """The linker: the strongest against this mechanism."""
-    effect: Effect
+    effect: Estimate
+    is_test: bool = True
+    """FID alone is none: it adds the same kind of error as fixed noise does."""
 
     @property
     def label(self) -> str:
         """As people write a mechanism."""
         return self.mechanism if self.level is None else f"{self.mechanism} {self.level:g}"
 
+    @property
+    def p_beyond(self) -> float:
+        """How likely it is by chance, if nothing but the margin lies between the two."""
+        return p_beyond(self.effect, SUCCESS_MARGIN)
+
     def to_json(self) -> dict[str, Any]:
         """Return the contrast for `verdict.json`; its reading is not adjusted."""
         one = self.effect
         reading = "unclear"
-        if p_beyond(one, SUCCESS_MARGIN) <= 0.05:  # noqa: PLR2004
+        if self.p_beyond <= _UNADJUSTED:
             reading = "differs"
-        elif p_within(one, SUCCESS_MARGIN) <= 0.05:  # noqa: PLR2004
+        elif p_within(one, SUCCESS_MARGIN) <= _UNADJUSTED:
             reading = "equal"
         return {
             "mechanism": self.mechanism,
             "level": self.level,
             "subject": self.subject,
             "effect": known(one.value),
-            "ci_low": known(one.low),
-            "ci_high": known(one.high),
+            "ci_low": known(one.ci_low),
+            "ci_high": known(one.ci_high),
             "n": one.n,
             "reading": reading,
         }
 
 
-def others(mechanisms: list[str], *, adding: str) -> list[str]:
-    """Return the mechanisms beside FID and fixed noise that belong to an adding rule.
-
-    One that comes under both rules belongs to its own; one that has no rule belongs to both.
-    """
-    plain = {name: _without_rule(name) for name in mechanisms}
-    twins = {name for name in mechanisms if list(plain.values()).count(plain[name]) > 1}
-    return [
-        name
-        for name in mechanisms
-        if plain[name] not in _FAMILIES
-        and name not in {"raw", "clean"}
-        and (name not in twins or (_RULE in name) == (adding == "independent"))
-    ]
-
-
 def validity(
-    sweeps: Sweeps, *, success: Mapping[str, Measure], chance: Mapping[str, float]
+    sweeps: Sweeps, *, success: Mapping[str, Source], chance: Mapping[str, float]
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
 
@@ -114,23 +105,28 @@ def validity(
     sweeps : Sweeps
         Of everything in the run.
     success : mapping
-        By task: what its strongest linker achieves; against a control the strongest there counts.
+        By task its strongest linker; against a control the strongest there counts.
     chance : mapping
         By task: what guessing achieves.
     """
-    hits = {key: one for key, one in sweeps.found.items() if key.metric == SUCCESS}
-    # An adversary takes what works: against errors of another kind that may be another linker.
-    best = {name: strongest_linkers(hits, mechanism=name) for name in sweeps.mechanisms()}
-    for adding in ADDING_SUFFIX:
+    levels = by_task({key: one.value for key, one in sweeps.found.items()}, metric=SUCCESS)
+    for adding in ADDING_RULES:
         for descriptor in DESCRIPTORS:
-            for task, measure in success.items():
+            for task, linker in success.items():
+                # An adversary takes what works: against other errors that may be another linker.
+                best = {
+                    name: strongest_of(
+                        block for where, block in levels[task].items() if where[0] == name
+                    )
+                    or linker
+                    for name in sweeps.others(adding)
+                }
                 draft = _item(
                     sweeps,
                     adding=adding,
                     descriptor=descriptor,
-                    task=task,
-                    success=measure,
-                    best={name: of.get(task, measure) for name, of in best.items()},
+                    linker=linker,
+                    best=best,
                     chance=chance[task],
                 )
                 if draft is not None:
@@ -142,39 +138,37 @@ def _item(
     *,
     adding: str,
     descriptor: str,
-    task: str,
-    success: Measure,
-    best: Mapping[str, Measure],
+    linker: Source,
+    best: Mapping[str, Source],
     chance: float,
 ) -> Draft | None:
-    fixed = "fixed" + ADDING_SUFFIX[adding]
-    value = Measure(SHARED, descriptor)
-    levels = sweeps.levels(fixed)
+    fixed = sweeps.named(FIXED, adding=adding)
+    value, success = AS_SHARED.measure(descriptor), linker.measure(SUCCESS)
     if sweeps.curve(fixed, value) is None or sweeps.curve(fixed, success) is None:
         return None
     n = sweeps.n(fixed, success)
+    strongest_fixed = sweeps.levels(fixed)[0]
     ends = [
-        (_point(sweeps, "raw", None, one), _point(sweeps, fixed, levels[0], one))
+        (_point(sweeps, RAW, None, one), _point(sweeps, fixed, strongest_fixed, one))
         for one in (success, value)
     ]
-    works = effect(ends[0][0] - chance, n=n)
-    drop = effect(ends[0][0] - ends[0][1], n=n)
+    works = estimate_of(ends[0][0] - chance, n=n)
+    drop = estimate_of(ends[0][0] - ends[0][1], n=n)
     with np.errstate(divide="ignore", invalid="ignore"):
-        span = effect(np.log(ends[1][0] / ends[1][1]), n=n)
-    contrasts = list(
-        _contrasts(sweeps, fixed, adding=adding, value=value, success=success, best=best)
-    )
+        span = estimate_of(np.log(ends[1][0] / ends[1][1]), n=n)
+    fid = sweeps.named(FID, adding=adding)
+    contrasts = [
+        *_sweep_contrast(sweeps, (fid, fixed), value=value, success=success),
+        *_contrasts(sweeps, fixed, value=value, success=success, best=best),
+    ]
     condition = max(p_above(works, SUCCESS_MARGIN), p_above(span, np.log(LEAST_SPAN)))
-    against = [p_beyond(one.effect, SUCCESS_MARGIN) for one in contrasts]
+    against = [one.p_beyond for one in contrasts]
     flat = p_below(drop, SUCCESS_MARGIN)
     p_not = min(1.0, (len(against) + 1) * min([*against, flat]))
     falls = p_above(drop, SUCCESS_MARGIN)
 
-    # FID alone is no test: it adds the same kind of error as fixed noise does.
-    is_tested = any(one.level is not None for one in contrasts)
-
     def p_equal(margin: float) -> float:
-        if not is_tested:
+        if not any(one.is_test for one in contrasts):
             return 1.0
         return max([condition, falls, *(p_within(one.effect, margin) for one in contrasts)])
 
@@ -183,21 +177,20 @@ def _item(
         Option(TRACKS, p_equal(SUCCESS_MARGIN)),
         Option(WEAKLY, p_equal(WEAK_MARGIN)),
     )
-    worst = min(contrasts, key=lambda one: p_beyond(one.effect, SUCCESS_MARGIN), default=None)
-    is_flat = worst is None or flat < p_beyond(worst.effect, SUCCESS_MARGIN)
+    worst = min(contrasts, key=lambda one: one.p_beyond, default=None)
+    is_flat = worst is None or flat < worst.p_beyond
     shown = drop if worst is None or (is_flat and options[0].p_value < 1.0) else worst.effect
     name = NAME[descriptor]
     return Draft(
-        section="validity",
+        section=VALIDITY,
         adding=adding,
         descriptor=descriptor,
-        task=task,
-        subject=_named(success),
-        criterion="",
+        task=linker.task,
+        subject=linker.attack.label,
         effect=shown,
         unit="fraction",
         options=options,
-        sentences=_sentences(name, task=task, worst=worst, drop=drop, shown=shown),
+        sentences=_sentences(name, task=linker.task, worst=worst, drop=drop, shown=shown),
         why_undecided=_why(works, span, drop, contrasts, name=name),
         details={
             "contrasts": [one.to_json() for one in contrasts],
@@ -210,29 +203,29 @@ def _item(
     )
 
 
-def _contrasts(
-    sweeps: Sweeps,
-    fixed: str,
-    *,
-    adding: str,
-    value: Measure,
-    success: Measure,
-    best: Mapping[str, Measure],
+def _sweep_contrast(
+    sweeps: Sweeps, arms: tuple[str, str], *, value: Measure, success: Measure
 ) -> Iterator[Contrast]:
-    """Yield every mechanism against fixed noise where it has the same descriptor value."""
-    fid = "fid" + ADDING_SUFFIX[adding]
-    for one in compare(sweeps, (fid, fixed), value, [success], ("", adding, "")):
-        found = effect(one.mean_difference, n=one.n)
+    """Yield FID against fixed noise over all values of a descriptor that both reach."""
+    for one in compare(sweeps, arms, value, [success]):
+        found = estimate_of(one.mean_difference, n=one.n)
         if np.isfinite(found.value):
-            yield Contrast(fid, None, _named(success), found)
+            label = success.source.attack.label
+            yield Contrast(one.mechanism, None, label, found, is_test=False)
+
+
+def _contrasts(
+    sweeps: Sweeps, fixed: str, *, value: Measure, success: Measure, best: Mapping[str, Source]
+) -> Iterator[Contrast]:
+    """Yield every level of other mechanisms against fixed noise of the same descriptor value."""
     scale, achieved = sweeps.curve(fixed, value), sweeps.curve(fixed, success)
     assert scale is not None
     assert achieved is not None
     change = scale[:, -1:] - scale
-    for mechanism in others(sweeps.mechanisms(), adding=adding):
+    for mechanism, linker in best.items():
         for level in sweeps.levels(mechanism):
             at = sweeps.point(mechanism, level, value)
-            reached = sweeps.point(mechanism, level, best[mechanism])
+            reached = sweeps.point(mechanism, level, linker.measure(SUCCESS))
             if at is None or reached is None:
                 continue
             below_raw = _held(scale[:, -1] - at, change[:, 0])
@@ -243,8 +236,9 @@ def _contrasts(
             difference = reached[:n_rows] - expected[:, 0]
             known_share = float(np.isfinite(difference[1:]).mean())
             if known_share >= MIN_DEFINED and np.isfinite(difference[0]):
-                n = min(sweeps.n(fixed, success), sweeps.n(mechanism, best[mechanism]))
-                yield Contrast(mechanism, level, _named(best[mechanism]), effect(difference, n=n))
+                n = sweeps.n(fixed, success), sweeps.n(mechanism, linker.measure(SUCCESS))
+                found = estimate_of(difference, n=min(n))
+                yield Contrast(mechanism, level, linker.attack.label, found)
 
 
 def _held(below_raw: Floats, span: Floats) -> Floats:
@@ -261,39 +255,27 @@ def _point(sweeps: Sweeps, mechanism: str, level: float | None, measure: Measure
     return found
 
 
-def _without_rule(name: str) -> str:
-    family, _, parameters = name.partition(":")
-    kept = [one for one in parameters.split(",") if one and one != _RULE]
-    return family + (":" + ",".join(kept) if kept else "")
-
-
-def _named(success: Measure) -> str:
-    return f"{success.consumer.partition('/')[2]} ({success.knowledge})"
-
-
 def _taus(
     sweeps: Sweeps, *, adding: str, value: Measure, success: Measure
 ) -> dict[str, float | None]:
-    """Return Kendall's tau over the levels of each family: necessary, never sufficient."""
+    """Return Kendall's tau over the levels of each sweep: necessary, never sufficient."""
     from scipy.stats import kendalltau  # noqa: PLC0415 - a second of every start
 
-    taus = {}
-    for family in _FAMILIES:
-        mechanism = family + ADDING_SUFFIX[adding]
-        pairs = [
-            (at[0], reached[0])
+    taus: dict[str, float | None] = dict.fromkeys((FIXED, FID))
+    for mechanism in sweeps.swept(adding):
+        points = [
+            [sweeps.point(mechanism, level, one) for one in (value, success)]
             for level in sweeps.levels(mechanism)
-            if (at := sweeps.point(mechanism, level, value)) is not None
-            and (reached := sweeps.point(mechanism, level, success)) is not None
         ]
-        few = 3
-        tau = kendalltau(*zip(*pairs, strict=True)).statistic if len(pairs) >= few else np.nan
-        taus[family] = known(float(tau))
+        pairs = [(at[0], got[0]) for at, got in points if at is not None and got is not None]
+        if len(pairs) >= _FEWEST_FOR_TAU:
+            tau = known(float(kendalltau(*zip(*pairs, strict=True)).statistic))
+            taus[sweeps.known[mechanism].name] = tau
     return taus
 
 
 def _sentences(
-    name: str, *, task: str, worst: Contrast | None, drop: Effect, shown: Effect
+    name: str, *, task: str, worst: Contrast | None, drop: Estimate, shown: Estimate
 ) -> dict[str, str]:
     if worst is None or shown is drop:
         gap = (
@@ -318,16 +300,17 @@ def _sentences(
     }
 
 
-def _why(works: Effect, span: Effect, drop: Effect, contrasts: list[Contrast], *, name: str) -> str:
-    level = 0.05
-    if not works.is_known:
+def _why(
+    works: Estimate, span: Estimate, drop: Estimate, contrasts: Sequence[Contrast], *, name: str
+) -> str:
+    if not is_known(works):
         return "too few people, or no interval"
-    if p_above(works, SUCCESS_MARGIN) > level:
+    if p_above(works, SUCCESS_MARGIN) > _UNADJUSTED:
         return "the strongest attack hardly links anybody even at raw: nothing could be seen"
-    if p_above(span, np.log(LEAST_SPAN)) > level:
+    if p_above(span, np.log(LEAST_SPAN)) > _UNADJUSTED:
         return f"{name} hardly changes from raw to the strongest fixed error"
-    if all(one.level is None for one in contrasts):
+    if not any(one.is_test for one in contrasts):
         return "no dissociation control reaches a value that fixed noise reaches, too"
-    if p_above(drop, SUCCESS_MARGIN) > level:
+    if p_above(drop, SUCCESS_MARGIN) > _UNADJUSTED:
         return "whether success falls with fixed noise is not sure"
     return "the intervals reach on both sides of the margin"

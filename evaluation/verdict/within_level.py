@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from evaluation.analysis.matching import ADDING_SUFFIX
-from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.analysis.families import ADDING_RULES, RAW
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS
 from evaluation.runs.cell_files import read_probes, read_rows
 from evaluation.verdict.items import NAME, Draft, known, with_interval
 from evaluation.verdict.rules import (
@@ -25,23 +25,25 @@ from evaluation.verdict.rules import (
     TRACKS,
     UNDECIDED,
     WEAKLY,
-    Effect,
+    WITHIN,
     Option,
+    is_known,
     p_above,
     p_below,
 )
-from isac_track.intervals import CONFIDENCE
+from isac_track.intervals import CONFIDENCE, Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.analysis.matching import Measure
+    from evaluation.analysis.keys import Source
+    from evaluation.analysis.sweeps import Sweeps
     from isac_track.types import Floats, Ints
 
 COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
 """Of either release: length, speed and mean noise."""
-COLUMNS: Final = {"plr": "plr", "ael": "ael_s", "mel": "mel_s"}
+COLUMNS: Final = {name: METRICS[name].column for name in DESCRIPTORS}
 _SIDES: Final = ("probe", "gallery")
 _FEW = 3
 
@@ -64,14 +66,16 @@ class LevelTracks:
 
 
 def read_levels(
-    out: Path, manifest: Mapping[str, Any], *, success: Mapping[str, Measure]
+    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, *, success: Mapping[str, Source]
 ) -> dict[str, list[LevelTracks]]:
-    """Return the tracks of every level of a task, by task.
+    """Return the tracks of raw and of every level of a sweep, by task.
 
     Parameters
     ----------
     out : Path
     manifest : mapping
+    sweeps : Sweeps
+        Of the run.
     success : mapping
         By task: its strongest linker.
 
@@ -83,14 +87,14 @@ def read_levels(
     files = {
         (entry["spec"], entry["consumer"], entry["knowledge"]): entry for entry in manifest["cells"]
     }
+    wanted = {RAW}.union(*(sweeps.swept(adding) for adding in ADDING_RULES))
     found: dict[str, list[LevelTracks]] = {}
     for task, measure in success.items():
         for (spec, consumer, _), entry in files.items():
             linked = files.get((spec, measure.consumer, measure.knowledge))
-            is_level = entry["mechanism"].partition(":")[0] in {"raw", "fixed", "fid"}
             if entry["kind"] != "windows" or consumer.partition("/")[0] != task or linked is None:
                 continue
-            if is_level:
+            if entry["mechanism"] in wanted:
                 found.setdefault(task, []).append(
                     _level(
                         out,
@@ -138,46 +142,39 @@ def _level(
 
 
 def within(
-    levels: Mapping[str, Sequence[LevelTracks]], *, success: Mapping[str, Measure]
+    levels: Mapping[str, Sequence[LevelTracks]], sweeps: Sweeps, *, success: Mapping[str, Source]
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
 
     Parameters
     ----------
     levels : mapping
-        By task, of all adding rules. Clusters are numbered alike at all levels of a task.
+        By task. Clusters are numbered alike at all levels of a task.
+    sweeps : Sweeps
+        Of the run: it says under which rule a mechanism is judged.
     success : mapping
         By task: the linker that it is about.
     """
-    for adding in ADDING_SUFFIX:
+    for adding in ADDING_RULES:
+        wanted = sweeps.swept(adding)
         for descriptor in DESCRIPTORS:
-            for task, measure in success.items():
-                mine = _distinct(levels.get(task, ()), adding=adding)
-                if any(one.mechanism != "raw" for one in mine):
-                    yield _item(
-                        mine, adding=adding, descriptor=descriptor, task=task, success=measure
-                    )
+            for task, linker in success.items():
+                mine = _distinct(
+                    one for one in levels.get(task, ()) if one.mechanism in (RAW, *wanted)
+                )
+                if any(one.mechanism != RAW for one in mine):
+                    yield _item(mine, adding=adding, descriptor=descriptor, linker=linker)
 
 
-def _distinct(levels: Sequence[LevelTracks], *, adding: str) -> list[LevelTracks]:
-    """Return the levels of an adding rule, each release once: several eta may share the same."""
-    kept: dict[bytes, LevelTracks] = {}
+def _distinct(levels: Iterable[LevelTracks]) -> list[LevelTracks]:
+    """Return each release once: several eta may share the same."""
+    found: dict[bytes, LevelTracks] = {}
     for one in levels:
-        is_independent = one.mechanism.endswith(ADDING_SUFFIX["independent"])
-        if one.mechanism == "raw" or is_independent == (adding == "independent"):
-            shown = np.column_stack([one.hit, *one.descriptors.values()])
-            kept.setdefault(shown.tobytes(), one)
-    return list(kept.values())
+        found.setdefault(np.column_stack([one.hit, *one.descriptors.values()]).tobytes(), one)
+    return list(found.values())
 
 
-def _item(
-    levels: Sequence[LevelTracks],
-    *,
-    adding: str,
-    descriptor: str,
-    task: str,
-    success: Measure,
-) -> Draft:
+def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker: Source) -> Draft:
     works = clustered_mean(
         np.concatenate([one.hit - one.chance for one in levels]),
         np.concatenate([one.cluster for one in levels]),
@@ -188,23 +185,22 @@ def _item(
     condition = p_above(works, SUCCESS_MARGIN)
     name = NAME[descriptor]
     said = (
-        f"In {task}, among tracks of like length, speed and noise, a track's own {name} and "
-        f"whether it is linked go together by "
+        f"In {linker.task}, among tracks of like length, speed and noise, a track's own {name} "
+        f"and whether it is linked go together by "
         f"{with_interval(found, 'correlation')} (rank correlation)"
     )
     if condition > 0.05:  # noqa: PLR2004
         why = "the strongest attack hardly links anybody: nothing could be seen"
-    elif not found.is_known:
+    elif not is_known(found):
         why = f"{name} hardly varies beyond length, speed and noise, or there are too few people"
     else:
         why = "the interval reaches on both sides of the bound"
     return Draft(
-        section="within",
+        section=WITHIN,
         adding=adding,
         descriptor=descriptor,
-        task=task,
-        subject=f"{success.consumer.partition('/')[2]} ({success.knowledge})",
-        criterion="",
+        task=linker.task,
+        subject=linker.attack.label,
         effect=found,
         unit="correlation",
         options=(
@@ -223,7 +219,7 @@ def _item(
     )
 
 
-def clustered_mean(values: Floats, cluster: Ints) -> Effect:
+def clustered_mean(values: Floats, cluster: Ints) -> Estimate:
     """Return the mean of values with its clustered standard error (Liang and Zeger 1986)."""
     mean = float(values.mean())
     return _with_error(mean, (values - mean) / values.size, cluster)
@@ -231,7 +227,7 @@ def clustered_mean(values: Floats, cluster: Ints) -> Effect:
 
 def partial_correlation(
     levels: Sequence[tuple[Floats, Floats, Floats, Ints]],
-) -> Effect:
+) -> Estimate:
     """Return the rank correlation of descriptor and hit within levels, beyond the covariates.
 
     At each level all are put in ranks; the mean rank of the descriptor in both releases, and the
@@ -262,12 +258,12 @@ def partial_correlation(
         right.append(rest[:, 1])
         clusters.append(cluster[whole])
     if not left:
-        return Effect(np.nan, np.nan, np.nan, np.nan, 0)
+        return Estimate(np.nan)
     x, y, cluster = np.concatenate(left), np.concatenate(right), np.concatenate(clusters)
     scale = np.sqrt((x @ x) * (y @ y)) / x.size
     few = 1e-12
     if scale < few:
-        return Effect(np.nan, np.nan, np.nan, np.nan, int(np.unique(cluster).size))
+        return Estimate(np.nan, n=int(np.unique(cluster).size))
     value = float(x @ y / x.size / scale)
     influence = x * y / scale - value / 2.0 * (x * x / (x @ x) + y * y / (y @ y)) * x.size
     return _with_error(value, influence / x.size, cluster)
@@ -288,13 +284,13 @@ def _ranks(values: Floats) -> Floats:
     return scaled
 
 
-def _with_error(value: float, parts: Floats, cluster: Ints) -> Effect:
+def _with_error(value: float, parts: Floats, cluster: Ints) -> Estimate:
     """Return an effect whose influence, (N,), sums up within clusters."""
     names, column = np.unique(cluster, return_inverse=True)
     n = names.size
     if n < 2:  # noqa: PLR2004
-        return Effect(value, np.nan, np.nan, np.nan, n)
+        return Estimate(value, n=n)
     sums = np.bincount(column, weights=parts, minlength=n)
     error = float(np.sqrt(n / (n - 1.0) * (sums @ sums)))
     half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * error
-    return Effect(value, value - half, value + half, error, n)
+    return Estimate(value, value - half, value + half, n, closed_error=error)

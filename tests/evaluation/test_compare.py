@@ -20,8 +20,9 @@ import evaluation
 from evaluation import __main__ as command
 from evaluation import compare
 from evaluation.analysis import summary
-from evaluation.analysis.differences import COLUMNS, HEADLINE, difference, holm
+from evaluation.analysis.differences import COLUMNS, HEADLINE, difference
 from evaluation.analysis.differences import compare as compared
+from evaluation.analysis.significance import holm
 from evaluation.reporting.difference_tables import show
 from evaluation.runs.folder import read_manifest
 from isac_track.config import StageSettings

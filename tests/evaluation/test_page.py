@@ -11,7 +11,7 @@ import pytest
 
 from evaluation.analysis import linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
-from evaluation.analysis.levels import Source
+from evaluation.analysis.keys import Source
 from evaluation.cells import sample_tracks as page_gallery
 from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings

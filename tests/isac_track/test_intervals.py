@@ -1,12 +1,17 @@
 """Intervals against scipy, closed forms and their own coverage."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binomtest
 
 from isac_track.intervals import (
+    Estimate,
     cluster_sums,
     cluster_weights,
+    difference,
+    estimate_of,
     percentile_interval,
     ratio_estimate,
     wilson,
@@ -104,3 +109,24 @@ def test_the_clustered_interval_covers_and_the_naive_one_does_not():
     # little short with 60 clusters.
     assert 0.90 <= clustered / n_runs <= 0.985
     assert naive / n_runs < 0.85
+
+
+def test_an_estimate_has_the_spread_and_the_interval_of_its_replicates():
+    values = np.concatenate([[1.0], np.arange(101.0), [np.nan, np.inf]])
+    one = estimate_of(values, n=12)
+    assert (one.value, one.n) == (1.0, 12)
+    assert one.standard_error == pytest.approx(np.arange(101.0).std(ddof=1))
+    assert (one.ci_low, one.ci_high) == pytest.approx((2.5, 97.5))
+    assert replace(one, closed_error=0.5).standard_error == 0.5
+    assert np.isnan(Estimate(1.0).standard_error)
+
+
+def test_a_difference_is_paired_in_the_replicates_that_both_have():
+    rng = np.random.default_rng(0)
+    drawn = rng.normal(size=200)
+    a = estimate_of(np.concatenate([[2.0], 2.0 + drawn]), n=30)
+    b = estimate_of(np.concatenate([[0.5], 0.5 + drawn[:100]]), n=20)
+    found = difference(a, b)
+    assert (found.value, found.n) == (1.5, 20)
+    assert found.replicates == pytest.approx(np.full(100, 1.5))
+    assert (found.ci_low, found.ci_high) == pytest.approx((1.5, 1.5))

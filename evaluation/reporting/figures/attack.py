@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.analysis.levels import AS_SHARED, ORACLE, Source, is_attack, most_knowing
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source
+from evaluation.analysis.levels import is_attack, most_knowing
 from evaluation.analysis.matching import ADDING_SUFFIX
 from evaluation.experiment.presets import IDENTITY
 from evaluation.reporting.figures import style as figure_style

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.path import Path
 
-    from evaluation.analysis.levels import LinkedTask, Source, Where
+    from evaluation.analysis.keys import Source, Where
+    from evaluation.analysis.levels import LinkedTask
     from isac_track.types import Floats
 
 _PERCENT = 100.0

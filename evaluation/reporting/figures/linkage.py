@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from evaluation.analysis.levels import LinkedTask, Source
+    from evaluation.analysis.keys import Source
+    from evaluation.analysis.levels import LinkedTask
     from evaluation.reporting.figures.sweeps import Scheme
 
 LABEL = "rank 1 (%)"

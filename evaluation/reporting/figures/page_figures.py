@@ -12,14 +12,8 @@ import pandas as pd
 from matplotlib.collections import LineCollection
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from evaluation.analysis.levels import (
-    ORACLE,
-    SHOWN,
-    Source,
-    is_attack,
-    linked_tasks,
-    shortened,
-)
+from evaluation.analysis.keys import ORACLE, Source
+from evaluation.analysis.levels import SHOWN, is_attack, linked_tasks, shortened
 from evaluation.analysis.linkability import CLEAN
 from evaluation.analysis.matching import ADDING_SUFFIX
 from evaluation.analysis.metrics import DESCRIPTORS
@@ -35,7 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from evaluation.analysis.levels import LinkedTask, Where
+    from evaluation.analysis.keys import Where
+    from evaluation.analysis.levels import LinkedTask
     from evaluation.reporting.figures.sweeps import Scheme
 
 _PERCENT = 100.0

@@ -11,7 +11,7 @@ import pytest
 
 import evaluation
 from evaluation.analysis import weak_attacks as flags
-from evaluation.analysis.summary import Key
+from evaluation.analysis.keys import Key
 from evaluation.analysis.weak_attacks import COLUMNS
 from evaluation.results import build
 from evaluation.runs import cell_files

@@ -9,17 +9,19 @@ and leave success as it is, *flat* if nothing lowers success, *empty* if nothing
 from dataclasses import dataclass
 
 import numpy as np
+from helpers.mechanisms import RULE, sweeps_of
 from scipy.stats import norm
 
-from evaluation.analysis.matching import EQUAL_ALARMS, comparisons
-from evaluation.analysis.summary import Key
+from evaluation.analysis.keys import Key
+from evaluation.analysis.matching import comparisons
+from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.experiment.presets import SHARED
 from evaluation.verdict.sections import verdict
 from evaluation.verdict.within_level import LevelTracks
 from isac_track.intervals import cluster_sums, ratio_estimate
 
 KINDS = ("valid", "fooled", "flat", "empty")
-RULES = ("", ":adding=independent")
+RULES = ("", RULE)
 FIXED, FID = (0.2, 0.5, 0.8, 1.0), (1.0, 100.0, 1e4)
 CONTROLS = ("correlated", "offset", "thin")
 LINKER, TASK, CHANCE = "rerelease/shape", "rerelease", 0.01
@@ -32,10 +34,19 @@ class World:
     kind: str
     n_people: int = 240
     n_replicates: int = 200
+    stranger: bool = False
+    """Whether there is a mechanism of somebody else's, without an adding rule: fixed noise."""
 
     def noise(self, family, level):
         """How strong a level is, 0 (raw) to 1."""
-        strength = {"raw": 0.0, "fixed": level, "correlated": 0.8, "offset": 0.5, "thin": 0.3}
+        strength = {
+            "raw": 0.0,
+            "fixed": level,
+            "mine:Ou": level,
+            "correlated": 0.8,
+            "offset": 0.5,
+            "thin": 0.3,
+        }
         if family == "fid":
             return {1.0: 0.75, 100.0: 0.6, 1e4: 0.3}[level]
         return strength[family]
@@ -62,13 +73,19 @@ class World:
 def run(world, *, seed):
     """Return the verdict of a world."""
     found, levels = simulated(world, rng=np.random.default_rng([seed, KINDS.index(world.kind)]))
+    return said_of(found, {TASK: levels})
+
+
+def said_of(found, levels):
+    """Return the verdict of estimates and of the tracks of each task's levels."""
     manifest = {
-        "dataset": {"name": world.kind, "simulated": True},
-        "identity": {"seed": seed},
+        "dataset": {"name": "planted", "simulated": True},
+        "identity": {"seed": 0},
         "settings": {"preset": "paper", "scenes": 500},
     }
-    compared = tuple(comparisons(found, predictors=[PREDICTOR]))
-    return verdict(found, compared, {TASK: levels}, manifest=manifest)
+    sweeps = sweeps_of(found)
+    compared = tuple(comparisons(sweeps, predictors=[PREDICTOR]))
+    return verdict(sweeps, compared, levels, manifest=manifest)
 
 
 def simulated(world, *, rng):
@@ -114,7 +131,7 @@ def simulated(world, *, rng):
         for metric in ("missed_conflict_rate", EQUAL_ALARMS):
             missed = rng.random(n) < world.misses(family, level)
             put(Key(mechanism, level, PREDICTOR, metric), missed.astype(float))
-        if family in {"raw", "fixed", "fid"}:
+        if family in {"raw", "fixed", "fid", "mine:Ou"}:
             seen = np.column_stack([plr, plr * np.exp(0.02 * rng.normal(size=n))])
             levels.append(
                 LevelTracks(
@@ -138,4 +155,6 @@ def simulated(world, *, rng):
         one_level("correlated", 0.75, f"correlated{rule}")
     one_level("offset", 0.4, "offset")
     one_level("thin", 4.0, "thin")
+    for level in FIXED if world.stranger else ():
+        one_level("mine:Ou", level, "mine:Ou")
     return found, levels

@@ -1,0 +1,172 @@
+"""Mechanisms as curves over their levels, from the noisiest to raw, with all their replicates."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from evaluation.analysis.families import FID, FIXED, RAW, named
+from evaluation.analysis.keys import AS_SHARED, Key
+from evaluation.analysis.metrics import EQUAL_ALARMS, EXPOSURE, MISSED_RATE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from evaluation.analysis.families import Family
+    from evaluation.analysis.keys import Measure
+    from isac_track.intervals import Estimate
+    from isac_track.types import Floats
+
+FEWEST_LEVELS: Final = 2
+"""Of a curve, beside raw."""
+_SMALLEST = 1e-12
+_ROUNDING = 1e-9
+
+
+class Sweeps:
+    """The estimates of a run and its mechanisms; curves are made monotone once each.
+
+    Parameters
+    ----------
+    found : mapping
+        Every metric of the run.
+    known : mapping
+        Its mechanisms, from `families`.
+    """
+
+    def __init__(self, found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> None:
+        self.found = found
+        self.known = known
+        self._levels: dict[str, list[float | None]] = {}
+        for key in found:
+            shown = key.measure.source, key.metric
+            if shown == (AS_SHARED, EXPOSURE) and known[key.mechanism].is_added:
+                self._levels.setdefault(key.mechanism, []).append(key.level)
+        self._monotone: dict[tuple[str, Measure], Floats | None] = {}
+
+    def levels(self, mechanism: str) -> list[float | None]:
+        """Return the levels of a mechanism, noisiest first: eta grows, a fixed error falls.
+
+        Of any other mechanism the ends tell: the noisier one shows less.
+        """
+        levels = sorted(self._levels.get(mechanism, ()), key=lambda level: (level is None, level))
+        if len(levels) < FEWEST_LEVELS:
+            return levels
+        family = self.known[mechanism].family
+        ends = [self._shown(mechanism, level) for level in (levels[0], levels[-1])]
+        grows = family == FID or (family != FIXED and ends[0] < ends[1])
+        return levels if grows else levels[::-1]
+
+    def mechanisms(self) -> list[str]:
+        """Return the names of all mechanisms that do something to what was sensed."""
+        return list(self._levels)
+
+    def named(self, family: str, *, adding: str) -> str:
+        """Return the mechanism of a family under an adding rule as it is by default, or ""."""
+        return named(self.known, family=family, adding=adding)
+
+    def others(self, adding: str) -> list[str]:
+        """Return the mechanisms beside FID and fixed noise that are judged under an adding rule."""
+        plain = {self.named(family, adding=adding) for family in (FID, FIXED)}
+        return [
+            name
+            for name in self.mechanisms()
+            if name not in plain and adding in self.known[name].rules
+        ]
+
+    def swept(self, adding: str) -> list[str]:
+        """Return what is a curve under an adding rule: FID, fixed noise, and others with levels."""
+        plain = [self.named(family, adding=adding) for family in (FID, FIXED)]
+        more = [name for name in self.others(adding) if len(self.levels(name)) >= FEWEST_LEVELS]
+        return [name for name in plain if name] + more
+
+    def point(self, mechanism: str, level: float | None, measure: Measure) -> Floats | None:
+        """Return estimate and replicates of one level, (1 + B,); None if it was not run."""
+        found = self.found.get(
+            Key(mechanism, level, measure.consumer, measure.metric, measure.knowledge)
+        )
+        return None if found is None else np.concatenate([[found.value], found.replicates])
+
+    def curve(self, mechanism: str, measure: Measure) -> Floats | None:
+        """Return the measure from the noisiest level to raw, made monotone, (1 + B, L).
+
+        None if there are fewer than two levels, or one of them or raw was not run.
+        """
+        known = mechanism, measure
+        if known not in self._monotone:
+            self._monotone[known] = self._curve(mechanism, measure)
+        return self._monotone[known]
+
+    def _curve(self, mechanism: str, measure: Measure) -> Floats | None:
+        levels = self.levels(mechanism)
+        points = [self.point(mechanism, level, measure) for level in levels]
+        points.append(self.point(RAW, None, measure))
+        known = [point for point in points if point is not None]
+        if len(levels) < FEWEST_LEVELS or len(known) < len(points):
+            return None
+        # What noise costs falls towards raw, what it hides rises.
+        falls = measure.metric in (MISSED_RATE, EQUAL_ALARMS)
+        return monotone(np.stack(known, axis=1), increasing=not falls)
+
+    def _shown(self, mechanism: str, level: float | None) -> float:
+        return self.found[Key(mechanism, level, AS_SHARED.consumer, EXPOSURE)].value
+
+    def n(self, mechanism: str, measure: Measure) -> int:
+        """Return how many clusters the least of a mechanism's levels has; 0 if none was run."""
+        keys = (
+            Key(mechanism, level, measure.consumer, measure.metric, measure.knowledge)
+            for level in self.levels(mechanism)
+        )
+        return min((self.found[key].n for key in keys if key in self.found), default=0)
+
+
+def monotone(values: Floats, *, increasing: bool) -> Floats:
+    """Return each row made monotone from left to right by isotonic regression, (R, L).
+
+    By the min-max formula (Barlow et al. 1972): the largest over all beginnings of the smallest
+    over all ends of the mean between them. It does all replicates at once, where
+    `scipy.optimize.isotonic_regression` takes them row by row.
+    """
+    if not increasing:
+        return -monotone(-values, increasing=True)
+    sums = np.concatenate([np.zeros((values.shape[0], 1)), np.cumsum(values, axis=1)], axis=1)
+    best: Floats = np.full(values.shape, -np.inf)
+    for first in range(values.shape[1]):
+        counts = np.arange(1, values.shape[1] - first + 1)
+        means = (sums[:, first + 1 :] - sums[:, first : first + 1]) / counts
+        smallest = np.minimum.accumulate(means[:, ::-1], axis=1)[:, ::-1]
+        best[:, first:] = np.maximum(best[:, first:], smallest)
+    return best
+
+
+def interpolated(at: Floats, change: Floats, values: Floats, *, log: bool) -> Floats:
+    """Return each row's value where it has changed by `at` from raw, (R, P); NaN out of reach.
+
+    Parameters
+    ----------
+    at : (P,) or (R, P)
+        The same for all rows, or for each.
+    change : (>= R, L)
+        Falling from left to right, to 0 at raw.
+    values : (R, L)
+    log : bool
+        Interpolate the logarithm: a descriptor falls about exponentially with the rate, so that a
+        chord over a wide step of the levels lies close to the curve.
+    """
+    n_rows = min(change.shape[0], values.shape[0])
+    x, y = change[:n_rows, ::-1], values[:n_rows, ::-1]
+    y = np.log(np.maximum(y, _SMALLEST)) if log else y
+    wanted = np.broadcast_to(at if at.ndim == 2 else at[None], (n_rows, at.shape[-1]))  # noqa: PLR2004
+    # Rounding must not put the end of a curve out of its own reach.
+    wanted = np.maximum(wanted - _ROUNDING, 0.0)
+    right = (x[:, :, None] < wanted[:, None, :]).sum(axis=1)
+    in_reach = right < x.shape[1]
+    right = np.clip(right, 1, x.shape[1] - 1)
+    x_low, x_high = (np.take_along_axis(x, place, axis=1) for place in (right - 1, right))
+    y_low, y_high = (np.take_along_axis(y, place, axis=1) for place in (right - 1, right))
+    share = np.zeros_like(x_low)
+    np.divide(wanted - x_low, x_high - x_low, out=share, where=x_high > x_low)
+    between = y_low + np.clip(share, 0.0, 1.0) * (y_high - y_low)
+    found: Floats = np.where(in_reach, np.exp(between) if log else between, np.nan)
+    return found

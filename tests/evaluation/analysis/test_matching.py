@@ -1,0 +1,160 @@
+"""Matched operating points: what is compared, where, and with which replicates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.mechanisms import families_of, sweeps_of
+from helpers.straight_lines import PREDICTORS, run
+
+from evaluation.analysis.keys import Key
+from evaluation.analysis.matching import (
+    AT_EQUAL_ALARMS,
+    COLUMNS,
+    MISSED,
+    N_ATTACK_POINTS,
+    N_POINTS,
+    PLR,
+    comparisons,
+    matched,
+)
+from evaluation.experiment.presets import SHARED
+
+
+def frame(found):
+    compared = comparisons(sweeps_of(found), predictors=PREDICTORS)
+    return matched(compared, known=families_of(found), dataset="students03")
+
+
+def test_equal_mechanisms_do_not_differ_under_any_criterion():
+    table = frame(run())
+    assert set(table["criterion"]) == {MISSED, AT_EQUAL_ALARMS, PLR}
+    assert np.allclose(table["difference"], 0.0, atol=2e-4)
+    assert list(table.columns) == COLUMNS
+
+
+def test_an_advantage_is_read_at_equal_rate():
+    """FID shows exp(-0.1) times what fixed noise of the same missed rate shows."""
+    table = frame(run(advantage=0.1))
+    part = table[(table["consumer"] == SHARED) & (table["criterion"] != PLR)]
+    # Towards raw both end in the same point.
+    inner = part[(part["at"] > 0.03) & (part["defined"] >= 0.975)]
+    assert np.allclose(np.log(inner["fid"] / inner["fixed"]), -0.1, atol=0.002)
+    assert (inner["ci_high"] < 0).all()
+
+
+def test_at_equal_plr_the_linkers_are_compared():
+    """FID reaches a PLR with 0.1 less noise, and so 0.03 more people are linked."""
+    table = frame(run(advantage=0.1))
+    part = table[(table["criterion"] == PLR) & (table["metric"] == "rank1")]
+    low = part[part["at"] < np.exp(-0.5 - 0.2)]
+    assert len(low) > 10
+    assert np.allclose(low["difference"], 0.03, atol=2e-4)
+    assert part["at"].is_monotonic_increasing or part["adding"].nunique() == 2
+    assert np.isnan(part["missed_conflict_rate"]).all()
+
+
+def test_every_predictor_as_shared_and_the_first_for_attacks():
+    table = frame(run())
+    rates = table[table["criterion"] == MISSED]
+    shared = rates["consumer"] == SHARED
+    assert set(rates[shared]["predictor"]) == set(PREDICTORS)
+    assert set(rates[~shared]["predictor"]) == {PREDICTORS[0]}
+    assert set(table[table["criterion"] == PLR]["predictor"]) == {""}
+
+
+def test_controls_are_not_compared_and_simulated_tasks_keep_their_data_set():
+    table = frame(run())
+    assert not table["consumer"].str.contains("control-").any()
+    simulated = table["consumer"].str.startswith("new_traversal/")
+    assert set(table[simulated]["dataset"]) == {"plaza-two-sessions"}
+    assert set(table[~simulated]["dataset"]) == {"students03"}
+
+
+def test_nothing_is_extrapolated():
+    """FID reaches a noise of 0.8, fixed of 1: rises end at 0.8 times 0.2."""
+    table = frame(run())
+    rates = table[(table["criterion"] == MISSED) & (table["predictor"] == PREDICTORS[0])]
+    assert rates["at"].max() == pytest.approx(0.16)
+    alarms = table[(table["criterion"] == AT_EQUAL_ALARMS) & (table["consumer"] == SHARED)]
+    assert alarms["at"].max() == pytest.approx(0.24)
+    plr = table[table["criterion"] == PLR]
+    assert plr["at"].min() == pytest.approx(np.exp(-1.3), rel=1e-6)
+    assert plr["at"].max() < np.exp(-0.5)
+
+
+def test_a_point_that_few_replicates_reach_has_no_interval():
+    found = run()
+    one = found[Key("fid", 1.0, PREDICTORS[0], "missed_conflict_rate")]
+    one.replicates[::2] = 0.1  # half of the replicates end early
+    table = frame(found)
+    last = table[(table["criterion"] == MISSED) & (table["predictor"] == PREDICTORS[0])]
+    last = last[(last["adding"] == "linear") & (last["at"] == last["at"].max())]
+    assert (last["defined"] < 0.6).all()
+    assert np.isnan(last["ci_low"]).all()
+    assert np.isfinite(last["difference"]).all()
+
+
+def test_points_of_a_curve():
+    table = frame(run())
+    sizes = table.groupby(["criterion", "adding", "predictor", "consumer", "metric"]).size()
+    shared = sizes.index.get_level_values("consumer") == SHARED
+    assert set(sizes[shared]) == {N_POINTS}
+    assert set(sizes[~shared]) == {N_ATTACK_POINTS}
+
+
+def test_the_mean_difference_is_over_points_with_an_interval():
+    for one in comparisons(sweeps_of(run(advantage=0.1)), predictors=PREDICTORS):
+        known = np.isfinite(one.difference[1])
+        assert one.mean_difference[0] == pytest.approx(one.difference[0][known].mean())
+
+
+def test_score_metrics_with_fewer_replicates_are_paired_with_the_first():
+    """The replicates of rank 1 are 100 of 200: an unpaired comparison would have a spread."""
+    for one in comparisons(sweeps_of(run()), predictors=PREDICTORS):
+        if one.measure.metric == "rank1":
+            assert one.mean_difference.size == 101
+            assert one.mean_difference[1:].std() < 1e-3
+
+
+def test_each_replicate_is_read_at_its_own_raw_rate():
+    """Rates that move together from replicate to replicate leave the difference as it is."""
+    found = run(advantage=0.1)
+    shift = np.linspace(-0.03, 0.03, 200)
+    moved = {
+        key: replace(one, replicates=one.value + shift)
+        if key.metric == "missed_conflict_rate"
+        else replace(one, replicates=np.full(200, one.value))
+        for key, one in found.items()
+    }
+    table, still = (
+        one[(one["criterion"] == MISSED) & (one["consumer"] == SHARED)]
+        for one in (frame(moved), frame(found))
+    )
+    assert np.allclose(table["difference"], still["difference"])
+    assert np.allclose(table["ci_low"], table["difference"], atol=1e-9)
+    assert np.allclose(table["ci_high"], table["difference"], atol=1e-9)
+
+
+def test_without_fid_raw_or_the_predictor_nothing_is_matched():
+    found = run()
+    for left_out in ("raw", "fid"):
+        some = {key: one for key, one in found.items() if not key.mechanism.startswith(left_out)}
+        assert frame(some).empty
+    assert not list(comparisons(sweeps_of({}), predictors=["another"]))
+
+
+def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_rules():
+    """It shows exp(-0.2) times what fixed noise of the same missed rate shows."""
+    table = frame(run(advantage=0.1, stranger=0.2))
+    assert set(zip(table["mechanism"], table["family"], table["adding"], strict=True)) == {
+        ("fid", "fid", "linear"),
+        ("fid:adding=independent", "fid", "independent"),
+        ("mine:Ou", "mine:Ou", "linear"),
+        ("mine:Ou", "mine:Ou", "independent"),
+    }
+    mine = table[(table["family"] == "mine:Ou") & (table["consumer"] == SHARED)]
+    inner = mine[(mine["criterion"] == MISSED) & (mine["at"] > 0.03) & (mine["defined"] >= 0.975)]
+    assert np.allclose(np.log(inner["fid"] / inner["fixed"]), -0.2, atol=0.002)
+    alone = frame(run(advantage=0.1))
+    assert table[table["family"] == "fid"].reset_index(drop=True).equals(alone)

@@ -1,0 +1,111 @@
+"""What the validity of a descriptor is read from: mechanisms, rules, and an attack that links."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.mechanisms import sweeps_of
+from helpers.planted_worlds import TASK, World, simulated
+
+from evaluation.analysis.keys import Source
+from evaluation.verdict.validity import validity
+
+SUCCESS = {TASK: Source("rerelease/shape", "informed")}
+
+
+def drafts(found):
+    return list(validity(sweeps_of(found), success=SUCCESS, chance={TASK: 0.01}))
+
+
+def made(world, seed, *, only=lambda _key: True, factor=lambda _key: 1.0):
+    """Return the estimates of a world, some of them, and multiplied."""
+    found, _ = simulated(world, rng=np.random.default_rng(seed))
+    return {
+        key: replace(one, value=one.value * factor(key), replicates=one.replicates * factor(key))
+        for key, one in found.items()
+        if only(key)
+    }
+
+
+def test_without_a_dissociation_control_nothing_tracks():
+    found = drafts(
+        made(
+            World("valid", n_people=3000),
+            8,
+            only=lambda key: key.mechanism[:3] in {"raw", "fid", "fix"},
+        )
+    )
+    assert found
+    for draft in found:
+        assert [one.p_value for one in draft.options if "tracks" in one.decision] == [1, 1]
+        assert "no dissociation control" in draft.why_undecided
+
+
+def test_an_attack_that_links_nobody_tells_nothing():
+    guessing = made(World("fooled", n_people=1000), 9)
+    guessing |= {
+        key: replace(one, value=0.01, replicates=one.replicates * 0 + 0.01)
+        for key, one in guessing.items()
+        if key.metric == "rank1"
+    }
+    for draft in drafts(guessing):
+        assert all(option.p_value > 0.05 for option in draft.options)
+        assert "hardly links anybody" in draft.why_undecided
+
+
+def test_mechanisms_are_compared_under_their_own_rule_and_without_one_under_both():
+    found = drafts(made(World("valid", n_people=100, stranger=True), 10))
+    named = {
+        rule: {
+            one["mechanism"]
+            for draft in found
+            if draft.adding == rule
+            for one in draft.details["contrasts"]
+        }
+        for rule in ("linear", "independent")
+    }
+    both = {"offset", "thin", "mine:Ou"}
+    assert named["linear"] == {"fid", "correlated"} | both
+    suffix = ":adding=independent"
+    assert named["independent"] == {f"fid{suffix}", f"correlated{suffix}"} | both
+
+
+def test_beyond_the_fixed_sweep_there_is_no_contrast():
+    below = made(
+        World("fooled", n_people=400),
+        10,
+        factor=lambda key: 1 / 9 if (key.mechanism, key.consumer) == ("offset", "shared") else 1.0,
+    )
+    for draft in drafts(below):
+        named = {one["mechanism"] for one in draft.details["contrasts"]}
+        assert "offset" not in named
+        assert "thin" in named
+
+
+@pytest.mark.parametrize(("linker", "subject"), [("dtw", "dtw (blind)"), ("", "shape (informed)")])
+def test_against_a_control_the_strongest_there_counts(linker, subject):
+    found = made(World("fooled", n_people=400), 11)
+    if linker:
+        found |= {
+            replace(key, consumer="rerelease/dtw", knowledge="blind"): replace(
+                one, value=min(1.0, one.value + (0.2 if key.mechanism == "offset" else -0.2))
+            )
+            for key, one in found.items()
+            if key.metric == "rank1"
+        }
+    for draft in drafts(found):
+        by = {one["mechanism"]: one["subject"] for one in draft.details["contrasts"]}
+        assert by["offset"] == subject
+        assert by["thin"] == draft.subject == "shape (informed)"
+
+
+def test_a_mechanism_without_a_level_is_one_contrast():
+    found = made(World("valid", n_people=400), 12)
+    found |= {
+        replace(key, mechanism="mine:Ou", level=None): one
+        for key, one in found.items()
+        if key.mechanism == "thin"
+    }
+    for draft in drafts(found):
+        mine = [one for one in draft.details["contrasts"] if one["mechanism"] == "mine:Ou"]
+        assert [one["level"] for one in mine] == [None]

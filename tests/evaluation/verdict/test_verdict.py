@@ -1,0 +1,141 @@
+"""The verdict in worlds in which the truth is planted, and as a file and in words."""
+
+import json
+
+import numpy as np
+import pytest
+from helpers.planted_worlds import KINDS, TASK, World, run, said_of, simulated
+
+from evaluation.reporting.terminal import aligned
+from evaluation.reporting.verdict_tables import grids, verdict_tex
+from evaluation.verdict import rules
+from evaluation.verdict.sections import to_bytes
+
+
+@pytest.fixture(scope="module")
+def planted():
+    return {kind: run(World(kind, n_people=3000), seed=0) for kind in KINDS if kind != "empty"}
+
+
+@pytest.fixture(scope="module")
+def said():
+    return run(World("fooled", n_people=400), seed=3)
+
+
+@pytest.fixture(scope="module")
+def strangers():
+    found, levels = simulated(World("valid", stranger=True), rng=np.random.default_rng(13))
+    return said_of(found, {TASK: levels})
+
+
+def decisions(said, section):
+    return {one["decision"] for one in said["items"] if one["section"] == section}
+
+
+class TestPlantedTruths:
+    """What the verdict says where the truth is known; 3,000 people, so that it can be seen."""
+
+    def test_a_descriptor_that_is_valid_by_construction_tracks(self, planted):
+        assert decisions(planted["valid"], "validity") <= {"tracks", "tracks weakly"}
+        assert "tracks" in decisions(planted["valid"], "validity")
+        assert decisions(planted["valid"], "within") == {"tracks"}
+
+    def test_one_that_controls_fool_does_not_track(self, planted):
+        assert decisions(planted["fooled"], "validity") == {"does not track"}
+        assert decisions(planted["fooled"], "within") == {"does not track"}
+        worst = next(one for one in planted["fooled"]["items"] if one["section"] == "validity")
+        assert worst["against"].startswith(("correlated", "offset"))
+        assert worst["effect"] > 0.2  # 0.75 - (0.75 - 1.2 * 0.4 * 0.8) = 0.38 for correlated
+
+    def test_one_that_falls_while_success_stays_does_not_track(self, planted):
+        assert "does not track" in decisions(planted["flat"], "validity")
+        assert decisions(planted["flat"], "validity") <= {"does not track", "undecided"}
+        assert decisions(planted["flat"], "within") == {"does not track"}
+
+    def test_the_advantage_of_fid_that_was_planted_is_found(self, planted):
+        for kind in ("valid", "fooled"):
+            assert decisions(planted[kind], "claim") <= {"holds", "undecided"}
+            assert "holds" in decisions(planted[kind], "claim")
+
+    def test_inflation_that_was_planted_is_found(self, planted):
+        for one in planted["valid"]["items"]:
+            if one["section"] == "inflation":
+                assert one["decision"] == "inflated"
+                assert one["effect"] == pytest.approx(1.5, abs=0.02)
+
+    @pytest.mark.parametrize(
+        ("times", "most_wrong"), [(40, 5), pytest.param(200, 18, marks=pytest.mark.slow)]
+    )
+    def test_where_nothing_has_an_effect_nothing_is_decided(self, times, most_wrong):
+        """5 % by the rules; at 9 % of 200 or an eighth of 40 it is no longer chance."""
+        wrong = 0
+        for seed in range(times):
+            said = run(World("empty", n_people=80), seed=seed)
+            wrong += any(one["decision"] != "undecided" for one in said["items"])
+        assert wrong <= most_wrong
+
+
+class TestVerdict:
+    def test_every_item_has_a_name_of_its_own(self, said):
+        names = [one["id"] for one in said["items"]]
+        assert len(names) == len(set(names))
+        assert "validity/linear/plr/rerelease" in names
+        assert "claim/independent/missed/as-shared/mel" in names
+
+    def test_both_adding_rules_are_there(self, said):
+        for section in rules.SECTIONS:
+            mine = [one for one in said["items"] if one["section"] == section]
+            per_rule = [
+                sum(one["adding"] == rule for one in mine) for rule in ("linear", "independent")
+            ]
+            assert per_rule[0] == per_rule[1] > 0
+
+    def test_every_item_has_effect_interval_n_and_a_sentence(self, said):
+        for one in said["items"]:
+            assert one["ci_low"] <= one["effect"] <= one["ci_high"] or one["section"] == "claim"
+            assert one["n"] == 200
+            assert one["sentence"].endswith(".")
+            assert bool(one["why_undecided"]) == (one["decision"] == "undecided")
+            assert one["sign"] == rules.SIGN[one["decision"]]
+
+    def test_the_file_is_plain_json(self, said):
+        assert json.loads(to_bytes(said)) == json.loads(json.dumps(said))
+
+    def test_the_answer_is_three_sentences(self, said):
+        assert len(said["answer"]) == 3
+        assert "PLR, AEL and MEL do not track" in said["answer"][0]
+
+    def test_tables_hold_every_item(self, said):
+        cells = [cell for grid in grids(said) for row in grid.rows for cell in row[2:]]
+        assert len([cell for cell in cells if cell]) == len(said["items"])
+        for grid in grids(said):
+            assert len(set(map(len, [grid.head, *grid.rows]))) == 1
+            assert aligned([grid.head, *grid.rows])
+        assert verdict_tex(said).count(r"\toprule") == len(grids(said))
+
+    def test_a_mechanism_of_somebody_elses_is_judged_like_fid(self, strangers):
+        items = [one for one in strangers["items"] if one.get("mechanism") == "mine:Ou"]
+        assert {one["section"] for one in items} == {"claim"}
+        names = {one["id"] for one in items}
+        ids = {one["id"] for one in strangers["items"] if one["section"] == "claim"}
+        assert names == {f"{one}/mine:Ou" for one in ids - names}
+        assert all("under mine:Ou" in one["sentence"] for one in items if one["sign"])
+        inflated = [one["id"] for one in strangers["items"] if one["id"].endswith("mine:Ou/plr")]
+        assert inflated == [f"inflation/{rule}/mine:Ou/plr" for rule in ("linear", "independent")]
+        for one in strangers["items"]:
+            if one["section"] == "within":
+                assert one["levels"] == 1 + 4 + 3 + 4
+            if one["section"] == "validity":
+                assert "mine:Ou" in {gap["mechanism"] for gap in one["contrasts"]}
+                assert one["tau"]["mine:Ou"] is not None
+        assert "FID against fixed noise" in strangers["answer"][1]
+
+    def test_a_run_without_linkage_or_attack_says_so(self):
+        found, _ = simulated(World("valid"), rng=np.random.default_rng(12))
+        said = said_of({key: one for key, one in found.items() if not key.knowledge}, {})
+        assert {one["section"] for one in said["items"]} == {"claim"}
+        assert "was not tested" in said["answer"][0]
+        assert "no attack was run" in said["answer"][2]
+        empty = said_of({}, {})
+        assert empty["items"] == []
+        assert len(empty["answer"]) == 3

@@ -1,0 +1,69 @@
+"""Whether a track's own descriptor tells: the correlation within levels, and its interval."""
+
+import numpy as np
+import pytest
+
+from evaluation.verdict.rules import is_known
+from evaluation.verdict.within_level import clustered_mean, partial_correlation
+
+
+def draw(rng, n=400, *, own=0.0, noise=0.0):
+    covariate = rng.normal(size=(n, 2))
+    descriptor = noise * covariate[:, :1] + rng.normal(size=(n, 1)) + np.zeros((n, 2))
+    logit = own * descriptor[:, 0] + noise * covariate[:, 0]
+    hit = (rng.random(n) < 1 / (1 + np.exp(-logit))).astype(float)
+    return descriptor, hit, covariate, np.arange(n) // 2
+
+
+def test_what_the_covariates_explain_is_not_counted():
+    rng = np.random.default_rng(2)
+    descriptor, hit, covariate, cluster = draw(rng, 4000, noise=1.5)
+    assert np.corrcoef(descriptor[:, 0], hit)[0, 1] > 0.3
+    found = partial_correlation([(descriptor, hit, covariate, cluster)])
+    assert found.ci_low < 0 < found.ci_high
+    assert found.value == pytest.approx(0, abs=0.04)
+
+
+def test_equals_the_residual_correlation_of_a_plain_regression():
+    rng = np.random.default_rng(3)
+    descriptor, hit, covariate, cluster = draw(rng, own=1.0)
+
+    def ranks(values):
+        order = np.array([(values < one).mean() + (values == one).mean() / 2 for one in values])
+        return (order - 0.5) * 2
+
+    x = np.column_stack([ranks(column) for column in covariate.T])
+    design = np.column_stack([np.ones(len(x)), x, x**2])
+    both = [ranks(descriptor[:, 0]), ranks(hit)]
+    rest = [y - design @ np.linalg.pinv(design) @ y for y in both]
+    expected = np.corrcoef(*rest)[0, 1]
+    found = partial_correlation([(descriptor, hit, covariate, cluster)])
+    assert found.value == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_person_at_every_level_counts_once():
+    one = draw(np.random.default_rng(4), own=0.7)
+    single, many = partial_correlation([one]), partial_correlation([one] * 10)
+    assert many.value == pytest.approx(single.value)
+    assert many.standard_error == pytest.approx(single.standard_error)
+
+
+def test_its_interval_covers_zero_as_often_as_it_says():
+    rng = np.random.default_rng(5)
+    found = [partial_correlation([draw(rng, 200, noise=0.5)]) for _ in range(400)]
+    covered = np.mean([one.ci_low <= 0 <= one.ci_high for one in found])
+    assert 0.92 <= covered <= 0.98
+
+
+def test_nothing_varies_nothing_is_known():
+    rng = np.random.default_rng(6)
+    descriptor, hit, covariate, cluster = draw(rng)
+    few = (descriptor[:3], hit[:3], covariate[:3], cluster[:3])
+    for one in ((descriptor * 0, hit, covariate, cluster), few):
+        assert not is_known(partial_correlation([one]))
+
+
+def test_a_clustered_mean_is_a_plain_one_where_everybody_is_alone():
+    values = np.random.default_rng(7).normal(size=50)
+    one = clustered_mean(values, np.arange(50))
+    assert one.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
