@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import textwrap
-from dataclasses import asdict, astuple
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from evaluation.analysis.levels import LEVEL_UNITS, REMARKS, Source, amount, level_text, remarks
+from evaluation.analysis.keys import Source
+from evaluation.analysis.levels import LEVEL_UNITS, REMARKS, amount, level_text, remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.reporting import table as tables
 from evaluation.reporting.design_words import closer, notes, reasons, sentence
 from evaluation.reporting.linkage_tables import MARKS
 from evaluation.reporting.terminal import literal, say, show_table, standard_output
-from evaluation.verdict.choose_level import METRIC_OF
+from evaluation.verdict.choose_level import METRIC_OF, UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -94,10 +94,8 @@ def _numbers(
     for name in names:
         metric = METRIC_OF[name]
         columns.append(_column(metric, limit=limits.get(name)))
-        values = [() if one is None else astuple(one.numbers[name]) for one in found]
-        cells.append(
-            [tables.amount(metric, *value) if value else tables.word("") for value in values]
-        )
+        values = [UNKNOWN if one is None else one.numbers[name] for one in found]
+        cells.append([tables.estimated(metric, value) for value in values])
     return columns, cells
 
 
@@ -127,8 +125,10 @@ def _linked(choice: Choice, rows: Sequence[Level | None]) -> Table:
 def _rank1(one: Linked | None) -> Cell:
     if one is None:
         return tables.word("")
-    mark = "".join(MARKS[name] for name in remarks(asdict(one)))
-    return tables.amount(SUCCESS, *astuple(one.rank1), mark=mark)
+    mark = "".join(
+        MARKS[name] for name in remarks({"outcome": one.outcome, "invalid": one.invalid})
+    )
+    return tables.estimated(SUCCESS, one.rank1, mark=mark)
 
 
 def _attacks(found: Iterable[Attacked | Linked | None]) -> str:

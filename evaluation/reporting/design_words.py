@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import shlex
-from dataclasses import asdict, astuple
 from typing import TYPE_CHECKING, Any
 
 from evaluation.analysis.families import FID, FIXED
 from evaluation.analysis.levels import level_text
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.experiment.presets import PRESETS
-from evaluation.reporting.table import amount
+from evaluation.reporting.table import estimated
 from evaluation.verdict.choose_level import ASKED, METRIC_OF, TARGETS
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN
@@ -20,7 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from evaluation.analysis.families import Family
-    from evaluation.verdict.choose_level import Attacked, Check, Choice, Level, Scheme
+    from evaluation.verdict.choose_level import Check, Choice, Level, Scheme
+    from isac_track.intervals import Estimate
 
 _LEVEL_NAMES = {FID: "eta", FIXED: "d_sigma"}
 
@@ -60,37 +60,50 @@ def to_json(choice: Choice) -> dict[str, Any]:
     }
 
 
-def _plain(found: Any) -> dict[str, Any]:  # noqa: ANN401 - any dataclass
-    return asdict(found, dict_factory=_known)
+def _plain(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value
 
 
-def _known(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in pairs
-    }
+def _number(one: Estimate) -> dict[str, float | None]:
+    return {name: _plain(getattr(one, name)) for name in ("value", "ci_low", "ci_high")}
 
 
-def _level_json(of: Level | Attacked | None) -> dict[str, Any] | None:
-    """Return what a level comes to, its numbers beside what it is."""
-    if of is None:
+def _level_json(level: Level | None) -> dict[str, Any] | None:
+    if level is None:
         return None
-    found: dict[str, Any] = {}
-    for name, value in _plain(of).items():
-        if name == "numbers":
-            found |= {each: _plain(one) for each, one in of.numbers.items()}
-        else:
-            found[name] = value
-    if "after_attack" in found:
-        found["after_attack"] = _level_json(getattr(of, "after_attack", None))
-    return found
+    after = level.after_attack
+    return {
+        "mechanism": level.mechanism,
+        "level": level.level,
+        **{name: _number(one) for name, one in level.numbers.items()},
+        "after_attack": after
+        and {
+            "attack": after.attack,
+            "knowledge": after.knowledge,
+            **{name: _number(one) for name, one in after.numbers.items()},
+        },
+        "tasks": [
+            {
+                "task": one.task,
+                "dataset": one.dataset,
+                "limited": one.limited,
+                "attack": one.attack,
+                "knowledge": one.knowledge,
+                SUCCESS: _number(one.rank1),
+                "chance": _plain(one.chance),
+                "outcome": one.outcome,
+                "invalid": one.invalid,
+            }
+            for one in level.tasks
+        ],
+    }
 
 
 def _check_json(check: Check) -> dict[str, Any]:
     return {
         "name": check.name,
         "limit": check.limit,
-        "measured": _plain(check.measured),
+        "measured": _number(check.measured),
         "status": check.status,
         "reason": reason(check),
     }
@@ -105,7 +118,7 @@ def reason(check: Check) -> str:
     what = f"{shown.head} {check.whose}".strip()
     if check.why_unknown:
         return f"{what}: cannot say, {check.why_unknown}"
-    text = amount(metric, *astuple(check.measured))
+    text = estimated(metric, check.measured)
     excess = (check.measured.ci_high - check.limit) * shown.scale
     return (
         f"{what} {text.text} {shown.unit} {text.interval}: the upper end is "
@@ -271,6 +284,8 @@ def _ends(scheme: Scheme, *, hopeless: bool) -> str:
     stricter = scheme.stricter.level if scheme.stricter else None
     if chosen is not None and stricter is not None:
         low, high = sorted((chosen, stricter))
+    elif scheme.family.family not in _LEVEL_NAMES:  # nobody knows where its levels end
+        return ""
     elif stricter is not None and not hopeless:  # all are too strict
         low, high = (stricter, 100 * stricter) if scheme.falls else (stricter / 10, stricter)
     elif chosen is not None and not scheme.is_saturated:  # none is too strict

@@ -14,19 +14,23 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, families_in
-from evaluation.analysis.levels import AS_SHARED, Source, linked_tasks, most_knowing
+from evaluation.analysis.keys import AS_SHARED, Source
+from evaluation.analysis.levels import linked_tasks
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.strongest import strongest_of
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.runs.folder import read_manifest
 from isac_track.errors import DataError, SettingsError
+from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from evaluation.analysis.families import Family
-    from evaluation.analysis.levels import LinkedTask, Where
+    from evaluation.analysis.keys import Where
+    from evaluation.analysis.levels import LinkedTask
 
 Status: TypeAlias = Literal["met", "not met", "cannot say"]
 
@@ -40,9 +44,8 @@ METRIC_OF: Final = {
 """By what it is called in the question and in the answer; rank 1 is asked for by task."""
 ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}
 """What may be limited."""
+UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
-_KNOWING = ("blind", "informed")
-"""Adversaries that count; the oracle is a reference."""
 _TEXTS = ("mechanism", "consumer", "knowledge", "metric", "family", "adding")
 _NUMBERS = ("level", "value", "ci_low", "ci_high")
 _LINKED_TEXTS = ("mechanism", "consumer", "knowledge", "cohort", "outcome", "invalid")
@@ -50,21 +53,12 @@ _LINKED_NUMBERS = ("level", "rank1", "ci_low", "ci_high", "chance")
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
-    """A value with its 95 % interval; NaN where it is unknown."""
-
-    value: float = math.nan
-    ci_low: float = math.nan
-    ci_high: float = math.nan
-
-
-@dataclass(frozen=True, slots=True)
 class Attacked:
-    """The descriptors after the reconstruction attack with the highest PLR."""
+    """The descriptors after the strongest reconstruction."""
 
     attack: str
     knowledge: str
-    numbers: Mapping[str, Measured]
+    numbers: Mapping[str, Estimate]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +72,7 @@ class Linked:
     attack: str = ""
     """Empty: the task was not run at this level."""
     knowledge: str = ""
-    rank1: Measured = Measured()
+    rank1: Estimate = UNKNOWN
     chance: float = math.nan
     outcome: str = ""
     invalid: str = ""
@@ -88,7 +82,7 @@ class Linked:
     def why_unknown(self) -> str:
         """Why it confirms no limit; empty if it may."""
         if not self.attack:
-            return "no informed or blind attack was run at this level"
+            return "no attack was run at this level"
         if self.invalid:
             return f"a shortcut ({self.invalid}) gives people away: no measure of the attack"
         if self.outcome == WEAK:
@@ -102,7 +96,7 @@ class Level:
 
     mechanism: str
     level: float | None
-    numbers: Mapping[str, Measured]
+    numbers: Mapping[str, Estimate]
     """By name of `METRIC_OF`."""
     after_attack: Attacked | None
     tasks: tuple[Linked, ...]
@@ -154,7 +148,7 @@ class Check:
     name: str
     """As in `Limits`; of rank 1 `rank1/TASK`."""
     limit: float
-    measured: Measured
+    measured: Estimate
     whose: str = ""
     """Whose positions or which attack it is of."""
     why_unknown: str = ""
@@ -299,13 +293,13 @@ def read_levels(
     summary = _table(out / "summary.csv", texts=_TEXTS, numbers=_NUMBERS, way_out=again)
     if summary is None:
         raise DataError(f"{out / 'summary.csv'} is missing; {again} if the run has finished")
-    blocks: dict[Where, dict[Source, dict[str, Measured]]] = {}
+    blocks: dict[Where, dict[Source, dict[str, Estimate]]] = {}
     wanted = summary[summary["metric"].isin(METRIC_OF.values())]
     for row in wanted.itertuples(index=False, name=None):
         mechanism, consumer, knowledge, metric, _, _, level, *found = row
         where = mechanism, None if math.isnan(level) else level
         of = blocks.setdefault(where, {}).setdefault(Source(consumer, knowledge), {})
-        of[metric] = Measured(*found)
+        of[metric] = Estimate(*found)
     linkability = _table(
         out / "linkability.csv", texts=_LINKED_TEXTS, numbers=_LINKED_NUMBERS, way_out=again
     )
@@ -345,39 +339,37 @@ def _table(
         raise DataError(f"{path} cannot be read ({reason}); {way_out}") from None
 
 
-def _best_reconstruction(block: Mapping[Source, Mapping[str, Measured]]) -> Attacked | None:
-    """Return the attack with the highest PLR."""
-    plr = {source: block[source].get(EXPOSURE, Measured()).value for source in _counting(block)}
-    best = max((one for one in plr if math.isfinite(plr[one])), key=plr.__getitem__, default=None)
+def _best_reconstruction(block: Mapping[Source, Mapping[str, Estimate]]) -> Attacked | None:
+    """Return the strongest reconstruction at a level."""
+    best = strongest_of([{one: block[one].get(EXPOSURE, UNKNOWN).value for one in block}])
     if best is None:
         return None
     return Attacked(best.consumer, best.knowledge, _named(block[best], DESCRIPTORS))
 
 
 def _strongest(task: LinkedTask, where: Where, *, dataset: str) -> Linked:
-    """Return the attack with the highest rank 1, of the valid ones if there are any."""
+    """Return the strongest linker at a level, of the valid ones if there are any."""
     own = dataset_of(task.name, dataset=dataset)
     rows = task.cells.get(where, {})
-    known = [source for source in _counting(rows) if math.isfinite(rows[source][SUCCESS])]
-    valid = [one for one in known if rows[one]["outcome"] != WEAK and not rows[one]["invalid"]]
-    if not known:
+    rank1 = {source: row[SUCCESS] for source, row in rows.items()}
+    valid = {
+        source: value
+        for source, value in rank1.items()
+        if rows[source]["outcome"] != WEAK and not rows[source]["invalid"]
+    }
+    best = strongest_of([valid]) or strongest_of([rank1])
+    if best is None:
         return Linked(task.name, own, own == dataset)
-    best = max(valid or known, key=lambda one: (rows[one][SUCCESS], rows[one]["ci_high"]))
     row = rows[best]
     return Linked(
         *(task.name, own, own == dataset, best.consumer, best.knowledge),
-        rank1=Measured(row[SUCCESS], row["ci_low"], row["ci_high"]),
+        rank1=Estimate(row[SUCCESS], row["ci_low"], row["ci_high"]),
         **{name: row[name] for name in ("chance", "outcome", "invalid")},
     )
 
 
-def _counting(sources: Iterable[Source]) -> list[Source]:
-    """Return of each attack the adversary that knows most, without the oracle."""
-    return most_knowing(source for source in sources if source.knowledge in _KNOWING)
-
-
-def _named(found: Mapping[str, Measured], names: Iterable[str]) -> dict[str, Measured]:
-    return {name: found.get(METRIC_OF[name], Measured()) for name in names}
+def _named(found: Mapping[str, Estimate], names: Iterable[str]) -> dict[str, Estimate]:
+    return {name: found.get(METRIC_OF[name], UNKNOWN) for name in names}
 
 
 def _predictor(out: Path, manifest: Mapping[str, Any], asked: str | None) -> str:
@@ -438,7 +430,7 @@ def _privacy(level: Level, limits: Limits) -> list[Check]:
             whose = f"after {attacked.attack} ({attacked.knowledge})"
     numbers = {} if source is None else source.numbers
     checks = [
-        _check(name, limit, numbers.get(name, Measured()), whose=whose, why=why)
+        _check(name, limit, numbers.get(name, UNKNOWN), whose=whose, why=why)
         for name, limit in limits.of(*DESCRIPTORS).items()
     ]
     for one in level.tasks:
@@ -449,10 +441,14 @@ def _privacy(level: Level, limits: Limits) -> list[Check]:
     return checks
 
 
-def _check(name: str, limit: float, found: Measured, *, whose: str = "", why: str = "") -> Check:
+def _check(name: str, limit: float, found: Estimate, *, whose: str = "", why: str = "") -> Check:
     if not why and not math.isfinite(found.ci_high):
         why = "the value or its interval is unknown"
     return Check(name, limit, found, whose, why)
+
+
+def _descriptors(level: Level) -> list[Estimate]:
+    return [level.numbers[name] for name in DESCRIPTORS]
 
 
 def _scheme(found: Iterable[Level], *, family: Family, adding: str, limits: Limits) -> Scheme:
@@ -474,7 +470,10 @@ def _scheme(found: Iterable[Level], *, family: Family, adding: str, limits: Limi
         for level, fine in zip(levels[n_met:], meets[n_met:], strict=True)
         if fine and level.level is not None
     ]
-    strictest = [[one.numbers[name] for name in DESCRIPTORS] for one in levels[-2:]]
+    strictest = [
+        [(one.value, one.ci_low, one.ci_high) for one in _descriptors(level)]
+        for level in levels[-2:]
+    ]
     return Scheme(
         adding=adding,
         family=family,
