@@ -18,6 +18,7 @@ import os
 import re
 import shutil
 import signal
+import site
 import sys
 import tempfile
 import time
@@ -422,6 +423,8 @@ def in_child(
                 os.dup2(output.fileno(), 2)
                 os.chdir(plan["root"])
                 os.environ["PYTHONPATH"] = plan["root"]
+                sys.executable = plan["python"]
+                import_module("multiprocessing").set_executable(plan["python"])
                 os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
                 os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(scratch / "hypothesis")
                 sys.dont_write_bytecode = True
@@ -448,7 +451,7 @@ def in_child(
             if last != now:
                 now, since = last, time.monotonic()
             took = time.monotonic() - since
-            if ended is None and now and took > max(HANGS_S, 20.0 * usual_s.get(now, 0.0)):
+            if ended is None and now and took > max(HANGS_S, 20.0 * usual_s.get(now, math.inf)):
                 note = "hangs"
             elif ended is None and time.monotonic() - started > limit_s:
                 note = "time limit"
@@ -545,6 +548,7 @@ def measure(options: argparse.Namespace, *, scratch: Path) -> tuple[Reach, list[
     shutil.copytree(options.tree, root, ignore=_NOT_COPIED)
     plan: dict[str, Any] = {
         "root": str(root),
+        "python": own_python(scratch, root=root),
         "package": options.package,
         "tests": options.tests,
         "reach": str(scratch / "reach.json"),
@@ -556,7 +560,7 @@ def measure(options: argparse.Namespace, *, scratch: Path) -> tuple[Reach, list[
         done = in_child(record, plan, scratch=scratch, limit_s=math.inf, usual_s={})
         if not Path(plan["reach"]).is_file():
             output = (scratch / "output.txt").read_text(encoding="utf-8")
-            raise SystemExit(f"error: the tests did not run to their end:\n{output[-3000:]}")
+            raise SystemExit(f"error: the tests ended with {done['code']}:\n{output[-3000:]}")
         say(f"took {done['seconds']:.0f} s")
         if kept is not None:
             shutil.copyfile(plan["reach"], kept)
@@ -608,6 +612,21 @@ def _with_shared(reach: Reach) -> dict[str, float]:
         test: took + sum(reach.shared_seconds.get(one, 0.0) for one in reach.shared.get(test, ()))
         for test, took in reach.seconds.items()
     }
+
+
+def own_python(scratch: Path, *, root: Path) -> str:
+    """Return an interpreter that knows the libraries of this one, and no other copy of the tree."""
+    folder = scratch / "python"
+    packages = folder / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    packages /= "site-packages"
+    packages.mkdir(parents=True)
+    (folder / "bin").mkdir()
+    (folder / "bin" / "python").symlink_to(Path(sys.base_prefix) / "bin" / "python3")
+    (folder / "pyvenv.cfg").write_text(f"home = {sys.base_prefix}/bin\n", encoding="utf-8")
+    # A path named here brings its packages, but not what is installed there as editable.
+    paths = [str(root), *site.getsitepackages()]
+    (packages / "tree.pth").write_text("\n".join(paths) + "\n", encoding="utf-8")
+    return str(folder / "bin" / "python")
 
 
 def say(text: str) -> None:

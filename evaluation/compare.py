@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from evaluation.analysis.differences import DIFFERS, IDENTICAL, UNTESTED, compare, counts
-from evaluation.reporting.difference_tables import show
+from evaluation.analysis.differences import compare
+from evaluation.reporting.difference_tables import show, to_json
 from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-    from evaluation.analysis.differences import Comparison
 
 _EXIT = """\
 exit codes: 0 done, 1 a headline number differs (with --fail-on-change), 2 wrong usage or data
@@ -32,34 +29,6 @@ examples:
   python -m evaluation.compare runs/mine --mechanism-a fid --mechanism-b fid:adding=independent
   python -m evaluation.compare runs/mine --mechanism-a fid:1 --mechanism-b fixed:0.7
 """
-
-
-def to_json(comparison: Comparison, *, every: bool = False) -> dict[str, Any]:
-    """Return a comparison as one object of plain values; what is unknown is None.
-
-    `every` adds the numbers that are not in the headline.
-    """
-    rows = comparison.rows if every else comparison.rows[comparison.rows["headline"]]
-    known = rows.replace([math.inf, -math.inf], math.nan).astype(object)
-    return {
-        "a": comparison.a,
-        "b": comparison.b,
-        "changed": {
-            kind: {name: {"a": a, "b": b} for name, (a, b) in values.items()}
-            for kind, values in comparison.changed.items()
-        },
-        "only": {axis: {"a": a, "b": b} for axis, (a, b) in comparison.only.items()},
-        "numbers": {
-            "in_both": len(comparison.rows),
-            "only_a": comparison.only_numbers[0],
-            "only_b": comparison.only_numbers[1],
-            "headline": counts(comparison.rows[comparison.rows["headline"]]),
-            "other": counts(comparison.rows[~comparison.rows["headline"]]),
-            "pairing": comparison.rows["pairing"].value_counts().to_dict(),
-        },
-        "verdicts": comparison.verdicts,
-        "differences": known.where(known.notna(), None).to_dict("records"),
-    }
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -119,17 +88,11 @@ def _run(options: argparse.Namespace) -> int:
         except OSError as error:
             raise DataError(f"cannot write {options.csv}: {error.strerror or error}") from None
     if options.json:
-        text = json.dumps(to_json(comparison, every=options.all), indent=1, allow_nan=False)
-        print(text, flush=True)
+        found = to_json(comparison, every=options.all)
+        print(json.dumps(found, indent=1, allow_nan=False), flush=True)
     else:
         show(comparison, every=options.all)
-    findings = comparison.rows.loc[comparison.rows["headline"], "finding"]
-    if not options.fail_on_change:
-        return 0
-    if UNTESTED in set(findings) and set(findings) <= {UNTESTED, IDENTICAL}:
-        # A gate that nothing can shut is none.
-        raise DataError("--fail-on-change: no headline number that changed has an interval")
-    return int((findings == DIFFERS).any())
+    return int(options.fail_on_change and comparison.has_changed())
 
 
 if __name__ == "__main__":

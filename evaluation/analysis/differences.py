@@ -13,7 +13,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri, stdtr
 
-from evaluation.analysis.levels import level_unit
+from evaluation.analysis.families import families
+from evaluation.analysis.levels import LEVEL_UNITS
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import (
@@ -27,6 +28,7 @@ from evaluation.analysis.run_changes import (
     short_list,
     verdicts,
 )
+from evaluation.analysis.significance import holm
 from evaluation.analysis.summary import estimates, linkage_estimates
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import CONFIDENCE, percentile_interval
@@ -39,8 +41,6 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
-HEADLINE = ("missed_conflict_rate", "false_alarm_rate", "plr", "ael", "mel", "rank1")
-"""Metrics that are tested as one family; all the others are another."""
 IDENTICAL, DIFFERS, UNDECIDED, UNTESTED = "identical", "differs", "undecided", "untested"
 """Findings of a row."""
 SIGNIFICANCE: Final = 0.05
@@ -67,8 +67,6 @@ COLUMNS = [
     "p_holm",
     "finding",
 ]
-_BASIC = frozenset({"eer", "cllr_min"})
-"""Metrics whose replicates are biased: their intervals are basic ones (`linkability.scoring`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +99,25 @@ class Comparison:
     """A row for each number that both have, the surest difference first; columns `COLUMNS`."""
     verdicts: dict[str, Any] | None
     """Decisions that changed; None unless both runs have a verdict."""
+
+    @property
+    def headline(self) -> pd.DataFrame:
+        """The rows that are tested as one family; all the others are another."""
+        return self.rows[self.rows["headline"]]
+
+    def has_changed(self) -> bool:
+        """Return whether a headline number differs.
+
+        Raises
+        ------
+        DataError
+            If nothing could tell: no number that changed has an interval.
+        """
+        findings = set(self.headline["finding"])
+        if UNTESTED in findings and findings <= {UNTESTED, IDENTICAL}:
+            # A gate that nothing can shut is none.
+            raise DataError("--fail-on-change: no headline number that changed has an interval")
+        return DIFFERS in findings
 
 
 def compare(
@@ -138,7 +155,7 @@ def compare(
     else:
         of_a = _of_mechanism(found_a, mechanism_a, first, option="--mechanism-a", out=out_a)
         of_b = _of_mechanism(found_b, mechanism_b, second, option="--mechanism-b", out=out_b)
-        pairs = _matched_levels(of_a, of_b)
+        pairs = _matched_levels(of_a, of_b, first=first, second=second)
         if not pairs:
             raise DataError(
                 f"{mechanism_a} of A and {mechanism_b} of B have no level and consumer in common; "
@@ -182,7 +199,7 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
     Returns
     -------
     Difference
-        Without interval and p-value for less than two clusters, or where no replicates are kept.
+        Without interval and p-value for less than two clusters, or without replicates.
     """
     value = b.value - a.value
     n_clusters = min(a.n, b.n)
@@ -190,13 +207,13 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
     nothing = Difference(value, math.nan, math.nan, math.nan, math.nan)
     if n_clusters <= 1 or n_rows == 0 or math.isnan(value):
         return nothing
-    kept = [one.replicates[:n_rows].astype(np.float64) for one in (a, b)]
-    drawn: Floats = kept[1] - kept[0]
+    both = [one.replicates[:n_rows].astype(np.float64) for one in (a, b)]
+    drawn: Floats = both[1] - both[0]
     if np.isnan(drawn).all():
         return nothing
-    if paired and all(np.nanmin(one) < np.nanmax(one) for one in kept):
+    if paired and all(np.nanmin(one) < np.nanmax(one) for one in both):
         low, high = percentile_interval(drawn)
-        if metric in _BASIC:
+        if METRICS[metric].is_biased:
             low, high = 2.0 * value - high, 2.0 * value - low
         error = float(np.nanstd(drawn, ddof=1))
     else:
@@ -212,20 +229,6 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
     ratio = value / error if error > 0.0 else math.copysign(math.inf, value)
     p_value = float(2.0 * stdtr(n_clusters - 1, -abs(ratio)))
     return Difference(value, low, high, ratio, p_value)
-
-
-def holm(p_values: Floats) -> Floats:
-    """Return p-values adjusted for all of them, (K,): Holm (Scand. J. Statistics 6, 1979).
-
-    The chance of even one false "differs" is at most the level, however the numbers depend on
-    each other. An unknown one (NaN) stays so and does not count.
-    """
-    adjusted: Floats = np.full(p_values.shape, np.nan)
-    known = np.flatnonzero(~np.isnan(p_values))
-    order = known[np.argsort(p_values[known], kind="stable")]
-    times = np.arange(order.size, 0, -1)
-    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p_values[order] * times))
-    return adjusted
 
 
 def counts(rows: pd.DataFrame) -> dict[str, int]:
@@ -280,10 +283,13 @@ def _of_mechanism(
     return keys
 
 
-def _matched_levels(of_a: Sequence[Key], of_b: Sequence[Key]) -> list[tuple[Key, Key]]:
+def _matched_levels(
+    of_a: Sequence[Key], of_b: Sequence[Key], *, first: Mapping[str, Any], second: Mapping[str, Any]
+) -> list[tuple[Key, Key]]:
     """Return pairs at equal levels; if either side has a single level, those two."""
     single = all(len({(key.mechanism, key.level) for key in keys}) == 1 for keys in (of_a, of_b))
-    units = {level_unit(keys[0].mechanism) for keys in (of_a, of_b)} - {""}
+    known = families([*first["cells"], *second["cells"]])
+    units = {LEVEL_UNITS.get(known[keys[0].mechanism].family) for keys in (of_a, of_b)} - {None}
     if not single and len(units) > 1:
         raise SettingsError(
             f"levels of {of_a[0].mechanism} and {of_b[0].mechanism} are not the same quantity; "
@@ -333,7 +339,7 @@ def _rows(
                 "knowledge": key_a.knowledge,
                 "metric": key_a.metric,
                 # A control says nothing of an adversary.
-                "headline": key_a.metric in HEADLINE and "/control-" not in key_a.consumer,
+                "headline": METRICS[key_a.metric].is_headline and "/control-" not in key_a.consumer,
                 "a": a.value,
                 "b": b.value,
                 "difference": found.value,

@@ -12,7 +12,7 @@ from isac_track.datasets.registry import KNOWN, known
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 BASE: Final = "base"
 RIDGE: Final[Mapping[str, Mapping[str, float]]] = {
@@ -125,14 +125,47 @@ def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
     if manifest is None:
         return found
     predicts = bool(manifest["settings"]["predictors"])
-    kept = [
+    found = [
         one
         for one in found
         if not one.changes_nothing(manifest) and (predicts or not one.predictor)
     ]
     # One other predictor will do: a run whose first is the paper's own is tried with the tracker.
-    other = next((one.predictor for one in kept if one.predictor), "")
-    return [one for one in kept if one.predictor in ("", other)]
+    other = next((one.predictor for one in found if one.predictor), "")
+    return [one for one in found if one.predictor in ("", other)]
+
+
+def chosen(
+    names: Sequence[str] | None, *, also: Sequence[str], manifest: Mapping[str, Any] | None
+) -> list[Variant]:
+    """Return the variants to run, each once, the base first.
+
+    Parameters
+    ----------
+    names : sequence of str, optional
+        By default those of `variants`.
+    also : sequence of str
+        STAGE.KEY=VALUE of further ones.
+    manifest : mapping, optional
+        Of the run.
+
+    Raises
+    ------
+    IsacTrackError
+        For an unknown one, or one that is what the run did.
+    """
+    added = [parse(text) for text in also]
+    for text, one in zip(also, added, strict=True):
+        if not one.stages:
+            raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
+    named = variants(manifest)
+    if names is not None:
+        named = [Variant(BASE), *map(parse, names)]
+    found = {one.name: one for one in (*named, *added)}
+    for one in found.values():
+        if manifest is not None and one.changes_nothing(manifest):
+            raise SettingsError(f"{one.name} changes nothing: it is what the run did")
+    return list(found.values())
 
 
 def parse(name: str) -> Variant:

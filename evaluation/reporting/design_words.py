@@ -1,74 +1,193 @@
-"""The answer of `evaluation.design` in words, and the command that looks closer."""
+"""The answer of `evaluation.design` in words and as JSON, and the command that looks closer."""
 
 from __future__ import annotations
 
+import math
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from evaluation.analysis.levels import SHOWN, level_text
-from evaluation.analysis.matching import ADDING_SUFFIX
-from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.analysis.families import FID, FIXED
+from evaluation.analysis.levels import level_text
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.experiment.presets import PRESETS
+from evaluation.reporting.table import estimated
+from evaluation.verdict.choose_level import ASKED, METRIC_OF, TARGETS
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from evaluation.design import Limits, Scheme
-    from evaluation.verdict.design_levels import Level
+    from evaluation.analysis.families import Family
+    from evaluation.verdict.choose_level import Check, Choice, Level, Scheme
+    from isac_track.intervals import Estimate
 
-_LEVEL_NAMES = {"fid": "eta", "fixed": "d_sigma"}
-
-
-def choice(
-    family: str, chosen: Level | None, stricter: Level | None, *, why: str, is_saturated: bool
-) -> str:
-    """Return how the level was chosen, and why not a stricter one."""
-    symbol = _LEVEL_NAMES[family]
-    extreme, opposite = ("smallest", "largest") if family == "fid" else ("largest", "smallest")
-    failed = "" if stricter is None else f"{_at(family, stricter)} does not ({why})"
-    if chosen is None:
-        return f"no {symbol} of the run meets the targets, not even the {opposite}: {failed}"
-    if failed:
-        return f"{_at(family, chosen)} is the {extreme} that meets the targets; {failed}"
-    same = " (stricter ones would share the same: every sample has the full error)" * is_saturated
-    return f"{_at(family, chosen)} meets the targets and is the {extreme} of the run{same}"
+_LEVEL_NAMES = {FID: "eta", FIXED: "d_sigma"}
 
 
-def chance(family: str, also: Sequence[float]) -> str:
-    """Return why levels that meet the targets were not chosen."""
-    named = ", ".join(map(level_text, also))
-    why = "would meet the targets, but a less strict level does not: not chosen, it may be chance"
-    return f"{_LEVEL_NAMES[family]} = {named} {why}"
-
-
-def _at(family: str, level: Level) -> str:
-    return f"{_LEVEL_NAMES[family]} = {level_text(level.level)}"
-
-
-def sentence(fid: Sequence[Scheme], *, limits: Limits) -> str:
-    """Return the plain answer."""
-    if not all(scheme.met for scheme in fid):
-        # What fails comes first.
-        return f"No: {'; '.join(map(_said, sorted(fid, key=lambda scheme: scheme.met)))}."
-    rates = {
-        name: f"{100.0 * limit:.4g} %"
-        for name, limit in limits.given("missed", "false_alarm").items()
+def to_json(choice: Choice) -> dict[str, Any]:
+    """Return the answer as plain values; what is unknown is None."""
+    identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
+    limits: dict[str, Any] = {name: choice.limits.given.get(name) for name in ASKED}
+    return {
+        "met": choice.met,
+        "answer": sentence(choice),
+        "out": str(choice.out),
+        "dataset": dataset["name"],
+        "simulated": bool(dataset["simulated"]),
+        "scenes": identity["scenes"],
+        "seed": identity["seed"],
+        "predictor": choice.predictor,
+        "adding": list(choice.adding),
+        "limits": limits | {"after_attack": choice.limits.after_attack},
+        "raw": _level_json(choice.raw),
+        "schemes": [
+            {
+                "adding": one.adding,
+                "family": one.name,
+                "met": one.met,
+                "chosen": _level_json(one.chosen),
+                "stricter": _level_json(one.stricter),
+                "also_meets": list(one.also_meets),
+                "is_saturated": one.is_saturated,
+                "checks": [_check_json(check) for check in one.checks],
+                "reasons": reasons(one),
+            }
+            for one in choice.schemes
+        ],
+        "refine": closer(choice),
+        "notes": notes(choice),
     }
+
+
+def _plain(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value
+
+
+def _number(one: Estimate) -> dict[str, float | None]:
+    return {name: _plain(getattr(one, name)) for name in ("value", "ci_low", "ci_high")}
+
+
+def _level_json(level: Level | None) -> dict[str, Any] | None:
+    if level is None:
+        return None
+    after = level.after_attack
+    return {
+        "mechanism": level.mechanism,
+        "level": level.level,
+        **{name: _number(one) for name, one in level.numbers.items()},
+        "after_attack": after
+        and {
+            "attack": after.attack,
+            "knowledge": after.knowledge,
+            **{name: _number(one) for name, one in after.numbers.items()},
+        },
+        "tasks": [
+            {
+                "task": one.task,
+                "dataset": one.dataset,
+                "limited": one.limited,
+                "attack": one.attack,
+                "knowledge": one.knowledge,
+                SUCCESS: _number(one.rank1),
+                "chance": _plain(one.chance),
+                "outcome": one.outcome,
+                "invalid": one.invalid,
+            }
+            for one in level.tasks
+        ],
+    }
+
+
+def _check_json(check: Check) -> dict[str, Any]:
+    return {
+        "name": check.name,
+        "limit": check.limit,
+        "measured": _number(check.measured),
+        "status": check.status,
+        "reason": reason(check),
+    }
+
+
+def reason(check: Check) -> str:
+    """Return why a target or limit is not met; empty if it is."""
+    if check.status == "met":
+        return ""
+    metric = METRIC_OF.get(check.name, SUCCESS)
+    shown = METRICS[metric]
+    what = f"{shown.head} {check.whose}".strip()
+    if check.why_unknown:
+        return f"{what}: cannot say, {check.why_unknown}"
+    text = estimated(metric, check.measured)
+    excess = (check.measured.ci_high - check.limit) * shown.scale
+    return (
+        f"{what} {text.text} {shown.unit} {text.interval}: the upper end is "
+        f"{excess:.2g} {'points' if shown.unit == '%' else shown.unit} too high"
+    )
+
+
+def reasons(scheme: Scheme) -> list[str]:
+    """Return how the level was chosen, why not a stricter one, and which limits do not hold."""
+    found = [_choice(scheme)]
+    if scheme.also_meets:
+        named = ", ".join(map(level_text, scheme.also_meets))
+        found.append(
+            f"{_symbol(scheme)} = {named} would meet the targets, but a less strict "
+            "level does not: not chosen, it may be chance"
+        )
+    return [*found, *_reasons(scheme.checks)]
+
+
+def _reasons(checks: Iterable[Check]) -> list[str]:
+    return [reason(check) for check in checks if check.status != "met"]
+
+
+def _choice(scheme: Scheme) -> str:
+    extreme, opposite = ("smallest", "largest") if scheme.falls else ("largest", "smallest")
+    failed = ""
+    if scheme.stricter is not None:
+        why = "; ".join(_reasons(scheme.missed))
+        failed = f"{_at(scheme, scheme.stricter)} does not ({why})"
+    if scheme.chosen is None:
+        none = f"no {_symbol(scheme)} of the run meets the targets"
+        return f"{none}, not even the {opposite}: {failed}"
+    chosen = _at(scheme, scheme.chosen)
+    if failed:
+        return f"{chosen} is the {extreme} that meets the targets; {failed}"
+    same = " (stricter ones would share the same: every sample has the full error)"
+    same *= scheme.is_saturated
+    return f"{chosen} meets the targets and is the {extreme} of the run{same}"
+
+
+def _symbol(scheme: Scheme) -> str:
+    """Return what the level of a mechanism is called."""
+    return _LEVEL_NAMES.get(scheme.family.family, "level")
+
+
+def _at(scheme: Scheme, level: Level) -> str:
+    return f"{_symbol(scheme)} = {level_text(level.level) or 'none'}"
+
+
+def sentence(choice: Choice) -> str:
+    """Return the plain answer."""
+    asked, limits = choice.asked, choice.limits
+    if not choice.met:
+        # What fails comes first.
+        return f"No: {'; '.join(map(_said, sorted(asked, key=lambda scheme: scheme.met)))}."
+    rates = {name: f"{100.0 * limit:.4g} %" for name, limit in limits.of(*TARGETS).items()}
     target = f"at most {rates['missed']} of the conflicts are missed"
     if "false_alarm" in rates:
         target += f" at no more than {rates['false_alarm']} false alarms"
-    is_limited = limits.given(*DESCRIPTORS, "rank1")
-    kept = ", and every privacy limit holds" if is_limited else "; no privacy limit was given"
-    return f"Yes: with {' and '.join(map(_name, fid))} {target}{kept}."
+    is_limited = limits.of(*DESCRIPTORS, SUCCESS)
+    privacy = ", and every privacy limit holds" if is_limited else "; no privacy limit was given"
+    return f"Yes: with {' and '.join(map(_name, asked))} {target}{privacy}."
 
 
 def _said(scheme: Scheme) -> str:
     """Return what a scheme comes to where not all schemes meet everything."""
     if scheme.chosen is None:
-        return f"no eta of the run meets the targets with {scheme.adding} adding"
+        name = _LEVEL_NAMES.get(scheme.name, f"level of {scheme.name}")
+        return f"no {name} of the run meets the targets with {scheme.adding} adding"
     if scheme.met:
         return f"{_name(scheme)} meets everything"
     what = [
@@ -84,90 +203,93 @@ def _said(scheme: Scheme) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     """Return limits by name, in words: PLR, MEL and rank 1 in split, rerelease."""
-    words = [SHOWN[name].head for name in names if "/" not in name]
+    words = [METRICS[METRIC_OF[name]].head for name in names if "/" not in name]
     tasks = [name.partition("/")[2] for name in names if "/" in name]
     ranks = [f"rank 1 in {', '.join(tasks)}"] if tasks else []
     return " and ".join([*([", ".join(words)] if words else []), *ranks])
 
 
 def _name(scheme: Scheme) -> str:
-    level = "" if scheme.chosen is None else _at(scheme.family, scheme.chosen)
-    return f"{scheme.family} {level} ({scheme.adding})"
+    level = "" if scheme.chosen is None else _at(scheme, scheme.chosen)
+    return f"{scheme.name} {level} ({scheme.adding})"
 
 
-def notes(
-    dataset: Mapping[str, Any],
-    schemes: Sequence[Scheme],
-    *,
-    raw_misses: Sequence[str],
-    crowds: Sequence[str],
-) -> list[str]:
-    """Return what else is to be known of the run and of the question.
-
-    `raw_misses` is why raw itself misses the targets; `crowds` are tasks of simulated people that
-    a limit of rank 1 might be thought to be about.
-    """
-    said = []
+def notes(choice: Choice) -> list[str]:
+    """Return what else is to be known of the run and of the question."""
+    dataset, schemes = choice.manifest["dataset"], choice.schemes
+    found = []
     if dataset["simulated"]:
-        said.append(dataset.get("notice") or "the tracks are simulated")
-    has_fixed = {scheme.adding for scheme in schemes if scheme.family == "fixed"}
-    missing = dict.fromkeys(one.adding for one in schemes if one.adding not in has_fixed)
+        found.append(dataset.get("notice") or "the tracks are simulated")
+    has_fixed = {scheme.adding for scheme in schemes if scheme.name == FIXED}
+    missing = [rule for rule in choice.adding if rule not in has_fixed]
     if missing:
-        said.append(f"the run has no level of fixed with {' or '.join(missing)} adding")
+        found.append(f"the run has no level of fixed with {' or '.join(missing)} adding")
+    undeclared = dict.fromkeys(one.name for one in schemes if not one.family.adding)
+    if undeclared:
+        found.append(
+            f"{', '.join(undeclared)}: declares no adding rule, so that it is judged under both"
+        )
+    raw_misses = _reasons(choice.raw_checks)
     if raw_misses and any(scheme.chosen is None for scheme in schemes):
-        said.append(
+        found.append(
             f"raw positions, without any added error, miss the targets themselves "
             f"({'; '.join(raw_misses)}): no level can be expected to meet them"
         )
-    if crowds:
-        said.append(f"--max-rank1 does not limit {', '.join(crowds)}: simulated people")
-    return said
+    crowds = [one.task for one in choice.tasks if not one.limited]
+    if crowds and SUCCESS in choice.limits.given:
+        found.append(f"--max-rank1 does not limit {', '.join(crowds)}: simulated people")
+    if not choice.is_current and closer(choice):
+        found.append(
+            "the run is of another version of the code, which would drop its finished cells; "
+            "the command below fills a new folder"
+        )
+    return found
 
 
-def closer(
-    out: Path,
-    manifest: Mapping[str, Any],
-    schemes: Sequence[Scheme],
-    *,
-    hopeless: bool,
-    is_current: bool,
-) -> str | None:
+def closer(choice: Choice) -> str | None:
     """Return the command that adds levels where the answer turns; None if none would help.
 
-    `hopeless`: raw misses the targets itself. A run of another version of the code (not
-    `is_current`) is left alone; its new folder needs what the levels are compared with.
+    A run of another version of the code is left alone; its new folder needs what the levels are
+    compared with.
     """
-    ends = [_ends(scheme, hopeless=hopeless) for scheme in schemes]
+    hopeless = any(check.status != "met" for check in choice.raw_checks)
+    ends = [_ends(scheme, hopeless=hopeless) for scheme in choice.schemes]
     if not any(ends):
         return None
-    words = ["python", "-m", "evaluation.matrix", *_same_run(manifest)]
-    words += [] if is_current else ["--mechanism", "raw"]
-    for scheme, at in zip(schemes, ends, strict=True):
+    words = ["python", "-m", "evaluation.matrix", *_same_run(choice.manifest)]
+    words += [] if choice.is_current else ["--mechanism", "raw"]
+    for scheme, at in zip(choice.schemes, ends, strict=True):
         one = scheme.chosen or scheme.stricter
         if at:
-            words += ["--mechanism", spec(scheme.family, at, scheme.adding)]
-        elif not is_current and one is not None:
-            words += ["--mechanism", spec(scheme.family, f"{one.level:.12g}", scheme.adding)]
-    folder = out if is_current else out.with_name(f"{out.resolve().name}-closer")
+            words += ["--mechanism", _spec(scheme.family, at)]
+        elif not choice.is_current and one is not None:
+            level = "" if one.level is None else f"{one.level:.12g}"
+            words += ["--mechanism", _spec(scheme.family, level)]
+    out = choice.out
+    folder = out if choice.is_current else out.with_name(f"{out.resolve().name}-closer")
     return shlex.join([*words, "--out", str(folder)])
 
 
-def spec(family: str, levels: str, adding: str) -> str:
-    """Return a mechanism as the matrix takes it."""
-    return f"{family}:{levels}" + f",adding={adding}" * bool(ADDING_SUFFIX[adding])
+def _spec(family: Family, levels: str) -> str:
+    """Return a mechanism at some levels as the matrix takes it."""
+    if not levels:
+        return family.mechanism
+    parameters = family.mechanism.removeprefix(family.family).removeprefix(":")
+    return f"{family.family}:{levels}" + f",{parameters}" * bool(parameters)
 
 
 def _ends(scheme: Scheme, *, hopeless: bool) -> str:
     """Return where to look closer, as LOW..HIGH/COUNT; empty: nowhere."""
     chosen = scheme.chosen.level if scheme.chosen else None
     stricter = scheme.stricter.level if scheme.stricter else None
-    is_fid = scheme.family == "fid"
     if chosen is not None and stricter is not None:
         low, high = sorted((chosen, stricter))
+    elif scheme.family.family not in _LEVEL_NAMES:  # nobody knows where its levels end
+        return ""
     elif stricter is not None and not hopeless:  # all are too strict
-        low, high = (stricter, 100 * stricter) if is_fid else (stricter / 10, stricter)
+        low, high = (stricter, 100 * stricter) if scheme.falls else (stricter / 10, stricter)
     elif chosen is not None and not scheme.is_saturated:  # none is too strict
-        low, high = (chosen / 100, chosen) if is_fid else (chosen, 2 * chosen)
+        low, high = (chosen / 100, chosen) if scheme.falls else (chosen, 2 * chosen)
     else:
         return ""
     return f"{low:.12g}..{high:.12g}/10"

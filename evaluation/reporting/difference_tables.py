@@ -1,4 +1,4 @@
-"""Two runs side by side, in the terminal."""
+"""Two runs side by side: on the terminal, and as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from evaluation.analysis.keys import Source
 from evaluation.analysis.levels import heading, level_text, shortened
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
-from evaluation.reporting.terminal import aligned, say, show_grouped, standard_output
+from evaluation.reporting.table import Cell, Column, amount, level, table, word, words
+from evaluation.reporting.terminal import aligned, say, show_table, standard_output
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,9 +27,47 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from evaluation.analysis.differences import Comparison
+    from evaluation.reporting.table import Table
 
 _MOST_SHOWN = 20
 _ROOM = 24
+_SURE = 0.001
+"""Smaller p-values are not written out."""
+_PAIRED = {
+    DRAWS: "paired over people and draws",
+    PEOPLE: "paired over people, not over draws (scenes and errors are others)",
+    NONE: "not paired: intervals as of independent estimates",
+}
+_MARKS = {PEOPLE: "~", NONE: "*"}
+"""Of a difference that is not paired in full."""
+
+
+def to_json(comparison: Comparison, *, every: bool = False) -> dict[str, Any]:
+    """Return a comparison as one object of plain values; what is unknown is None.
+
+    `every` adds the numbers that are not in the headline.
+    """
+    rows = comparison.rows if every else comparison.headline
+    known = rows.replace([math.inf, -math.inf], math.nan).astype(object)
+    return {
+        "a": comparison.a,
+        "b": comparison.b,
+        "changed": {
+            kind: {name: {"a": a, "b": b} for name, (a, b) in values.items()}
+            for kind, values in comparison.changed.items()
+        },
+        "only": {axis: {"a": a, "b": b} for axis, (a, b) in comparison.only.items()},
+        "numbers": {
+            "in_both": len(comparison.rows),
+            "only_a": comparison.only_numbers[0],
+            "only_b": comparison.only_numbers[1],
+            "headline": counts(comparison.headline),
+            "other": counts(comparison.rows[~comparison.rows["headline"]]),
+            "pairing": comparison.rows["pairing"].value_counts().to_dict(),
+        },
+        "verdicts": comparison.verdicts,
+        "differences": known.where(known.notna(), None).to_dict("records"),
+    }
 
 
 def show(comparison: Comparison, *, every: bool = False, console: Console | None = None) -> None:
@@ -38,9 +77,13 @@ def show(comparison: Comparison, *, every: bool = False, console: Console | None
     """
     console = standard_output() if console is None else console
     _show_header(comparison, console=console)
-    _show_counts(comparison.rows, only=comparison.only_numbers, console=console)
-    rows = comparison.rows if every else comparison.rows[comparison.rows["headline"]]
-    _show_rows(rows, most=None if every else _MOST_SHOWN, console=console)
+    _show_counts(comparison, console=console)
+    rows = comparison.rows if every else comparison.headline
+    other = rows[rows["finding"] != IDENTICAL]
+    shown = other if every else other.head(_MOST_SHOWN)
+    show_table(differences(shown, of=len(other), room=console.width), console=console)
+    if len(shown) < len(other):
+        say(console, "(all of them: --all, or --csv FILE)", wrap=True)
     if comparison.verdicts is not None:
         _show_verdicts(comparison.verdicts, console=console)
 
@@ -54,14 +97,13 @@ def _show_header(comparison: Comparison, *, console: Console) -> None:
         )
         say(console, text, "bold", wrap=True)
     console.print()
-    changed = [
-        (kind, name, both)
-        for kind, all_ in comparison.changed.items()
-        for name, both in all_.items()
+    rows = [
+        [f"{kind}:", name, f"{_value(a)} -> {_value(b)}"]
+        for kind, values in comparison.changed.items()
+        for name, (a, b) in values.items()
     ]
-    if changed:
+    if rows:
         say(console, "What changed, A -> B", "bold")
-        rows = [[f"{kind}:", name, f"{_value(a)} -> {_value(b)}"] for kind, name, (a, b) in changed]
         for line in aligned(rows, left={0, 1, 2}):
             say(console, line, wrap=True)
     else:
@@ -72,60 +114,62 @@ def _show_header(comparison: Comparison, *, console: Console) -> None:
                 say(console, f"{axis} only in {side}: {short_list(names)}", wrap=True)
 
 
-def _show_counts(rows: pd.DataFrame, *, only: tuple[int, int], console: Console) -> None:
-    identical = int((rows["finding"] == IDENTICAL).sum())
+def _show_counts(comparison: Comparison, *, console: Console) -> None:
+    rows, only = comparison.rows, comparison.only_numbers
     console.print()
     text = (
-        f"{identical} of {len(rows)} numbers are identical "
+        f"{counts(rows)[IDENTICAL]} of {len(rows)} numbers are identical "
         f"({only[0]} more are only in A, {only[1]} only in B)"
     )
     say(console, text, "bold", wrap=True)
-    for name, of in (("headline", rows["headline"]), ("others", ~rows["headline"])):
-        found = counts(rows[of])
-        total = sum(found.values())
-        if total:
+    others = rows[~rows["headline"]]
+    for name, of in (("headline", comparison.headline), ("others", others)):
+        found = counts(of)
+        if len(of):
+            untested = f", {found[UNTESTED]} without an interval" * bool(found[UNTESTED])
             text = (
-                f"{name}: {found[DIFFERS]} of {total} differ "
-                f"(p <= {SIGNIFICANCE:g} after Holm), {found[UNDECIDED]} undecided, "
-                f"{found[IDENTICAL]} identical"
-                + f", {found[UNTESTED]} without an interval"
-                * bool(found[UNTESTED])
+                f"{name}: {found[DIFFERS]} of {len(of)} differ (p <= {SIGNIFICANCE:g} after "
+                f"Holm), {found[UNDECIDED]} undecided, {found[IDENTICAL]} identical{untested}"
             )
             say(console, text, wrap=True)
     kinds = rows["pairing"].value_counts()
-    notes = {
-        DRAWS: "paired over people and draws",
-        PEOPLE: "paired over people, not over draws (scenes and errors are others)",
-        NONE: "not paired: intervals as of independent estimates",
-    }
-    text = "; ".join(f"{kinds[kind]} {note}" for kind, note in notes.items() if kind in kinds)
+    text = "; ".join(f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds)
     say(console, f"({text})", wrap=True)
 
 
-def _show_rows(rows: pd.DataFrame, *, most: int | None, console: Console) -> None:
-    other = rows[rows["finding"] != IDENTICAL]
-    shown = other.head(len(other) if most is None else most)
-    if shown.empty:
-        return
-    console.print()
-    which = "All" if len(shown) == len(other) else f"The {len(shown)} surest of {len(other)}"
-    text = f"{which} differences, B - A with 95 % intervals, p after Holm"
-    say(console, text, "bold", wrap=True)
-    mixed = len(set(shown["pairing"])) > 1
-    heads = ["level", "metric", "A", "B", "B - A", "95 % interval", "p", *["paired"] * mixed]
-    by_heading: dict[str, list[list[str]]] = {}
-    for row in shown.to_dict("records"):
-        cells = [*_cells(row), *[row["pairing"]] * mixed]
-        by_heading.setdefault(_heading(row, room=console.width), []).append(cells)
-    grid: list[tuple[str | None, list[str]]] = [(None, heads)]
-    grid += [(name, cells) for name, block in by_heading.items() for cells in block]
-    lines = aligned([cells for _, cells in grid], left={1, 7})
-    if max(map(len, lines)) > console.width and mixed:
-        grid = [(name, cells[:-1]) for name, cells in grid]
-        lines = aligned([cells for _, cells in grid], left={1})
-    show_grouped(grid, lines, console=console)
-    if len(shown) < len(other):
-        say(console, "(all of them: --all, or --csv FILE)", wrap=True)
+def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
+    """Return the table of some differences out of many, for so many characters."""
+    which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
+    is_mixed = len(set(shown["pairing"])) > 1
+    return table(
+        "differences",
+        f"{which} differences, B - A with 95 % intervals, p after Holm",
+        [
+            *words(""),
+            Column("level"),
+            *words("metric"),
+            *(Column(name) for name in ("A", "B", "B - A", "p")),
+        ],
+        [_cells(row, room=room, is_mixed=is_mixed) for row in shown.to_dict("records")],
+        marks={mark: _PAIRED[kind] for kind, mark in _MARKS.items()},
+        n_headings=1,
+        n_keys=3,
+    )
+
+
+def _cells(row: Mapping[Any, Any], *, room: int, is_mixed: bool) -> list[Cell]:
+    metric, p = METRICS[row["metric"]], row["p_holm"]
+    mark = _MARKS.get(row["pairing"], "") if is_mixed else ""
+    return [
+        word(_heading(row, room=room)),
+        word("") if _apart(row) else level(row["level_a"]),
+        word(f"{metric.head} {metric.unit}".rstrip()),
+        *(amount(metric.name, row[side]) for side in "ab"),
+        amount(
+            *(metric.name, row["difference"], row["ci_low"], row["ci_high"]), sign="+", mark=mark
+        ),
+        Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p),
+    ]
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
@@ -144,26 +188,6 @@ def _heading(row: Mapping[Any, Any], *, room: int) -> str:
 def _apart(row: Mapping[Any, Any]) -> bool:
     """Return whether the two levels are not the same."""
     return level_text(row["level_a"]) != level_text(row["level_b"])
-
-
-def _cells(row: Mapping[Any, Any]) -> list[str]:
-    shown = METRICS[row["metric"]]
-
-    def text(name: str, sign: str = "-") -> str:
-        value = row[name] * shown.scale
-        return f"{value:{sign}.{shown.digits}f}" if math.isfinite(value) else "-"
-
-    interval = f"[{text('ci_low', '+')}, {text('ci_high', '+')}]"
-    p = row["p_holm"]
-    return [
-        "" if _apart(row) else level_text(row["level_a"]),
-        f"{shown.head} {shown.unit}".rstrip(),
-        text("a"),
-        text("b"),
-        text("difference", "+"),
-        interval if math.isfinite(row["ci_low"]) else "",
-        "" if math.isnan(p) else "<0.001" if p < 0.001 else f"{p:.3f}",  # noqa: PLR2004
-    ]
 
 
 def _show_verdicts(verdicts: Mapping[str, Any], *, console: Console) -> None:

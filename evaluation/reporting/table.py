@@ -9,10 +9,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from evaluation.analysis.levels import SHOWN, adding_of, level_text
+from evaluation.analysis.levels import adding_of, level_text
+from evaluation.analysis.metrics import METRICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from isac_track.intervals import Estimate
 
 SYMBOLS: Final = {
     "tracks": ("✓", "good"),
@@ -200,8 +203,13 @@ def amount(
     mark: str = "",
 ) -> Cell:
     """Return a cell with a metric and its interval, in the unit and digits in which it is shown."""
-    shown = SHOWN[metric]
+    shown = METRICS[metric]
     return number(value, low, high, scale=shown.scale, digits=shown.digits, sign=sign, mark=mark)
+
+
+def estimated(metric: str, one: Estimate, *, mark: str = "") -> Cell:
+    """Return the cell of an estimate of a metric."""
+    return amount(metric, one.value, one.ci_low, one.ci_high, mark=mark)
 
 
 def metric_of(row: Mapping[str, Any], *, mark: str = "") -> Cell:
@@ -211,7 +219,7 @@ def metric_of(row: Mapping[str, Any], *, mark: str = "") -> Cell:
 
 def metric_column(metric: str, name: str = "", *, weight: float = 0.0) -> Column:
     """Return the column of a metric, under its own name or another."""
-    shown = SHOWN[metric]
+    shown = METRICS[metric]
     return Column(name or shown.head, shown.unit, weight=weight)
 
 

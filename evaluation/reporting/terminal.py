@@ -84,11 +84,12 @@ def show_grouped(
         say(console, line, "bold" if heading is None else "")
 
 
-def show_table(table: Table, *, console: Console) -> None:
+def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
     """Print a table: title, lines that fit, what its marks mean, and its notes.
 
     Where there is no room, intervals go first, those of light columns before all others; then the
-    table is split. Nothing is printed of a table without rows.
+    table is split, and nothing else if it is to stay `whole`. Nothing is printed of a table
+    without rows.
     """
     if not table.rows:
         return
@@ -98,7 +99,8 @@ def show_table(table: Table, *, console: Console) -> None:
         if place >= table.n_headings and not column.is_long
     ]
     keys = [place for place in columns if place < table.n_keys]
-    parts = _parts(table, keys, [place for place in columns if place not in keys], console.width)
+    others = [place for place in columns if place not in keys]
+    parts = _parts(table, keys, others, width=console.width, whole=whole)
     for part in parts:
         intervals, lines = _fitting(table, part, console.width)
         left_out = intervals < _intervals(table, part)
@@ -116,12 +118,15 @@ def _intervals(table: Table, columns: Iterable[int]) -> set[int]:
     return {place for place in columns if any(row[place].low for row in table.rows)}
 
 
-def _parts(table: Table, keys: list[int], others: list[int], width: int) -> list[list[int]]:
-    """Return the columns in parts that fit without intervals, each beside the keys."""
+def _parts(
+    table: Table, keys: list[int], others: list[int], *, width: int, whole: bool
+) -> list[list[int]]:
+    """Return the columns in parts that fit, with intervals if `whole`, each beside the keys."""
     parts = [keys]
     for place in others:
         wider = [*parts[-1], place]
-        lines = _lines(table, wider, intervals=set(), width=width)
+        intervals = _intervals(table, wider) if whole else set()
+        lines = _lines(table, wider, intervals=intervals, width=width)
         if len(parts[-1]) > len(keys) and max(len(line) for line, _ in lines) > width:
             parts.append([*keys, place])
         else:

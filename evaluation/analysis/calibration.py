@@ -1,0 +1,293 @@
+"""The free constants of the sensing model, fitted to the paper's numbers.
+
+The paper's link budget leaves three constants open. They are fitted to three of its numbers,
+with sigma_cap_m fixed beforehand:
+
+- processing gain (net of the CRB gap) and large-scale spread on raw PLR and raw MEL,
+- the CRB gap on the PLR of FID at eta = 1000.
+
+Every other number of the paper is a prediction. The ridge shows how the constants move, and
+the predictions with them, when what was fixed beforehand is fixed elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import brentq
+
+from evaluation.analysis.paper import PREDICTOR, PUBLISHED
+from evaluation.cells.scenes import Block, compute_block
+from evaluation.experiment.axes import Consumer, n_blocks
+from evaluation.experiment.presets import BLOCK_SCENES
+from isac_track import privacy, sensing, sharing
+from isac_track import plugins as registry
+from isac_track.config import SensingSettings, StageSettings
+from isac_track.errors import DataError
+from isac_track.scenes import cut, make_scenes, track_order
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from isac_track.scenes import Cut
+    from isac_track.types import Floats, Ints, Tracks
+
+_GAIN_RANGE_DB = (-20.0, 60.0)
+"""Net gain: processing gain less the CRB gap."""
+_SPREAD_RANGE_DB = (2.0, 30.0)
+_GAP_RANGE_DB = (0.0, 40.0)
+_RESOLUTION_DB = 0.01
+_FID_ETA = 1000.0
+_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Link:
+    """A block of scenes, reduced to what the constants act on."""
+
+    gain: Floats
+    """(M,) two-way gain without the large-scale part"""
+    large_scale: Floats
+    """(M,) the track's standard normal, per sample"""
+    unit_norm: Floats
+    """(M,) norm of the standardised raw error"""
+    t: Floats
+    offsets: Ints
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Fitted constants, rounded to 0.01 dB."""
+
+    processing_gain_db: float
+    large_scale_db: float
+    crb_gap_db: float
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """The numbers that the constants are fitted to."""
+
+    raw_plr: float
+    raw_mel_s: float
+    fid_plr: float
+    """At eta = 1000, linear adding."""
+
+
+def published_targets() -> Targets:
+    """Return the paper's values of the three fitted numbers."""
+    values = {(mechanism, level, metric): value for mechanism, level, metric, value in PUBLISHED}
+    return Targets(
+        raw_plr=values["raw", None, "plr"],
+        raw_mel_s=values["raw", None, "mel"],
+        fid_plr=values["fid", _FID_ETA, "plr"],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Fitted constants, and what they predict."""
+
+    fit: Fit
+    numbers: dict[tuple[str, str], float]
+    """By SPEC and metric."""
+
+
+def ridge() -> dict[str, dict[str, float]]:
+    """Return what else could be fixed beforehand: settings, by what they are called."""
+    return (
+        {f"cap {m:g} m": {"sensing.sigma_cap_m": m} for m in (1.5, 2.5, 3.0)}
+        | {f"beam {db:.2g} dB": {"sensing.beam_fluctuation_db": db} for db in (math.sqrt(2.0), 4.0)}
+        | {f"exponent {n:g}": {"sensing.path_loss_exponent": n} for n in (2.0, 3.5)}
+    )
+
+
+def calibrate(
+    recorded: Tracks, *, changes: dict[str, float], n_scenes: int, seed: int
+) -> Calibration:
+    """Return the constants that reproduce the paper's fitted numbers on a recording.
+
+    Parameters
+    ----------
+    recorded : Tracks
+    changes : dict
+        ``{"stage.key": value}``: what is fixed elsewhere than as committed.
+    n_scenes, seed : int
+
+    Raises
+    ------
+    DataError
+        If no constants in the searched ranges do.
+    """
+    stages = StageSettings().changed(changes)
+    tracks = cut(recorded, settings=stages, seed=seed)
+    blocks = links(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
+    found = fit(blocks, stages=stages, targets=published_targets())
+    fitted = {f"sensing.{name}": value for name, value in asdict(found).items()}
+    numbers = predictions(tracks, stages=stages.changed(fitted), n_scenes=n_scenes, seed=seed)
+    return Calibration(found, numbers)
+
+
+def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tuple[Link, ...]:
+    """Return the links of the run's own scenes, block by block."""
+    without_spread = replace(stages.sensing, large_scale_db=0.0)
+    found = []
+    for first, order in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed):
+        scenes = make_scenes(tracks, order=order, first=first, settings=stages, seed=seed)
+        channel = sensing.draw_channel(
+            n_samples=np.diff(scenes.offsets).reshape(len(scenes), -1),
+            keys=[("scene", int(index)) for index in scenes.index],
+            settings=stages.sensing,
+            seed=seed,
+        )
+        owner = np.repeat(np.arange(scenes.track.size), np.diff(scenes.offsets))
+        station = np.array([stages.sensing.bs_x_m, stages.sensing.bs_y_m])
+        found.append(
+            Link(
+                gain=sensing.link_gain(
+                    distance_m=np.hypot(*(scenes.xy - station).T),
+                    owner=owner,
+                    channel=channel,
+                    settings=without_spread,
+                ),
+                large_scale=channel.large_scale[owner],
+                unit_norm=np.hypot(*channel.unit_error.T),
+                t=scenes.t,
+                offsets=scenes.offsets,
+            )
+        )
+    return tuple(found)
+
+
+def descriptors(
+    blocks: tuple[Link, ...],
+    *,
+    settings: SensingSettings,
+    epsilon_m: float,
+    eta: float | None = None,
+    alpha_m: float = 0.5,
+    beta: float = 1.5,
+) -> tuple[float, float]:
+    """Return mean PLR and mean MEL in s, raw or under FID with linear adding."""
+    plr, mel_s = [], []
+    for link in blocks:
+        gain = link.gain * 10.0 ** (settings.large_scale_db * link.large_scale / 10.0)
+        information = sensing.information(gain=gain, settings=settings)
+        sigma = sensing.sigma_from_information(information=information, settings=settings)
+        if eta is not None:
+            fid = sensing.fisher_information_density(
+                information=information, t=link.t, offsets=link.offsets
+            )
+            sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=alpha_m, beta=beta)
+        exposure = privacy.exposure(
+            leaked=sigma * link.unit_norm < epsilon_m, t=link.t, offsets=link.offsets
+        )
+        plr.append(exposure.plr)
+        mel_s.append(exposure.mel_s)
+    return float(np.concatenate(plr).mean()), float(np.concatenate(mel_s).mean())
+
+
+def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) -> Fit:
+    """Return the constants that reproduce the targets.
+
+    Raises
+    ------
+    DataError
+        If no constants in the searched ranges do.
+    """
+    epsilon_m = stages.privacy.epsilon_m
+
+    def trial(*, net_db: float, spread_db: float, gap_db: float = 0.0) -> SensingSettings:
+        return replace(
+            stages.sensing,
+            processing_gain_db=net_db + gap_db,
+            large_scale_db=spread_db,
+            crb_gap_db=gap_db,
+        )
+
+    def raw(net_db: float, spread_db: float) -> tuple[float, float]:
+        settings = trial(net_db=net_db, spread_db=spread_db)
+        return descriptors(blocks, settings=settings, epsilon_m=epsilon_m)
+
+    def net_for(spread_db: float) -> float:
+        return _root(
+            lambda net_db: raw(net_db, spread_db)[0] - targets.raw_plr,
+            _GAIN_RANGE_DB,
+            what="raw PLR",
+        )
+
+    spread_db = _root(
+        lambda spread: raw(net_for(spread), spread)[1] - targets.raw_mel_s,
+        _SPREAD_RANGE_DB,
+        what="raw MEL",
+    )
+    net_db = net_for(spread_db)
+    gap_db = _root(
+        lambda gap: (
+            descriptors(
+                blocks,
+                settings=trial(net_db=net_db, spread_db=spread_db, gap_db=gap),
+                epsilon_m=epsilon_m,
+                eta=_FID_ETA,
+            )[0]
+            - targets.fid_plr
+        ),
+        _GAP_RANGE_DB,
+        what=f"PLR at eta = {_FID_ETA:g}",
+    )
+    return Fit(
+        processing_gain_db=round(net_db + gap_db, 2),
+        large_scale_db=round(spread_db, 2),
+        crb_gap_db=round(gap_db, 2),
+    )
+
+
+def predictions(
+    tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
+) -> dict[tuple[str, str], float]:
+    """Return the run's numbers for the paper's levels, ``{(spec, metric): value}``."""
+    levels = registry.parse_all("mechanisms", _LEVELS)
+    (predictor,) = registry.parse("predictors", PREDICTOR)
+    consumers = (Consumer("shared"), Consumer("predictor", predictor))
+    parts: dict[tuple[str, str], list[Floats]] = {}
+    for number, (first, order) in enumerate(
+        _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
+    ):
+        block = Block(
+            number=number,
+            first_scene=first,
+            order=order,
+            levels=tuple((level, consumers) for level in levels),
+        )
+        for level, consumer, rows in compute_block(block, tracks=tracks, stages=stages, seed=seed):
+            if consumer.kind == "shared":
+                for metric, column in (("plr", "plr"), ("ael", "ael_s"), ("mel", "mel_s")):
+                    parts.setdefault((level.spec, metric), []).append(rows[column])
+            else:
+                missed = ~rows["predicted"][rows["conflict"]]
+                parts.setdefault((level.spec, "missed_conflict_rate"), []).append(missed)
+    return {key: float(np.concatenate(values).mean()) for key, values in parts.items()}
+
+
+def _blocks(
+    tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
+) -> Iterator[tuple[int, Ints]]:
+    order = track_order(
+        n_tracks=len(tracks), n_scenes=n_scenes, agents=stages.scenes.agents, seed=seed
+    )
+    for number in range(n_blocks(n_scenes)):
+        first = number * BLOCK_SCENES
+        yield first, order[first : first + BLOCK_SCENES]
+
+
+def _root(function: Callable[[float], float], bounds: tuple[float, float], *, what: str) -> float:
+    low, high = function(bounds[0]), function(bounds[1])
+    if not (math.isfinite(low) and math.isfinite(high) and low * high <= 0):
+        raise DataError(
+            f"no constant between {bounds[0]:g} and {bounds[1]:g} dB gives the paper's {what} "
+            "on this recording; the calibration is made for students03"
+        )
+    return float(brentq(function, *bounds, xtol=_RESOLUTION_DB / 2))
