@@ -142,8 +142,8 @@ class Scenes:
         for name in ("offsets", "track", "index", "exhausted"):
             object.__setattr__(self, name, _frozen_ints(getattr(self, name), name=name))
         object.__setattr__(self, "conflict", read_only(np.asarray(self.conflict, dtype=bool)))
-        _check_offsets(self.offsets, self.t.size)
-        _check_times(self.t, self.offsets)
+        check_offsets(self.offsets, self.t.size)
+        check_times(self.t, self.offsets)
         n_tracks = self.offsets.size - 1
         if self.index.size == 0 or n_tracks % self.index.size:
             raise ValueError(f"{n_tracks} agents do not fill {self.index.size} scenes evenly")
@@ -264,7 +264,7 @@ def _check_batch(batch: _Batch) -> None:
     """Freeze the arrays of a ragged batch and check shapes, times and finiteness."""
     object.__setattr__(batch, "offsets", _frozen_ints(batch.offsets, name="offsets"))
     _freeze(batch, {"t": 1})
-    _check_offsets(batch.offsets, batch.t.size)
+    check_offsets(batch.offsets, batch.t.size)
     for item in fields(batch):
         value = getattr(batch, item.name)
         if item.metadata.get("per") == "sample" and value is not None:
@@ -277,7 +277,7 @@ def _check_batch(batch: _Batch) -> None:
             raise ValueError(
                 f"{item.name} must name {batch.offsets.size - 1} tracks, got {len(value)}"
             )
-    _check_times(batch.t, batch.offsets)
+    check_times(batch.t, batch.offsets)
     if not np.isfinite(batch.xy).all():
         raise ValueError("a position is not finite")
 
@@ -343,14 +343,16 @@ def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     return array
 
 
-def _check_offsets(offsets: Ints, n_samples: int) -> None:
+def check_offsets(offsets: Ints, n_samples: int) -> None:
+    """Raise ValueError unless the offsets cut so many samples into tracks, none of them empty."""
     if offsets.size == 0 or offsets[0] != 0 or offsets[-1] != n_samples:
         raise ValueError(f"offsets must run from 0 to {n_samples}")
     if (np.diff(offsets) < 1).any():
         raise ValueError("every track needs at least one sample: offsets must increase")
 
 
-def _check_times(t: Floats, offsets: Ints) -> None:
+def check_times(t: Floats, offsets: Ints) -> None:
+    """Raise ValueError unless times are finite and rise within each track."""
     rising = np.diff(t) > 0  # False for NaN
     rising[offsets[1:-1] - 1] = True  # from one track to the next
     if not rising.all() or not np.isfinite(t).all():

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isac_track.types import check_offsets, check_times
+
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
 
@@ -15,20 +17,13 @@ def ragged_times(t: Floats, offsets: Ints) -> tuple[Floats, Ints]:
     offsets = np.ascontiguousarray(offsets)
     if offsets.ndim != 1 or offsets.dtype.kind not in "iu":
         raise ValueError("offsets must be a one-dimensional array of integers")
+    offsets = offsets.astype(np.int64, copy=False)
     t = np.ascontiguousarray(t, dtype=np.float64)
     if t.ndim != 1:
         raise ValueError(f"t must have shape (M,), got {t.shape}")
-    if offsets.size == 0 or offsets[0] != 0 or offsets[-1] != t.size:
-        raise ValueError(f"offsets must run from 0 to {t.size}")
-    if (offsets[1:] <= offsets[:-1]).any():
-        raise ValueError("every track needs at least one sample: offsets must increase")
-    if not np.isfinite(t).all():
-        raise ValueError("times must be finite and strictly increasing within a track")
-    rising = t[1:] > t[:-1]
-    rising[offsets[1:-1] - 1] = True  # from one track to the next
-    if not rising.all():
-        raise ValueError("times must be finite and strictly increasing within a track")
-    return t, offsets.astype(np.int64, copy=False)
+    check_offsets(offsets, t.size)
+    check_times(t, offsets)
+    return t, offsets
 
 
 def floats(name: str, value: Floats, shape: tuple[int, ...]) -> Floats:
