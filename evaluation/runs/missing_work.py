@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evaluation.cells.scenes import Block, LinkWork
-from evaluation.experiment.presets import BLOCK_SCENES
+from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.experiment.axes import n_blocks
 from isac_track.scenes import track_order
 
