@@ -62,9 +62,7 @@ def showing(release: Release, granted: frozenset[Knowledge]) -> Release:
     return release if Knowledge.SIGMA in granted else release.without_sigma()
 
 
-def turned(
-    xy: Floats, *, angle: float, shift: Floats | tuple[float, float] = (0.0, 0.0)
-) -> Floats:
+def turned(xy: Floats, *, angle: float, shift: Floats | tuple[float, float] = (0.0, 0.0)) -> Floats:
     """Return positions turned by an angle and shifted, (M, 2)."""
     # Not a matrix product: for two columns its threads cost more than they bring.
     cos, sin = np.cos(angle), np.sin(angle)

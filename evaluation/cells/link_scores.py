@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from evaluation.cells.link_setup import SensedSessions, Pairing
+    from evaluation.cells.link_setup import Pairing, SensedSessions
     from isac_track.types import Bools, Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
@@ -57,6 +57,9 @@ class Linked:
     scored: Scorecard
     cohorts: Mapping[str, Cohort]
     """By cohort, without the confounders; none for a control."""
+    is_control: bool
+    is_assigned: bool
+    """Whether probes can be left alone at a known cost, or need not be."""
 
 
 def read_off(
@@ -66,7 +69,7 @@ def read_off(
     calibration: Mapping[int, Calibration],
     no_match: Mapping[int, float] | None,
     rng: Generator,
-    cohorts: bool,
+    is_control: bool,
     n_shuffles: int = SHUFFLES,
 ) -> Linked:
     """Return the scorecard of an attack, and rank 1 without confounders.
@@ -82,8 +85,8 @@ def read_off(
         By search: what a pair must score to be linked. None in a closed gallery, where everybody
         is; a search that is not in it has no assignment.
     rng : Generator
-    cohorts : bool
-        Whether to leave confounders out as well.
+    is_control : bool
+        Whether it is none of the attacks, of which confounders are left out as well.
     n_shuffles : int, optional
     """
     sessions = known.sessions
@@ -113,10 +116,11 @@ def read_off(
         rng=rng,
         n_shuffles=n_shuffles,
     )
-    if no_match is not None and needed is None:
+    is_assigned = no_match is None or needed is not None
+    if not is_assigned:
         scored = _without_assignment(scored)
     apart = {}
-    if cohorts:
+    if not is_control:
         apart = {
             name: _cohort(
                 searches,
@@ -136,6 +140,8 @@ def read_off(
         calibration=calibration,
         scored=scored,
         cohorts=apart,
+        is_control=is_control,
+        is_assigned=is_assigned,
     )
 
 

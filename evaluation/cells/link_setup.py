@@ -16,14 +16,13 @@ from evaluation.cells.samples import restricted, samples_shared
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense
-from isac_track.types import Release
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from attacks.tasks.sessions import Sessions, Windows
     from isac_track.config import StageSettings
-    from isac_track.types import Bools, Floats, Ints, Sensed
+    from isac_track.types import Bools, Floats, Ints, Release, Sensed
 
 N_REPLICATES = 1000
 SIDES = ("probe", "gallery")
@@ -93,6 +92,10 @@ class SensedSessions:
     frames: tuple[Frames, Frames] | None
     """None where the task shows the scene."""
     halves: tuple[Half, ...]
+    drawn_as: Ints
+    """(C,) which cluster of the run's scenes each cluster is, or -1."""
+    n_groups: int
+    """Clusters of the run's scenes."""
     weights: Floats
     """(B, C) bootstrap weights of the clusters."""
     cluster: Ints
@@ -114,6 +117,8 @@ def sensed_sessions(
     """
     names = sorted(set(sessions.group))
     column = {name: place for place, name in enumerate(names)}
+    known = {name: place for place, name in enumerate(groups)}
+    drawn_as = np.array([known.get(name, -1) for name in names])
     frames = None
     if not sessions.task.shows_scene:
         frames = (_frames(sessions, "probe", seed=seed), _frames(sessions, "gallery", seed=seed))
@@ -125,7 +130,9 @@ def sensed_sessions(
         ),
         frames=frames,
         halves=tuple(_half(sessions, fold) for fold in np.unique(sessions.fold).tolist()),
-        weights=linkage_weights(names, task=sessions.task.name, groups=groups, seed=seed),
+        drawn_as=drawn_as,
+        n_groups=len(groups),
+        weights=linkage_weights(drawn_as, n_groups=len(groups), task=sessions.task.name, seed=seed),
         cluster=np.array([column[name] for name in sessions.group], dtype=np.int64),
     )
 
@@ -188,9 +195,7 @@ def _half(sessions: Sessions, fold: int) -> Half:
     )
 
 
-def linkage_weights(
-    names: Sequence[str], *, task: str, groups: Sequence[str], seed: int
-) -> Floats:
+def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> Floats:
     """Return bootstrap weights of the clusters of a linkage task, (B, C).
 
     Clusters that the run's scenes have as well are drawn as they are there; the others are drawn
@@ -198,24 +203,22 @@ def linkage_weights(
 
     Parameters
     ----------
-    names : sequence of str
-        (C,) of the task, sorted.
+    drawn_as : (C,) int
+        Place of each among the clusters of the run's scenes, or -1.
+    n_groups : int
+        Clusters of the run's scenes.
     task : str
-    groups : sequence of str
-        Clusters of the run's scenes, sorted.
     seed : int
     """
-    weights = np.empty((N_REPLICATES, len(names)))
-    known = {name: place for place, name in enumerate(groups)}
-    again = [place for place, name in enumerate(names) if name in known]
-    if again:
-        drawn = cluster_weights(n_clusters=len(groups), n_replicates=N_REPLICATES, seed=seed)
-        weights[:, again] = drawn[:, [known[names[place]] for place in again]]
-    further = [place for place, name in enumerate(names) if name not in known]
-    if further:
+    weights = np.empty((N_REPLICATES, drawn_as.size))
+    again, further = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)
+    if again.size:
+        drawn = cluster_weights(n_clusters=n_groups, n_replicates=N_REPLICATES, seed=seed)
+        weights[:, again] = drawn[:, drawn_as[again]]
+    if further.size:
         rng = stream(seed, "bootstrap", "linkage", task)
-        share = np.full(len(further), 1.0 / len(further))
-        weights[:, further] = rng.multinomial(len(further), share, N_REPLICATES)
+        share = np.full(further.size, 1.0 / further.size)
+        weights[:, further] = rng.multinomial(further.size, share, N_REPLICATES)
     return weights
 
 

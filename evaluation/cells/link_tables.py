@@ -1,28 +1,36 @@
-"""A linkage cell as a file: raw scores by probe, and beside them all that is read off them.
+"""A linkage cell as tables: how every probe fared, and all that is read off the scores.
 
-The scorecard takes a bootstrap and a permutation test; it belongs to the cell, so that a report
-is drawn without computing either again. It lies in the metadata of the parquet file, as JSON.
+The scorecard takes a bootstrap and a permutation test; it belongs to the cell, so that a report is
+drawn without computing either again. Replicates of rank metrics follow from the probes; those of
+score metrics visit every pair, and are kept. Of controls they are not: each is held against its own
+permutation test, and nobody pairs two.
 """
 
 from __future__ import annotations
 
-import base64
 import json
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from evaluation.cells.columns import names_column
+from evaluation.cells.tables import ROWS, names_column
 
 if TYPE_CHECKING:
-    from attacks.tasks.sessions import Sessions
     from evaluation.cells.link_scores import Linked
-    from isac_track.intervals import Estimate
+    from evaluation.cells.link_setup import SensedSessions
+    from evaluation.cells.tables import Tables
+    from isac_track.linkability import Search
+    from isac_track.types import Floats
 
-METADATA = b"isac_track.linkage"
+ESTIMATES: Final = "estimates"
+REPLICATES: Final = "replicates"
+ABOUT: Final = "about"
+DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")
+"""Metrics whose replicates follow from those of others: they are not kept."""
+ASSIGNED: Final = ("nobody", "other", "mate", "unknown")
+"""What is assigned to a probe; unknown where leaving somebody alone has no cost."""
 _NUMBERS = (
     "p_value",
     "p_value_low",
@@ -37,38 +45,48 @@ _NUMBERS = (
     "is_inverted",
     "minimum_detectable_rank1",
 )
-_DERIVED = ("chance", "residual_risk", "d_sys_corrected")
-"""Metrics whose replicates follow from those of others: they are not kept."""
 
 
-def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
-    """Return a cell's file: a row for each probe, with its scores against the whole gallery.
+def linkage_tables(
+    linked: Linked, whole: SensedSessions, *, seed: int, keep_scores: bool
+) -> Tables:
+    """Return the tables of a linkage attack or control at one level.
 
-    Columns: `search` (a half, or the instant of a handover), `fold`, `source`, `group`, `mate`
-    (place in the gallery, or -1) and `scores`. The metadata say who the gallery is.
+    - `rows`, one a probe: `search` (a half, or the instant of a handover), `source`, `group`;
+      `above` and `tied`, how many candidates score above its mate and how many as high, the mate
+      included (-1 and 0 without a mate); `mate_score`, `best_other_score` (NaN where there is
+      none), `chance` of rank 1, `assigned` (`ASSIGNED`); with the raw scores also `mate` (place in
+      the gallery, or -1) and `scores` against the whole gallery;
+    - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
+    - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
+    - `about`: one row with all other numbers as JSON.
     """
-    rows = [len(search.mate) for search in linked.searches]
+    scored, probes, sessions = linked.scored, linked.scored.probes, whole.sessions
     persons = np.concatenate(linked.probe_person)
-    sizes = np.repeat([search.scores.shape[1] for search in linked.searches], rows)
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    scores = np.concatenate([search.scores.ravel() for search in linked.searches])
-    table = pa.table(
-        {
-            "search": names_column(np.repeat(np.arange(len(rows)), rows), sessions.searches),
-            "fold": np.repeat([search.scale for search in linked.searches], rows).astype(np.int8),
-            "source": names_column(persons, sessions.source),
-            "group": names_column(persons, sessions.group),
-            "mate": np.concatenate([search.mate for search in linked.searches]).astype(np.int32),
-            "scores": pa.ListArray.from_arrays(
-                pa.array(offsets, type=pa.int32()), pa.array(scores.astype(np.float32))
-            ),
-        }
+    n_probes = [len(search.mate) for search in linked.searches]
+    own, best = (
+        np.concatenate(columns)
+        for columns in zip(*(_own_and_best(one) for one in linked.searches), strict=True)
     )
+    assigned = probes.assigned + 1 if linked.is_assigned else np.full(persons.size, 3)
+    rows = {
+        "search": names_column(np.repeat(np.arange(len(n_probes)), n_probes), sessions.searches),
+        "source": names_column(persons, sessions.source),
+        "group": names_column(persons, sessions.group),
+        "above": probes.above.astype(np.int32),
+        "tied": probes.tied.astype(np.int32),
+        "mate_score": own.astype(np.float32),
+        "best_other_score": best.astype(np.float32),
+        "chance": probes.chance,
+        "assigned": names_column(assigned, ASSIGNED),
+    }
     about = {
-        "gallery": [[sessions.source[one] for one in people] for people in linked.gallery_person],
+        "clusters": sorted(set(sessions.group)),
+        "drawn_as": whole.drawn_as.tolist(),
+        "n_groups": whole.n_groups,
+        "seed": seed,
         "calibration": {fold: asdict(one) for fold, one in linked.calibration.items()},
-        "numbers": {name: getattr(linked.card, name) for name in _NUMBERS},
-        "estimates": {name: _packed(one, name=name) for name, one in linked.card.estimates.items()},
+        "numbers": {name: getattr(scored, name) for name in _NUMBERS},
         "cohorts": {
             name: {
                 "rank1": one.rank1.value,
@@ -79,37 +97,57 @@ def to_parquet(linked: Linked, sessions: Sessions) -> bytes:
                 "p_rank1": one.p_rank1,
                 "n_mated": one.n_mated,
             }
-            for name, one in linked.parts.items()
+            for name, one in linked.cohorts.items()
         },
     }
-    sink = pa.BufferOutputStream()
-    # The leading bytes of like numbers are alike: apart from the others they compress. The schema
-    # would hold the metadata once more.
-    with pq.ParquetWriter(
-        sink,
-        table.schema,
-        write_statistics=False,
-        compression="zstd",
-        compression_level=1,
-        store_schema=False,
-        use_dictionary=["search", "source", "group"],
-        column_encoding={"scores.list.element": "BYTE_STREAM_SPLIT"},
-    ) as writer:
-        writer.write_table(table)
-        writer.add_key_value_metadata({METADATA: json.dumps(about, default=_plain).encode()})
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
+    if keep_scores:
+        rows |= _raw_scores(linked.searches)
+        about["gallery"] = [
+            [sessions.source[one] for one in people] for people in linked.gallery_person
+        ]
+    found = scored.estimates
+    tables = {
+        ROWS: pa.table(rows),
+        ESTIMATES: pa.table(
+            {
+                "metric": [*found],
+                **{
+                    name: np.array([getattr(one, name) for one in found.values()], dtype=np.float64)
+                    for name in ("value", "ci_low", "ci_high")
+                },
+                "n": np.array([one.n for one in found.values()], dtype=np.int64),
+            }
+        ),
+        ABOUT: pa.table({"about": [json.dumps(about, default=_plain)]}),
+    }
+    if not linked.is_control:
+        score_metrics = [
+            name for name in found if name not in DERIVED and name not in probes.values()
+        ]
+        tables[REPLICATES] = pa.table(
+            {name: found[name].replicates.astype(np.float32) for name in score_metrics}
+        )
+    return tables
 
 
-def _packed(estimate: Estimate, *, name: str) -> dict[str, Any]:
-    kept = np.zeros(0) if name in _DERIVED else estimate.replicates
-    replicates = np.asarray(kept, dtype="<f4").tobytes()
+def _own_and_best(search: Search) -> tuple[Floats, Floats]:
+    """Return the score of each probe's mate and the best of the others, (P,) each; NaN: none."""
+    has = np.flatnonzero(search.mate >= 0)
+    own = np.full(search.mate.size, np.nan)
+    own[has] = search.scores[has, search.mate[has]]
+    others = search.scores.copy()
+    others[has, search.mate[has]] = -np.inf
+    best = others.max(axis=1)
+    return own, np.where(np.isfinite(best), best, np.nan)
+
+
+def _raw_scores(searches: tuple[Search, ...]) -> dict[str, Any]:
+    sizes = np.concatenate([np.full(len(one.mate), one.scores.shape[1]) for one in searches])
+    scores = np.concatenate([one.scores.ravel() for one in searches]).astype(np.float32)
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
     return {
-        "value": estimate.value,
-        "ci_low": estimate.ci_low,
-        "ci_high": estimate.ci_high,
-        "n": estimate.n,
-        "replicates": base64.b64encode(replicates).decode(),
+        "mate": np.concatenate([one.mate for one in searches]).astype(np.int32),
+        "scores": pa.ListArray.from_arrays(pa.array(offsets, type=pa.int32()), pa.array(scores)),
     }
 
 

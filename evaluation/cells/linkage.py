@@ -34,7 +34,7 @@ from isac_track.rng import stream
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from evaluation.cells.link_scores import Linked
     from evaluation.cells.link_setup import Pairing, SensedSessions
@@ -173,7 +173,7 @@ def _linked(consumer: Consumer, level: LinkedLevel) -> Linked:
         calibration=calibration,
         no_match=no_match if known.sessions.task.shows_scene else None,
         rng=stream(level.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
-        cohorts=True,
+        is_control=False,
     )
 
 
@@ -204,7 +204,7 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
         calibration={},
         no_match={} if task.shows_scene else None,
         rng=rng,
-        cohorts=False,
+        is_control=True,
         n_shuffles=AUDIT_SHUFFLES if control.is_audit else SHUFFLES,
     )
 

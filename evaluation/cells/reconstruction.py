@@ -295,9 +295,7 @@ def attacked_level(
     )
 
 
-def attack_rows(
-    consumer: Consumer, *, level: AttackedLevel, epsilon_m: float, seed: int
-) -> Rows:
+def attack_rows(consumer: Consumer, *, level: AttackedLevel, epsilon_m: float, seed: int) -> Rows:
     """Return the descriptors of every attacked track, in the order of the block.
 
     Raises

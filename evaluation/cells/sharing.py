@@ -50,6 +50,11 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     return replace(release, pseudonym=fresh)
 
 
+def share_block(mechanism: Plugin, sensed: Sensed, number: int, *, seed: int) -> Release:
+    """Return what a mechanism shares of a block of scenes, which is given by its number."""
+    return share(mechanism, sensed, "block", number, seed=seed)
+
+
 def _check_shared(release: Release, *, who: str) -> None:
     """Raise PluginError if what was shared is no number to compute with."""
     if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):

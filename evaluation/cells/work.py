@@ -1,86 +1,82 @@
-"""What one cell computes: a block of scenes, one mechanism level, one consumer.
+"""Pieces of work for one process: levels of a block of scenes, or of a linkage task.
 
-A level is shared once; every consumer of the block reads the same release.
+What all levels have in common is made once: walks, unit errors, frames, folds, and what sees no
+more of a level than its times. A level is shared once; all of its consumers read the same release,
+and what sees nothing else is computed once for levels that are shared alike.
 """
 
 from __future__ import annotations
 
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
-
-from evaluation.cells.left_out import kept, reduced
-from evaluation.cells.link_file import to_parquet
+from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import Linked
-from evaluation.cells.link_setup import ground as link_ground
-from evaluation.cells.linkage import link_level
-from evaluation.cells.plugin_calls import copied, guarded
+from evaluation.cells.link_setup import sensed_sessions
+from evaluation.cells.link_tables import linkage_tables
+from evaluation.cells.linkage import link, linked_level
 from evaluation.cells.progress import Failed, note, noted
-from evaluation.cells.reconstruction import (
-    attack_rows,
-    descriptors,
-    ground,
-    ground_without,
-    level,
-    track_columns,
-)
-from evaluation.cells.windows import to_parquet as windows_to_parquet
-from isac_track.conflict import is_conflict
-from isac_track.encounter import conflict_probability
-from isac_track.errors import IsacTrackError, PluginError, SettingsError, told
-from isac_track.rng import stream
-from isac_track.scenes import make_scenes, predicted_separation, robot_positions
+from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
+from evaluation.cells.samples import restricted, samples_shared
+from evaluation.cells.sharing import release_digest, sees_release_alone, share_block
+from evaluation.cells.tables import ROWS, rows_table
+from evaluation.cells.windows import window_tables
+from isac_track.errors import IsacTrackError, PluginError, told
+from isac_track.scenes import make_scenes
 from isac_track.sensing import sense_scenes
-from isac_track.types import SHARED_LIMIT_M, Knowledge, Prediction, Release, within
+from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from attacks.tasks.sessions import Sessions
-    from evaluation.cells.reconstruction import Rows
+    from evaluation.cells.linkage import LinkedLevel
+    from evaluation.cells.tables import Tables
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
-    from isac_track.types import Floats, Ints, Scenes, Sensed
-
+    from isac_track.types import Ints, Release, Scenes
 
 _OURS = ("isac_track", "predictors", "attacks", "evaluation")
 
-Item: TypeAlias = "tuple[int, Plugin, Consumer, Rows | bytes]"
-"""A finished cell: its block, mechanism, consumer, and rows or file."""
+Levels: TypeAlias = "tuple[tuple[Plugin, tuple[Consumer, ...]], ...]"
+"""Mechanisms, and the consumers that are missing of each."""
+Item: TypeAlias = "tuple[int, Plugin, Consumer, Tables]"
+"""A finished cell: its block, mechanism, consumer, and tables."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Block:
-    """Work of one block of scenes: which levels, and which of their consumers are missing."""
+    """Work of one block of scenes."""
 
     number: int
     first_scene: int
     order: Ints
     """(S, A) rows of the tracks."""
-    levels: tuple[tuple[Plugin, tuple[Consumer, ...]], ...]
-    """Mechanism and its consumers."""
+    levels: Levels
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkWork:
-    """Work of one linkage task: which levels, and which of their consumers are missing."""
+    """Work of one linkage task."""
 
     sessions: Sessions
     groups: tuple[str, ...]
     """Clusters of the run's scenes."""
-    levels: tuple[tuple[Plugin, tuple[Consumer, ...]], ...]
-    """Mechanism and its consumers."""
+    levels: Levels
+    keep_scores: bool = False
 
 
 def cells(
     work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[Item]:
-    """Yield every cell of a piece of work: its block, mechanism, consumer, and rows or file.
+    """Yield every cell of a piece of work: its block, mechanism, consumer, and tables.
+
+    Rows of `shared` and of a reconstruction are per track (scene, agent), those of a predictor per
+    scene, those of a linkage task per window or probe.
 
     Raises
     ------
@@ -88,11 +84,11 @@ def cells(
         If a plug-in raises or breaks its contract; the message names it.
     """
     if isinstance(work, LinkWork):
-        for mechanism, consumer, content in compute_links(work, stages=stages, seed=seed):
-            yield 0, mechanism, consumer, content
+        for mechanism, consumer, tables in _linked(work, stages=stages, seed=seed):
+            yield 0, mechanism, consumer, tables
         return
-    for mechanism, consumer, rows in compute_block(work, tracks=tracks, stages=stages, seed=seed):
-        yield work.number, mechanism, consumer, rows
+    for mechanism, consumer, table in _of_scenes(work, tracks=tracks, stages=stages, seed=seed):
+        yield work.number, mechanism, consumer, table
 
 
 def attempt(
@@ -129,3 +125,106 @@ def _place(error: Exception) -> str:
     return f"in isac-track's own code, {module}, line {line}: please report this"
 
 
+class _Alike:
+    """What was computed for levels that are shared alike."""
+
+    def __init__(self) -> None:
+        self._found: dict[tuple[bytes, str], Tables] = {}
+
+    def once(
+        self, consumer: Consumer, releases: tuple[Release, ...], compute: Callable[[], Tables]
+    ) -> Tables:
+        """Return what a consumer makes of releases, computed or of a level that shared the same."""
+        if not sees_release_alone(consumer):
+            return compute()
+        key = (release_digest(*releases), consumer.label)
+        if key not in self._found:
+            self._found[key] = compute()
+        return self._found[key]
+
+
+def _linked(
+    work: LinkWork, *, stages: StageSettings, seed: int
+) -> Iterator[tuple[Plugin, Consumer, Tables]]:
+    whole = sensed_sessions(work.sessions, groups=work.groups, stages=stages, seed=seed)
+    controls: dict[str, Linked] = {}
+    alike = _Alike()
+
+    def compute(consumer: Consumer, level: LinkedLevel) -> Tables:
+        found = link(consumer, level, whole=whole, controls=controls)
+        if isinstance(found, Linked):
+            return linkage_tables(found, whole, seed=seed, keep_scores=work.keep_scores)
+        return window_tables(found, work.sessions)
+
+    for mechanism, consumers in work.levels:
+        note(mechanism.spec, "")
+        level = linked_level(mechanism, known=whole, epsilon_m=stages.privacy.epsilon_m, seed=seed)
+        for consumer in consumers:
+            note(mechanism.spec, consumer.label)
+            tables = alike.once(consumer, level.shared, partial(compute, consumer, level))
+            yield mechanism, consumer, tables
+
+
+def _of_scenes(
+    block: Block, *, tracks: Cut, stages: StageSettings, seed: int
+) -> Iterator[tuple[Plugin, Consumer, Tables]]:
+    scenes = make_scenes(
+        tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
+    )
+    sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
+    attacked = None
+    alike = _Alike()
+    for mechanism, consumers in block.levels:
+        note(mechanism.spec, "")
+        release = share_block(mechanism, sensed, block.number, seed=seed)
+        samples = samples_shared(release, sensed)
+        known = scenes if samples is None else restricted(scenes, samples)
+
+        def compute(
+            consumer: Consumer, release: Release = release, known: Scenes = known
+        ) -> Tables:
+            rows = sharing_rows(consumer, release, known, stages=stages)
+            return {ROWS: rows_table(rows, tracks=tracks)}
+
+        for consumer in consumers:
+            if consumer.kind != "attack":
+                note(mechanism.spec, consumer.label)
+                yield (
+                    mechanism,
+                    consumer,
+                    alike.once(consumer, (release,), partial(compute, consumer)),
+                )
+        attacks = [one for one in consumers if one.kind == "attack"]
+        if not attacks:
+            continue
+        note(mechanism.spec, attacks[0].label)
+        attacked = attacked or attacked_block(
+            scenes=scenes,
+            sensed=sensed,
+            tracks=tracks,
+            repeats=_again(block),
+            stages=stages,
+            seed=seed,
+        )
+        level = attacked_level(
+            mechanism=mechanism,
+            release=release,
+            block=attacked,
+            consumers=attacks,
+            stages=stages,
+            seed=seed,
+        )
+        for consumer in attacks:
+            note(mechanism.spec, consumer.label)
+            rows = attack_rows(consumer, level=level, epsilon_m=stages.privacy.epsilon_m, seed=seed)
+            yield mechanism, consumer, {ROWS: rows_table(rows, tracks=tracks)}
+
+
+def _again(block: Block) -> bool:
+    """Whether an attack on a block gets further releases of the same walks."""
+    return any(
+        Knowledge.REPEATS in one.granted
+        for _, consumers in block.levels
+        for one in consumers
+        if one.kind == "attack"
+    )

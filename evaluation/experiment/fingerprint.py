@@ -24,13 +24,19 @@ if TYPE_CHECKING:
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 """Stages of a block of scenes; the others are the linkage tasks, by their names."""
 _OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
-_PUT_IN: Final = ("isac_track.datasets",)
-"""Where the tracks of every unit of work come from."""
+_COMMON: Final = (
+    *("isac_track.datasets", "isac_track.scenes", "isac_track.sensing"),
+    *("evaluation.cells.sharing", "evaluation.cells.tables"),
+)
+"""Where the releases of every unit of work come from, and what its file holds."""
 _STAGES: Final = {
-    SHARING: ("evaluation.cells.forecasts", *_PUT_IN),
-    RECONSTRUCTION: ("evaluation.cells.reconstruction", *_PUT_IN),
+    SHARING: ("evaluation.cells.forecasts", *_COMMON),
+    RECONSTRUCTION: ("evaluation.cells.reconstruction", *_COMMON),
 }
-_LINKAGE: Final = ("evaluation.cells.linkage", "attacks.tasks.build", *_PUT_IN)
+_LINKAGE: Final = (
+    *("evaluation.cells.linkage", "evaluation.cells.link_tables", "attacks.tasks.build"),
+    *_COMMON,
+)
 _COMPUTES_NOTHING: Final = re.compile(
     r"evaluation|evaluation\.experiment\.presets|isac_track\.plugins"
     r"|(attacks|isac_track)\.(templates|testing)(\..*)?"
@@ -83,12 +89,18 @@ def unit_key(
     code : iterable of str
         Digests of `sources`.
     """
-    return _digest([dict(identity), stage, block, BLOCK_SCENES, mechanism.spec, mechanism.origin, *code])
+    return _digest(
+        [dict(identity), stage, block, BLOCK_SCENES, mechanism.spec, mechanism.origin, *code]
+    )
 
 
-def consumer_key(consumer: Consumer, *, code: Iterable[str]) -> str:
-    """Return the key of a consumer: its plug-ins, what it is granted, and digests of its code."""
+def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:
+    """Return the key of a consumer: its plug-ins, what it is granted, and digests of its code.
+
+    That of a linkage attack or control with its raw scores is another.
+    """
     plugins = [one for one in (consumer.plugin, consumer.behind) if one is not None]
+    has_scores = keep_scores and consumer.kind in {"linkage", "control"}
     return _digest(
         [
             consumer.spec,
@@ -96,6 +108,7 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str]) -> str:
             consumer.knowledge,
             sorted(one.name for one in consumer.granted),
             *code,
+            *(["scores"] if has_scores else []),
         ]
     )
 
@@ -198,7 +211,9 @@ def _imported(source: bytes, *, package: str) -> tuple[str, ...]:
 
 
 def _names(tree: ast.AST, *, package: str) -> Iterator[str]:
-    for node in ast.iter_child_nodes(tree):
+    nodes = [tree]
+    while nodes:
+        node = nodes.pop()
         if isinstance(node, ast.Import):
             yield from (one.name for one in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -210,6 +225,6 @@ def _names(tree: ast.AST, *, package: str) -> Iterator[str]:
             if isinstance(node.value, str) and _MODULE.fullmatch(node.value):
                 yield node.value.partition(":")[0]  # for import_module
         elif isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
-            yield from _names(ast.Module(node.orelse, []), package=package)
+            nodes += node.orelse
         else:
-            yield from _names(node, package=package)
+            nodes += ast.iter_child_nodes(node)
