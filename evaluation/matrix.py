@@ -269,20 +269,19 @@ def _duration(seconds: float) -> str:
 
 
 def _announce(ready: Plan) -> None:
-    from evaluation.runs.cell_files import CHECKSUMS, written_down  # noqa: PLC0415 - as in _run
+    from evaluation.runs.checksums import CHECKSUMS  # noqa: PLC0415 - as in _run
     from evaluation.runs.folder import usable  # noqa: PLC0415
+    from evaluation.runs.missing_work import n_finished  # noqa: PLC0415
 
-    cells = sum(len(files) for _, _, files in ready.cells)
+    # Reading all of them would take seconds here; the run does, and says which are damaged.
     with usable(ready.out):
-        known = written_down(ready.out)
-    # Reading them all would take seconds here; the run does, and says which are damaged.
-    finished = sum(name in known for _, _, files in ready.cells for name in files)
+        finished = n_finished(ready)
     so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
     if ready.dataset.notice:
         _say(f"notice: {ready.dataset.notice}", stream=sys.stderr)
     _say(
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
-        f"{ready.settings.n_scenes} scenes; {cells} cells"
+        f"{ready.settings.n_scenes} scenes; {ready.n_cells} cells"
         + ("" if ready.settings.fresh else so_far)
         + f", in {ready.out}",
         stream=sys.stderr,

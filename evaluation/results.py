@@ -22,7 +22,7 @@ from evaluation.reporting import page, tables
 from evaluation.reporting.figures import draw as figures
 from evaluation.reporting.run_results import Results
 from evaluation.runs import folder
-from evaluation.runs.cell_files import check_sound
+from evaluation.runs.checksums import check_sound
 from evaluation.runs.execute import execute
 from evaluation.runs.failures import COLUMNS as FAILED_COLUMNS
 from evaluation.runs.files import write_whole

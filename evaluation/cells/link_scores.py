@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from evaluation.cells.link_setup import Ground, Part
+    from evaluation.cells.link_setup import Pairing, SensedSessions
     from isac_track.types import Bools, Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
@@ -54,19 +54,22 @@ class Linked:
     gallery_person: tuple[Ints, ...]
     calibration: Mapping[int, Calibration]
     """By fold."""
-    card: Scorecard
-    parts: Mapping[str, Cohort]
+    scored: Scorecard
+    cohorts: Mapping[str, Cohort]
     """By cohort, without the confounders; none for a control."""
+    is_control: bool
+    is_assigned: bool
+    """Whether probes can be left alone at a known cost, or need not be."""
 
 
 def read_off(
     scores: Mapping[int, Floats],
     *,
-    ground: Ground,
+    known: SensedSessions,
     calibration: Mapping[int, Calibration],
     no_match: Mapping[int, float] | None,
     rng: Generator,
-    cohorts: bool,
+    is_control: bool,
     n_shuffles: int = SHUFFLES,
 ) -> Linked:
     """Return the scorecard of an attack, and rank 1 without confounders.
@@ -75,28 +78,28 @@ def read_off(
     ----------
     scores : mapping
         (P, G) of every search, by its number.
-    ground : Ground
+    known : SensedSessions
     calibration : mapping
         By fold; none where there is nobody to calibrate on.
     no_match : mapping or None
         By search: what a pair must score to be linked. None in a closed gallery, where everybody
         is; a search that is not in it has no assignment.
     rng : Generator
-    cohorts : bool
-        Whether to leave confounders out as well.
+    is_control : bool
+        Whether it is none of the attacks, of which confounders are left out as well.
     n_shuffles : int, optional
     """
-    sessions = ground.sessions
-    part_of = {number: part for half in ground.halves for number, part in half.searches}
+    sessions = known.sessions
+    pairing_of = {number: pairing for half in known.halves for number, pairing in half.searches}
     numbers = sorted(scores)
-    probe_person = [sessions.probe.person[part_of[number].probe] for number in numbers]
-    gallery_person = [sessions.gallery.person[part_of[number].gallery] for number in numbers]
+    probe_person = [sessions.probe.person[pairing_of[number].probe] for number in numbers]
+    gallery_person = [sessions.gallery.person[pairing_of[number].gallery] for number in numbers]
     searches = [
         Search(
             scores=scores[number],
-            mate=part_of[number].mate,
-            probe_cluster=ground.cluster[probe],
-            gallery_cluster=ground.cluster[gallery],
+            mate=pairing_of[number].mate,
+            probe_cluster=known.cluster[probe],
+            gallery_cluster=known.cluster[gallery],
             scale=int(sessions.fold[number]),
         )
         for number, probe, gallery in zip(numbers, probe_person, gallery_person, strict=True)
@@ -105,26 +108,27 @@ def read_off(
     needed = None
     if no_match is not None and set(numbers) <= set(no_match):
         needed = [no_match[number] for number in numbers]
-    card = scorecard(
+    scored = scorecard(
         searches,
-        weights=ground.weights,
+        weights=known.weights,
         calibration=calibration if scales <= set(calibration) else None,
         no_match_score=needed,
         rng=rng,
         n_shuffles=n_shuffles,
     )
-    if no_match is not None and needed is None:
-        card = _without_assignment(card)
-    parts = {}
-    if cohorts:
-        parts = {
+    is_assigned = no_match is None or needed is not None
+    if not is_assigned:
+        scored = _without_assignment(scored)
+    apart = {}
+    if not is_control:
+        apart = {
             name: _cohort(
                 searches,
-                [kept[one] for one in probe_person],
-                [kept[one] for one in gallery_person],
-                weights=ground.weights,
+                [among[one] for one in probe_person],
+                [among[one] for one in gallery_person],
+                weights=known.weights,
             )
-            for name, kept in (
+            for name, among in (
                 (WITHOUT_GROUPS, sessions.alone),
                 (WITHOUT_FROZEN, sessions.moving),
             )
@@ -134,19 +138,21 @@ def read_off(
         probe_person=tuple(probe_person),
         gallery_person=tuple(gallery_person),
         calibration=calibration,
-        card=card,
-        parts=parts,
+        scored=scored,
+        cohorts=apart,
+        is_control=is_control,
+        is_assigned=is_assigned,
     )
 
 
-def _without_assignment(card: Scorecard) -> Scorecard:
-    """Return the card of an open gallery without a cost for leaving somebody alone."""
-    estimates = dict(card.estimates)
+def _without_assignment(scored: Scorecard) -> Scorecard:
+    """Return the scored of an open gallery without a cost for leaving somebody alone."""
+    estimates = dict(scored.estimates)
     for name in ("rank1_assigned", "false_link_rate"):
         if name in estimates:
             unknown = np.full_like(estimates[name].replicates, np.nan)
             estimates[name] = Estimate(np.nan, np.nan, np.nan, estimates[name].n, unknown)
-    return replace(card, estimates=estimates)
+    return replace(scored, estimates=estimates)
 
 
 def _cohort(
@@ -169,7 +175,7 @@ def _cohort(
         )
         chances.append(np.full(has.size, 1.0 / columns.size))
         clusters.append(search.probe_cluster[has])
-    hit, chance = (np.concatenate([*parts, np.zeros(0)]) for parts in (hits, chances))
+    hit, chance = (np.concatenate([*some, np.zeros(0)]) for some in (hits, chances))
     cluster = np.concatenate([*clusters, np.zeros(0, dtype=np.int64)])
     sums = [
         cluster_sums(values=values, cluster=cluster, n_clusters=weights.shape[1])
@@ -185,13 +191,13 @@ def _cohort(
     )
 
 
-def calibrated(found: Sequence[tuple[Floats, Part]]) -> Calibration | None:
+def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> Calibration | None:
     """Return the calibration on people who are neither attacked nor learnt from."""
     mated, non_mated = [np.zeros(0)], [np.zeros(0)]
-    for scores, part in found:
+    for scores, pairing in found:
         is_mate = np.zeros(scores.shape, dtype=bool)
-        has = np.flatnonzero(part.mate >= 0)
-        is_mate[has, part.mate[has]] = True
+        has = np.flatnonzero(pairing.mate >= 0)
+        is_mate[has, pairing.mate[has]] = True
         mated.append(scores[is_mate])
         non_mated.append(scores[~is_mate])
     first, second = np.concatenate(mated), np.concatenate(non_mated)
@@ -200,7 +206,7 @@ def calibrated(found: Sequence[tuple[Floats, Part]]) -> Calibration | None:
     return fit_calibration(mated=first, non_mated=second)
 
 
-def no_match_score(calibration: Calibration, part: Part, *, mate_rate: float) -> float:
+def no_match_score(calibration: Calibration, pairing: Pairing, *, mate_rate: float) -> float:
     """Return what a pair of a search must score to be linked rather than left alone.
 
     Of the matchings of P probes with G candidates the most probable one is sought, where a probe
@@ -210,13 +216,13 @@ def no_match_score(calibration: Calibration, part: Part, *, mate_rate: float) ->
     Parameters
     ----------
     calibration : Calibration
-    part : Part
+    pairing : Pairing
         The search.
     mate_rate : float
         r, of other people.
     """
     if calibration.slope <= 0.0:  # scores tell nothing: nobody is linked
         return _NEVER
-    nobodys = max(part.gallery.size - mate_rate * part.probe.size + 1.0, 1.0)
+    nobodys = max(pairing.gallery.size - mate_rate * pairing.probe.size + 1.0, 1.0)
     needed = float(np.log((1.0 - mate_rate) / mate_rate * nobodys))
     return float(np.clip((needed - calibration.intercept) / calibration.slope, -_NEVER, _NEVER))

@@ -1,4 +1,4 @@
-"""The ground of a linkage task: what all mechanism levels share, before anything is shared.
+"""What all mechanism levels of a linkage task have in common, before anything is shared.
 
 Both sessions are sensed like everything else. Unless the task shows the scene, every walk is turned
 and shifted by itself and put on a clock of its own.
@@ -11,23 +11,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.cells.left_out import kept, reduced
+from evaluation.cells.adversary import FAR_M, LONG_S
+from evaluation.cells.samples import restricted, samples_shared
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense
-from isac_track.types import Release
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from attacks.tasks.sessions import Sessions, Windows
     from isac_track.config import StageSettings
-    from isac_track.types import Bools, Floats, Ints, Sensed
+    from isac_track.types import Bools, Floats, Ints, Release, Sensed
 
 N_REPLICATES = 1000
 SIDES = ("probe", "gallery")
-_FAR_M = 1000.0
-_LONG_S = 86_400.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,7 +58,7 @@ class Frames:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Part:
+class Pairing:
     """Some windows of both sides, and who is who in them: a search, or a training set."""
 
     probe: Ints
@@ -75,18 +73,18 @@ class Part:
 class Half:
     """What belongs to one fold: whom its adversary attacks, and from whom it learns."""
 
-    searches: tuple[tuple[int, Part], ...]
+    searches: tuple[tuple[int, Pairing], ...]
     """Number of the search, and its windows."""
-    learns: Part
-    calibrates: tuple[Part, ...]
+    learns: Pairing
+    calibrates: tuple[Pairing, ...]
     """Searches of the people on whose scores those of this fold are calibrated."""
     mate_rate: float
     """Share of those people's probes that have a mate, kept off 0 and 1."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Ground:
-    """What all levels of a task share."""
+class SensedSessions:
+    """Both sessions of a task as they are sensed, and what else all of its levels share."""
 
     sessions: Sessions
     sensed: tuple[Sensed, Sensed]
@@ -94,15 +92,19 @@ class Ground:
     frames: tuple[Frames, Frames] | None
     """None where the task shows the scene."""
     halves: tuple[Half, ...]
+    drawn_as: Ints
+    """(C,) which cluster of the run's scenes each cluster is, or -1."""
+    n_groups: int
+    """Clusters of the run's scenes."""
     weights: Floats
     """(B, C) bootstrap weights of the clusters."""
     cluster: Ints
     """(K,) cluster of each person: a column of the weights."""
 
 
-def ground(
+def sensed_sessions(
     sessions: Sessions, *, groups: Sequence[str], stages: StageSettings, seed: int
-) -> Ground:
+) -> SensedSessions:
     """Sense both sessions of a task and prepare its folds.
 
     Parameters
@@ -113,11 +115,14 @@ def ground(
     stages : StageSettings
     seed : int
     """
-    weights, cluster = _weights(sessions, groups=groups, seed=seed)
+    names = sorted(set(sessions.group))
+    column = {name: place for place, name in enumerate(names)}
+    known = {name: place for place, name in enumerate(groups)}
+    drawn_as = np.array([known.get(name, -1) for name in names])
     frames = None
     if not sessions.task.shows_scene:
         frames = (_frames(sessions, "probe", seed=seed), _frames(sessions, "gallery", seed=seed))
-    return Ground(
+    return SensedSessions(
         sessions=sessions,
         sensed=(
             _sensed(sessions, "probe", stages=stages, seed=seed),
@@ -125,56 +130,39 @@ def ground(
         ),
         frames=frames,
         halves=tuple(_half(sessions, fold) for fold in np.unique(sessions.fold).tolist()),
-        weights=weights,
-        cluster=cluster,
+        drawn_as=drawn_as,
+        n_groups=len(groups),
+        weights=linkage_weights(drawn_as, n_groups=len(groups), task=sessions.task.name, seed=seed),
+        cluster=np.array([column[name] for name in sessions.group], dtype=np.int64),
     )
 
 
-def ground_without(ground: Ground, released: Sequence[Release]) -> Ground:
-    """Return a ground as it is for these releases: without the samples that they left out.
+def without(known: SensedSessions, released: Sequence[Release]) -> SensedSessions:
+    """Return sessions as they are for these releases: without the samples that they left out.
 
     Parameters
     ----------
-    ground : Ground
+    known : SensedSessions
     released : sequence of Release
         Of the probe and of the gallery side, at the instants of the windows.
     """
-    sessions, sensed, frames = ground.sessions, list(ground.sensed), ground.frames
+    sessions, sensed, frames = known.sessions, list(known.sensed), known.frames
     windows, turned = [sessions.probe, sessions.gallery], [] if frames is None else list(frames)
-    lefts = [kept(one, whole) for one, whole in zip(released, sensed, strict=True)]
+    lefts = [samples_shared(one, whole) for one, whole in zip(released, sensed, strict=True)]
     for side, left in enumerate(lefts):
         if left is None:
             continue
-        sensed[side] = reduced(sensed[side], left)
-        windows[side] = reduced(windows[side], left)
+        sensed[side] = restricted(sensed[side], left)
+        windows[side] = restricted(windows[side], left)
         if turned:
-            turned[side] = turned[side].of(left.samples)
+            turned[side] = turned[side].of(left.rows)
     if all(left is None for left in lefts):
-        return ground
+        return known
     return replace(
-        ground,
+        known,
         sessions=replace(sessions, probe=windows[0], gallery=windows[1]),
         sensed=(sensed[0], sensed[1]),
         frames=(turned[0], turned[1]) if turned else None,
-    )
-
-
-def samples_of(offsets: Ints, rows: Ints) -> tuple[Ints, Ints]:
-    """Return the samples of some tracks, (m,), and the tracks' offsets among them, (n + 1,)."""
-    sizes = np.diff(offsets)[rows]
-    taken = np.concatenate([[0], np.cumsum(sizes)])
-    return np.repeat(offsets[rows] - taken[:-1], sizes) + np.arange(taken[-1]), taken
-
-
-def taken(release: Release, rows: Ints) -> Release:
-    """Return some tracks of a release."""
-    samples, offsets = samples_of(release.offsets, rows)
-    return Release(
-        t=release.t[samples],
-        xy=release.xy.take(samples, axis=0),
-        sigma=None if release.sigma is None else release.sigma[samples],
-        offsets=offsets,
-        pseudonym=tuple(release.pseudonym[row] for row in rows),
     )
 
 
@@ -182,7 +170,7 @@ def _half(sessions: Sessions, fold: int) -> Half:
     mine = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)
 
-    def part(searches: Ints, people: Bools | None) -> Part:
+    def part(searches: Ints, people: Bools | None) -> Pairing:
         probe = np.isin(sessions.probe.search, searches)
         gallery = np.isin(sessions.gallery.search, searches)
         if people is not None:
@@ -190,7 +178,7 @@ def _half(sessions: Sessions, fold: int) -> Half:
             gallery &= people[sessions.gallery.person]
         place = np.where(gallery, np.cumsum(gallery) - 1, -1)
         mate = sessions.mate[probe]
-        return Part(
+        return Pairing(
             probe=np.flatnonzero(probe),
             gallery=np.flatnonzero(gallery),
             mate=np.where(mate >= 0, place[mate], -1),
@@ -207,26 +195,31 @@ def _half(sessions: Sessions, fold: int) -> Half:
     )
 
 
-def _weights(sessions: Sessions, *, groups: Sequence[str], seed: int) -> tuple[Floats, Ints]:
-    """Return bootstrap weights, (B, C), and the column of each person, (K,).
+def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> Floats:
+    """Return bootstrap weights of the clusters of a linkage task, (B, C).
 
     Clusters that the run's scenes have as well are drawn as they are there; the others are drawn
     among themselves.
+
+    Parameters
+    ----------
+    drawn_as : (C,) int
+        Place of each among the clusters of the run's scenes, or -1.
+    n_groups : int
+        Clusters of the run's scenes.
+    task : str
+    seed : int
     """
-    names = sorted(set(sessions.group))
-    column = {name: place for place, name in enumerate(names)}
-    weights = np.empty((N_REPLICATES, len(names)))
-    known = {name: place for place, name in enumerate(groups)}
-    again = [name for name in names if name in known]
-    if again:
-        drawn = cluster_weights(n_clusters=len(groups), n_replicates=N_REPLICATES, seed=seed)
-        weights[:, [column[name] for name in again]] = drawn[:, [known[name] for name in again]]
-    further = [column[name] for name in names if name not in known]
-    if further:
-        rng = stream(seed, "bootstrap", "linkage", sessions.task.name)
-        share = np.full(len(further), 1.0 / len(further))
-        weights[:, further] = rng.multinomial(len(further), share, N_REPLICATES)
-    return weights, np.array([column[name] for name in sessions.group], dtype=np.int64)
+    weights = np.empty((N_REPLICATES, drawn_as.size))
+    again, further = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)
+    if again.size:
+        drawn = cluster_weights(n_clusters=n_groups, n_replicates=N_REPLICATES, seed=seed)
+        weights[:, again] = drawn[:, drawn_as[again]]
+    if further.size:
+        rng = stream(seed, "bootstrap", "linkage", task)
+        share = np.full(further.size, 1.0 / further.size)
+        weights[:, further] = rng.multinomial(further.size, share, N_REPLICATES)
+    return weights
 
 
 def _side(sessions: Sessions, side: str) -> Windows:
@@ -274,7 +267,7 @@ def _frames(sessions: Sessions, side: str, *, seed: int) -> Frames:
     return Frames(
         cos=np.cos(2.0 * np.pi * angle),
         sin=np.sin(2.0 * np.pi * angle),
-        shift_m=_FAR_M * (2.0 * np.column_stack(shift) - 1.0),
+        shift_m=FAR_M * (2.0 * np.column_stack(shift) - 1.0),
         # From the start of each window: a recording may last longer than the draw reaches.
-        clock_s=_LONG_S * clock - np.repeat(windows.t[windows.offsets[:-1]], sizes),
+        clock_s=LONG_S * clock - np.repeat(windows.t[windows.offsets[:-1]], sizes),
     )

@@ -1,4 +1,4 @@
-"""How well each adversary links at one mechanism level of a task.
+"""The stages of linkage: how well each adversary links at one mechanism level of a task.
 
 An attack that learns does so on people of the other half, and prepares anew for every mechanism
 level.
@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.shape import Shape
 from attacks.tasks.controls import CONTROLS
+from evaluation.cells.adversary import declared, fitted, granted_at, reconstructed, showing
 from evaluation.cells.link_scores import (
     AUDIT_SHUFFLES,
     SHUFFLES,
@@ -22,98 +23,41 @@ from evaluation.cells.link_scores import (
     no_match_score,
     read_off,
 )
-from evaluation.cells.link_setup import SIDES, ground_without, samples_of, taken
+from evaluation.cells.link_setup import SIDES, without
 from evaluation.cells.plugin_calls import copied, guarded
-from evaluation.cells.progress import note
+from evaluation.cells.samples import samples_of, tracks_of
+from evaluation.cells.sharing import share
 from evaluation.cells.windows import window_rows
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
-from isac_track.types import Knowledge, Reconstruction, Release
+from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable
 
     from evaluation.cells.link_scores import Linked
-    from evaluation.cells.link_setup import Ground, Part
-    from evaluation.cells.reconstruction import Rows
+    from evaluation.cells.link_setup import Pairing, SensedSessions
+    from evaluation.cells.tables import Rows
     from evaluation.experiment.axes import Consumer
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
-    from isac_track.types import Floats, Ints, Sensed
-
-Linker: TypeAlias = "Callable[[Release, Release], Floats]"
-Share: TypeAlias = "Callable[[Sensed, tuple[str | int, ...]], Release]"
-
-
-def link_level(
-    mechanism: Plugin,
-    consumers: Sequence[Consumer],
-    *,
-    ground: Ground,
-    controlled: dict[str, Linked],
-    share: Share,
-    epsilon_m: float,
-    seed: int,
-) -> Iterator[tuple[Consumer, Linked | Rows]]:
-    """Yield what each consumer links at one mechanism level, or the rows of the windows.
-
-    Parameters
-    ----------
-    mechanism : Plugin
-    consumers : sequence of Consumer
-        Linkage attacks and controls of the task, and its windows.
-    ground : Ground
-    controlled : dict
-        Controls that are alike at every level that leaves no sample out, as far as they are known;
-        it is added to.
-    share : callable
-        From what was sensed and the name of a stream to a release of the mechanism.
-    epsilon_m : float
-    seed : int
-
-    Raises
-    ------
-    PluginError
-        If an attack raises or breaks its contract; the message names it.
-    """
-    task = ground.sessions.task
-    shared = [
-        share(sensed, ("linkage", task.family, side))
-        for sensed, side in zip(ground.sensed, SIDES, strict=True)
-    ]
-    sessions, whole = ground.sessions, ground
-    ground = ground_without(whole, shared)
-    in_frame = shared
-    if ground.frames is not None:
-        in_frame = [frames.release(one) for frames, one in zip(ground.frames, shared, strict=True)]
-    level = _Level(
-        mechanism=mechanism,
-        released=(in_frame[0], in_frame[1]),
-        ground=ground,
-        epsilon_m=epsilon_m,
-        seed=seed,
-        sides={},
-    )
-    for consumer in consumers:
-        note(mechanism.spec, consumer.label)
-        if consumer.kind == "windows":
-            yield (
-                consumer,
-                window_rows(shared, ground=ground, sessions=sessions, epsilon_m=epsilon_m),
-            )
-        elif consumer.kind == "control":
-            yield consumer, _controlled(consumer, level, controlled if ground is whole else {})
-        else:
-            yield consumer, _linked(consumer, level)
+    from isac_track.types import Floats, Ints, Release
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Level:
+class LinkedLevel:
+    """What all that link at one mechanism level of a task share."""
+
     mechanism: Plugin
+    shared: tuple[Release, Release]
+    """Of the probe and of the gallery side, in the true frame."""
     released: tuple[Release, Release]
     """As an adversary sees them, with the declared standard deviations."""
-    ground: Ground
+    known: SensedSessions
+    """Without the samples that were left out."""
+    leaves_out: bool
+    """Whether there are such samples."""
     epsilon_m: float
     seed: int
     sides: dict[tuple[object, ...], _Sides]
@@ -122,102 +66,161 @@ class _Level:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Sides:
-    """Both releases as some linkers get them, and what was taken of them already."""
+    """Both releases as some linkers get them, and the windows of each pairing so far."""
 
     probe: Release
     gallery: Release
-    known: dict[int, tuple[Release, Release]]
+    found: dict[int, tuple[Release, Release]]
 
-    def taken(self, part: Part) -> tuple[Release, Release]:
-        """Return the windows of a part; those of a part of the ground are taken once."""
-        if id(part) not in self.known:
-            self.known[id(part)] = taken(self.probe, part.probe), taken(self.gallery, part.gallery)
-        return self.known[id(part)]
+    def of(self, pairing: Pairing) -> tuple[Release, Release]:
+        """Return the windows of a pairing, the same ones every time."""
+        if id(pairing) not in self.found:
+            self.found[id(pairing)] = (
+                tracks_of(self.probe, pairing.probe),
+                tracks_of(self.gallery, pairing.gallery),
+            )
+        return self.found[id(pairing)]
 
 
-def _linked(consumer: Consumer, level: _Level) -> Linked:
-    assert consumer.plugin is not None
-    ground = level.ground
+def linked_level(
+    mechanism: Plugin, *, known: SensedSessions, epsilon_m: float, seed: int
+) -> LinkedLevel:
+    """Share both sessions of a task.
+
+    Raises
+    ------
+    PluginError
+        If the mechanism raises or breaks its contract; the message names it.
+    """
+    family = known.sessions.task.family
+    probe, gallery = (
+        share(mechanism, sensed, "linkage", family, side, seed=seed)
+        for sensed, side in zip(known.sensed, SIDES, strict=True)
+    )
+    rest = without(known, (probe, gallery))
+    released = (probe, gallery)
+    if rest.frames is not None:
+        released = (rest.frames[0].release(probe), rest.frames[1].release(gallery))
+    return LinkedLevel(
+        mechanism=mechanism,
+        shared=(probe, gallery),
+        released=released,
+        known=rest,
+        leaves_out=rest is not known,
+        epsilon_m=epsilon_m,
+        seed=seed,
+        sides={},
+    )
+
+
+def link(
+    consumer: Consumer,
+    level: LinkedLevel,
+    *,
+    whole: SensedSessions,
+    controls: dict[str, Linked],
+) -> Linked | Rows:
+    """Return what a consumer links at one mechanism level, or the rows of the windows.
+
+    Parameters
+    ----------
+    consumer : Consumer
+        A linkage attack or control of the task, or its windows.
+    level : LinkedLevel
+    whole : SensedSessions
+        With the samples that the level left out.
+    controls : dict
+        Those that are alike at every level that leaves nothing out, as far as they are known; it
+        is added to.
+
+    Raises
+    ------
+    PluginError
+        If an attack raises or breaks its contract; the message names it.
+    """
+    if consumer.kind == "windows":
+        return window_rows(
+            level.shared, known=level.known, sessions=whole.sessions, epsilon_m=level.epsilon_m
+        )
+    if consumer.kind != "control":
+        return _linked(consumer, level)
+    if not CONTROLS[consumer.control].sees_times_only or level.leaves_out:
+        return _controlled(consumer, level)
+    if consumer.control not in controls:
+        controls[consumer.control] = _controlled(consumer, level)
+    return controls[consumer.control]
+
+
+def _linked(consumer: Consumer, level: LinkedLevel) -> Linked:
+    known = level.known
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
     no_match: dict[int, float] = {}
-    for fold, half in enumerate(ground.halves):
-        sides = _seen(consumer, level, fold=fold)
-        fitted = _fitted(consumer, level, sides=sides, fold=fold)
-        score = partial(_scored, consumer, fitted, sides)
-        for number, part in half.searches:
-            scores[number] = score(part)
-        found = [(score(part), part) for part in half.calibrates]
-        known = calibrated(found)
-        if known is not None:
-            calibration[fold] = known
-            for number, part in half.searches:
-                no_match[number] = no_match_score(known, part, mate_rate=half.mate_rate)
-    rng = stream(level.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge)
+    for fold, half in enumerate(known.halves):
+        sides = _sides(consumer, level, fold=fold)
+        attack = _fitted(consumer, level, sides=sides, fold=fold)
+        score = partial(_scored, consumer, attack, sides)
+        for number, pairing in half.searches:
+            scores[number] = score(pairing)
+        on_others = calibrated([(score(pairing), pairing) for pairing in half.calibrates])
+        if on_others is not None:
+            calibration[fold] = on_others
+            for number, pairing in half.searches:
+                no_match[number] = no_match_score(on_others, pairing, mate_rate=half.mate_rate)
     return read_off(
         scores,
-        ground=ground,
+        known=known,
         calibration=calibration,
-        no_match=no_match if ground.sessions.task.shows_scene else None,
-        rng=rng,
-        cohorts=True,
+        no_match=no_match if known.sessions.task.shows_scene else None,
+        rng=stream(level.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
+        is_control=False,
     )
 
 
-def _controlled(consumer: Consumer, level: _Level, known: dict[str, Linked]) -> Linked:
+def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
     """Return what a control links: it learns nothing and knows what is declared."""
-    ground, control = level.ground, CONTROLS[consumer.control]
-    if consumer.control in known:
-        return known[consumer.control]
+    known, control = level.known, CONTROLS[consumer.control]
     key = () if control.sees_times_only else (level.mechanism.spec,)
     rng = stream(level.seed, "controls", consumer.spec, *key)
+    task = known.sessions.task
     scores: dict[int, Floats] = {}
-    for half in ground.halves:
-        for number, part in half.searches:
-            probe = taken(level.released[0], part.probe)
-            gallery = taken(level.released[1], part.gallery)
-            score = control.scorer(ground.sessions.task)
+    for half in known.halves:
+        for number, pairing in half.searches:
+            probe = tracks_of(level.released[0], pairing.probe)
+            gallery = tracks_of(level.released[1], pairing.gallery)
+            score = control.scorer(task)
             if score is not None:
                 scores[number] = score(probe, gallery, rng)
-            else:
-                attack = Kinematic() if ground.sessions.task.shows_scene else Shape()
-                context = AttackContext(
-                    rng=rng,
-                    epsilon_m=level.epsilon_m,
-                    granted=attack.requires & ground.sessions.task.everyone,
-                )
-                real = attack.fit(context)(probe.without_sigma(), gallery.without_sigma())
-                scores[number] = real[:, rng.permutation(real.shape[1])]
-    found = read_off(
+                continue
+            attack = Kinematic() if task.shows_scene else Shape()
+            context = AttackContext(
+                rng=rng, epsilon_m=level.epsilon_m, granted=attack.requires & task.everyone
+            )
+            real = attack.fit(context)(probe.without_sigma(), gallery.without_sigma())
+            scores[number] = real[:, rng.permutation(real.shape[1])]
+    return read_off(
         scores,
-        ground=ground,
+        known=known,
         calibration={},
-        no_match={} if ground.sessions.task.shows_scene else None,
+        no_match={} if task.shows_scene else None,
         rng=rng,
-        cohorts=False,
+        is_control=True,
         n_shuffles=AUDIT_SHUFFLES if control.is_audit else SHUFFLES,
     )
-    if control.sees_times_only:
-        known[consumer.control] = found
-    return found
 
 
-# What an attack is given
-
-
-def _seen(consumer: Consumer, level: _Level, *, fold: int) -> _Sides:
+def _sides(consumer: Consumer, level: LinkedLevel, *, fold: int) -> _Sides:
     """Return both releases as a linker gets them: smoothed first, where it stands behind that."""
     assert consumer.plugin is not None
-    knows_sigma = Knowledge.SIGMA in consumer.granted & _declared(consumer.plugin)
+    knows_sigma = Knowledge.SIGMA in consumer.granted & declared(consumer.plugin)
     behind = consumer.behind
     key: tuple[object, ...] = (knows_sigma,)
     if behind is not None:
-        granted = consumer.granted & _declared(behind)
-        key = (knows_sigma, behind.spec, granted, fold)
+        key = (knows_sigma, behind.spec, consumer.granted & declared(behind), fold)
     if key not in level.sides:
         probe, gallery = level.released
         if behind is not None:
-            probe, gallery = _smoothed(consumer, behind, level, granted=granted, fold=fold)
+            probe, gallery = _smoothed(consumer, behind, level, fold=fold)
         if not knows_sigma:
             probe, gallery = probe.without_sigma(), gallery.without_sigma()
         level.sides[key] = _Sides(probe, gallery, {})
@@ -225,79 +228,82 @@ def _seen(consumer: Consumer, level: _Level, *, fold: int) -> _Sides:
 
 
 def _smoothed(
-    consumer: Consumer,
-    behind: Plugin,
-    level: _Level,
-    *,
-    granted: frozenset[Knowledge],
-    fold: int,
+    consumer: Consumer, behind: Plugin, level: LinkedLevel, *, fold: int
 ) -> tuple[Release, Release]:
     """Return both releases with the positions that a reconstruction attack makes of them."""
-    granted = _without_undeclared(granted, behind, level)
-    learns = level.ground.halves[fold].learns
-    seen = [one if Knowledge.SIGMA in granted else one.without_sigma() for one in level.released]
-    context = AttackContext(
+    who = f"attack {behind.spec} (behind {consumer.label})"
+    granted = _granted(consumer, behind, level)
+    learns = level.known.halves[fold].learns
+    probe, gallery = (showing(one, granted) for one in level.released)
+    train = None
+    if learns.probe.size:
+        train = TrainingSet(
+            copied(tracks_of(probe, learns.probe)), _truth_of_probes(level.known, learns.probe)
+        )
+    attack = fitted(
+        behind,
+        who=who,
+        granted=granted,
+        mechanism=level.mechanism,
         rng=stream(level.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
         epsilon_m=level.epsilon_m,
-        granted=granted,
-        mechanism=level.mechanism.instance,
-        train=TrainingSet(
-            copied(taken(seen[0], learns.probe)),
-            _truth(level.ground, side=0, rows=learns.probe),
-        )
-        if learns.probe.size
-        else None,
+        train=train,
     )
-    who = f"attack {behind.spec} (behind {consumer.label})"
-    fitted = guarded(who, lambda: behind.instance.fit(context))
-    smoothed = []
-    for one, shown in zip(level.released, seen, strict=True):
-        found = guarded(who, partial(fitted, copied(shown)))
-        if not isinstance(found, Reconstruction) or found.xy.shape != one.xy.shape:
-            got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
-            raise PluginError(
-                f"{who} must return a Reconstruction with xy {one.xy.shape}, got {got}"
-            )
-        smoothed.append(replace(one, xy=found.xy))
-    return smoothed[0], smoothed[1]
+    first, second = (
+        replace(one, xy=reconstructed(attack, copied(shown), who=who))
+        for one, shown in zip(level.released, (probe, gallery), strict=True)
+    )
+    return first, second
 
 
-def _fitted(consumer: Consumer, level: _Level, *, sides: _Sides, fold: int) -> Linker:
+def _fitted(
+    consumer: Consumer, level: LinkedLevel, *, sides: _Sides, fold: int
+) -> Callable[..., object]:
     assert consumer.plugin is not None
-    granted = consumer.granted & _declared(consumer.plugin)
-    granted = _without_undeclared(granted, consumer.plugin, level)
-    learns = level.ground.halves[fold].learns
+    granted = _granted(consumer, consumer.plugin, level)
+    learns = level.known.halves[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
         if not ((learns.mate >= 0).any() and learns.gallery.size):
             raise DataError(
                 f"attack {consumer.label} learns from other people, but there is nobody to learn "
-                f"from in {level.ground.sessions.task.name}; use a recording of more people or "
+                f"from in {level.known.sessions.task.name}; use a recording of more people or "
                 "leave the attack out"
             )
-        probe, gallery = sides.taken(learns)
+        probe, gallery = sides.of(learns)
         train = LinkageTrainingSet(copied(probe), copied(gallery), learns.mate.copy())
-    context = AttackContext(
-        rng=stream(
-            level.seed, "attacks", consumer.spec, consumer.knowledge, level.mechanism.spec, fold
-        ),
-        epsilon_m=level.epsilon_m,
+    key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
+    return fitted(
+        consumer.plugin,
+        who=f"attack {consumer.label}",
         granted=granted,
-        mechanism=level.mechanism.instance,
+        mechanism=level.mechanism,
+        rng=stream(level.seed, "attacks", *key),
+        epsilon_m=level.epsilon_m,
         train=train,
     )
-    attack = consumer.plugin.instance
-    fitted: Linker = guarded(f"attack {consumer.label}", lambda: attack.fit(context))
-    return fitted
 
 
-def _scored(consumer: Consumer, fitted: Linker, sides: _Sides, part: Part) -> Floats:
-    """Return what a linker makes of a search, (p, g); as single floats, as they are stored."""
-    probe, gallery = sides.taken(part)
+def _granted(consumer: Consumer, plugin: Plugin, level: LinkedLevel) -> frozenset[Knowledge]:
+    """Return what one of a consumer's plug-ins gets at a level."""
+    return granted_at(
+        consumer.granted & declared(plugin),
+        plugin,
+        who=f"attack {plugin.spec}",
+        mechanism=level.mechanism,
+        has_sigma=all(one.sigma is not None for one in level.released),
+    )
+
+
+def _scored(
+    consumer: Consumer, attack: Callable[..., object], sides: _Sides, pairing: Pairing
+) -> Floats:
+    """Return what a linker makes of a search, (p, g), in single precision."""
+    probe, gallery = sides.of(pairing)
     if not consumer.is_built_in:  # a stranger may unlock arrays: what it writes to is its own
         probe, gallery = copied(probe), copied(gallery)
-    found = guarded(f"attack {consumer.label}", lambda: fitted(probe, gallery))
-    expected = (part.probe.size, part.gallery.size)
+    found = guarded(f"attack {consumer.label}", lambda: attack(probe, gallery))
+    expected = (pairing.probe.size, pairing.gallery.size)
     scores = np.asarray(found)
     if scores.shape != expected or scores.dtype.kind not in "fiu":
         raise PluginError(
@@ -311,27 +317,8 @@ def _scored(consumer: Consumer, fitted: Linker, sides: _Sides, part: Part) -> Fl
     return single.astype(np.float64)
 
 
-def _declared(plugin: Plugin) -> frozenset[Knowledge]:
-    declared: frozenset[Knowledge] = plugin.instance.requires | plugin.instance.uses
-    return declared
-
-
-def _without_undeclared(
-    granted: frozenset[Knowledge], plugin: Plugin, level: _Level
-) -> frozenset[Knowledge]:
-    """Return what a plug-in gets: without SIGMA where the mechanism declares none."""
-    if Knowledge.SIGMA not in granted or all(one.sigma is not None for one in level.released):
-        return granted
-    if Knowledge.SIGMA in plugin.instance.requires:
-        raise PluginError(
-            f"attack {plugin.spec} requires SIGMA, but mechanism {level.mechanism.spec!r} "
-            "declares none; leave one of the two out"
-        )
-    return granted - {Knowledge.SIGMA}
-
-
-def _truth(ground: Ground, *, side: int, rows: Ints) -> Floats:
-    """Return true positions in the frames that the adversary sees, (m, 2) m."""
-    windows = ground.sessions.probe if side == 0 else ground.sessions.gallery
-    xy = windows.xy if ground.frames is None else ground.frames[side].points(windows.xy)
-    return xy[samples_of(windows.offsets, rows)[0]]
+def _truth_of_probes(known: SensedSessions, rows: Ints) -> Floats:
+    """Return true positions of some probes in the frames that the adversary sees, (m, 2) m."""
+    windows = known.sessions.probe
+    xy = windows.xy if known.frames is None else known.frames[0].points(windows.xy)
+    return xy[samples_of(windows.offsets, rows).rows]

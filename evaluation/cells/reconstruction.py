@@ -1,4 +1,4 @@
-"""What an adversary is given of a block of scenes, and what its reconstruction reveals.
+"""The stage *reconstruction*: what each adversary's reconstruction of a block reveals.
 
 People are split into two halves, whole groups at a time. An attack that learns does so on the
 other half; every attack prepares anew for every mechanism level.
@@ -7,34 +7,50 @@ other half; every attack prepares anew for every mechanism level.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, smooth
 from attacks.reconstruction.learning import N_CANDIDATES
-from evaluation.cells.left_out import kept, reduced
-from evaluation.cells.plugin_calls import copied, guarded
-from evaluation.experiment.presets import MOST_SCENES
-from isac_track import privacy
+from evaluation.cells.adversary import (
+    SHOWS,
+    fitted,
+    granted_at,
+    reconstructed,
+    turned,
+    view_of,
+)
+from evaluation.cells.descriptors import descriptors, track_columns
+from evaluation.cells.plugin_calls import copied
+from evaluation.cells.samples import (
+    restricted,
+    samples_of,
+    samples_shared,
+    tracks_of,
+)
+from evaluation.cells.sharing import share
+from evaluation.experiment.constants import MOST_SCENES
 from isac_track.errors import DataError, PluginError
-from isac_track.protocols import AttackContext, TrainingSet
+from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import make_scenes
 from isac_track.sensing import sense_scenes
-from isac_track.types import Knowledge, Reconstruction, Release
+from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.random import Generator
 
-    from evaluation.cells.left_out import Kept
+    from evaluation.cells.adversary import View
+    from evaluation.cells.samples import Samples
+    from evaluation.cells.tables import Rows
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
-    from isac_track.types import Floats, Ints, Scenes, Sensed
+    from isac_track.types import Floats, Ints, Release, Scenes, Sensed
 
 N_REPEATS = 2
 """Further releases of the same walks, for who is granted REPEATS."""
@@ -43,24 +59,15 @@ TRAINING_PEOPLE = 20
 BENCHMARK_Q = KalmanRTS.DEFAULT_Q
 """m^2/s^3, motion of the benchmark."""
 _FOLDS = (0, 1)
-_SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})
-"""Knowledge that shows in the release itself."""
-_FAR_M = 1000.0
-_LONG_S = 86_400.0
 _LEAST_VARIANCE_M2 = 1e-12
-
-Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
-Share: TypeAlias = "Callable[[Sensed, tuple[str | int, ...]], Release]"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Part:
+class Victims:
     """Some tracks of a block, one after the other."""
 
     rows: Ints
     """(n,) which tracks of the block."""
-    samples: Ints
-    """(m,) which samples of the block."""
     offsets: Ints
     """(n + 1,)"""
     t: Floats
@@ -70,16 +77,16 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Ground:
+class AttackedBlock:
     """What all attacks on a block share, whatever the mechanism."""
 
     scenes: Scenes
     sensed: Sensed
-    parts: tuple[Part, Part]
+    halves: tuple[Victims, Victims]
     """The tracks of either half of the people."""
-    first_parts: tuple[Part, Part]
+    first_halves: tuple[Victims, Victims]
     """The same, only the first release of each source track in the run: for slow attacks."""
-    passes: tuple[tuple[Part, ...], tuple[Part, ...]]
+    passes: tuple[tuple[Victims, ...], tuple[Victims, ...]]
     """The same, cut by the passes over the recording: in none does a walk occur twice."""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
     """For each part people of the other half, each once; None if there are none. All samples."""
@@ -113,7 +120,7 @@ def slow_cost_s(consumers: Sequence[Consumer], *, tracks: Cut, n_levels: int) ->
     return n_levels * total_s
 
 
-def ground(
+def attacked_block(
     *,
     scenes: Scenes,
     sensed: Sensed,
@@ -121,7 +128,7 @@ def ground(
     repeats: bool,
     stages: StageSettings,
     seed: int,
-) -> Ground:
+) -> AttackedBlock:
     """Prepare a block for its attacks.
 
     Parameters
@@ -152,62 +159,53 @@ def ground(
         sense_scenes(scenes, settings=stages.sensing, seed=seed, names=("again", number))
         for number in range(N_REPEATS if repeats else 0)
     )
-    first, second = (_part(scenes, np.flatnonzero(victims_half == fold)) for fold in _FOLDS)
+    first, second = (_victims(scenes, np.flatnonzero(victims_half == fold)) for fold in _FOLDS)
     passes = tuple(
         tuple(
-            _part(scenes, np.flatnonzero((victims_half == fold) & (number == one)))
+            _victims(scenes, np.flatnonzero((victims_half == fold) & (number == one)))
             for one in np.unique(number[victims_half == fold])
         )
         for fold in _FOLDS
     )
     _assert_distinct(passes, scenes=scenes)
     first_once, second_once = (
-        _part(scenes, np.flatnonzero((victims_half == fold) & (number == 0))) for fold in _FOLDS
+        _victims(scenes, np.flatnonzero((victims_half == fold) & (number == 0))) for fold in _FOLDS
     )
-    return Ground(
+    return AttackedBlock(
         scenes=scenes,
         sensed=sensed,
-        parts=(first, second),
-        first_parts=(first_once, second_once),
+        halves=(first, second),
+        first_halves=(first_once, second_once),
         passes=(passes[0], passes[1]),
         training=tuple(training),
         again=again,
     )
 
 
-def ground_without(ground: Ground, left: Kept) -> Ground:
+def _without(block: AttackedBlock, shared: Samples) -> AttackedBlock:
     """Return a block as it is for a release that left samples out: the same tracks, the rest."""
-    scenes = reduced(ground.scenes, left)
+    scenes = restricted(block.scenes, shared)
 
-    def part(whole: Part) -> Part:
-        return _part(scenes, whole.rows)
+    def rest(whole: Victims) -> Victims:
+        return _victims(scenes, whole.rows)
 
     return replace(
-        ground,
+        block,
         scenes=scenes,
-        sensed=reduced(ground.sensed, left),
-        parts=(part(ground.parts[0]), part(ground.parts[1])),
-        first_parts=(part(ground.first_parts[0]), part(ground.first_parts[1])),
-        passes=(tuple(map(part, ground.passes[0])), tuple(map(part, ground.passes[1]))),
+        sensed=restricted(block.sensed, shared),
+        halves=(rest(block.halves[0]), rest(block.halves[1])),
+        first_halves=(rest(block.first_halves[0]), rest(block.first_halves[1])),
+        passes=(tuple(map(rest, block.passes[0])), tuple(map(rest, block.passes[1]))),
     )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class View:
-    """A release in an adversary's frame: turned by the angle, then shifted."""
-
-    release: Release
-    angle: float
-    """radians"""
-    shift: Floats
-    """(2,) m"""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Level:
+class AttackedLevel:
     """What all attacks on one mechanism level of a block share."""
 
     mechanism: Plugin
+    block: AttackedBlock
+    """Without the samples that the release left out."""
     key: tuple[str | int, ...]
     """Names of its random streams."""
     release: Release
@@ -225,16 +223,15 @@ class Level:
     """(N,) the benchmark's expected PLR."""
 
 
-def level(
+def attacked_level(
     *,
     mechanism: Plugin,
     release: Release,
-    share: Share,
-    ground: Ground,
+    block: AttackedBlock,
     consumers: Sequence[Consumer],
     stages: StageSettings,
     seed: int,
-) -> Level:
+) -> AttackedLevel:
     """Prepare a mechanism level for its attacks.
 
     Parameters
@@ -242,41 +239,43 @@ def level(
     mechanism : Plugin
     release : Release
         What was shared of the block.
-    share : callable
-        From what was sensed and the name of a stream to a release of the mechanism.
-    ground : Ground
+    block : AttackedBlock
     consumers : sequence of Consumer
         The attacks.
     stages : StageSettings
     seed : int
     """
+    left = samples_shared(release, block.sensed)
+    if left is not None:
+        block = _without(block, left)
     granted = frozenset[Knowledge]().union(*(consumer.granted for consumer in consumers))
-    first_scene = int(ground.scenes.index[0])
+    first_scene = int(block.scenes.index[0])
     key = (mechanism.spec, "scene", first_scene)
-    victims = (_taken(release, ground.parts[0]), _taken(release, ground.parts[1]))
-    shows = {consumer.granted & _SHOWS for consumer in consumers}
+    victims = (tracks_of(release, block.halves[0].rows), tracks_of(release, block.halves[1].rows))
+    shows = {consumer.granted & SHOWS for consumer in consumers}
     training: dict[tuple[int, frozenset[Knowledge]], TrainingSet] = {}
-    for fold, others in enumerate(ground.training):
+    for fold, others in enumerate(block.training):
         if others is None or Knowledge.TRAIN not in granted:
             continue
         scenes, sensed = others
-        released = share(sensed, ("training", fold))
-        left = kept(released, sensed)
-        truth_m = (scenes if left is None else reduced(scenes, left)).xy
+        released = share(mechanism, sensed, "training", fold, seed=seed)
+        left = samples_shared(released, sensed)
+        truth_m = (scenes if left is None else restricted(scenes, left)).xy
         for what in shows:
-            view = seen(released, granted=what, rng=_frame(key, fold, "training", seed=seed))
-            truth = _turned(truth_m, angle=view.angle, shift=view.shift)
+            view = view_of(released, granted=what, rng=_frame(key, fold, "training", seed=seed))
+            truth = turned(truth_m, angle=view.angle, shift=view.shift)
             training[fold, what] = TrainingSet(view.release, truth)
     mse_m2, plr = benchmark(
-        release, sensed=ground.sensed, mechanism=mechanism, epsilon_m=stages.privacy.epsilon_m
+        release, sensed=block.sensed, mechanism=mechanism, epsilon_m=stages.privacy.epsilon_m
     )
-    return Level(
+    return AttackedLevel(
         mechanism=mechanism,
+        block=block,
         key=key,
         release=release,
         victims=victims,
         views={
-            (fold, what): seen(one, granted=what, rng=_frame(key, fold, seed=seed))
+            (fold, what): view_of(one, granted=what, rng=_frame(key, fold, seed=seed))
             for fold, one in enumerate(victims)
             if len(one)
             for what in shows
@@ -284,9 +283,11 @@ def level(
         training=training,
         again=tuple(
             _repeat(
-                share(sensed, ("scenes", first_scene, "again", number)), of=release, by=mechanism
+                share(mechanism, sensed, "scenes", first_scene, "again", number, seed=seed),
+                of=release,
+                by=mechanism,
             )
-            for number, sensed in enumerate(ground.again)
+            for number, sensed in enumerate(block.again)
             if Knowledge.REPEATS in granted
         ),
         benchmark_mse_m2=mse_m2,
@@ -294,9 +295,7 @@ def level(
     )
 
 
-def attack_rows(
-    consumer: Consumer, *, level: Level, ground: Ground, epsilon_m: float, seed: int
-) -> Rows:
+def attack_rows(consumer: Consumer, *, level: AttackedLevel, epsilon_m: float, seed: int) -> Rows:
     """Return the descriptors of every attacked track, in the order of the block.
 
     Raises
@@ -306,66 +305,34 @@ def attack_rows(
     DataError
         If there is nobody to learn from.
     """
-    parts: list[Part] = []
+    rows: list[Ints] = [np.zeros(0, dtype=np.int64)]
     found: list[Rows] = []
-    for part, xy in _attacked(consumer, level=level, ground=ground, epsilon_m=epsilon_m, seed=seed):
-        parts.append(part)
+    for victims, xy in _attacked(consumer, level=level, epsilon_m=epsilon_m, seed=seed):
+        rows.append(victims.rows)
         found.append(
             descriptors(
-                xy=xy, truth=part.truth, t=part.t, offsets=part.offsets, epsilon_m=epsilon_m
+                xy=xy,
+                truth=victims.truth,
+                t=victims.t,
+                offsets=victims.offsets,
+                epsilon_m=epsilon_m,
             )
         )
-    rows = np.concatenate([*(part.rows for part in parts), np.zeros(0, dtype=np.int64)])
-    order = np.argsort(rows)
-    rows = rows[order]
-    names = descriptors(
+    joined = np.concatenate(rows)
+    order = np.argsort(joined)
+    in_order = joined[order]
+    none = descriptors(
         xy=np.zeros((0, 2)),
         truth=np.zeros((0, 2)),
         t=np.zeros(0),
         offsets=np.zeros(1, dtype=np.int64),
         epsilon_m=epsilon_m,
     )
-    joined = {name: np.concatenate([one[name] for one in (*found, names)])[order] for name in names}
     return {
-        **track_columns(ground.scenes, rows),
-        **joined,
-        "benchmark_mse_m2": level.benchmark_mse_m2[rows],
-        "benchmark_plr": level.benchmark_plr[rows],
-    }
-
-
-def track_columns(scenes: Scenes, rows: Ints) -> Rows:
-    """Return what names the tracks of a block: scene, agent and source track."""
-    return {
-        "scene": np.repeat(scenes.index, scenes.n_agents)[rows],
-        "agent": np.tile(np.arange(scenes.n_agents), len(scenes))[rows],
-        "track": scenes.track[rows],
-        "n_samples": np.diff(scenes.offsets)[rows],
-    }
-
-
-def descriptors(*, xy: Floats, truth: Floats, t: Floats, offsets: Ints, epsilon_m: float) -> Rows:
-    """Return PLR, AEL, MEL and mean squared error of every track, shared or reconstructed.
-
-    Parameters
-    ----------
-    xy, truth : (M, 2) m
-    t : (M,) s
-    offsets : (N + 1,) int
-    epsilon_m : float
-    """
-    away_m = privacy.distance_m(shared_xy=xy, true_xy=truth)
-    # `privacy.leakage_indicator`, on a distance that the squared error needs as well
-    exposure = privacy.exposure(leaked=away_m < epsilon_m, t=t, offsets=offsets)
-    starts = offsets[:-1]
-    return {
-        "plr": exposure.plr,
-        "ael_s": exposure.ael_s,
-        "mel_s": exposure.mel_s,
-        "segments": exposure.segments,
-        "mse_m2": np.add.reduceat(away_m**2, starts) / np.diff(offsets)
-        if starts.size
-        else np.zeros(0),
+        **track_columns(level.block.scenes, in_order),
+        **{name: np.concatenate([one[name] for one in (*found, none)])[order] for name in none},
+        "benchmark_mse_m2": level.benchmark_mse_m2[in_order],
+        "benchmark_plr": level.benchmark_plr[in_order],
     }
 
 
@@ -407,77 +374,72 @@ def per_axis(law: str) -> float:
 
 
 def _attacked(
-    consumer: Consumer, *, level: Level, ground: Ground, epsilon_m: float, seed: int
-) -> Iterator[tuple[Part, Floats]]:
-    """Yield the attacked parts and their reconstructed positions in the true frame, (m, 2) m.
+    consumer: Consumer, *, level: AttackedLevel, epsilon_m: float, seed: int
+) -> Iterator[tuple[Victims, Floats]]:
+    """Yield the victims and their reconstructed positions in the true frame, (m, 2) m.
 
     A release holds every walk once: of two copies an adversary could make one better one. The
     built-in attacks work track by track (tested) and take all passes in one call.
     """
-    granted = _granted(consumer, level=level)
-    shows = consumer.granted & _SHOWS
+    assert consumer.plugin is not None
+    who = f"attack {consumer.label}"
+    granted = granted_at(
+        consumer.granted,
+        consumer.plugin,
+        who=who,
+        mechanism=level.mechanism,
+        has_sigma=level.release.sigma is not None,
+    )
+    shows = consumer.granted & SHOWS
     whole = consumer.is_built_in and not consumer.is_slow
     for fold in _FOLDS:
         if consumer.is_slow:
-            parts: tuple[Part, ...] = (ground.first_parts[fold],)
+            passes: tuple[Victims, ...] = (level.block.first_halves[fold],)
         else:
-            parts = (ground.parts[fold],) if whole else ground.passes[fold]
-        fitted: Callable[[Release], Reconstruction] | None = None
-        for number, part in enumerate(parts):
-            if not part.rows.size:
+            passes = (level.block.halves[fold],) if whole else level.block.passes[fold]
+        attack: Callable[..., object] | None = None
+        for number, victims in enumerate(passes):
+            if not victims.rows.size:
                 continue
+            training = level.training.get((fold, shows))
             if whole:
                 own, view = level.victims[fold], level.views[fold, shows]
-                release, training = view.release, level.training.get((fold, shows))
+                release = view.release
             else:
-                own = _taken(level.release, part)
+                own = tracks_of(level.release, victims.rows)
                 rng = _frame(level.key, fold, "pass", number, seed=seed)
-                view = seen(own, granted=granted, rng=rng)
+                view = view_of(own, granted=granted, rng=rng)
                 # A stranger may unlock arrays: what it writes to is its own.
                 release = copied(view.release)
-                training = level.training.get((fold, shows))
                 if training is not None:
                     training = TrainingSet(copied(training.release), training.truth.copy())
-            if fitted is None or Knowledge.REPEATS in granted:
-                fitted = _fitted(
+            if attack is None or Knowledge.REPEATS in granted:
+                attack = _fitted(
                     consumer,
                     granted=granted,
                     level=level,
-                    part=part,
+                    victims=victims,
                     fold=fold,
                     training=training,
                     epsilon_m=epsilon_m,
                     seed=seed,
                 )
-            found = _called(fitted, release, consumer=consumer)
+            found = reconstructed(attack, release, who=who)
             # Only the correction is turned back: what is left alone stays as it was, bit by bit.
-            yield part, own.xy + _turned(found - view.release.xy, angle=-view.angle)
-
-
-def _granted(consumer: Consumer, *, level: Level) -> frozenset[Knowledge]:
-    """Return what an attack gets: without SIGMA where the mechanism declares none."""
-    assert consumer.plugin is not None
-    if Knowledge.SIGMA not in consumer.granted or level.release.sigma is not None:
-        return consumer.granted
-    if Knowledge.SIGMA in consumer.plugin.instance.requires:
-        raise PluginError(
-            f"attack {consumer.label} requires SIGMA, but mechanism {level.mechanism.spec!r} "
-            "declares none; leave one of the two out"
-        )
-    return consumer.granted - {Knowledge.SIGMA}
+            yield victims, own.xy + turned(found - view.release.xy, angle=-view.angle)
 
 
 def _fitted(
     consumer: Consumer,
     *,
     granted: frozenset[Knowledge],
-    level: Level,
-    part: Part,
+    level: AttackedLevel,
+    victims: Victims,
     fold: int,
     training: TrainingSet | None,
     epsilon_m: float,
     seed: int,
-) -> Callable[[Release], Reconstruction]:
+) -> Callable[..., object]:
     assert consumer.plugin is not None
     if Knowledge.TRAIN in granted and training is None:
         raise DataError(
@@ -485,57 +447,24 @@ def _fitted(
             "person or group; use a recording of more people or leave the attack out"
         )
     repeats = tuple(
-        seen(
-            _taken(release, part),
+        view_of(
+            tracks_of(release, victims.rows),
             granted=granted,
             rng=_frame(level.key, fold, "again", number, seed=seed),
         ).release
         for number, release in enumerate(level.again)
         if Knowledge.REPEATS in granted
     )
-    context = AttackContext(
+    return fitted(
+        consumer.plugin,
+        who=f"attack {consumer.label}",
+        granted=granted,
+        mechanism=level.mechanism,
         rng=stream(seed, "attacks", consumer.spec, consumer.knowledge, *level.key, "part", fold),
         epsilon_m=epsilon_m,
-        granted=granted,
-        mechanism=level.mechanism.instance,
         train=training,
         repeats=repeats,
     )
-    attack = consumer.plugin.instance
-    fitted: Callable[[Release], Reconstruction] = guarded(
-        f"attack {consumer.label}", lambda: attack.fit(context)
-    )
-    return fitted
-
-
-def _called(
-    fitted: Callable[[Release], Reconstruction], release: Release, *, consumer: Consumer
-) -> Floats:
-    """Return what an attack makes of a release, (m, 2) m in its frame."""
-    expected = release.xy.shape
-    found: object = guarded(f"attack {consumer.label}", lambda: fitted(release))
-    if not isinstance(found, Reconstruction) or found.xy.shape != expected:
-        got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
-        raise PluginError(
-            f"attack {consumer.label} must return a Reconstruction with xy {expected}, got {got}"
-        )
-    return found.xy
-
-
-def seen(release: Release, *, granted: frozenset[Knowledge], rng: Generator) -> View:
-    """Return a release as it shows: without SCENE turned, shifted, and on another clock."""
-    if Knowledge.SIGMA not in granted:
-        release = release.without_sigma()
-    if Knowledge.SCENE in granted:
-        return View(release, 0.0, np.zeros(2))
-    angle = float(rng.uniform(0.0, 2.0 * np.pi))
-    shift = rng.uniform(-_FAR_M, _FAR_M, 2)
-    moved = replace(
-        release,
-        xy=_turned(release.xy, angle=angle, shift=shift),
-        t=release.t + rng.uniform(0.0, _LONG_S),
-    )
-    return View(moved, angle, shift)
 
 
 def _frame(key: tuple[str | int, ...], fold: int, *names: str | int, seed: int) -> Generator:
@@ -543,28 +472,13 @@ def _frame(key: tuple[str | int, ...], fold: int, *names: str | int, seed: int) 
     return stream(seed, "frames", *key, "part", fold, *names)
 
 
-def _turned(
-    xy: Floats, *, angle: float, shift: Floats | tuple[float, float] = (0.0, 0.0)
-) -> Floats:
-    """Return positions turned by an angle and shifted, (M, 2)."""
-    # Not a matrix product: for two columns its threads cost more than they bring.
-    cos, sin = np.cos(angle), np.sin(angle)
-    turned = np.empty_like(xy)
-    turned[:, 0] = cos * xy[:, 0] - sin * xy[:, 1] + shift[0]
-    turned[:, 1] = sin * xy[:, 0] + cos * xy[:, 1] + shift[1]
-    return turned
-
-
-def _part(scenes: Scenes, rows: Ints) -> Part:
-    sizes = np.diff(scenes.offsets)[rows]
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    samples = np.repeat(scenes.offsets[rows] - offsets[:-1], sizes) + np.arange(offsets[-1])
-    return Part(
+def _victims(scenes: Scenes, rows: Ints) -> Victims:
+    samples = samples_of(scenes.offsets, rows)
+    return Victims(
         rows=rows,
-        samples=samples,
-        offsets=offsets,
-        t=scenes.t[samples],
-        truth=scenes.xy.take(samples, axis=0),
+        offsets=samples.offsets,
+        t=scenes.t[samples.rows],
+        truth=scenes.xy.take(samples.rows, axis=0),
     )
 
 
@@ -584,16 +498,6 @@ def _repeat(again: Release, *, of: Release, by: Plugin) -> Release:
     return again
 
 
-def _taken(release: Release, part: Part) -> Release:
-    return Release(
-        t=part.t,
-        xy=release.xy.take(part.samples, axis=0),
-        sigma=None if release.sigma is None else release.sigma[part.samples],
-        offsets=part.offsets,
-        pseudonym=tuple(release.pseudonym[row] for row in part.rows),
-    )
-
-
 def _people(half: Ints, *, fold: int, seed: int) -> Ints:
     """Return which tracks of a half train an attack."""
     rows = np.flatnonzero(half == fold)
@@ -608,10 +512,10 @@ def _assert_apart(training: Ints, victims: Ints, *, tracks: Cut) -> None:
         raise AssertionError("a victim's group is among the training people")
 
 
-def _assert_distinct(passes: tuple[tuple[Part, ...], ...], *, scenes: Scenes) -> None:
+def _assert_distinct(passes: tuple[tuple[Victims, ...], ...], *, scenes: Scenes) -> None:
     """Assert that no release shows a walk twice."""
-    for part in (part for half in passes for part in half):
-        walks = scenes.track[part.rows]
+    for victims in (one for half in passes for one in half):
+        walks = scenes.track[victims.rows]
         if np.unique(walks).size < walks.size:
             raise AssertionError("a walk occurs twice in one pass")
 

@@ -13,7 +13,7 @@ import pandas as pd
 
 from attacks.reconstruction.radial_rts import RadialRTS
 from evaluation.cells.plugin_calls import copied, guarded
-from evaluation.experiment.presets import IDENTITY
+from evaluation.experiment.constants import IDENTITY
 from isac_track.privacy import leakage_indicator
 from isac_track.protocols import AttackContext
 from isac_track.rng import stream

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from evaluation.cells.columns import names_column
+from evaluation.cells.descriptors import descriptors
 from evaluation.cells.link_setup import SIDES
-from evaluation.cells.reconstruction import descriptors
+from evaluation.cells.tables import ROWS, names_column
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from attacks.tasks.sessions import Sessions, Windows
-    from evaluation.cells.link_setup import Ground
-    from evaluation.cells.reconstruction import Rows
+    from evaluation.cells.link_setup import SensedSessions
+    from evaluation.cells.tables import Rows, Tables
     from isac_track.types import Floats, Ints, Release, Sensed
 
 COLUMNS = (
@@ -33,15 +32,15 @@ COLUMNS = (
 
 
 def window_rows(
-    released: Sequence[Release], *, ground: Ground, sessions: Sessions, epsilon_m: float
+    released: Sequence[Release], *, known: SensedSessions, sessions: Sessions, epsilon_m: float
 ) -> Rows:
-    """Return a row for every window of both sides: the columns of `to_parquet`.
+    """Return a row for every window of both sides: the columns of `window_tables`.
 
     Parameters
     ----------
     released : sequence of Release
         Of the probe and of the gallery side, in the true frame.
-    ground : Ground
+    known : SensedSessions
         Of these releases, without the samples that they left out.
     sessions : Sessions
         Whole: what the walk was does not depend on which samples were shared.
@@ -51,12 +50,12 @@ def window_rows(
     for side, whole, left, sensed, release in zip(
         SIDES,
         (sessions.probe, sessions.gallery),
-        (ground.sessions.probe, ground.sessions.gallery),
-        ground.sensed,
+        (known.sessions.probe, known.sessions.gallery),
+        known.sensed,
         released,
         strict=True,
     ):
-        known = descriptors(
+        exposed = descriptors(
             xy=release.xy,
             truth=left.xy,
             t=left.t,
@@ -71,34 +70,31 @@ def window_rows(
                 "n_samples": np.diff(left.offsets),
                 **_walked(whole),
                 **_noise(release, sensed),
-                **{name: known[name] for name in ("plr", "ael_s", "mel_s")},
+                **{name: exposed[name] for name in ("plr", "ael_s", "mel_s")},
             }
         )
     return {name: np.concatenate([one[name] for one in sides]) for name in sides[0]}
 
 
-def to_parquet(rows: Rows, sessions: Sessions) -> bytes:
-    """Return the file of a cell of windows.
+def window_tables(rows: Rows, sessions: Sessions) -> Tables:
+    """Return the table of a cell of windows; its columns are `COLUMNS`.
 
-    Columns: `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`,
-    `group`; of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where
-    none is declared), `sigma_raw_m` (mean of sensing), `plr`, `ael_s`, `mel_s`; of the true walk,
-    alike at all levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
+    `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`, `group`;
+    of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where none is
+    declared), `sigma_raw_m` (mean of sensing), `plr`, `ael_s`, `mel_s`; of the true walk, alike at
+    all levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
     """
-    by_name = {
-        "search": (rows["search"], sessions.searches),
-        "source": (rows["person"], sessions.source),
-        "group": (rows["person"], sessions.group),
+    return {
+        ROWS: pa.table(
+            {
+                "side": pa.array(rows["side"]),
+                "search": names_column(rows["search"], sessions.searches),
+                "source": names_column(rows["person"], sessions.source),
+                "group": names_column(rows["person"], sessions.group),
+                **{name: rows[name] for name in COLUMNS[4:]},
+            }
+        )
     }
-    columns = {
-        "side": pa.array(rows["side"]).dictionary_encode(),
-        **{name: names_column(row, names) for name, (row, names) in by_name.items()},
-        **{name: rows[name] for name in rows if name not in {"side", "search", "person"}},
-    }
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(columns), sink, write_statistics=False)
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
 
 
 def _walked(windows: Windows) -> Rows:

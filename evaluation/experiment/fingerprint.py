@@ -1,4 +1,4 @@
-"""What a cell depends on: the code that computes it, its plug-ins, and the name made of both."""
+"""What a cell depends on: the code that computes it, its plug-ins, and the keys made of both."""
 
 from __future__ import annotations
 
@@ -7,76 +7,128 @@ import hashlib
 import json
 import re
 import sysconfig
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import isac_track
+from evaluation.experiment.constants import BLOCK_SCENES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
 
-_COMPUTING = ("isac_track", "predictors", "attacks")
-_CELL_SOURCES = ("experiment", "cells")
+SHARING, RECONSTRUCTION = "sharing", "reconstruction"
+"""Stages of a block of scenes; the others are the linkage tasks, by their names."""
+_OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
+_COMMON: Final = (
+    *("isac_track.datasets", "isac_track.scenes", "isac_track.sensing"),
+    *("evaluation.cells.sharing", "evaluation.cells.tables"),
+)
+"""Where the releases of every unit of work come from, and what its file holds."""
+_STAGES: Final = {
+    SHARING: ("evaluation.cells.forecasts", *_COMMON),
+    RECONSTRUCTION: ("evaluation.cells.reconstruction", *_COMMON),
+}
+_LINKAGE: Final = (
+    *("evaluation.cells.linkage", "evaluation.cells.link_tables", "attacks.tasks.build"),
+    *_COMMON,
+)
+_COMPUTES_NOTHING: Final = re.compile(
+    r"evaluation|evaluation\.experiment\.presets|isac_track\.plugins"
+    r"|(attacks|isac_track)\.(templates|testing)(\..*)?"
+)
+"""Presets and the table of plug-ins only name what is computed; kits only test it."""
+_MODULE: Final = re.compile(rf"({'|'.join(_OURS)})(\.\w+)+(:\w+)?")
 
 
 def code_hash() -> str:
-    """Return a digest of the installed source that cells come from: their code version.
+    """Return a digest of all installed source that cells may come from: the code version.
 
-    What only gathers and shows finished cells is left out.
+    It tells two runs apart; what a single cell depends on is said by `sources`.
     """
     digest = hashlib.sha256()
     root = Path(isac_track.__file__).parent.parent
-    sources = [path for package in _COMPUTING for path in (root / package).rglob("*.py")]
-    sources += [
-        path for name in _CELL_SOURCES for path in (root / "evaluation" / name).rglob("*.py")
-    ]
-    for path in sorted(sources):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0")
-        digest.update(path.read_bytes())
+    folders = ("isac_track", "predictors", "attacks", "evaluation/experiment", "evaluation/cells")
+    for path in sorted(path for name in folders for path in (root / name).rglob("*.py")):
+        name = path.relative_to(root).as_posix()
+        if not _COMPUTES_NOTHING.fullmatch(name.removesuffix(".py").replace("/", ".")):
+            digest.update(name.encode() + b"\0")
+            digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def cell_name(
-    *,
-    identity: Mapping[str, Any],
-    code: str,
-    block: int,
-    mechanism: Plugin,
-    consumer: Consumer,
+def stage_of(consumer: Consumer) -> str:
+    """Return which stage of the work a consumer belongs to."""
+    if consumer.task:
+        return consumer.task
+    return RECONSTRUCTION if consumer.kind == "attack" else SHARING
+
+
+def sources(stage: str, *plugins: Plugin | None) -> tuple[str, ...]:
+    """Return the modules whose import closures a stage, or some plug-ins, are computed by."""
+    own = (one.origin.partition(":")[0] for one in plugins if one is not None)
+    return (*(_STAGES.get(stage, _LINKAGE) if stage else ()), *own)
+
+
+def unit_key(
+    *, identity: Mapping[str, Any], stage: str, block: int, mechanism: Plugin, code: Iterable[str]
 ) -> str:
-    """Return the file name of a cell: readable, and keyed by all that its rows depend on."""
-    key = {
-        "identity": dict(identity),
-        "code": code,
-        "block": block,
-        "mechanism": _plugin_key(mechanism),
-        "consumer": [
+    """Return the key of a unit of work: all that its rows depend on but who the consumers are.
+
+    Parameters
+    ----------
+    identity : mapping
+        Of the run.
+    stage : str
+    block : int
+    mechanism : Plugin
+    code : iterable of str
+        Digests of `sources`.
+    """
+    return _digest(
+        [dict(identity), stage, block, BLOCK_SCENES, mechanism.spec, mechanism.origin, *code]
+    )
+
+
+def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:
+    """Return the key of a consumer: its plug-ins, what it is granted, and digests of its code.
+
+    That of a linkage attack or control with its raw scores is another.
+    """
+    plugins = [one for one in (consumer.plugin, consumer.behind) if one is not None]
+    has_scores = keep_scores and consumer.kind in {"linkage", "control"}
+    return _digest(
+        [
             consumer.spec,
-            *(_plugin_key(one) for one in (consumer.plugin, consumer.behind) if one is not None),
-        ],
-        "knowledge": [consumer.knowledge, *sorted(one.name for one in consumer.granted)],
-    }
-    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:16]
-    slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{mechanism.spec}_{consumer.label}")[:80]
-    return f"{slug}_{block:05d}_{digest}.parquet"
+            [[one.spec, one.origin] for one in plugins],
+            consumer.knowledge,
+            sorted(one.name for one in consumer.granted),
+            *code,
+            *(["scores"] if has_scores else []),
+        ]
+    )
 
 
-def _plugin_key(plugin: Plugin) -> dict[str, str]:
-    module = plugin.origin.partition(":")[0]
-    if module.partition(".")[0] in _COMPUTING:  # the code hash covers them
-        return {"spec": plugin.spec, "origin": plugin.origin}
-    return {"spec": plugin.spec, "origin": plugin.origin, "source": source_digest(module)}
+def file_name(*, stage: str, block: int, mechanism: Plugin, keys: Iterable[str]) -> str:
+    """Return the name of the file of some consumers of a unit: readable, and keyed."""
+    slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{mechanism.spec}_{stage}")[:80]
+    return f"{slug}_{block:05d}_{_digest([*keys])}.parquet"
+
+
+def _digest(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def source_digest(module: str) -> str:
     """Return the sha256 of a module and of all that it imports from beside itself.
 
     That is its own top-level package and, unless it was installed, whatever stands in the same
-    folder as that. Imports are read, not run; those that are composed at run time are not seen.
+    folder as that; the project's own packages are one. Imports are read, not run, the lazy ones
+    too; those for types alone do not count, and those that are composed at run time are not seen.
 
     Parameters
     ----------
@@ -84,52 +136,84 @@ def source_digest(module: str) -> str:
         Name of an importable module. One without a file, such as `__main__`, has the digest of
         nothing.
     """
-    try:
-        found = find_spec(module)
-    except ValueError:  # a script that runs
-        found = None
-    digest = hashlib.sha256()
-    if found is None or not found.origin or not Path(found.origin).is_file():
-        return digest.hexdigest()
-    path = Path(found.origin)
-    depth = module.count(".") + (path.name == "__init__.py")
-    root = path.parents[depth]
-    installed = {Path(folder) for folder in sysconfig.get_paths().values()}
-    top = module.partition(".")[0] if root in installed else ""
-    known: dict[str, Path] = {}
+    root, tops = _where(module)
+    return closure_digest(module, source_of=lambda name: _read(name, root=root, tops=tops))
+
+
+def can_be_found(module: str) -> bool:
+    """Whether there is a file of a module here."""
+    return _where(module)[0] is not None
+
+
+def closure_digest(module: str, *, source_of: Callable[[str], tuple[bytes, bool] | None]) -> str:
+    """Return the sha256 of a module and of all that it imports.
+
+    Parameters
+    ----------
+    module : str
+    source_of : callable
+        From a module's name to its source and whether it is a package; None for one that does not
+        count.
+    """
+    known: dict[str, bytes] = {}
     names = [module]
     while names:
         name = names.pop()
-        file = _file(name, root=root)
-        if name in known or file is None or (top and name.partition(".")[0] != top):
+        found = None if name in known else source_of(name)
+        if found is None:
             continue
-        known[name] = file
-        names += _imported(file, name=name)
+        known[name], is_package = found
+        names += _imported(known[name], package=name if is_package else name.rpartition(".")[0])
         names += name.rpartition(".")[:1]  # the packages around it run first
+    digest = hashlib.sha256()
     for name in sorted(known):
         digest.update(name.encode() + b"\0")
-        digest.update(hashlib.sha256(known[name].read_bytes()).digest())
+        digest.update(hashlib.sha256(known[name]).digest())
     return digest.hexdigest()
 
 
-def _file(name: str, *, root: Path) -> Path | None:
-    if not name:
+def _where(module: str) -> tuple[Path | None, tuple[str, ...]]:
+    """Return the folder that a module is imported from, and which packages in it count."""
+    try:
+        found = find_spec(module)
+    except (ValueError, ImportError):  # a script that runs; a package that is gone
+        found = None
+    if found is None or not found.origin or not Path(found.origin).is_file():
+        return None, ()
+    path = Path(found.origin)
+    root = path.parents[module.count(".") + (path.name == "__init__.py")]
+    top = module.partition(".")[0]
+    if top in _OURS:
+        return root, _OURS
+    return root, (top,) if root in {Path(one) for one in sysconfig.get_paths().values()} else ()
+
+
+def _read(name: str, *, root: Path | None, tops: tuple[str, ...]) -> tuple[bytes, bool] | None:
+    if root is None or not name or (tops and name.partition(".")[0] not in tops):
+        return None
+    if _COMPUTES_NOTHING.fullmatch(name):
         return None
     place = root.joinpath(*name.split("."))
     for path in (place.with_name(f"{place.name}.py"), place / "__init__.py"):
         if path.is_file():
-            return path
+            return path.read_bytes(), path.name == "__init__.py"
     return None
 
 
-def _imported(file: Path, *, name: str) -> Iterator[str]:
-    """Yield the full names of what a file may import; some are no modules."""
+@cache
+def _imported(source: bytes, *, package: str) -> tuple[str, ...]:
+    """Return the full names of what a source may import; some are no modules."""
     try:
-        tree = ast.parse(file.read_bytes())
+        tree = ast.parse(source)
     except (SyntaxError, ValueError):  # it is told when somebody imports it
-        return
-    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(tree):
+        return ()
+    return tuple(_names(tree, package=package))
+
+
+def _names(tree: ast.AST, *, package: str) -> Iterator[str]:
+    nodes = [tree]
+    while nodes:
+        node = nodes.pop()
         if isinstance(node, ast.Import):
             yield from (one.name for one in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -137,3 +221,10 @@ def _imported(file: Path, *, name: str) -> Iterator[str]:
             base = ".".join([*(above if node.level else []), *filter(None, [node.module])])
             yield base
             yield from (f"{base}.{one.name}" if base else one.name for one in node.names)
+        elif isinstance(node, ast.Constant):
+            if isinstance(node.value, str) and _MODULE.fullmatch(node.value):
+                yield node.value.partition(":")[0]  # for import_module
+        elif isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+            nodes += node.orelse
+        else:
+            nodes += ast.iter_child_nodes(node)

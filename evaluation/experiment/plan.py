@@ -10,13 +10,23 @@ from typing import TYPE_CHECKING, Any, Final
 
 from attacks.tasks.build import sessions_of
 from evaluation.experiment.axes import Axes, axes, n_blocks
-from evaluation.experiment.fingerprint import cell_name, code_hash
+from evaluation.experiment.fingerprint import (
+    code_hash,
+    consumer_key,
+    file_name,
+    source_digest,
+    sources,
+    stage_of,
+    unit_key,
+)
 from isac_track import datasets
 from isac_track.datasets import crowd
 from isac_track.errors import DataError, PluginError, told
 from isac_track.scenes import cut
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from attacks.tasks.sessions import Sessions
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.settings import Settings
@@ -34,6 +44,28 @@ WORTH_WORKERS_LINKED = 400
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Unit:
+    """A unit of work: one level, one block, one stage. It leaves a file of all its consumers."""
+
+    stage: str
+    block: int
+    """Of scenes; 0 for what is linked."""
+    mechanism: Plugin
+    key: str
+    """All that its rows depend on but who the consumers are."""
+    code: Mapping[str, str]
+    """Digest by module, of the code that computes it."""
+    consumers: Mapping[str, Consumer]
+    """By their keys."""
+
+    def file_of(self, keys: Iterable[str]) -> str:
+        """Return the name of the file that some of its consumers are written to at once."""
+        return file_name(
+            stage=self.stage, block=self.block, mechanism=self.mechanism, keys=(self.key, *keys)
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Plan:
     """A run that is ready to start: everything is checked, nothing is written."""
 
@@ -47,15 +79,26 @@ class Plan:
     jobs: int
     """Worker processes."""
     out: Path
-    cells: tuple[tuple[Plugin, Consumer, tuple[str, ...]], ...]
-    """Mechanism, consumer and its files: one a block of scenes, or one for all that is linked."""
+    units: tuple[Unit, ...]
+    code_of: Mapping[str, str]
+    """Digest by module, of the code of every plug-in."""
     sessions: tuple[Sessions, ...]
     """What is linked, by task."""
 
     @property
     def n_cells(self) -> int:
         """Cells of the run, finished or not."""
-        return sum(len(files) for _, _, files in self.cells)
+        return sum(len(unit.consumers) for unit in self.units)
+
+    @property
+    def pairs(self) -> tuple[tuple[Plugin, Consumer], ...]:
+        """Every mechanism with each of its consumers."""
+        return tuple(
+            (unit.mechanism, one)
+            for unit in self.units
+            if unit.block == 0
+            for one in unit.consumers.values()
+        )
 
 
 def plan(settings: Settings) -> Plan:
@@ -80,26 +123,8 @@ def plan(settings: Settings) -> Plan:
         "crowd": _crowd_hash(),
         **settings.stages.flat(),
     }
-    code = code_hash()
     crossed, sessions = _sessions(crossed, settings, tracks=dataset.tracks)
-
-    def files(mechanism: Plugin, consumer: Consumer, count: int) -> tuple[str, ...]:
-        return tuple(
-            cell_name(
-                identity=identity, code=code, block=block, mechanism=mechanism, consumer=consumer
-            )
-            for block in range(count)
-        )
-
-    cells = tuple(
-        (mechanism, consumer, files(mechanism, consumer, count))
-        for mechanisms, consumers, count in (
-            (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
-            *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
-        )
-        for mechanism in mechanisms
-        for consumer in consumers
-    )
+    units, code_of = _units(crossed, settings, identity=identity)
     name = f"{dataset.name}-{settings.preset}-{settings.seed}"
     jobs = _jobs(
         settings,
@@ -114,12 +139,54 @@ def plan(settings: Settings) -> Plan:
         tracks=tracks,
         axes=crossed,
         identity=identity,
-        code=code,
+        code=code_hash(),
         jobs=jobs,
         out=Path("runs") / name if settings.out is None else Path(settings.out),
-        cells=cells,
+        units=units,
+        code_of=code_of,
         sessions=sessions,
     )
+
+
+def _units(
+    crossed: Axes, settings: Settings, *, identity: Mapping[str, Any]
+) -> tuple[tuple[Unit, ...], dict[str, str]]:
+    """Return the units of work, and the digest of every module that they depend on."""
+    known: dict[str, str] = {}
+
+    def code(stage: str, *plugins: Plugin | None) -> dict[str, str]:
+        for module in sources(stage, *plugins):
+            if module not in known:
+                known[module] = source_digest(module)[:16]
+        return {module: known[module] for module in sources(stage, *plugins)}
+
+    keys: dict[str, str] = {}
+    units = []
+    for mechanisms, consumers, count in (
+        (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
+        *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
+    ):
+        by_stage: dict[str, dict[str, Consumer]] = {}
+        for consumer in consumers:
+            if consumer.label not in keys:
+                own = code("", consumer.plugin, consumer.behind)
+                keys[consumer.label] = consumer_key(
+                    consumer, code=own.values(), keep_scores=settings.keep_scores
+                )
+            by_stage.setdefault(stage_of(consumer), {})[keys[consumer.label]] = consumer
+        for mechanism in mechanisms:
+            for stage, of_stage in by_stage.items():
+                own = code(stage, mechanism)
+                for block in range(count):
+                    key = unit_key(
+                        identity=identity,
+                        stage=stage,
+                        block=block,
+                        mechanism=mechanism,
+                        code=own.values(),
+                    )
+                    units.append(Unit(stage, block, mechanism, key, own, of_stage))
+    return tuple(units), known
 
 
 def _crowd_hash() -> str:

@@ -1,20 +1,21 @@
-"""The presets: axes that a name stands for, and the fixed words of a run."""
+"""The presets: axes that a name stands for."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-SHARED = "shared"
-"""Consumer of the descriptors as shared."""
-IDENTITY = "identity"
-"""The attack that reproduces what was shared."""
-WINDOWS = "windows"
-"""Consumer of the same of a linkage task, window by window, after the task."""
-BLOCK_SCENES = 250
-"""Scenes of a cell. Part of the keys of the sharing streams: a change changes the draws."""
+from evaluation.experiment.constants import BLOCK_SCENES, IDENTITY, MOST_SCENES, SHARED, WINDOWS
 
-
-MOST_SCENES = 10_000_000
+__all__ = [
+    "BLOCK_SCENES",
+    "DISSOCIATION",
+    "IDENTITY",
+    "MOST_SCENES",
+    "PRESETS",
+    "SHARED",
+    "WINDOWS",
+    "Preset",
+]
 
 
 @dataclass(frozen=True, slots=True)

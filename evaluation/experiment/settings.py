@@ -42,6 +42,8 @@ class Settings:
     """Or dask: the workers of a Dask cluster."""
     scheduler: str | None = None
     """Address of the cluster's scheduler."""
+    keep_scores: bool = False
+    """Whether the raw scores of everybody who links stay in the folder: some hundred MB."""
     out: Path | str | None = None
     fresh: bool = False
 

@@ -1,16 +1,16 @@
-"""The cells of a run folder: one parquet file each, and the checksums of all.
+"""The cells of a run folder: a parquet file for each unit of work.
 
-A cell counts as finished when its checksum is written down, in the format of `sha256sum`. What was
-cut short, garbled or put there by somebody else does not match, and is computed again.
+A file holds the tables of several consumers, one below the other; a column that a table does not
+have is null there. Its metadata say which consumer's tables begin where, and by which code they
+were computed. A consumer that is added later has a further file: none is rewritten.
 """
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import hashlib
 import json
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,23 +18,57 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.runs.files import write_whole
-from evaluation.cells.columns import names_column
-from evaluation.cells.link_file import METADATA
+from evaluation.cells.link_setup import linkage_weights
+from evaluation.cells.link_tables import ABOUT, ASSIGNED, DERIVED, ESTIMATES, REPLICATES
+from evaluation.cells.tables import ROWS
 from evaluation.cells.windows import COLUMNS as WINDOW_COLUMNS
+from evaluation.runs.checksums import FOLDER, checked, written_down
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
+from isac_track.linkability import ProbeRanks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.cells.reconstruction import Rows
-    from isac_track.scenes import Cut
-    from isac_track.types import Ints
+    from evaluation.cells.tables import Tables
+    from evaluation.experiment.axes import Consumer
+    from isac_track.types import Floats, Ints
 
-FOLDER: Final = "cells"
-CHECKSUMS: Final = "SHA256SUMS"
+_INDEX: Final = b"isac_track.cells"
+_SCORES: Final = "scores"
+_NAMES: Final = ("source", "group", "search", "side")
+_ALIKE: Final = frozenset(
+    ("plr", "mel_s", "benchmark_mse_m2", "benchmark_plr", "chance", "duration_s")
+)
+"""Numbers that occur again and again, in other rows or for other consumers."""
+_PROBE_COLUMNS: Final = (
+    *("search", "source", "group", "above", "tied"),
+    *("mate_score", "best_other_score", "chance"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What one consumer has in a file, as its metadata say."""
+
+    key: str
+    code: Mapping[str, str]
+    """Digest by module, of the code of its plug-ins."""
+    tables: Mapping[str, tuple[int, int]]
+    """First row and number of rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """What a file of cells holds, as its metadata say."""
+
+    unit: str
+    """Key of the unit of work."""
+    code: Mapping[str, str]
+    """Digest by module, of the code of the unit."""
+    consumers: Mapping[str, Held]
+    """By their labels."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,80 +83,116 @@ class LinkageOutcome:
     """Without confounders: rank1, ci_low, ci_high, chance, p_rank1, n_mated, n_clusters."""
 
 
-def write_cell(out: Path, name: str, rows: Rows | bytes, *, tracks: Cut) -> None:
-    """Write the rows of a cell, with the source and group of each row's track.
+def packed(
+    found: Sequence[tuple[Consumer, str, Tables]],
+    *,
+    unit: str,
+    code: Mapping[str, str],
+    code_of: Mapping[str, Mapping[str, str]],
+) -> bytes:
+    """Return the file of some consumers of a unit of work.
+
+    Parameters
+    ----------
+    found : sequence of (consumer, key, tables)
+    unit : str
+        Its key.
+    code : mapping
+        Digest by module, of the code of the unit.
+    code_of : mapping
+        Of each consumer, by its key: the same of its plug-ins.
+    """
+    consumers, stacked, start = {}, [], 0
+    for consumer, key, tables in found:
+        places = {}
+        for name, table in tables.items():
+            places[name] = (start, table.num_rows)
+            start += table.num_rows
+            stacked.append(table)
+        consumers[consumer.label] = {"key": key, "code": dict(code_of[key]), "tables": places}
+    whole = pa.concat_tables(stacked, promote_options="default").combine_chunks()
+    index = {"unit": unit, "code": dict(code), "consumers": consumers}
+    # The leading bytes of like numbers are alike: apart from the others they compress.
+    apart = [
+        field.name
+        for field in whole.schema
+        if pa.types.is_floating(field.type) and field.name not in _ALIKE
+    ]
+    elements = ["scores.list.element"] if _SCORES in whole.column_names else []
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(
+        sink,
+        whole.schema,
+        write_statistics=False,
+        compression="zstd",
+        compression_level=3,
+        store_schema=False,
+        use_dictionary=[
+            name for name in whole.column_names if name not in apart and name != _SCORES
+        ],
+        column_encoding=dict.fromkeys([*apart, *elements], "BYTE_STREAM_SPLIT"),
+    ) as writer:
+        writer.write_table(whole)
+        writer.add_key_value_metadata({_INDEX: json.dumps(index).encode()})
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def index_of(content: bytes | Path) -> Index | None:
+    """Return what a file of cells holds; None if it is none.
+
+    Parameters
+    ----------
+    content : bytes or Path
+        Of the file, or where it is.
+    """
+    source = pa.BufferReader(content) if isinstance(content, bytes) else content
+    try:
+        return _index(pq.read_metadata(source).metadata)
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
+        return None
+
+
+def _index(metadata: Mapping[bytes, bytes]) -> Index:
+    told = json.loads(metadata[_INDEX])
+    return Index(
+        unit=told["unit"],
+        code=told["code"],
+        consumers={label: Held(**held) for label, held in told["consumers"].items()},
+    )
+
+
+def sound_files(out: Path, names: Sequence[str] = ()) -> tuple[dict[str, Index], list[str]]:
+    """Return what the files hold that are as they were written, and the names of the others.
 
     Parameters
     ----------
     out : Path
         Folder of the run.
-    name : str
-        Of the file.
-    rows : mapping or bytes
-        Columns, of which `track` is the row in `tracks`; or the file's content.
-    tracks : Cut
+    names : sequence of str
+        Files to look at besides those whose checksums are written down.
     """
-    content = rows if isinstance(rows, bytes) else _to_parquet(rows, tracks=tracks)
-    # First: a kill in between leaves a line without a cell, not a cell that looks damaged.
-    _write_down(out, name, hashlib.sha256(content).hexdigest())
-    write_whole(out / FOLDER / name, content)
-
-
-def sound_cells(out: Path, names: Iterable[str]) -> tuple[set[str], list[str]]:
-    """Return the cells that are as they were written, and those that are not.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the run.
-    names : iterable of str
-        Files to look at; those that are not there are in neither.
-    """
-    known = _checksums(out)
-    sound, damaged = set(), []
-    for name in dict.fromkeys(names):
-        try:
-            content = (out / FOLDER / name).read_bytes()
-        except FileNotFoundError:
-            continue
-        except OSError:
+    sound, damaged = {}, []
+    for name, content in checked(out, sorted({*names, *written_down(out)})):
+        if content is None:
             damaged.append(name)
-            continue
-        if hashlib.sha256(content).hexdigest() == known.get(name):
-            sound.add(name)
-        else:
-            damaged.append(name)
+        elif (index := index_of(content)) is not None:
+            sound[name] = index
     return sound, damaged
 
 
-def adopt(out: Path, names: Iterable[str], *, sources: Iterable[Path]) -> None:
-    """Take over the cells that the folders of other runs have, from the first that is sound."""
-    missing = dict.fromkeys(names)
-    for source in sources:
-        known = _checksums(source)
-        for name in [name for name in missing if name in known]:
-            try:
-                content = (source / FOLDER / name).read_bytes()
-            except OSError:  # it is computed anew
-                continue
-            if hashlib.sha256(content).hexdigest() == known[name]:
-                write_whole(out / FOLDER / name, content)
-                _write_down(out, name, known[name])
-                del missing[name]
+def places_of(files: Mapping[str, Index]) -> dict[tuple[str, str], str]:
+    """Return the file of every cell, by the keys of its unit and of its consumer."""
+    return {
+        (index.unit, held.key): name
+        for name, index in files.items()
+        for held in index.consumers.values()
+    }
 
 
-def check_sound(out: Path, names: Iterable[str]) -> None:
-    """Raise DataError if a cell is not as it was written, or there is none at all."""
-    wanted = list(names)
-    if not wanted:
-        raise DataError(f"{out} holds no finished cell; run the matrix again")
-    _, damaged = sound_cells(out, wanted)
-    if damaged:
-        more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
-        raise DataError(
-            f"{out / FOLDER / damaged[0]}{more}: not as the run wrote it (its checksum differs); "
-            "run the matrix again to compute it anew"
-        )
+def label_of(entry: Mapping[str, Any]) -> str:
+    """Return the label of the consumer of an entry of a manifest."""
+    return f"{entry['consumer']} ({entry['knowledge']})" if entry["knowledge"] else entry["consumer"]
 
 
 def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) -> pa.Table:
@@ -142,31 +212,90 @@ def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) ->
         If a cell is missing or broken, or has no such column; the message names it.
     """
     tables = []
-    for path in _paths(out, entry):
-        with _readable(path):
-            # Not pq.read_table: its data set machinery costs more than reading such a file.
-            with pq.ParquetFile(path) as cell:
-                tables.append(cell.read(columns=list(columns), use_threads=False))
-            _refuse_missing(path, tables[-1], columns=columns)
+    for name in entry["files"]:
+        path = out / FOLDER / name
+        found = _tables(path, label_of(entry), with_scores=_SCORES in columns)[ROWS]
+        for column in columns:
+            is_there = column in found.column_names
+            if not is_there or found[column].null_count == max(found.num_rows, 1):
+                raise DataError(
+                    f"{path} has no column {column}: it is no cell of the kind that the manifest "
+                    "says; run the matrix again with --fresh"
+                )
+        tables.append(found.select(list(columns)))
     return pa.concat_tables(tables).unify_dictionaries()
 
 
 def read_outcome(out: Path, entry: Mapping[str, Any]) -> LinkageOutcome:
     """Return what one linkage attack, or control, achieves at one level.
 
+    Replicates are in single precision: those of a run would take half a gigabyte in double.
+
     Raises
     ------
     DataError
         If the cell is missing or broken; the message names it.
     """
-    (path,) = _paths(out, entry)
+    (name,) = entry["files"]
+    path = out / FOLDER / name
+    tables = _tables(path, label_of(entry))
     with _readable(path):
-        about = json.loads(pq.read_metadata(path).metadata[METADATA])
+        about = json.loads(tables[ABOUT]["about"][0].as_py())
+        drawn = _rank_replicates(tables[ROWS], about, task=entry["consumer"].partition("/")[0])
+        if REPLICATES in tables:
+            drawn |= {
+                metric: column.to_numpy()
+                for metric in tables[REPLICATES].column_names
+                if (column := tables[REPLICATES][metric]).null_count == 0
+            }
+        estimates = {
+            row["metric"]: Estimate(
+                value=row["value"],
+                ci_low=row["ci_low"],
+                ci_high=row["ci_high"],
+                n=row["n"],
+                replicates=drawn.get(row["metric"], _NONE),
+            )
+            for row in tables[ESTIMATES]
+            .select(["metric", "value", "ci_low", "ci_high", "n"])
+            .to_pylist()
+        }
         return LinkageOutcome(
-            estimates={name: _unpacked(one) for name, one in about["estimates"].items()},
-            numbers=about["numbers"],
-            cohorts=about["cohorts"],
+            estimates=estimates, numbers=about["numbers"], cohorts=about["cohorts"]
         )
+
+
+_NONE: Final = np.zeros(0, dtype=np.float32)
+
+
+def _rank_replicates(rows: pa.Table, about: Mapping[str, Any], *, task: str) -> dict[str, Any]:
+    """Return the replicates of the rank metrics, which follow from the probes."""
+    place = {name: column for column, name in enumerate(about["clusters"])}
+    assigned = [ASSIGNED.index(one) - 1 for one in rows["assigned"].to_pylist()]
+    probes = ProbeRanks(
+        above=rows["above"].to_numpy().astype(np.int64),
+        tied=rows["tied"].to_numpy().astype(np.int64),
+        chance=rows["chance"].to_numpy(),
+        assigned=np.array(assigned),
+        cluster=np.array([place[name] for name in rows["group"].to_pylist()]),
+        n_gallery=about["numbers"]["gallery_sizes"][1],
+    )
+    weights = _weights(tuple(about["drawn_as"]), about["n_groups"], task, about["seed"])
+    drawn = {
+        name: replicates.astype(np.float32)
+        for name, replicates in probes.replicates(weights).items()
+        if name not in DERIVED
+    }
+    for name in drawn.keys() & {"rank1_assigned", "false_link_rate"}:
+        if ASSIGNED[assigned[0] + 1] == "unknown":
+            drawn[name] = np.full_like(drawn[name], np.nan)
+    return drawn
+
+
+@lru_cache(maxsize=16)  # of every task there are hundreds of cells
+def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> Floats:
+    places: Ints = np.array(drawn_as)
+    return linkage_weights(places, n_groups=n_groups, task=task, seed=seed)
 
 
 def read_windows(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
@@ -179,9 +308,8 @@ def read_windows(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
     DataError
         If the cell is missing or broken; the message names it.
     """
-    names = ("side", "search", "source", "group")
     windows: pd.DataFrame = read_rows(out, entry, columns=WINDOW_COLUMNS).to_pandas()
-    return windows.astype(dict.fromkeys(names, "object"))
+    return windows.astype(dict.fromkeys(_NAMES, "object"))
 
 
 def read_probes(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
@@ -199,45 +327,33 @@ def read_probes(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
     DataError
         If the cell is missing or broken; the message names it.
     """
-    table = read_rows(out, entry, columns=["search", "source", "group", "mate", "scores"])
-    search, mate = np.asarray(table["search"].to_pylist()), table["mate"].to_numpy()
-    flat = table["scores"].combine_chunks()
-    values, ends = flat.values.to_numpy(), flat.offsets.to_numpy()
-    found = {
-        name: np.zeros(mate.size) for name in ("mate_score", "best_other_score", "chance")
-    } | {name: np.zeros(mate.size, dtype=np.int64) for name in ("above", "tied")}
-    for name in dict.fromkeys(search.tolist()):
-        rows = np.flatnonzero(search == name)
-        n_candidates = int(np.diff(ends)[rows[0]])
-        scores = values[ends[rows[0]] : ends[rows[-1] + 1]].reshape(rows.size, n_candidates)
-        has = mate[rows] >= 0
-        own = np.where(has, scores[np.arange(rows.size), mate[rows]], np.nan)[:, None]
-        others = scores.astype(np.float64)
-        others[np.flatnonzero(has), mate[rows][has]] = -np.inf
-        best = others.max(axis=1)
-        found["above"][rows] = np.where(has, (scores > own).sum(axis=1), -1)
-        found["tied"][rows] = (scores == own).sum(axis=1)
-        found["mate_score"][rows] = own[:, 0]
-        found["best_other_score"][rows] = np.where(np.isfinite(best), best, np.nan)
-        found["chance"][rows] = 1.0 / n_candidates
-    names = {name: table[name].to_pylist() for name in ("search", "source", "group")}
-    return pd.DataFrame({**names, **found})
+    probes: pd.DataFrame = read_rows(out, entry, columns=_PROBE_COLUMNS).to_pandas()
+    return probes.astype(dict.fromkeys(("search", "source", "group"), "object"))
 
 
-def _unpacked(packed: Mapping[str, Any]) -> Estimate:
-    # As they were written: in double precision those of a run would take half a gigabyte.
-    replicates: Any = np.frombuffer(base64.b64decode(packed["replicates"]), dtype="<f4")
-    return Estimate(
-        value=packed["value"],
-        ci_low=packed["ci_low"],
-        ci_high=packed["ci_high"],
-        n=packed["n"],
-        replicates=replicates,
-    )
+def _tables(path: Path, label: str, *, with_scores: bool = False) -> dict[str, pa.Table]:
+    """Return the tables of a consumer, each with the columns of the whole file."""
+    with _readable(path):
+        stat = path.stat()
+        whole, index = _opened(path, (stat.st_mtime_ns, stat.st_size), with_scores)
+    if label not in index.consumers:
+        raise DataError(
+            f"{path} has no rows of {label}; delete it and run the matrix again to compute it"
+        )
+    places = index.consumers[label].tables
+    return {name: whole.slice(start, size) for name, (start, size) in places.items()}
 
 
-def _paths(out: Path, entry: Mapping[str, Any]) -> list[Path]:
-    return [out / FOLDER / name for name in entry["files"]]
+@lru_cache(maxsize=1)  # a file is read once for all of its consumers, who come one after another
+def _opened(path: Path, _stamp: tuple[int, int], with_scores: bool) -> tuple[pa.Table, Index]:  # noqa: FBT001 - as lru_cache wants it
+    # Not pq.read_table: its data set machinery costs more than reading such a file.
+    with pq.ParquetFile(path) as file:
+        names = [name for name in file.schema_arrow.names if with_scores or name != _SCORES]
+        whole, index = file.read(columns=names, use_threads=False), _index(file.metadata.metadata)
+    for place, name in enumerate(whole.column_names):
+        if name in _NAMES:
+            whole = whole.set_column(place, name, whole[name].dictionary_encode())
+    return whole, index
 
 
 @contextlib.contextmanager
@@ -250,100 +366,3 @@ def _readable(path: Path) -> Iterator[None]:
         raise DataError(
             f"{path} cannot be read ({error}); delete it and run the matrix again"
         ) from None
-
-
-def _refuse_missing(path: Path, table: pa.Table, *, columns: Iterable[str]) -> None:
-    missing = [name for name in columns if name not in table.column_names]
-    if missing:
-        raise DataError(
-            f"{path} has no column {missing[0]}: it is no cell of the kind that the manifest "
-            "says; run the matrix again with --fresh"
-        )
-
-
-def _to_parquet(rows: Rows, *, tracks: Cut) -> bytes:
-    columns: dict[str, Any] = {}
-    for name, values in rows.items():
-        if name == "track":
-            columns["source"] = names_column(values, tracks.source)
-            columns["group"] = names_column(values, tracks.group)
-        else:
-            columns[name] = values
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(columns), sink, write_statistics=False)
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
-
-
-def _write_down(out: Path, name: str, checksum: str) -> None:
-    path = out / CHECKSUMS
-    try:
-        with path.open("ab+") as file:
-            end = file.tell()
-            file.seek(max(end - 1, 0))
-            # A line that was cut short, by a full disk say, must not spoil the next.
-            start = "" if file.read(1) in (b"", b"\n") else "\n"
-            file.write(f"{start}{checksum}  {FOLDER}/{name}\n".encode())
-    except OSError as error:
-        raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
-
-
-def written_down(out: Path) -> set[str]:
-    """Return the cells that are there and whose checksums are written down.
-
-    Whether these are theirs takes longer: see `sound_cells`.
-
-    Raises
-    ------
-    DataError
-        If the checksums cannot be read.
-    OSError
-        If the folder of the cells cannot be read.
-    """
-    return _present(out) & _checksums(out).keys()
-
-
-def forget_missing(out: Path) -> None:
-    """Write the checksums anew, if one is of a cell that is not there or was written twice.
-
-    `sha256sum --check` would take it for damage. Lines of cells that are there are kept.
-
-    Raises
-    ------
-    DataError
-        If they cannot be read or written.
-    OSError
-        If the folder of the cells cannot be read.
-    """
-    lines, there = _lines(out), _present(out)
-    kept = {name: checksum for name, checksum in lines if name in there}
-    if set(lines) != set(kept.items()):
-        text = "".join(f"{checksum}  {FOLDER}/{name}\n" for name, checksum in kept.items())
-        write_whole(out / CHECKSUMS, text.encode())
-
-
-def _present(out: Path) -> set[str]:
-    try:
-        return {path.name for path in (out / FOLDER).iterdir()}
-    except (FileNotFoundError, NotADirectoryError):
-        return set()
-
-
-def _checksums(out: Path) -> dict[str, str]:
-    """Return the checksum by file; the last one of a cell that was written twice."""
-    return dict(_lines(out))
-
-
-def _lines(out: Path) -> list[tuple[str, str]]:
-    """Return file and checksum of every whole line."""
-    path = out / CHECKSUMS
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise DataError(
-            f"{path} cannot be read: {error.strerror}; make it readable or delete it"
-        ) from None
-    pairs = (line.split(f"  {FOLDER}/", 1) for line in text.splitlines())
-    return [(pair[1], pair[0]) for pair in pairs if len(pair) > 1]

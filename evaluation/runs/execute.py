@@ -11,10 +11,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from evaluation.runs import folder as store
-from evaluation.cells.scenes import LinkWork, attempt
-from evaluation.runs.cell_files import read_rows, sound_cells, write_cell
+from evaluation.cells.work import LinkWork, attempt
+from evaluation.experiment.fingerprint import sources
+from evaluation.runs.cell_files import packed, places_of, read_rows
+from evaluation.runs.checksums import write_checked
 from evaluation.runs.failures import FailedCell, Failures
-from evaluation.runs.missing_work import cut_for_cluster, missing_work
+from evaluation.runs.missing_work import cut_for_cluster, files_of, missing_of, pieces_of
 from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.runs.gallery import write_gallery
 from evaluation.runs.manifest import (
@@ -31,13 +33,14 @@ from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
     from pathlib import Path
 
     import pandas as pd
 
-    from evaluation.cells.scenes import Item
+    from evaluation.cells.tables import Tables
+    from evaluation.cells.work import Item
+    from evaluation.runs.missing_work import Missing
     from evaluation.runs.failures import Work
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan
@@ -63,22 +66,23 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
         For anything that a user can mend; finished cells are kept.
     """
     started = time.monotonic()
-    manifest = store.open_run(
-        ready.out, identity=ready.identity, code=ready.code, fresh=ready.settings.fresh
+    manifest, held, damaged = store.open_run(
+        ready.out, identity=ready.identity, fresh=ready.settings.fresh
     )
     earlier_s = float(manifest.get("wall_time_s", 0.0))
-    earlier = [name for entry in manifest["cells"] for name in entry["files"]]
-    ours = [name for _, _, names in ready.cells for name in names]
-    sound, damaged = sound_cells(ready.out, (*earlier, *ours))
+    places = places_of(held)
+    missing = missing_of(ready, places)
     manifest |= describe(ready)
     manifest["damaged_cells"] = damaged
     manifest["failed"] = failed_earlier(manifest, ready)
-    manifest["cells"] = merged_cells(manifest["cells"], ready, sound=sound)
+    manifest["cells"] = merged_cells(
+        manifest["cells"], ready, files=files_of(ready, places, missing), held=held
+    )
     store.write_manifest(ready.out, manifest | {"state": "running"})
-    failed = _compute_missing(ready, tell, sound=sound)
+    failed = _compute(missing, ready, tell)
     if failed:
         manifest["failed"] += [described_failure(one) for one in failed]
-        manifest["cells"] = whole_cells(manifest["cells"], failed, ready)
+        manifest["cells"] = whole_cells(manifest["cells"], failed)
         if not manifest["cells"]:
             store.write_manifest(ready.out, manifest | {"state": "failed"})
             raise PluginError(failed[0].why)
@@ -130,19 +134,58 @@ def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | 
         yield Failed(noted(), told(error))
 
 
-def _compute_missing(
-    ready: Plan, tell: Callable[[int, int, str], None], *, sound: AbstractSet[str]
+class _Files:
+    """The files to come, and what is computed of them so far: each is written when it is whole."""
+
+    def __init__(self, missing: Sequence[Missing], ready: Plan) -> None:
+        self._ready = ready
+        self._of = {
+            (one.unit.block, one.unit.mechanism.spec, consumer.label): one
+            for one in missing
+            for consumer in one.consumers
+        }
+        self._found: dict[str, dict[str, Tables | None]] = {one.file: {} for one in missing}
+
+    def add(self, block: int, mechanism: Plugin, consumer: Consumer, tables: Tables | None) -> None:
+        """Take what a consumer makes of a unit; None if it fails."""
+        missing = self._of[block, mechanism.spec, consumer.label]
+        found = self._found[missing.file]
+        found[consumer.label] = tables
+        if len(found) < len(missing.keys):
+            return
+        del self._found[missing.file]
+        whole = [
+            (consumer, key, tables)
+            for key, consumer in zip(missing.keys, missing.consumers, strict=True)
+            if (tables := found[consumer.label]) is not None
+        ]
+        if not whole:
+            return
+        code_of = {
+            key: {
+                name: self._ready.code_of[name]
+                for name in sources("", consumer.plugin, consumer.behind)
+            }
+            for consumer, key, _ in whole
+        }
+        unit = missing.unit
+        content = packed(whole, unit=unit.key, code=unit.code, code_of=code_of)
+        write_checked(self._ready.out, missing.file, content)
+
+
+def _compute(
+    missing: Sequence[Missing], ready: Plan, tell: Callable[[int, int, str], None]
 ) -> list[FailedCell]:
     """Compute what is missing, and return what could not be."""
-    works = deque(missing_work(ready, sound=sound))
-    total = sum(len(consumers) for work in works for _, consumers in work.levels)
-    files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
+    works = deque(pieces_of(missing, ready))
+    total = sum(len(one.keys) for one in missing)
+    files = _Files(missing, ready)
     done = 0
     failures = Failures()
     if not works:
         return failures.cells
     tell(done, total, "starting")
-    if any(_uses_kernels(consumer) for _, consumer, _ in ready.cells):
+    if any(_uses_kernels(consumer) for _, consumer in ready.pairs):
         kernels.prepare()  # before workers start: each would compile for itself
         import_module("attacks.reconstruction._parabola_loop")
     if any(isinstance(work, LinkWork) for work in works):
@@ -155,15 +198,12 @@ def _compute_missing(
                 if isinstance(item, Failed):
                     before = len(failures.cells)
                     works.extend(failures.rest(work, item, finished=finished))
+                    for one in failures.cells[before:]:
+                        files.add(one.block, one.mechanism, one.consumer, None)
                     done += len(failures.cells) - before
                     continue
-                block, mechanism, consumer, rows = item
-                write_cell(
-                    ready.out,
-                    files[mechanism.spec, consumer.label][block],
-                    rows,
-                    tracks=ready.tracks,
-                )
+                block, mechanism, consumer, tables = item
+                files.add(block, mechanism, consumer, tables)
                 finished.add((mechanism.spec, consumer.label))
                 done += 1
                 check_interrupt()
@@ -201,5 +241,5 @@ def _computed(works: deque[Work], ready: Plan) -> Generator[tuple[Work, Iterable
         compute,
         works,
         scheduler=settings.scheduler,
-        modules=own_modules((one, consumer) for one, consumer, _ in ready.cells),
+        modules=own_modules(ready.pairs),
     )

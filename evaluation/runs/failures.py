@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
-from evaluation.cells.scenes import Block
+from evaluation.cells.work import Block
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from evaluation.cells.scenes import LinkWork
+    from evaluation.cells.work import LinkWork
     from evaluation.experiment.axes import Consumer
     from evaluation.cells.progress import Failed
     from isac_track.plugins import Plugin
@@ -99,9 +99,9 @@ def specs_of(cell: Cell) -> tuple[str, str]:
 
 def only(work: Work, wanted: Callable[[Cell], bool]) -> Work:
     """Return the work with no other cells."""
-    kept = [cell for cell in cells_of(work) if wanted(cell)]
+    chosen = [cell for cell in cells_of(work) if wanted(cell)]
     levels = (
-        (mechanism, tuple(one for _, of, one in kept if of is mechanism))
+        (mechanism, tuple(one for _, of, one in chosen if of is mechanism))
         for mechanism, _ in work.levels
     )
     return replace(work, levels=tuple(level for level in levels if level[1]))

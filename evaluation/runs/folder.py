@@ -19,9 +19,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import isac_track
-from evaluation.runs.cell_files import forget_missing
+from evaluation.experiment.fingerprint import can_be_found, source_digest
+from evaluation.runs.cell_files import label_of, sound_files
+from evaluation.runs.checksums import FOLDER, forget_missing
 from evaluation.runs.files import write_whole
-from evaluation.runs.manifest_shape import CELL_NAME, defect_of
+from evaluation.runs.manifest_shape import CELL_NAME, LAYOUT, defect_of
 from evaluation.experiment.fingerprint import source_digest
 from evaluation.runs.lock import LOCK
 from attacks.tasks.task_list import TASKS
@@ -30,8 +32,8 @@ from isac_track.errors import DataError, SettingsError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from evaluation.experiment.axes import Consumer
-    from isac_track.plugins import Plugin
+    from evaluation.runs.cell_files import Index
+
 
 MANIFEST = "manifest.json"
 _TABLES = (
@@ -104,16 +106,26 @@ def check_folder(out: Path) -> None:
 
 def _is_of_a_start(path: Path) -> bool:
     """Whether a run leaves this if it is killed before its manifest is there."""
-    if path.name == "cells":
+    if path.name == FOLDER:
         return path.is_dir() and not any(path.iterdir())
     return path.name in (LOCK, f".{MANIFEST}.tmp")
 
 
-def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> dict[str, Any]:
-    """Return the manifest of a run folder, new or continued.
+def open_run(
+    out: Path, *, identity: dict[str, Any], fresh: bool
+) -> tuple[dict[str, Any], dict[str, Index], list[str]]:
+    """Return the manifest of a run folder, new or continued, and the files that it has.
 
     Cells that another version of the code computed are dropped from it and counted. `SHA256SUMS`
     has no line then for which there is no cell.
+
+    Returns
+    -------
+    manifest : dict
+    files : dict
+        What the files of cells hold that are as they were written.
+    damaged : list of str
+        Names of the others.
 
     Raises
     ------
@@ -123,21 +135,58 @@ def open_run(out: Path, *, identity: dict[str, Any], code: str, fresh: bool) -> 
     DataError
         If its manifest cannot be read, or is damaged and not to be replaced.
     """
+    manifest: dict[str, Any] = {"layout": LAYOUT, "identity": identity, "cells": [], "dropped_cells": 0}
     with usable(out):
         is_there = (out / MANIFEST).exists()
         if fresh and is_there:
             found = _parsed(out)
             _remove_run(out, found if not defect_of(found) else {"cells": []})
         elif is_there:
-            manifest = _undamaged(_parsed(out), out=out)
+            manifest |= _undamaged(_parsed(out), out=out)
             _refuse_another(out, manifest["identity"], identity)
-            (out / "cells").mkdir(exist_ok=True)
-            if manifest.get("code") != code:
-                manifest = _without_cells(out, manifest)
-            forget_missing(out)
-            return manifest | {"dropped_cells": manifest.get("dropped_cells", 0)}
-        (out / "cells").mkdir(parents=True, exist_ok=True)
-    return {"identity": identity, "cells": [], "dropped_cells": 0}
+        (out / FOLDER).mkdir(parents=True, exist_ok=True)
+        files, damaged = sound_files(
+            out, [name for entry in manifest["cells"] for name in entry["files"]]
+        )
+        manifest, files = _without_other_code(out, manifest, files)
+        forget_missing(out)
+    return manifest, files, damaged
+
+
+def _without_other_code(
+    out: Path, manifest: dict[str, Any], files: dict[str, Index]
+) -> tuple[dict[str, Any], dict[str, Index]]:
+    """Drop the cells whose code is not what is here now, and the files that hold no others.
+
+    Code that is not here at all cannot be told to be another.
+    """
+    modules = {
+        module
+        for index in files.values()
+        for code in (index.code, *(held.code for held in index.consumers.values()))
+        for module in code
+    }
+    here = {name: source_digest(name)[:16] for name in modules if can_be_found(name)}
+    current = {
+        name: {
+            label
+            for label, held in index.consumers.items()
+            if all(here.get(name, one) == one for name, one in (*index.code.items(), *held.code.items()))
+        }
+        for name, index in files.items()
+    }
+    cells = [
+        entry
+        for entry in manifest["cells"]
+        if all(label_of(entry) in current.get(name, (label_of(entry),)) for name in entry["files"])
+    ]
+    dropped = sum(len(entry["files"]) for entry in manifest["cells"]) - sum(
+        len(entry["files"]) for entry in cells
+    )
+    for name in [name for name in files if not current[name]]:
+        (out / FOLDER / name).unlink(missing_ok=True)
+        del files[name]
+    return manifest | {"cells": cells} | ({"dropped_cells": dropped} if dropped else {}), files
 
 
 def _refuse_another(out: Path, earlier: dict[str, Any], identity: dict[str, Any]) -> None:
@@ -152,13 +201,6 @@ def _refuse_another(out: Path, earlier: dict[str, Any], identity: dict[str, Any]
             f"{out} holds another run ({'; '.join(different[:_SHOWN_DIFFERENCES])}{more}); "
             "use --fresh to replace it or another --out"
         )
-
-
-def _without_cells(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
-    stale = [name for entry in manifest["cells"] for name in entry["files"]]
-    for name in stale:
-        (out / "cells" / name).unlink(missing_ok=True)
-    return manifest | {"cells": [], "dropped_cells": len(stale)}
 
 
 def read_manifest(out: Path) -> dict[str, Any]:
@@ -234,15 +276,15 @@ def environment() -> dict[str, Any]:
 
 def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
     """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
-    ours = [out / "cells" / name for entry in manifest["cells"] for name in entry["files"]]
-    ours += [path for path in (out / "cells").glob("*.parquet") if CELL_NAME.fullmatch(path.name)]
+    ours = [out / FOLDER / name for entry in manifest["cells"] for name in entry["files"]]
+    ours += [path for path in (out / FOLDER).glob("*.parquet") if CELL_NAME.fullmatch(path.name)]
     ours += figure_paths(out / "figures")
     ours += [out / "tables" / name for name in _TEX]
     ours += [out / name for name in _TABLES]
     try:
         for path in ours:
             path.unlink(missing_ok=True)
-        for folder in ("cells", "figures", "tables"):
+        for folder in (FOLDER, "figures", "tables"):
             if (out / folder).is_dir() and not any((out / folder).iterdir()):
                 (out / folder).rmdir()
         (out / MANIFEST).unlink()

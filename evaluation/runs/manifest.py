@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation.runs import folder as store
+from evaluation.runs.cell_files import label_of
 from isac_track.privacy import mean_interval_s
 
 if TYPE_CHECKING:
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Mapping
 
     from attacks.tasks.sessions import Sessions
+    from evaluation.runs.cell_files import Index
     from evaluation.runs.failures import FailedCell
     from evaluation.experiment.plan import Plan
 
@@ -21,7 +23,7 @@ def failed_earlier(manifest: dict[str, Any], ready: Plan) -> list[dict[str, Any]
     """Return what failed when other axes were run, whose finished levels stay in the tables."""
     if not manifest["cells"]:
         return []
-    ours = {(mech.spec, consumer.spec, consumer.knowledge) for mech, consumer, _ in ready.cells}
+    ours = {(mech.spec, consumer.spec, consumer.knowledge) for mech, consumer in ready.pairs}
     return [entry for entry in manifest.get("failed", []) if _cell_key(entry) not in ours]
 
 
@@ -97,11 +99,24 @@ def _described(sessions: Sessions) -> dict[str, Any]:
 
 
 def merged_cells(
-    earlier: list[dict[str, Any]], ready: Plan, *, sound: AbstractSet[str]
+    earlier: list[dict[str, Any]],
+    ready: Plan,
+    *,
+    files: Mapping[tuple[str, str], list[str]],
+    held: Mapping[str, Index],
 ) -> list[dict[str, Any]]:
     """Return the index of cells: those of this run, and finished ones of earlier axes.
 
     An earlier level that was never finished (interrupted, or a plug-in that failed) is left out.
+
+    Parameters
+    ----------
+    earlier : list of dict
+    ready : Plan
+    files : mapping
+        By mechanism and consumer, of this run.
+    held : mapping
+        What the files hold that are there.
     """
     ours = [
         {
@@ -114,15 +129,19 @@ def merged_cells(
             "consumer": consumer.spec,
             "knowledge": consumer.knowledge,
             "slow": consumer.is_slow,
-            "files": list(names),
+            "files": files[mechanism.spec, consumer.label],
         }
-        for mechanism, consumer, names in ready.cells
+        for mechanism, consumer in ready.pairs
     ]
     known = {_cell_key(entry) for entry in ours}
-    merged = ours + [
-        entry for entry in earlier if _cell_key(entry) not in known and sound >= set(entry["files"])
+    finished = [
+        entry
+        for entry in earlier
+        if all(
+            name in held and label_of(entry) in held[name].consumers for name in entry["files"]
+        )
     ]
-    return _with_ceiling(merged)
+    return _with_ceiling(ours + [one for one in finished if _cell_key(one) not in known])
 
 
 def _with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -141,12 +160,11 @@ def _with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def whole_cells(
-    entries: list[dict[str, Any]], failed: list[FailedCell], ready: Plan
+    entries: list[dict[str, Any]], failed: list[FailedCell]
 ) -> list[dict[str, Any]]:
     """Return the index without entries that miss a cell: nothing is averaged over less."""
-    files = {(mechanism.spec, consumer.label): names for mechanism, consumer, names in ready.cells}
-    missing = {files[one.mechanism.spec, one.consumer.label][one.block] for one in failed}
-    return _with_ceiling([entry for entry in entries if missing.isdisjoint(entry["files"])])
+    missing = {_cell_key(described_failure(one)) for one in failed}
+    return _with_ceiling([entry for entry in entries if _cell_key(entry) not in missing])
 
 
 def described_failure(one: FailedCell) -> dict[str, Any]:

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 CELL_NAME = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
+LAYOUT = 2
+"""Of the folder: a file of cells for each unit of work. Before, each consumer had one of its own."""
 _LARGEST = 1e300
 
 
@@ -69,6 +71,7 @@ def _groups(value: object) -> bool:
 
 
 _SHAPE = {
+    "layout?": _count,
     "identity": {"seed": _count, "scenes": _count, "sha256?": _text, "*": _plain},
     "cells": [
         {
@@ -129,6 +132,8 @@ _WITH_CELLS = {
 
 def defect_of(manifest: dict[str, Any]) -> str:
     """Return what readers of a manifest would stumble over, and where; "" if nothing."""
+    if manifest.get("layout") != LAYOUT and manifest["cells"]:
+        return "its cells are laid out in another way"
     defect = _misfit(manifest, _SHAPE).lstrip(".")
     if defect or not manifest["cells"]:
         return defect

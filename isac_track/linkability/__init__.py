@@ -30,7 +30,7 @@ from isac_track.linkability.scores import (
     roc_hull,
     tpr_at_fpr,
 )
-from isac_track.linkability.scoring import SCORE_REPLICATES, Scorecard, scorecard
+from isac_track.linkability.scoring import SCORE_REPLICATES, ProbeRanks, Scorecard, scorecard
 from isac_track.linkability.significance import (
     LEVEL,
     Outcome,
@@ -47,6 +47,7 @@ __all__ = [
     "SLOPE_PENALTY",
     "Calibration",
     "Outcome",
+    "ProbeRanks",
     "Scorecard",
     "Search",
     "assign",

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from isac_track.linkability.ranks import Search
     from isac_track.linkability.scores import Calibration
     from isac_track.linkability.significance import RankedScores
-    from isac_track.types import Bools, Floats, Ints
+    from isac_track.types import Floats, Ints
 
 SCORE_REPLICATES = 200
 """Bootstrap replicates of score metrics; one visits every pair, where a rank metric visits every
@@ -75,11 +75,70 @@ _NO_SPREAD = 1e-12
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class ProbeRanks:
+    """How each of P probes fared: what rank metrics are means of."""
+
+    above: Ints
+    """(P,) candidates that score above its mate; -1 without one"""
+    tied: Ints
+    """(P,) candidates that score as high as its mate, the mate included; 0 without one"""
+    chance: Floats
+    """(P,) of rank 1"""
+    assigned: Ints
+    """(P,) who is assigned to it: 1 its mate, 0 somebody else, -1 nobody"""
+    cluster: Ints
+    """(P,)"""
+    n_gallery: int
+    """Of the largest gallery."""
+
+    def values(self) -> dict[str, tuple[Floats, Ints]]:
+        """Return the values that each metric is the mean of, and their clusters, (N,) each.
+
+        All are of probes with a mate, but `false_link_rate`, which is of the others.
+        """
+        mated = self.above >= 0
+        above, tied, cluster = self.above[mated], self.tied[mated], self.cluster[mated]
+        mate = np.zeros_like(above)
+        found = {
+            "rank1": expected_hit(above, tied, mate),
+            "rank1_assigned": (self.assigned[mated] == 1).astype(np.float64),
+            "mrr": expected_reciprocal(above, tied, mate, self.n_gallery),
+            "chance": self.chance[mated],
+        }
+        both = {name: (values, cluster) for name, values in found.items()}
+        if not mated.all():
+            linked = (self.assigned[~mated] >= 0).astype(np.float64)
+            both["false_link_rate"] = linked, self.cluster[~mated]
+        return both
+
+    def replicates(self, weights: Floats) -> dict[str, Floats]:
+        """Return the bootstrap replicates of each metric, (B,), as `scorecard` estimates it.
+
+        Parameters
+        ----------
+        weights : (B, C)
+            As there.
+        """
+        found = {}
+        for name, (values, cluster) in self.values().items():
+            sums = [
+                cluster_sums(values=one, cluster=cluster, n_clusters=weights.shape[1])
+                for one in (values, np.ones(cluster.size))
+            ]
+            drawn = weights @ np.stack(sums, axis=1)
+            found[name] = np.full(len(weights), np.nan)
+            np.divide(drawn[:, 0], drawn[:, 1], out=found[name], where=drawn[:, 1] > 0)
+        return found
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Scorecard:
     """How well one attack links, over all of its searches."""
 
     estimates: dict[str, Estimate]
     """By metric; NaN where undefined or refused. See `scorecard`."""
+    probes: ProbeRanks
+    """Of all searches, one after the other."""
     p_value: float
     """Of `permutation_p`."""
     p_value_low: float
@@ -228,34 +287,21 @@ def scorecard(
         for scale, cut in cells.items()
     ]
     over_scales = _over_scales(results)
-    mate = np.concatenate([search.mate for search in searches])
-    clusters = np.concatenate([search.probe_cluster for search in searches])
-    has_mate = mate >= 0
-    standing = np.concatenate([trial.ranks.standing for trial in trials])
-    above, tied = standing[:, 0], standing[:, 1]
-    hits = expected_hit(above, tied, mate)[has_mate]
+    probes = _probe_ranks(searches, trials)
+    hits, mated_clusters = probes.values()["rank1"]
     chances = np.concatenate([chances_of(search) for search in searches])
     sizes = [search.scores.shape[1] for search in searches]
-    n_clusters = int(np.unique(clusters[has_mate]).size)
-    estimates = _rank_estimates(
-        {
-            "rank1": hits,
-            "mrr": expected_reciprocal(above, tied, mate, max(sizes))[has_mate],
-            "chance": chances,
-        },
-        np.concatenate([trial.assigned for trial in trials]),
-        mate,
-        clusters,
-        weights,
-    )
+    n_clusters = int(np.unique(mated_clusters).size)
+    estimates = _rank_estimates(probes, weights)
     estimates |= _score_estimates(results, over_scales, n_clusters)
     n_mated = hits.size
     return Scorecard(
         estimates=estimates,
+        probes=probes,
         p_value=p_value,
         p_value_low=p_value_low,
         p_rank1=rank1_p(hits=hits, chance=chances),
-        n_probes=has_mate.size,
+        n_probes=probes.above.size,
         n_mated=n_mated,
         gallery_sizes=(min(sizes), max(sizes), sum(sizes) / len(sizes)),
         n_clusters=n_clusters,
@@ -473,29 +519,36 @@ def _over_scales(results: Sequence[_Scale]) -> Floats:
     return mean
 
 
-def _rank_estimates(
-    values: Mapping[str, Floats], assigned: Ints, mate: Ints, clusters: Ints, weights: Floats
-) -> dict[str, Estimate]:
-    """Return the estimates of rank metrics from the values of mated probes, and from `assigned`."""
-    mated = mate >= 0
-    found = {"rank1": values["rank1"], "rank1_assigned": (assigned == mate)[mated]}
-    found |= {"mrr": values["mrr"], "chance": values["chance"]}
+def _probe_ranks(searches: Sequence[Search], trials: Sequence[_Trial]) -> ProbeRanks:
+    mate = np.concatenate([search.mate for search in searches])
+    standing = np.concatenate([trial.ranks.standing for trial in trials])
+    assigned = np.concatenate([trial.assigned for trial in trials])
+    sizes = np.array([search.scores.shape[1] for search in searches])
+    return ProbeRanks(
+        above=np.where(mate < 0, -1, standing[:, 0]),
+        tied=np.where(mate < 0, 0, standing[:, 1]),
+        chance=np.repeat(1.0 / sizes, [len(search.mate) for search in searches]),
+        assigned=np.where(assigned < 0, -1, assigned == mate),
+        cluster=np.concatenate([search.probe_cluster for search in searches]),
+        n_gallery=int(sizes.max()),
+    )
+
+
+def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
+    """Return the estimates of rank metrics."""
     estimates = {
         # All are shares but the chance, which is known.
-        name: _mean(value, clusters[mated], weights, is_share=name != "chance")
-        for name, value in found.items()
+        name: _mean(values, cluster, weights, is_share=name != "chance")
+        for name, (values, cluster) in probes.values().items()
     }
     estimates["residual_risk"] = _residual_risk_estimate(estimates["rank1"], estimates["chance"])
-    if not mated.all():
-        linked = assigned[~mated] >= 0
-        estimates["false_link_rate"] = _mean(linked, clusters[~mated], weights, is_share=True)
     return estimates
 
 
-def _mean(values: Floats | Bools, cluster: Ints, weights: Floats, *, is_share: bool) -> Estimate:
+def _mean(values: Floats, cluster: Ints, weights: Floats, *, is_share: bool) -> Estimate:
     numerator, denominator = (
         cluster_sums(values=of, cluster=cluster, n_clusters=weights.shape[1])
-        for of in (values.astype(np.float64), np.ones(cluster.size))
+        for of in (values, np.ones(cluster.size))
     )
     return ratio_estimate(
         numerator=numerator, denominator=denominator, weights=weights, is_share=is_share

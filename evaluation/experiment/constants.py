@@ -1,0 +1,11 @@
+"""Words and numbers that cells depend on, apart from the presets, on which they do not."""
+
+SHARED = "shared"
+"""Consumer of the descriptors as shared."""
+IDENTITY = "identity"
+"""The attack that reproduces what was shared."""
+WINDOWS = "windows"
+"""Consumer of the same of a linkage task, window by window, after the task."""
+BLOCK_SCENES = 250
+"""Scenes of a unit of work. Part of the keys of the sharing streams: a change changes the draws."""
+MOST_SCENES = 10_000_000
