@@ -376,3 +376,11 @@ def test_a_scorecard_refuses(options, message):
     searches = options.pop("searches", [search(np.eye(3))])
     with pytest.raises(ValueError, match=message):
         scorecard(searches, rng=stream(0, "test"), **right | options)
+
+
+def test_the_chance_is_known_even_where_it_is_one():
+    single = [search([[1.0]], cluster=[cluster]) for cluster in (0, 1)]
+    estimates = card(single, n_clusters=2).estimates
+    known, share = estimates["chance"], estimates["rank1"]
+    assert (known.value, known.ci_low, known.ci_high) == (1.0, 1.0, 1.0)
+    assert (share.value, share.ci_low) == (1.0, pytest.approx(wilson(hits=2, n=2)[0]))
