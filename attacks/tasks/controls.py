@@ -180,10 +180,13 @@ def _middles(release: Release) -> Floats:
 def _half_means(release: Release) -> tuple[Floats, Floats]:
     """Return the mean position of each track's first and of its second half, (N, 2) m each."""
     sizes = np.diff(release.offsets)
-    # Of a track of one sample, which has no first half, reduceat takes that sample for it.
-    cuts = np.column_stack([release.offsets[:-1], release.offsets[:-1] + sizes // 2]).ravel()
-    total = np.add.reduceat(release.xy, cuts)
-    return (
-        total[::2] / np.maximum(sizes // 2, 1)[:, None],
-        total[1::2] / (sizes - sizes // 2)[:, None],
-    )
+    middle = release.offsets[:-1] + sizes // 2
+    total = np.add.reduceat(release.xy, release.offsets[:-1])
+    late = np.add.reduceat(release.xy, np.column_stack([middle, release.offsets[1:]]).ravel()[:-1])[
+        ::2
+    ]
+    n_late = sizes - sizes // 2
+    # A track of one sample has no first half: it stands where it is.
+    n_early = np.maximum(sizes // 2, 1)
+    early = np.where((sizes > 1)[:, None], total - late, total)
+    return early / n_early[:, None], late / n_late[:, None]
