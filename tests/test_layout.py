@@ -123,7 +123,7 @@ def test_no_module_imports_itself_by_a_detour(tree):
 @pytest.mark.parametrize(
     ("module", "line"),
     [
-        ("evaluation.cells.columns", "from evaluation.runs import folder"),
+        ("evaluation.cells.tables", "from evaluation.runs import folder"),
         ("evaluation.analysis.summary", "def late():\n    from evaluation.results import run"),
         (
             "isac_track.rng",

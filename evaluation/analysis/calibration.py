@@ -20,11 +20,12 @@ import numpy as np
 from scipy.optimize import brentq
 
 from evaluation.analysis.paper import PREDICTOR, PUBLISHED
-from evaluation.cells.scenes import Block, compute_block
+from evaluation.cells.tables import ROWS
+from evaluation.cells.work import Block, cells
 from evaluation.experiment.axes import Consumer, n_blocks
-from evaluation.experiment.presets import BLOCK_SCENES
-from isac_track import privacy, sensing, sharing
+from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import plugins as registry
+from isac_track import privacy, sensing, sharing
 from isac_track.config import SensingSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.scenes import cut, make_scenes, track_order
@@ -262,12 +263,14 @@ def predictions(
             order=order,
             levels=tuple((level, consumers) for level in levels),
         )
-        for level, consumer, rows in compute_block(block, tracks=tracks, stages=stages, seed=seed):
+        for _, level, consumer, tables in cells(block, tracks=tracks, stages=stages, seed=seed):
+            rows = tables[ROWS]
             if consumer.kind == "shared":
                 for metric, column in (("plr", "plr"), ("ael", "ael_s"), ("mel", "mel_s")):
-                    parts.setdefault((level.spec, metric), []).append(rows[column])
+                    parts.setdefault((level.spec, metric), []).append(rows[column].to_numpy())
             else:
-                missed = ~rows["predicted"][rows["conflict"]]
+                predicted, conflict = (rows[one].to_numpy() for one in ("predicted", "conflict"))
+                missed = ~predicted[conflict]
                 parts.setdefault((level.spec, "missed_conflict_rate"), []).append(missed)
     return {key: float(np.concatenate(values).mean()) for key, values in parts.items()}
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from evaluation.runs import folder
-from evaluation.runs.cell_files import adopt, sound_cells
+from evaluation.runs.cell_files import places_of, sound_files
+from evaluation.runs.checksums import FOLDER, write_checked
 from evaluation.runs.lock import locked
+from evaluation.runs.missing_work import missing_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
     """Open the folder of a run and copy the cells into it that other runs have.
 
-    A cell's name is keyed by all that its rows depend on: those of one name are the same.
+    Each is taken from the first folder that has it: what is keyed alike is the same.
 
     Parameters
     ----------
@@ -38,8 +40,15 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
     """
     folder.check_folder(ready.out)
     with locked(ready.out):
-        manifest = folder.open_run(ready.out, identity=ready.identity, code=ready.code, fresh=fresh)
+        manifest, files, _ = folder.open_run(ready.out, identity=ready.identity, fresh=fresh)
         folder.write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
-        names = [name for _, _, names in ready.cells for name in names]
-        sound, _ = sound_cells(ready.out, names)
-        adopt(ready.out, [name for name in names if name not in sound], sources=sources)
+        missing = missing_of(ready, places_of(files))
+        wanted = {(one.unit.key, key) for one in missing for key in one.keys}
+        for source in sources:
+            theirs, _ = sound_files(source)
+            for name, index in theirs.items():
+                held = {(index.unit, one.key) for one in index.consumers.values()}
+                if wanted & held:
+                    content = (source / FOLDER / name).read_bytes()
+                    write_checked(ready.out, name, content)
+                    wanted -= held

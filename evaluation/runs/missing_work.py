@@ -10,19 +10,17 @@ import numpy as np
 from evaluation.cells.work import Block, LinkWork
 from evaluation.experiment.axes import n_blocks
 from evaluation.experiment.constants import BLOCK_SCENES
-from evaluation.runs.cell_files import index_of, places_of, sound_files
-from evaluation.runs.checksums import FOLDER, write_checked, written_down
+from evaluation.runs.cell_files import index_of, places_of
+from evaluation.runs.checksums import FOLDER, written_down
 from isac_track.scenes import track_order
 
 if TYPE_CHECKING:
     from collections import deque
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping, Sequence
 
     from evaluation.cells.work import Levels
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan, Unit
-    from evaluation.runs.cell_files import Index
     from evaluation.runs.failures import Work
     from isac_track.plugins import Plugin
 
@@ -91,30 +89,6 @@ def files_of(
             name = places.get(place) or to_come[place]
             files.setdefault((unit.mechanism.spec, consumer.label), []).append(name)
     return files
-
-
-def adopt(ready: Plan, files: Mapping[str, Index], *, sources: Iterable[Path]) -> None:
-    """Take over what a run lacks and other folders have, from the first that has it.
-
-    What is keyed alike is the same.
-
-    Parameters
-    ----------
-    ready : Plan
-    files : mapping
-        What its folder has.
-    sources : iterable of Path
-        Folders of other runs.
-    """
-    missing = missing_of(ready, places_of(files))
-    wanted = {(one.unit.key, key) for one in missing for key in one.keys}
-    for source in sources:
-        theirs, _ = sound_files(source)
-        for name, index in theirs.items():
-            held = {(index.unit, one.key) for one in index.consumers.values()}
-            if wanted & held:
-                write_checked(ready.out, name, (source / FOLDER / name).read_bytes())
-                wanted -= held
 
 
 def pieces_of(missing: Sequence[Missing], ready: Plan) -> list[Work]:
