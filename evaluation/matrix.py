@@ -232,6 +232,10 @@ def _notices(manifest: dict[str, Any]) -> list[str]:
         f"{spec} asked for {' and '.join(asked)}, which a robot does not have by default"
         for spec, asked in manifest["granted"].items()
     ]
+    notices += [
+        f"{family} does not say by `adding` how it adds its error: it is judged under both rules"
+        for family in manifest["without_rule"]
+    ]
     if manifest["dropped_cells"]:
         notices.append(f"{manifest['dropped_cells']} cells of another code version were dropped")
     if manifest["damaged_cells"]:

@@ -7,7 +7,7 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -160,33 +160,15 @@ def matched(
     dataset : str
         Of the run.
     """
-    parts = [_rows(one, family=known[one.mechanism].family, dataset=dataset) for one in compared]
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=COLUMNS)
-
-
-def _rows(one: Comparison, *, family: str, dataset: str) -> pd.DataFrame:
-    columns: dict[str, object] = {
-        "dataset": dataset_of(one.measure.consumer, dataset=dataset),
-        "criterion": one.criterion,
-        "adding": one.adding,
-        "predictor": one.predictor,
-        "consumer": one.measure.consumer,
-        "knowledge": one.measure.knowledge,
-        "metric": one.measure.metric,
-        "at": one.at,
-        "missed_conflict_rate": one.rate,
-        "defined": one.defined,
-        "n": one.n,
-        "mechanism": one.mechanism,
-        "family": family,
-    }
-    for name, low, high, values in (
-        ("fid", "fid_low", "fid_high", one.compared),
-        ("fixed", "fixed_low", "fixed_high", one.fixed),
-        ("difference", "ci_low", "ci_high", one.difference),
-    ):
-        columns |= {name: values[0], low: values[1], high: values[2]}
-    return pd.DataFrame(columns)[COLUMNS]
+    rows = []
+    for one in compared:
+        source = one.measure.source
+        about = (one.criterion, one.adding, one.predictor, *astuple(source))
+        names = (dataset_of(source.consumer, dataset=dataset), *about, one.measure.metric)
+        numbers = (one.at, one.rate, *one.compared, *one.fixed, *one.difference, one.defined)
+        end = (one.n, one.mechanism, known[one.mechanism].family)
+        rows += [(*names, *point, *end) for point in zip(*numbers, strict=True)]
+    return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def _measures(found: Mapping[Key, Estimate]) -> list[Measure]:

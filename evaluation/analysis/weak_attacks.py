@@ -28,27 +28,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.keys import Key
+from evaluation.analysis.families import CLEAN, RAW
+from evaluation.analysis.keys import AS_SHARED, Key, Source
 from evaluation.analysis.levels import level_text
+from evaluation.analysis.metrics import EXPOSURE
 from evaluation.analysis.paper import MIN_CLUSTERS
 from evaluation.analysis.summary import clusters, weights_of
-from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.experiment.presets import IDENTITY
 from evaluation.runs.cell_files import read_rows
-from isac_track.intervals import (
-    CONFIDENCE,
-    cluster_sums,
-    percentile_interval,
-    ratio_estimate,
-)
+from isac_track.intervals import cluster_sums, difference, ratio_estimate
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
     from collections.abc import Set as AbstractSet
     from pathlib import Path
 
+    from evaluation.analysis.keys import Where
     from isac_track.intervals import Estimate
-    from isac_track.types import Floats
 
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")
 """From the simplest on."""
@@ -69,9 +66,7 @@ COLUMNS = [
     "sentence",
 ]
 
-_METRIC = "plr"
 _ALONE = {"averaging": (IDENTITY,)}
-_NOT_SWEPT = ("raw", "clean")
 _LEAST_RISE = 1.1
 _ROUNDING = 1e-9
 _RANK = {adversary: rank for rank, adversary in enumerate(ADVERSARIES)}
@@ -88,9 +83,6 @@ _INTERVALS = (
     "number of comparisons: of two equally good attacks one is flagged at about one level in 40"
 )
 
-_Where = tuple[str, float | None]
-_Adversary = tuple[str, str]
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Flags:
@@ -104,17 +96,17 @@ class Flags:
     """Why comparisons were left out, and how many."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class _Pair:
     """Two estimates to compare, and what a flag would say."""
 
     kind: str
-    where: _Where
-    attack: _Adversary
-    by: _Adversary
+    where: Where
+    attack: Source
+    by: Source
     minus: Estimate
     plus: Estimate
-    least: _Where | None = None
+    least: Where | None = None
     """The least noisy level of a mechanism."""
 
 
@@ -136,29 +128,27 @@ def flags(
         PLR of all attacks on those releases, from `on_first_releases`; without it slow attacks
         are not compared with others.
     """
-    levels: dict[_Where, dict[_Adversary, Estimate]] = {}
+    levels: dict[Where, dict[Source, Estimate]] = {}
     for key, estimate in found.items():
-        if key.metric == _METRIC and key.knowledge:
-            where = key.mechanism, key.level
-            levels.setdefault(where, {})[key.consumer, key.knowledge] = estimate
+        if key.metric == EXPOSURE and key.knowledge:
+            levels.setdefault(key.where, {})[key.measure.source] = estimate
     left_out: dict[str, int] = {}
     pairs = [
         *_beaten_pairs(levels, found, slow=slow, once=once or {}, left_out=left_out),
         *_falling_pairs(levels, found, left_out=left_out),
     ]
-    few = "fewer than 20 clusters"
     enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= MIN_CLUSTERS]
     if len(enough) < len(pairs):
-        left_out[few] = len(pairs) - len(enough)
-    compared: dict[tuple[str, _Adversary, _Adversary], int] = {}
+        left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
+    compared: dict[tuple[str, Source, Source], int] = {}
     for pair in enough:
         name = pair.kind, pair.attack, pair.by
         compared[name] = compared.get(name, 0) + 1
-    low, high = _intervals([pair.plus.replicates - pair.minus.replicates for pair in enough])
+    gaps = [(pair, difference(pair.plus, pair.minus)) for pair in enough]
     rows = [
-        _row(pair, low=low[n], high=high[n], compared=compared[pair.kind, pair.attack, pair.by])
-        for n, pair in enumerate(enough)
-        if (low[n] > _ROUNDING if pair.kind == BEATEN else high[n] > -_ROUNDING)
+        _row(pair, gap, compared=compared[pair.kind, pair.attack, pair.by])
+        for pair, gap in gaps
+        if (gap.ci_low > _ROUNDING if pair.kind == BEATEN else gap.ci_high > -_ROUNDING)
     ]
     return Flags(
         rows=pd.DataFrame(rows, columns=COLUMNS),
@@ -203,7 +193,7 @@ def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estim
             for values in (plr, np.ones_like(plr))
         )
         key = Key(
-            entry["mechanism"], entry["level"], entry["consumer"], _METRIC, entry["knowledge"]
+            entry["mechanism"], entry["level"], entry["consumer"], EXPOSURE, entry["knowledge"]
         )
         found[key] = ratio_estimate(
             numerator=sums, denominator=counts, weights=weights, is_share=True
@@ -237,7 +227,7 @@ def lines(rows: pd.DataFrame) -> list[str]:
 
 
 def _beaten_pairs(
-    levels: Mapping[_Where, Mapping[_Adversary, Estimate]],
+    levels: Mapping[Where, Mapping[Source, Estimate]],
     found: Mapping[Key, Estimate],
     *,
     slow: AbstractSet[str],
@@ -245,75 +235,69 @@ def _beaten_pairs(
     left_out: dict[str, int],
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
-        shared = found.get(Key(*where, SHARED, _METRIC))
+        shared = found.get(_key(where, AS_SHARED))
         nothing_to_gain = shared is not None and shared.value >= 1.0
-        for attack in plr:
-            for by in plr:
-                if not _should_win(attack, by):
+        for attack, by in ((a, b) for a in plr for b in plr if _should_win(a, b)):
+            minus, plus = plr[attack], plr[by]
+            if (attack.consumer in slow) != (by.consumer in slow):
+                keys = [_key(where, source) for source in (attack, by)]
+                if not all(key in once for key in keys):
+                    _count(left_out, "a slow attack, without the others on the same tracks")
                     continue
-                minus, plus = plr[attack], plr[by]
-                if (attack[0] in slow) != (by[0] in slow):
-                    keys = [Key(*where, spec, _METRIC, knows) for spec, knows in (attack, by)]
-                    if not all(key in once for key in keys):
-                        _count(left_out, "a slow attack, without the others on the same tracks")
-                        continue
-                    minus, plus = (once[key] for key in keys)
-                if nothing_to_gain:
-                    _count(left_out, "all that is shared leaks already")
-                    continue
-                yield _Pair(BEATEN, where, attack, by, minus, plus)
+                minus, plus = (once[key] for key in keys)
+            if nothing_to_gain:
+                _count(left_out, "all that is shared leaks already")
+                continue
+            yield _Pair(BEATEN, where, attack, by, minus, plus)
 
 
 def _falling_pairs(
-    levels: Mapping[_Where, Mapping[_Adversary, Estimate]],
+    levels: Mapping[Where, Mapping[Source, Estimate]],
     found: Mapping[Key, Estimate],
     *,
     left_out: dict[str, int],
 ) -> Iterator[_Pair]:
-    for mechanism in dict.fromkeys(name for name, _ in levels if name not in _NOT_SWEPT):
+    for mechanism in dict.fromkeys(name for name, _ in levels if name not in (RAW, CLEAN)):
         # By the noise that there is, whichever way the level counts.
         noise = {
-            where: found[Key(*where, SHARED, "rmse")].value
+            where: found[_key(where, AS_SHARED, "rmse")].value
             for where in levels
-            if where[0] in (mechanism, "raw") and Key(*where, SHARED, "rmse") in found
+            if where[0] in (mechanism, RAW) and _key(where, AS_SHARED, "rmse") in found
         }
         in_order = sorted(noise, key=noise.__getitem__)
         if len(in_order) < 2 or in_order[-1][0] != mechanism:  # noqa: PLR2004 - a fall has two ends
             continue
         least, most = in_order[0], in_order[-1]
-        attacks = [attack for attack in levels[most] if attack in levels[least]]
-        attacks = [attack for attack in attacks if _base(attack[0]) != IDENTITY]
+        attacks = [
+            attack
+            for attack in levels[most]
+            if attack in levels[least] and _base(attack.consumer) != IDENTITY
+        ]
         if noise[most] < _LEAST_RISE * noise[least]:
             _count(left_out, "the noise hardly rises", len(attacks))
             continue
-        shared = [found.get(Key(*where, SHARED, _METRIC)) for where in (least, most)]
-        if shared[0] is not None and shared[1] is not None:
-            _, high = percentile_interval(shared[1].replicates - shared[0].replicates)
-            if high >= 0:
-                _count(left_out, "PLR as shared does not fall either", len(attacks))
-                continue
+        quiet, noisy = (found.get(_key(where, AS_SHARED)) for where in (least, most))
+        if quiet is not None and noisy is not None and difference(noisy, quiet).ci_high >= 0:
+            _count(left_out, "PLR as shared does not fall either", len(attacks))
+            continue
         for attack in attacks:
-            yield _Pair(
-                DOES_NOT_FALL,
-                most,
-                attack,
-                ("", ""),
-                levels[least][attack],
-                levels[most][attack],
-                least=least,
-            )
+            ends = levels[least][attack], levels[most][attack]
+            yield _Pair(DOES_NOT_FALL, most, attack, Source(""), *ends, least=least)
 
 
-def _should_win(attack: _Adversary, by: _Adversary) -> bool:
+def _key(where: Where, source: Source, metric: str = EXPOSURE) -> Key:
+    return Key(*where, source.consumer, metric, source.knowledge)
+
+
+def _should_win(attack: Source, by: Source) -> bool:
     """Whether the first attack has no excuse to do worse than the second."""
-    (spec, knows), (by_spec, by_knows) = attack, by
-    base, by_base = _base(spec), _base(by_spec)
+    base, by_base = _base(attack.consumer), _base(by.consumer)
     if base == IDENTITY:
         return False
-    if spec == by_spec:
-        return _RANK[by_knows] < _RANK[knows]
+    if attack.consumer == by.consumer:
+        return _RANK[by.knowledge] < _RANK[attack.knowledge]
     order = SIMPLER[: SIMPLER.index(base)] if base in SIMPLER else _ALONE.get(base, SIMPLER)
-    return by_base in order and _RANK[by_knows] <= _RANK[knows]
+    return by_base in order and _RANK[by.knowledge] <= _RANK[attack.knowledge]
 
 
 def _base(spec: str) -> str:
@@ -321,47 +305,33 @@ def _base(spec: str) -> str:
     return spec.partition(":")[0]
 
 
-def _intervals(differences: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Return the ends of the percentile interval of each row of replicates."""
-    if not differences:
-        return np.zeros(0), np.zeros(0)
-    replicates = np.stack(differences)
-    tail = (1.0 - CONFIDENCE) / 2.0
-    low, high = np.quantile(replicates, [tail, 1.0 - tail], axis=1)
-    # Only where a draw held none of an attack's people.
-    for row in np.flatnonzero(np.isnan(low)):
-        low[row], high[row] = percentile_interval(replicates[row])
-    return low, high
-
-
-def _row(pair: _Pair, *, low: float, high: float, compared: int) -> dict[str, Any]:
-    (mechanism, level), (attack, knowledge), (by, by_knowledge) = pair.where, pair.attack, pair.by
-    difference = pair.plus.value - pair.minus.value
-    change = f"{_points(difference, low, high, sign='+')} points"
+def _row(pair: _Pair, gap: Estimate, *, compared: int) -> dict[str, Any]:
+    change = f"{_points(gap.value, gap.ci_low, gap.ci_high, sign='+')} points"
     before, after = (f"{100 * one.value:.1f} %" for one in (pair.minus, pair.plus))
     if pair.kind == BEATEN:
         sentence = (
-            f"{attack} ({knowledge}) is beaten by {by} ({by_knowledge}) at {_place(pair.where)}: "
+            f"{pair.attack.label} is beaten by {pair.by.label} at {_place(pair.where)}: "
             f"PLR {before} against {after}, {change}"
         )
     else:
         assert pair.least is not None
         sentence = (
-            f"{attack} ({knowledge}) does not fall with the noise: PLR {before} at "
+            f"{pair.attack.label} does not fall with the noise: PLR {before} at "
             f"{_place(pair.least)}, {after} at {_place(pair.where)}, {change}"
         )
+    mechanism, level = pair.where
     return {
         "kind": pair.kind,
         "mechanism": mechanism,
         "level": np.nan if level is None else level,
-        "attack": attack,
-        "knowledge": knowledge,
-        "by": by,
-        "by_knowledge": by_knowledge,
-        "metric": _METRIC,
-        "difference": difference,
-        "ci_low": float(low),
-        "ci_high": float(high),
+        "attack": pair.attack.consumer,
+        "knowledge": pair.attack.knowledge,
+        "by": pair.by.consumer,
+        "by_knowledge": pair.by.knowledge,
+        "metric": EXPOSURE,
+        "difference": gap.value,
+        "ci_low": gap.ci_low,
+        "ci_high": gap.ci_high,
         "compared": compared,
         "sentence": sentence,
     }
@@ -398,7 +368,7 @@ def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:
     return f"{shown[0]} [{shown[1]}, {shown[2]}]"
 
 
-def _place(where: _Where) -> str:
+def _place(where: Where) -> str:
     mechanism, level = where
     return f"{mechanism} {level_text(level)}".rstrip()
 

@@ -51,6 +51,13 @@ def describe(ready: Plan) -> dict[str, Any]:
             for plugin in ready.axes.predictors
             if plugin.instance.requires
         },
+        "without_rule": sorted(
+            {
+                plugin.family
+                for plugin in ready.axes.mechanisms
+                if not plugin.adding and getattr(plugin.instance, "adds_error", True)
+            }
+        ),
         "dataset": {
             "name": dataset.name,
             "path": str(dataset.path),

@@ -37,19 +37,23 @@ class World:
     stranger: bool = False
     """Whether there is a mechanism of somebody else's, without an adding rule: fixed noise."""
 
+    def levels(self):
+        """Family, level and mechanism, in the order of a run."""
+        yield "raw", None, "raw"
+        for rule in RULES:
+            yield from (("fixed", level, f"fixed{rule}") for level in FIXED)
+            yield from (("fid", level, f"fid{rule}") for level in FID)
+            yield "correlated", 0.75, f"correlated{rule}"
+        yield "offset", 0.4, "offset"
+        yield "thin", 4.0, "thin"
+        yield from (("mine:Ou", level, "mine:Ou") for level in FIXED if self.stranger)
+
     def noise(self, family, level):
         """How strong a level is, 0 (raw) to 1."""
-        strength = {
-            "raw": 0.0,
-            "fixed": level,
-            "mine:Ou": level,
-            "correlated": 0.8,
-            "offset": 0.5,
-            "thin": 0.3,
-        }
+        strength = {"raw": 0.0, "correlated": 0.8, "offset": 0.5, "thin": 0.3}
         if family == "fid":
             return {1.0: 0.75, 100.0: 0.6, 1e4: 0.3}[level]
-        return strength[family]
+        return strength.get(family, level)
 
     def shows(self, family, level):
         """Mean descriptor."""
@@ -146,15 +150,6 @@ def simulated(world, *, rng):
                 )
             )
 
-    one_level("raw", None, "raw")
-    for rule in RULES:
-        for level in FIXED:
-            one_level("fixed", level, f"fixed{rule}")
-        for level in FID:
-            one_level("fid", level, f"fid{rule}")
-        one_level("correlated", 0.75, f"correlated{rule}")
-    one_level("offset", 0.4, "offset")
-    one_level("thin", 4.0, "thin")
-    for level in FIXED if world.stranger else ():
-        one_level("mine:Ou", level, "mine:Ou")
+    for family, level, mechanism in world.levels():
+        one_level(family, level, mechanism)
     return found, levels
