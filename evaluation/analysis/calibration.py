@@ -23,8 +23,8 @@ from evaluation.analysis.paper import PREDICTOR, PUBLISHED
 from evaluation.cells.scenes import Block, compute_block
 from evaluation.experiment.axes import Consumer, n_blocks
 from evaluation.experiment.presets import BLOCK_SCENES
-from isac_track import privacy, sensing, sharing
 from isac_track import plugins as registry
+from isac_track import privacy, sensing, sharing
 from isac_track.config import SensingSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.scenes import cut, make_scenes, track_order
