@@ -15,7 +15,9 @@ def write_csv(path, rows):
 def write_tracks(path, tracks):
     """Write tracks."""
     named = zip(tracks.source, tracks, strict=True)
-    rows = [(t, name, *xy) for name, track in named for t, xy in zip(track.t, track.xy, strict=True)]
+    rows = [
+        (t, name, *xy) for name, track in named for t, xy in zip(track.t, track.xy, strict=True)
+    ]
     return write_csv(path, rows)
 
 
