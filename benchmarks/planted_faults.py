@@ -22,6 +22,7 @@ import site
 import sys
 import tempfile
 import time
+import traceback
 import types
 from collections import Counter, defaultdict
 from dataclasses import asdict, dataclass, field
@@ -355,7 +356,7 @@ def record(plan: dict[str, Any], say: Callable[..., None]) -> int:
                 found.seconds[report.nodeid] = found.seconds.get(report.nodeid, 0.0) + took
 
     measured.start()
-    pytest.main([*plan["pytest"], *plan["tests"]], plugins=[Plugin()])
+    code = int(pytest.main([*plan["pytest"], *plan["tests"]], plugins=[Plugin()]))
     measured.stop()
     data = measured.get_data()
     for file in data.measured_files():
@@ -365,7 +366,7 @@ def record(plan: dict[str, Any], say: Callable[..., None]) -> int:
     for one in found.failed:
         found.seconds.pop(one, None)
     Path(plan["reach"]).write_text(json.dumps(asdict(found)), encoding="utf-8")
-    return 0
+    return code
 
 
 def _fixture(one: Any) -> str:
@@ -439,7 +440,11 @@ def in_child(
                         file.flush()
 
                     code = work(plan, say)
+        except BaseException:  # noqa: BLE001 - nobody else would tell
+            traceback.print_exc()
         finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
             os._exit(code)
     ended, note, now, since = None, "", "", started
     try:
@@ -542,6 +547,42 @@ def end_to_end(reach: Reach, patterns: Sequence[str]) -> set[str]:
     }
 
 
+def reached(options: argparse.Namespace, plan: dict[str, Any], *, scratch: Path) -> Reach:
+    """Return which tests reach which lines: as known already, or of a run with coverage.
+
+    Every file of tests has a process of its own: one that ends its process costs no other.
+    """
+    if options.reach is not None and options.reach.is_file():
+        return Reach(**json.loads(options.reach.read_text(encoding="utf-8")))
+    root, reach = Path(plan["root"]), Reach()
+    files = [
+        str(file.relative_to(root))
+        for name in options.tests
+        for file in (sorted((root / name).rglob("test_*.py")) or [root / name])
+    ]
+    for file in files:
+        Path(plan["reach"]).unlink(missing_ok=True)
+        one = plan | {"tests": [file]}
+        done = in_child(record, one, scratch=scratch, limit_s=math.inf, usual_s={})
+        say(f"{file}, with coverage: ended with {done['code']} after {done['seconds']:.0f} s")
+        if not Path(plan["reach"]).is_file():
+            say((scratch / "output.txt").read_text(encoding="utf-8")[-3000:])
+            continue
+        found = Reach(**json.loads(Path(plan["reach"]).read_text(encoding="utf-8")))
+        reach.seconds |= found.seconds
+        reach.shared |= found.shared
+        reach.failed += found.failed
+        for name, took in found.shared_seconds.items():
+            reach.shared_seconds[name] = max(took, reach.shared_seconds.get(name, 0.0))
+        for name, lines in found.lines.items():
+            known = reach.lines.setdefault(name, {})
+            for line, contexts in lines.items():
+                known[line] = sorted({*known.get(line, ()), *contexts})
+    if options.reach is not None:
+        options.reach.write_text(json.dumps(asdict(reach)), encoding="utf-8")
+    return reach
+
+
 def measure(options: argparse.Namespace, *, scratch: Path) -> tuple[Reach, list[Fault]]:
     """Plant the faults in a copy of the tree; return what became of them."""
     root = scratch / "tree"
@@ -554,17 +595,7 @@ def measure(options: argparse.Namespace, *, scratch: Path) -> tuple[Reach, list[
         "reach": str(scratch / "reach.json"),
         "pytest": ["-q", "-p", "no:cacheprovider", f"--basetemp={scratch / 'pytest'}"],
     }
-    kept = options.reach
-    if kept is None or not kept.is_file():
-        say("the tests once, with coverage")
-        done = in_child(record, plan, scratch=scratch, limit_s=math.inf, usual_s={})
-        if not Path(plan["reach"]).is_file():
-            output = (scratch / "output.txt").read_text(encoding="utf-8")
-            raise SystemExit(f"error: the tests ended with {done['code']}:\n{output[-3000:]}")
-        say(f"took {done['seconds']:.0f} s")
-        if kept is not None:
-            shutil.copyfile(plan["reach"], kept)
-    reach = Reach(**json.loads((kept or Path(plan["reach"])).read_text(encoding="utf-8")))
+    reach = reached(options, plan, scratch=scratch)
     for test in reach.failed:
         say(f"left out, it fails without any fault: {test}")
     found = [

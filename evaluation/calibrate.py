@@ -38,7 +38,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.scenes < 2 or options.seed < 0:  # noqa: PLR2004 - one scene of each label
         raise SettingsError("--scenes must be at least 2 and --seed not negative")
     recorded = datasets.load(options.dataset).tracks
-    cases = {"as committed": {}} | (ridge() if options.ridge else {})
+    cases: dict[str, dict[str, float]] = {"as committed": {}}
+    cases |= ridge() if options.ridge else {}
     show(
         {
             name: calibrate(recorded, changes=case, n_scenes=options.scenes, seed=options.seed)

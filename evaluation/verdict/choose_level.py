@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import pandas as pd
@@ -249,17 +249,17 @@ def choose(
     name = _predictor(out, manifest, predictor)
     known, levels = read_levels(out, dataset=manifest["dataset"]["name"], predictor=name)
     raw = levels.get(("raw", None))
-    choice = Choice(
+    every = Choice(
         out=out,
         manifest=manifest,
         predictor=name,
-        adding=tuple(adding),
+        adding=ADDING_RULES,
         limits=limits,
         raw=raw,
         raw_checks=() if raw is None else tuple(_targets(raw, limits)),
         schemes=tuple(
             _scheme(found, family=family, adding=rule, limits=limits)
-            for rule in adding
+            for rule in ADDING_RULES
             for family in sorted(known.values(), key=_place)
             if family.is_added and rule in family.rules
             if (found := [one for one in levels.values() if one.mechanism == family.mechanism])
@@ -267,8 +267,10 @@ def choose(
         tasks=next((one.tasks for one in levels.values()), ()),
         is_current=manifest.get("code") == code_hash(),
     )
-    _refuse_missing(choice, is_attacked=any(one.after_attack for one in levels.values()))
-    return choice
+    is_attacked = any(one.after_attack for one in levels.values())
+    _refuse_missing(every, adding=adding, is_attacked=is_attacked)
+    schemes = tuple(one for rule in adding for one in every.schemes if one.adding == rule)
+    return replace(every, adding=tuple(adding), schemes=schemes)
 
 
 def _place(family: Family) -> int:
@@ -388,13 +390,12 @@ def _predictor(out: Path, manifest: Mapping[str, Any], asked: str | None) -> str
     return known[0] if asked is None else asked
 
 
-def _refuse_missing(choice: Choice, *, is_attacked: bool) -> None:
+def _refuse_missing(choice: Choice, *, adding: Sequence[str], is_attacked: bool) -> None:
     """Refuse a question that no level of the run could answer."""
-    out, have = choice.out, {scheme.adding for scheme in choice.asked}
-    for rule in choice.adding:
+    out, have = choice.out, [scheme.adding for scheme in choice.asked]
+    for rule in adding:
         if rule not in have:
-            others = [one for one in ADDING_RULES if one in have]
-            narrower = f", or ask for --adding {others[0]} alone" if others else ""
+            narrower = f", or ask for --adding {have[0]} alone" if have else ""
             option = f",adding={rule}" * (rule != ADDING_RULES[0])
             raise SettingsError(
                 f"{out} has no level of fid with {rule} adding for {choice.predictor}; add some "

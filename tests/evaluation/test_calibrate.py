@@ -6,7 +6,7 @@ from dataclasses import asdict
 import pytest
 
 from evaluation import calibrate
-from evaluation.calibrate import Targets, descriptors, fit, links, predictions
+from evaluation.analysis.calibration import Targets, descriptors, fit, links, predictions
 from isac_track.config import SensingSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.scenes import cut

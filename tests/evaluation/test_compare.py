@@ -1,7 +1,6 @@
 """Two runs side by side: what changed, which numbers differ, and how sure that is."""
 
 import io
-import itertools
 import json
 import re
 import shutil
@@ -12,23 +11,22 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.small_runs import write_walks
 from rich.console import Console
-from scipy.stats import norm, ttest_rel
 from scipy.stats import t as student
 
 import evaluation
 from evaluation import __main__ as command
 from evaluation import compare
 from evaluation.analysis import summary
-from evaluation.analysis.differences import COLUMNS, HEADLINE, difference
+from evaluation.analysis.differences import COLUMNS
 from evaluation.analysis.differences import compare as compared
+from evaluation.analysis.metrics import HEADLINE_METRICS
 from evaluation.analysis.significance import holm
 from evaluation.reporting.difference_tables import show
 from evaluation.runs.folder import read_manifest
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
-from isac_track.intervals import Estimate, cluster_weights, ratio_estimate, wilson
-from isac_track.rng import stream
 
 KEY = ["mechanism", "level", "consumer", "knowledge", "metric"]
 MECHANISMS = (
@@ -36,20 +34,6 @@ MECHANISMS = (
     "fid:1",
     *(f"fixed:{level}{rule}" for rule in ("", ",adding=independent") for level in ("0.7", "1")),
 )
-
-
-def write_recording(path, *, n_people=30, seed=0):
-    """Smooth walks at 0.4 s steps, everybody at a pace of their own; a third lasts but 26 s."""
-    rows = ["t,id,x,y"]
-    for person in range(n_people):
-        t = np.arange(0.0, 26.0 if person % 3 == 0 else 32.0, 0.4)
-        rng = stream(seed, "test", "walk", person)
-        turn = 0.08 * rng.standard_normal(t.size).cumsum() + rng.uniform(0, 2 * np.pi)
-        steps = 0.4 * rng.uniform(0.4, 1.4) * np.column_stack([np.cos(turn), np.sin(turn)])
-        xy = rng.uniform(-3, 3, 2) + steps.cumsum(axis=0)
-        rows += [f"{a:.2f},w{person},{x:.4f},{y:.4f}" for a, (x, y) in zip(t, xy, strict=True)]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +45,7 @@ def folder(tmp_path_factory):
 def settings(folder):
     return evaluation.Settings(
         preset="smoke",
-        dataset=str(write_recording(folder / "walks.csv")),
+        dataset=str(write_walks(folder / "walks.csv")),
         scenes=20,
         mechanisms=MECHANISMS,
         predictors=("least_squares",),
@@ -100,7 +84,7 @@ def reseeded(settings):
 
 @pytest.fixture(scope="module")
 def others(settings, folder):
-    path = write_recording(folder / "others.csv", n_people=24, seed=7)
+    path = write_walks(folder / "others.csv", n_people=24, seed=7)
     return run(settings, "others", dataset=str(path))
 
 
@@ -226,7 +210,7 @@ class TestAnotherRadius:
 
     def test_holm_runs_over_either_family(self, base, wide):
         rows = compared(base, wide).rows
-        assert set(rows.loc[rows["headline"], "metric"]) <= set(HEADLINE)
+        assert set(rows.loc[rows["headline"], "metric"]) <= set(HEADLINE_METRICS)
         for _, family in rows.groupby("headline"):
             adjusted = holm(family["p_value"].to_numpy())
             assert family["p_holm"].to_numpy() == pytest.approx(adjusted, nan_ok=True)
@@ -450,111 +434,6 @@ class TestOtherAxes:
         assert "share no number: A has raw, B has fixed" in line
 
 
-class TestHolm:
-    def test_a_hand_example(self):
-        assert holm(np.array([0.01, 0.04, 0.03, 0.005])) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-
-    def test_it_is_the_closed_test_by_bonferroni(self):
-        # A number differs if every set that it belongs to holds a difference, by Bonferroni.
-        p_values = np.random.default_rng(0).uniform(0, 0.4, 6)
-        sets = [list(one) for size in range(1, 7) for one in itertools.combinations(range(6), size)]
-        closed = [
-            max(min(1.0, len(of) * p_values[of].min()) for of in sets if n in of) for n in range(6)
-        ]
-        assert holm(p_values) == pytest.approx(closed)
-
-    def test_what_is_unknown_stays_so_and_does_not_count(self):
-        found = holm(np.array([0.02, np.nan, 0.01]))
-        assert found == pytest.approx([0.02, np.nan, 0.02], nan_ok=True)
-
-
-def estimate(values, *, weights, is_share=False):
-    return ratio_estimate(
-        numerator=values, denominator=np.ones_like(values), weights=weights, is_share=is_share
-    )
-
-
-class TestDifference:
-    weights = cluster_weights(n_clusters=40, n_replicates=1000, seed=3)
-
-    def test_it_is_a_paired_t_test_where_everybody_weighs_the_same(self):
-        rng = np.random.default_rng(1)
-        person = rng.normal(0, 3, 40)
-        a, b = person + rng.normal(0, 1, 40), person + 0.5 + rng.normal(0, 1, 40)
-        found = difference(
-            estimate(a, weights=self.weights),
-            estimate(b, weights=self.weights),
-            paired=True,
-            metric="ael",
-        )
-        expected = ttest_rel(b, a)
-        assert found.value == pytest.approx((b - a).mean())
-        assert found.t == pytest.approx(expected.statistic, rel=0.08)
-        interval = expected.confidence_interval()
-        assert [found.ci_low, found.ci_high] == pytest.approx(list(interval), abs=0.08)
-
-    def test_pairing_makes_the_interval_narrower(self):
-        rng = np.random.default_rng(2)
-        person = rng.normal(0, 3, 40)
-        a, b = (estimate(person + rng.normal(0, 0.3, 40), weights=self.weights) for _ in range(2))
-        paired, apart = (difference(a, b, paired=paired, metric="ael") for paired in (True, False))
-        assert paired.ci_high - paired.ci_low < 0.3 * (apart.ci_high - apart.ci_low)
-        assert abs(paired.t) > abs(apart.t)
-
-    def test_not_paired_the_ends_agree_with_the_p_value(self):
-        rng = np.random.default_rng(4)
-        a, b = (estimate(rng.normal(mean, 1, 40), weights=self.weights) for mean in (0.0, 0.4))
-        found = difference(a, b, paired=False, metric="ael")
-        assert found.value / (found.value - found.ci_low) * norm.ppf(0.975) == pytest.approx(
-            found.t
-        )
-        back = difference(b, a, paired=False, metric="ael")
-        assert back.t == pytest.approx(-found.t)
-        assert [back.ci_low, back.ci_high] == pytest.approx([-found.ci_high, -found.ci_low])
-
-    def test_a_share_of_zero_is_not_taken_for_certain(self):
-        never = estimate(np.zeros(40), weights=self.weights, is_share=True)
-        seldom = estimate(np.eye(40)[0], weights=self.weights, is_share=True)
-        found = difference(never, seldom, paired=True, metric="missed_conflict_rate")
-        assert found.value == pytest.approx(1 / 40)
-        up = wilson(hits=0, n=40)[1]
-        assert found.ci_low == pytest.approx(1 / 40 - np.hypot(1 / 40 - seldom.ci_low, up))
-        assert found.p_value > 0.3
-
-    def test_score_metrics_have_fewer_replicates(self):
-        rng = np.random.default_rng(5)
-        a, b = (estimate(rng.normal(size=40), weights=self.weights) for _ in range(2))
-        short = replace(b, replicates=b.replicates[:200])
-        found = difference(a, short, paired=True, metric="auc")
-        drawn = b.replicates[:200] - a.replicates[:200]
-        ends = np.quantile(drawn, [0.025, 0.975])
-        assert [found.ci_low, found.ci_high] == pytest.approx(ends)
-        mirrored = difference(a, short, paired=True, metric="eer")
-        assert [mirrored.ci_low, mirrored.ci_high] == pytest.approx(2 * found.value - ends[::-1])
-
-    @pytest.mark.parametrize("n", [0, 1])
-    def test_one_person_gives_no_interval(self, n):
-        lonely = Estimate(0.5, np.nan, np.nan, n, np.full(1000, 0.5))
-        crowd = estimate(np.arange(40) / 40, weights=self.weights)
-        found = difference(lonely, crowd, paired=True, metric="plr")
-        assert found.value == pytest.approx(crowd.value - 0.5)
-        assert np.isnan([found.ci_low, found.ci_high, found.t, found.p_value]).all()
-
-    def test_no_replicates_give_no_interval(self):
-        crowd = estimate(np.arange(40) / 40, weights=self.weights)
-        found = difference(
-            replace(crowd, replicates=np.zeros(0)), crowd, paired=True, metric="chance"
-        )
-        assert np.isnan(found.p_value)
-
-    def test_the_same_step_for_everybody_is_certain(self):
-        values = np.arange(40) / 8
-        a, b = (estimate(values + step, weights=self.weights) for step in (0.0, 0.25))
-        found = difference(a, b, paired=True, metric="ael")
-        assert found.value == pytest.approx(0.25)
-        assert found.p_value < 1e-12
-
-
 class TestCommand:
     def test_it_is_a_command(self, base, again, capsys):
         assert command.main(["compare", str(base), str(again)]) == 0
@@ -663,7 +542,7 @@ class TestCommand:
 
     def test_a_gate_that_nothing_can_fail_is_refused(self, settings, folder, capsys):
         # The group column makes one cluster of everybody: no number has an interval.
-        path = write_recording(folder / "one.csv", n_people=12)
+        path = write_walks(folder / "one.csv", n_people=12)
         frame = pd.read_csv(path)
         frame["group"] = "all"
         frame.to_csv(path, index=False)

@@ -12,40 +12,29 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.small_runs import write_walks
 
 import evaluation
 from evaluation import __main__ as command
-from evaluation.experiment.variants import BASE, RIDGE, Variant, parse, variants
-from evaluation.reporting.sensitivity_table import (
+from evaluation.experiment.variant_settings import settings_of
+from evaluation.experiment.variants import BASE, RIDGE, parse, variants
+from evaluation.reporting.sensitivity_table import turned
+from evaluation.runs.folder import read_manifest
+from evaluation.sensitivity import main
+from evaluation.verdict.sensitivity import (
     COLUMNS,
+    attacks_of,
     changes,
     collect,
     counts,
     folder_of,
     read_verdict,
-    turned,
 )
-from evaluation.runs.folder import read_manifest
-from evaluation.sensitivity import attacks_of, main, settings_of
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 
 ROOT = Path(evaluation.__file__).parent.parent
 MECHANISMS = ("raw", "fixed:0.2", "fixed:1", "fid:1", "fid:1e5", "correlated:0.75")
-
-
-def write_walks(path, *, n=30, seed=0):
-    """A recording of one's own: smooth walks of 30 s, each alone."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(0.0, 30.01, 0.4)
-    rows = []
-    for person in range(n):
-        turn = np.cumsum(rng.normal(0, 0.05, t.size))
-        speed = rng.uniform(0.6, 1.4)
-        step = 0.4 * speed * np.column_stack([np.cos(turn), np.sin(turn)])
-        xy = rng.uniform(-3, 3, 2) + np.cumsum(step, axis=0)
-        rows += [f"{a:.1f},{person},{x:.4f},{y:.4f}" for a, (x, y) in zip(t, xy, strict=True)]
-    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -292,23 +281,24 @@ class TestAttacks:
             assert variant["settings"][key] == run["settings"][key]
 
 
-class TestSettings:
-    def one(self, finished, name, **more):
-        found, left_out = settings_of(
-            parse(name),
-            manifest=read_manifest(finished),
-            verdict=read_verdict(finished),
-            out=finished / "nowhere",
-            **more,
-        )
-        return found, left_out
+def settings(finished, name, *, manifest=None, out="nowhere", **more):
+    """The settings of a variant of a run, and what is left out."""
+    return settings_of(
+        parse(name),
+        manifest=read_manifest(finished) if manifest is None else manifest,
+        attacks=attacks_of(read_verdict(finished)["items"]),
+        out=Path(out),
+        **more,
+    )
 
+
+class TestSettings:
     def test_one_thing_is_changed(self, finished):
         manifest = read_manifest(finished)
-        base, _ = self.one(finished, BASE)
+        base, _ = settings(finished, BASE)
         assert base.stages.flat() == manifest["settings"]["stages"]
         for name in ("law=isotropic", "epsilon=0.2", "ridge beam=4"):
-            found, _ = self.one(finished, name)
+            found, _ = settings(finished, name)
             after = found.stages.flat()
             changed = {key for key, value in base.stages.flat().items() if after[key] != value}
             assert changed == set(parse(name).stages)
@@ -317,27 +307,22 @@ class TestSettings:
     def test_a_setting_of_the_run_stays(self, finished):
         manifest = read_manifest(finished)
         manifest["settings"]["stages"]["sensing.power_dbm"] = 20.0
-        found, _ = settings_of(
-            parse("epsilon=0.2"),
-            manifest=manifest,
-            verdict=read_verdict(finished),
-            out=finished / "nowhere",
-        )
+        found, _ = settings(finished, "epsilon=0.2", manifest=manifest)
         assert found.stages.sensing.power_dbm == 20.0
         assert found.stages.privacy.epsilon_m == 0.2
 
     def test_scenes_and_jobs_may_be_others(self, finished):
-        found, _ = self.one(finished, BASE, scenes=8, jobs=2)
+        found, _ = settings(finished, BASE, scenes=8, jobs=2)
         assert (found.scenes, found.jobs) == (8, 2)
 
     def test_another_recording_brings_its_own_format(self, finished):
-        found, left_out = self.one(finished, "recording=plaza")
+        found, left_out = settings(finished, "recording=plaza")
         assert (found.dataset, found.format, found.fps) == ("plaza", None, None)
         assert left_out == ()
 
     def test_a_task_without_enough_people_is_left_out_with_its_attacks(self, finished, tmp_path):
-        write_walks(tmp_path / "few.csv", n=2)
-        found, left_out = self.one(finished, f"recording={tmp_path / 'few.csv'}")
+        write_walks(tmp_path / "few.csv", n_people=2)
+        found, left_out = settings(finished, f"recording={tmp_path / 'few.csv'}")
         assert found.tasks == ()
         assert found.attacks == ("kalman_rts",)
         assert len(left_out) == 1
@@ -347,12 +332,7 @@ class TestSettings:
         manifest = read_manifest(finished)
         manifest["dataset"]["sha256"] = "0" * 64
         with pytest.raises(DataError, match="no longer the recording"):
-            settings_of(
-                Variant(BASE),
-                manifest=manifest,
-                verdict=read_verdict(finished),
-                out=finished / "nowhere",
-            )
+            settings(finished, BASE, manifest=manifest)
 
 
 class TestRun:
@@ -378,13 +358,7 @@ class TestRun:
         assert len(set(rows["variant"].value_counts())) == 1
 
     def test_a_variant_is_the_run_that_its_settings_make(self, finished, tried, tmp_path):
-        asked, _ = settings_of(
-            parse("epsilon=1"),
-            manifest=read_manifest(finished),
-            verdict=read_verdict(finished),
-            out=tmp_path / "alone",
-            jobs=1,
-        )
+        asked, _ = settings(finished, "epsilon=1", out=tmp_path / "alone", jobs=1)
         assert asked.stages == StageSettings().changed({"privacy.epsilon_m": 1.0})
         evaluation.run(asked, pictures=False)
         for name in ("summary.csv", "verdict.json"):
@@ -494,7 +468,7 @@ class TestTable:
     def test_is_printed_with_a_row_for_each_variant(self, tried, capsys):
         assert main([str(tried), "--jobs", "1", "--variant", "epsilon=1"]) == 0
         shown = capsys.readouterr().out
-        head, *lines = [line for line in shown.splitlines() if line]
+        _, head, *lines = [line for line in shown.splitlines() if line]
         assert head.split() == ["variant", "validity", "within", "claim", "inflation"]
         for name in (BASE, "law=fixed_direction", "epsilon=1", "privacy.epsilon_m=0.4"):
             (line,) = [line for line in lines if line.startswith(f"{name} ")]
@@ -620,9 +594,4 @@ def test_no_variant_is_downloaded(finished, monkeypatch):
     monkeypatch.setenv("ISAC_TRACK_DATA", str(finished / "nothing"))
     monkeypatch.setenv("ISAC_TRACK_CACHE", str(finished / "nothing"))
     with pytest.raises(DataError, match="not found"):
-        settings_of(
-            parse("recording=students03"),
-            manifest=read_manifest(finished),
-            verdict=read_verdict(finished),
-            out=finished / "nowhere",
-        )
+        settings(finished, "recording=students03")

@@ -1,0 +1,189 @@
+"""The answer in words, as tables and JSON, and the command that looks closer."""
+
+import io
+import shlex
+from functools import partial
+
+import pytest
+from helpers.summaries import (
+    FID,
+    USUAL,
+    asked,
+    edit_manifest,
+    edited,
+    scheme,
+    write_run,
+)
+from rich.console import Console
+
+from evaluation import matrix
+from evaluation.experiment.axes import axes
+from evaluation.reporting.design_tables import show
+from evaluation.reporting.design_words import closer, notes, reasons, to_json
+from isac_track.config import StageSettings
+
+LIMITS = {"missed": 0.23, "plr": 0.42, "rank1": 0.44}
+
+
+def shown(choice, *, width=116):
+    raw = io.StringIO()
+    show(choice, console=Console(file=raw, width=width, highlight=False))
+    return raw.getvalue()
+
+
+@pytest.fixture
+def made(tmp_path):
+    return partial(write_run, tmp_path / "run")
+
+
+class TestShown:
+    def test_numbers_are_those_of_the_json(self, made):
+        answer = asked(made(), **LIMITS)
+        text, found = shown(answer, width=200), to_json(answer)
+        rows = [line.split() for line in text.splitlines() if line.startswith(("fid ", "fixed "))]
+        bands = [rows[start : start + 4] for start in range(0, 12, 4)]
+        for place, one in enumerate(found["schemes"]):
+            level, attacked = one["chosen"], one["chosen"]["after_attack"]
+            for band, source, metrics in (
+                (bands[0], level, ("missed", "false_alarm", "plr", "ael", "mel")),
+                (bands[1], attacked, ("plr", "ael", "mel")),
+                (bands[2], {task["task"]: task["rank1"] for task in level["tasks"]}, None),
+            ):
+                cells = [cell for cell in band[place] if cell[0].isdigit()]
+                assert float(cells[0]) == level["level"]
+                names = metrics or list(source)
+                expected = []
+                for name in names:
+                    scale, digits = (1, 3) if name in ("ael", "mel") else (100, 1)
+                    value, low, high = (
+                        f"{scale * source[name][end]:.{digits}f}"
+                        for end in ("value", "ci_low", "ci_high")
+                    )
+                    expected += [value, f"{low}-{high}"]
+                assert cells[1:] == expected
+
+    def test_keys_are_stable(self, made):
+        found = to_json(asked(made(), **LIMITS))
+        assert list(found) == [
+            "met", "answer", "out", "dataset", "simulated", "scenes", "seed", "predictor",
+            "adding", "limits", "raw", "schemes", "refine", "notes",
+        ]  # fmt: skip
+        assert list(found["schemes"][0]) == [
+            "adding", "family", "met", "chosen", "stricter", "also_meets", "is_saturated",
+            "checks", "reasons",
+        ]  # fmt: skip
+        assert list(found["schemes"][0]["chosen"]) == [
+            "mechanism", "level", "missed", "false_alarm", "plr", "ael", "mel", "after_attack",
+            "tasks",
+        ]  # fmt: skip
+        assert list(found["schemes"][0]["checks"][0]) == [
+            "name", "limit", "measured", "status", "reason",
+        ]  # fmt: skip
+        assert [(one["adding"], one["family"]) for one in found["schemes"]] == [
+            ("linear", "fid"),
+            ("linear", "fixed"),
+            ("independent", "fid"),
+            ("independent", "fixed"),
+        ]
+        assert found["raw"]["level"] is None
+
+    @pytest.mark.parametrize("width", [80, 116])
+    def test_lines_fit_and_columns_line_up(self, made, width):
+        answer = asked(made(), **LIMITS)
+        lines = shown(answer, width=width).splitlines()
+        assert max(len(line) for line in lines if not line.startswith("python -m")) <= width
+        first = next(n for n, line in enumerate(lines) if line.startswith("raw"))
+        table = lines[first : first + 6]
+        dots = {line.index(".") for line in table if line.startswith(("raw", "fid"))}
+        assert len(dots) == 1
+
+    def test_limits_stand_above_what_they_are_about(self, made):
+        out = made()
+        text = shown(asked(out, **LIMITS), width=200)
+        limits = [line.split("<=")[1:] for line in text.splitlines() if "<=" in line]
+        # Not above the simulated task; the title is the only other place.
+        assert [[one.split()[0] for one in line] for line in limits] == [["23", "42"], ["44"]]
+        after = shown(asked(out, missed=0.23, plr=0.9, after_attack=True))
+        limits = [line.split() for line in after.splitlines() if "<=" in line]
+        assert [line[:2] for line in limits] == [["<=", "23"], ["<=", "90"]]
+
+    def test_a_mark_is_explained(self, made):
+        cells = {("split", "shape", "informed"): {"rank1": 0.01, "outcome": "no link detected"}}
+        assert "~ no link detected" in shown(asked(made(cells=cells), **LIMITS))
+
+
+class TestCloser:
+    """The command that adds levels where the answer turns."""
+
+    def words(self, answer):
+        words = shlex.split(closer(answer))
+        assert words[:3] == ["python", "-m", "evaluation.matrix"]
+        return words[3:]
+
+    def options(self, answer):
+        return matrix.settings_from(matrix.parser().parse_args(self.words(answer)))
+
+    def test_is_between_the_chosen_level_and_the_next_stricter_one(self, made):
+        out = made()
+        settings = self.options(asked(out, missed=0.23))
+        assert settings.mechanisms == (
+            "fid:10..100/10",
+            "fixed:0.5..1/10",
+            "fid:10..100/10,adding=independent",
+            "fixed:0.5..1/10,adding=independent",
+        )
+        assert settings.out == out
+        levels = [one.level for one in axes(settings).mechanisms if one.name == "fid"]
+        assert (levels[0], levels[-1], len(levels)) == (10.0, 100.0, 10)
+
+    def test_has_the_identity_and_the_consumers_of_the_run(self, made):
+        out = made()
+
+        def other(manifest):
+            manifest["identity"] |= {"scenes": 40, "seed": 7, "fps": 12.5}
+            manifest["settings"]["stages"]["privacy.epsilon_m"] = 0.5
+            manifest["settings"]["tasks"] = []
+            manifest["dataset"]["format"] = "obsmat"
+
+        edit_manifest(out, other)
+        settings = self.options(asked(out, missed=0.23))
+        assert (settings.scenes, settings.seed, settings.preset) == (40, 7, "paper")
+        assert (settings.dataset, settings.format) == ("my walks.csv", "obsmat")
+        assert settings.fps == 12.5
+        assert settings.stages == StageSettings().changed({"privacy.epsilon_m": "0.5"})
+        assert settings.predictors == ("least_squares", "kalman_cv")
+        assert settings.attacks is None  # the preset's
+        assert settings.tasks == ()
+
+    def test_goes_on_where_every_level_meets_or_none_does(self, made):
+        rates = {"fid": {1.0: 0.30, 10.0: 0.10}, "fixed": {0.1: 0.10, 0.5: 0.11}}
+        answer = asked(made(rates), missed=0.40, adding=("linear",))
+        assert self.options(answer).mechanisms == ("fid:0.01..1/10", "fixed:0.5..1/10")
+
+    def test_goes_towards_raw_where_none_meets(self, made):
+        rates = {"fid": {1.0: 0.30, 10.0: 0.25}, "fixed": {0.2: 0.25, 0.5: 0.30}}
+        answer = asked(made(rates), missed=0.20, adding=("linear",))
+        assert self.options(answer).mechanisms == ("fid:10..1000/10", "fixed:0.02..0.2/10")
+
+    def test_is_not_needed_where_the_error_is_full_already(self, made):
+        out = made({"fid": FID})
+
+        def saturated(frame):
+            shared = frame["consumer"] == "shared"
+            first, second = (shared & (frame["level"] == level) for level in ("1.0", "10.0"))
+            names = ["value", "ci_low", "ci_high"]
+            frame.loc[first, names] = frame.loc[second, names].to_numpy()
+            return frame
+
+        edited(out, "summary.csv", saturated)
+        answer = asked(out, missed=0.40, adding=("linear",))
+        assert closer(answer) is None
+        assert "every sample has the full error" in reasons(scheme(answer))[0]
+
+    def test_leaves_a_run_of_other_code_alone(self, made):
+        out = made(USUAL | {"fid": {1.0: 0.1, 10.0: 0.1}}, code="older")
+        answer = asked(out, missed=0.23)
+        settings = self.options(answer)
+        assert settings.out == out.with_name("run-closer")
+        assert settings.mechanisms[0] == "raw"
+        assert any("another version of the code" in note for note in notes(answer))

@@ -1,0 +1,295 @@
+"""Choosing a level: which one, whether the limits hold there, what cannot be said."""
+
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.summaries import FID, FIXED, USUAL, asked, edited, scheme, statuses, write_run
+
+from evaluation.reporting.design_words import closer, notes, reasons, sentence, to_json
+from evaluation.verdict.choose_level import Limits
+from isac_track.errors import SettingsError
+
+
+@pytest.fixture
+def made(tmp_path):
+    return partial(write_run, tmp_path / "run")
+
+
+class TestLevel:
+    def test_is_the_smallest_eta_whose_upper_end_meets_the_target(self, made):
+        answer = asked(made(), missed=0.23)
+        assert scheme(answer).chosen.level == 100.0  # 0.20 + 0.02; 10 has 0.25
+        assert scheme(answer).stricter.level == 10.0
+        assert scheme(answer, adding="independent").chosen.level == 100.0  # 0.17; 10: 0.24
+
+    def test_is_the_largest_d_sigma(self, made):
+        answer = asked(made(), missed=0.23)
+        assert scheme(answer, "fixed").chosen.level == 0.5
+        assert scheme(answer, "fixed").stricter.level == 1.0
+
+    def test_with_an_upper_end_at_the_target_meets_it(self, made):
+        out = made()
+        high = pd.read_csv(out / "summary.csv").query(
+            "mechanism == 'fid' and level == 100 and consumer == 'least_squares'"
+        )
+        at = float(high.set_index("metric")["ci_high"]["missed_conflict_rate"])
+        assert scheme(asked(out, missed=at)).chosen.level == 100.0
+        below = np.nextafter(at, 0)
+        assert scheme(asked(out, missed=below)).chosen.level == 1000.0
+
+    def test_does_not_meet_the_target_with_its_estimate_alone(self, made):
+        answer = asked(made(half=0.04), missed=0.21)
+        assert scheme(answer).chosen.level == 1000.0  # 100 has 0.20 [0.16, 0.24]
+
+    def test_meets_the_false_alarms_as_well(self, made):
+        # False alarms of eta = 10, 100 and 1000: 0.125, 0.10, 0.075, each + 0.02.
+        answer = asked(made(), missed=0.30, false_alarm=0.13)
+        assert scheme(answer).chosen.level == 100.0
+        (line, *_) = reasons(scheme(answer))
+        assert "eta = 10 does not (false alarm 12.5 % [10.5, 14.5]" in line
+        assert "missed" not in line
+
+    def test_beyond_one_that_fails_is_not_chosen(self, made):
+        rates = USUAL | {"fid": {1.0: 0.18, 10.0: 0.30, 100.0: 0.20, 1000.0: 0.15}}
+        answer = asked(made(rates), missed=0.23)
+        assert scheme(answer).chosen.level == 100.0
+        assert scheme(answer).also_meets == (1.0,)
+        assert any("eta = 1 would meet the targets" in line for line in reasons(scheme(answer)))
+
+    def test_is_judged_by_the_predictor_asked_for(self, made):
+        out = made()
+        usual = asked(out, missed=0.16)
+        assert usual.predictor == "least_squares"
+        assert scheme(usual).chosen is None
+        other = asked(out, missed=0.16, predictor="kalman_cv")
+        assert scheme(other).chosen.level == 10.0  # 0.125 + 0.02; 1 has 0.15
+
+    def test_that_this_predictor_was_not_run_on_does_not_count(self, made):
+        out = made()
+
+        def without(frame):
+            here = (frame["mechanism"] == "fid") & (frame["level"] == "100.0")
+            return frame[~(here & (frame["consumer"] == "kalman_cv"))]
+
+        edited(out, "summary.csv", without)
+        answer = asked(out, missed=0.16, predictor="kalman_cv")
+        assert scheme(answer).chosen.level == 10.0
+
+    def test_with_an_unknown_rate_meets_nothing(self, made):
+        out = made()
+
+        def blanked(frame):
+            here = (frame["mechanism"] == "fid") & (frame["level"] == "100.0")
+            here &= frame["consumer"] == "least_squares"
+            frame.loc[here, ["value", "ci_low", "ci_high"]] = ""
+            return frame
+
+        edited(out, "summary.csv", blanked)
+        answer = asked(out, missed=0.30)
+        assert scheme(answer).chosen.level == 1000.0
+        assert "cannot say" in reasons(scheme(answer))[0]
+        assert to_json(answer)["schemes"][0]["stricter"]["missed"]["value"] is None
+
+    def test_none_says_by_how_much_the_least_strict_one_fails(self, made):
+        answer = asked(made(), missed=0.10, adding=("linear",))
+        assert scheme(answer).chosen is None
+        (line,) = reasons(scheme(answer))
+        assert line == (
+            "no eta of the run meets the targets, not even the largest: eta = 1000 does not "
+            "(missed 15.0 % [13.0, 17.0]: the upper end is 7 points too high)"
+        )
+        assert any("raw positions, without any added error" in note for note in notes(answer))
+        assert closer(answer) is None
+        assert not answer.met
+
+
+class TestLimits:
+    def test_hold_for_what_was_shared(self, made):
+        # PLR at eta = 100: 0.4 + 0.01, AEL 0.2 + 0.01, MEL 0.8 + 0.1.
+        answer = asked(made(), adding=("linear",), missed=0.23, plr=0.42, ael=0.22, mel=0.91)
+        assert statuses(scheme(answer)) == dict.fromkeys(("missed", "plr", "ael", "mel"), "met")
+        assert answer.met
+
+    @pytest.mark.parametrize("name", ["plr", "ael", "mel"])
+    def test_above_an_estimate_but_below_its_upper_end_do_not_hold(self, made, name):
+        values = {"plr": 0.405, "ael": 0.205, "mel": 0.85}
+        answer = asked(made(), adding=("linear",), missed=0.23, **{name: values[name]})
+        assert statuses(scheme(answer)) == {"missed": "met", name: "not met"}
+        assert not answer.met
+
+    def test_after_an_attack_are_those_of_the_strongest_but_the_oracles(self, made):
+        out = made()
+        answer = asked(out, adding=("linear",), missed=0.23, plr=0.72, mel=4.2, after_attack=True)
+        found = scheme(answer).chosen.after_attack
+        assert (found.attack, found.knowledge) == ("radial_rts", "informed")
+        assert (found.numbers["plr"].value, found.numbers["mel"].value) == (
+            pytest.approx(0.70),
+            4.0,
+        )
+        assert answer.met
+        limits = {"missed": 0.23, "plr": 0.70, "after_attack": True}
+        below = asked(out, adding=("linear",), **limits)
+        assert statuses(scheme(below))["plr"] == "not met"
+        assert any("PLR after radial_rts (informed) 70.0 %" in x for x in reasons(scheme(below)))
+
+    def test_after_an_attack_that_was_not_run_there_cannot_be_said(self, made):
+        out = made()
+
+        def without(frame):
+            return frame[(frame["level"] != "100.0") | (frame["knowledge"] == "")]
+
+        edited(out, "summary.csv", without)
+        answer = asked(out, adding=("linear",), missed=0.23, plr=0.99, after_attack=True)
+        assert statuses(scheme(answer))["plr"] == "cannot say"
+        assert not answer.met
+        assert "cannot be judged by PLR" in sentence(answer)
+
+    def test_choose_no_level(self, made):
+        # eta = 1000 leaks more than 100: the limit of PLR could pick neither.
+        answer = asked(made(), missed=0.23, plr=0.25)
+        assert scheme(answer).chosen.level == 100.0
+
+    @pytest.mark.parametrize(
+        ("given", "after_attack", "message"),
+        [
+            ({"missed": 20.0}, False, "--max-missed is a fraction from 0 to 1"),
+            ({"missed": np.nan}, False, "--max-missed is a fraction"),
+            ({"missed": 0.2, "false_alarm": -0.1}, False, "--max-false-alarm is a fraction"),
+            ({"missed": 0.2, "rank1": 1.1}, False, "--max-rank1 is a fraction"),
+            ({"missed": 0.2, "mel": -1.0}, False, "--max-mel is a time in s"),
+            ({"missed": 0.2, "ael": np.inf}, False, "--max-ael is a time in s"),
+            ({"missed": 0.2}, True, "--after-attack says where"),
+        ],
+    )
+    def test_that_make_no_sense_are_refused(self, given, after_attack, message):
+        with pytest.raises(SettingsError, match=message):
+            Limits(given, after_attack=after_attack)
+
+
+class TestRank1:
+    def test_is_of_the_strongest_attack_but_the_oracles(self, made):
+        out = made()
+        answer = asked(out, missed=0.23, rank1=0.46, adding=("linear",))
+        (rerelease, simulated) = scheme(answer).chosen.tasks
+        assert (rerelease.attack, rerelease.knowledge) == ("shape", "informed")
+        assert (rerelease.rank1.value, rerelease.chance) == (0.40, 0.01)
+        assert (simulated.dataset, simulated.limited) == ("plaza-two-sessions", False)
+        assert (simulated.attack, simulated.knowledge) == ("shape", "blind")
+        assert statuses(scheme(answer)) == {"missed": "met", "rank1/rerelease": "met"}
+        assert answer.met
+
+    def test_below_its_upper_end_is_exceeded(self, made):
+        answer = asked(made(), missed=0.23, rank1=0.44, adding=("linear",))
+        assert statuses(scheme(answer))["rank1/rerelease"] == "not met"
+        assert "exceeds the limits of rank 1 in rerelease" in sentence(answer)
+
+    def test_is_of_the_blind_adversary_where_nobody_links_better(self, made):
+        cells = {
+            ("split", "shape", "blind"): {"rank1": 0.20},
+            ("split", "shape", "informed"): {"rank1": 0.10},
+        }
+        answer = asked(made(cells=cells), missed=0.23, adding=("linear",))
+        (split,) = scheme(answer).chosen.tasks
+        assert (split.attack, split.knowledge, split.rank1.value) == ("shape", "blind", 0.20)
+
+    @pytest.mark.parametrize(
+        ("row", "reason"),
+        [
+            ({"outcome": "attack too weak"}, "every attack is too weak"),
+            ({"invalid": "noise_level"}, "a shortcut (noise_level) gives people away"),
+            ({"rank1": np.nan}, "no attack was run at this level"),
+            ({"ci_high": np.nan}, "the value or its interval is unknown"),
+        ],
+    )
+    def test_cannot_be_said_from_what_is_no_measure(self, made, row, reason):
+        cells = {("split", "shape", "informed"): {"rank1": 0.01} | row}
+        answer = asked(made(cells=cells), adding=("linear",), missed=0.23, rank1=0.9)
+        assert statuses(scheme(answer))["rank1/split"] == "cannot say"
+        assert not answer.met
+        assert any(reason in line for line in reasons(scheme(answer)))
+
+    def test_without_a_detected_link_is_still_limited_by_its_upper_end(self, made):
+        cells = {("split", "shape", "informed"): {"rank1": 0.01, "outcome": "no link detected"}}
+        out = made(cells=cells)
+        fine = asked(out, missed=0.23, rank1=0.07, adding=("linear",))
+        assert fine.met
+        tight = asked(out, missed=0.23, rank1=0.05, adding=("linear",))
+        assert not tight.met
+
+    def test_prefers_a_valid_attack_to_a_stronger_one_that_is_not(self, made):
+        cells = {
+            ("split", "shape", "informed"): {"rank1": 0.30, "outcome": "attack too weak"},
+            ("split", "dtw", "informed"): {"rank1": 0.20},
+        }
+        answer = asked(made(cells=cells), missed=0.23, rank1=0.26, adding=("linear",))
+        (split,) = scheme(answer).chosen.tasks
+        assert split.attack == "dtw"
+        assert answer.met
+
+    def test_cannot_be_said_at_a_level_where_nothing_was_linked(self, made):
+        out = made()
+        edited(out, "linkability.csv", lambda frame: frame[frame["level"] != "100.0"])
+        answer = asked(out, missed=0.23, rank1=0.9, adding=("linear",))
+        assert statuses(scheme(answer))["rank1/rerelease"] == "cannot say"
+
+
+MINE = {0.1: 0.14, 0.5: 0.19, 2.0: 0.30}
+"""Missed rate by level of a stranger's mechanism."""
+
+
+class TestFamilies:
+    """Any mechanism of the run is judged like FID and fixed noise."""
+
+    def test_all_are_listed_and_fid_answers(self, made):
+        answer = asked(made(USUAL | {"mine": MINE, "mine:k=2": MINE}), missed=0.23)
+        names = [(one.adding, one.name) for one in answer.schemes]
+        assert names == [
+            (rule, name)
+            for rule in ("linear", "independent")
+            for name in ("fid", "fixed", "mine", "mine:k=2")
+        ]
+        assert answer.asked == [scheme(answer), scheme(answer, adding="independent")]
+        assert answer.met
+
+    def test_one_without_a_declared_rule_is_judged_under_both_and_told(self, made):
+        answer = asked(made(USUAL | {"mine": MINE}), missed=0.23)
+        both = [scheme(answer, "mine", rule) for rule in ("linear", "independent")]
+        assert [one.chosen.level for one in both] == [0.5, 0.5]
+        assert any("mine: declares no adding rule" in note for note in notes(answer))
+
+    def test_without_fid_it_is_what_is_asked_about(self, made):
+        out = made({"mine": MINE, "fixed": {0.1: 0.9}})
+        answer = asked(out, missed=0.23)
+        assert answer.met
+        assert sentence(answer).startswith("Yes: with mine level = 0.5 (linear) and mine level = 0")
+        assert not asked(out, missed=0.1).met
+        assert "no level of mine of the run meets" in sentence(asked(out, missed=0.1))
+
+    def test_what_leaks_less_is_stricter(self, made):
+        out = made({"mine": MINE})
+
+        def turned(frame):
+            plr = frame["metric"] == "plr"
+            levels = frame["level"].where(frame["mechanism"] == "mine").astype(float)
+            for end in ("value", "ci_low", "ci_high"):
+                frame.loc[plr, end] = (levels / 10).fillna(0.5).astype(str)
+            return frame
+
+        answer = asked(out, missed=0.23)
+        assert not scheme(answer, "mine").falls
+        edited(out, "summary.csv", turned)
+        answer = asked(out, missed=0.40)
+        assert scheme(answer, "mine").falls
+        assert scheme(answer, "mine").chosen.level == 0.1
+
+    def test_without_levels_it_is_judged_as_it_is(self, made):
+        answer = asked(
+            made({"fid": FID, "fixed": FIXED, "mine": {np.nan: 0.1}}),
+            missed=0.23,
+            adding=("linear",),
+        )
+        one = scheme(answer, "mine")
+        assert (one.met, one.chosen.level, one.stricter) == (True, None, None)
+        assert "--mechanism mine" not in closer(answer)
