@@ -30,16 +30,8 @@ def per_axis(shared_xy, true_xy, epsilon_m):
     return np.abs(shared_xy - true_xy).max(axis=1) < epsilon_m
 
 
-def city_block(shared_xy, true_xy, epsilon_m):
-    return np.abs(shared_xy - true_xy).sum(axis=1) < epsilon_m
-
-
 def squared(shared_xy, true_xy, epsilon_m):
     return distance(shared_xy, true_xy) ** 2 < epsilon_m
-
-
-def from_the_origin(shared_xy, true_xy, epsilon_m):
-    return np.abs(np.hypot(*shared_xy.T) - np.hypot(*true_xy.T)) < epsilon_m
 
 
 def in_a_ring(shared_xy, true_xy, epsilon_m):
@@ -92,10 +84,6 @@ def duration(
 ael, mel = partial(duration, np.mean), partial(duration, max)
 
 
-def weighted_by_length(found):
-    return (found**2).sum() / found.sum()
-
-
 def without_first_segment(leaked):
     return leaked[np.argmin(leaked) if not leaked.all() else leaked.size :]
 
@@ -112,10 +100,6 @@ def first_interval(t):
     return t[1] - t[0] if len(t) > 1 else nan
 
 
-def median_interval(t):
-    return np.median(np.diff(t)) if len(t) > 1 else nan
-
-
 def span_over_samples(t):
     return (t[-1] - t[0]) / len(t)
 
@@ -124,33 +108,20 @@ def clock_from_zero(t):
     return t[-1] / (len(t) - 1) if len(t) > 1 else nan
 
 
-def one_sample(t):
-    return 1 if len(t) > 1 else nan
-
-
 def first_and_last(shared_xy, true_xy, epsilon_m):
     """Index of the first and last sample of every segment."""
     padded = np.r_[False, strictly(shared_xy, true_xy, epsilon_m), False].astype(int)
     return np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1) - 1
 
 
-def elapsed(combine, *, further=lambda _: 0.0):
+def elapsed(combine):
     """Return the time from the first sample of a segment to its last."""
 
     def descriptor(shared_xy, true_xy, t, epsilon_m):
         first, last = first_and_last(shared_xy, true_xy, epsilon_m)
-        return combine(t[last] - t[first]) + further(t) if first.size else 0.0
+        return combine(t[last] - t[first]) if first.size else 0.0
 
     return descriptor
-
-
-def ael_over_all_samples(*walk):
-    return duration(lambda found: sum(found) / len(walk[2]))(*walk)
-
-
-def mel_wraps_around(*walk):
-    twice = duration(lambda found: min(max(found), len(walk[2])), change=lambda x: np.tile(x, 2))
-    return twice(*walk)
 
 
 def mel_changes_its_input(shared_xy, true_xy, t, epsilon_m):
@@ -172,12 +143,6 @@ def exposure_across_tracks(shared_xy, true_xy, t, offsets, epsilon_m):
         mine = (last - first + 1)[(first >= lo) & (first < hi)]
         mel_s[row] = mine.max() * mean_interval(t[lo:hi]) if mine.size else 0.0
     return share, ael_s, mel_s
-
-
-def exposure_one_interval_for_all(shared_xy, true_xy, t, offsets, epsilon_m):
-    share, ael_s, mel_s = exposure(shared_xy, true_xy, t, offsets, epsilon_m)
-    own = np.array([mean_interval(t[a:b]) for a, b in pairwise(offsets)])
-    return share, ael_s / own * np.nanmean(own), mel_s / own * np.nanmean(own)
 
 
 def exposure_sorted_by_length(*walks):
@@ -237,33 +202,23 @@ def past(rho):
     return np.exp(-np.maximum(rho - 1, 0))
 
 
-def clipped_at_zero(rho, beta):
-    return np.maximum(beta - np.exp(1 - rho), 0)
-
-
 BROKEN = [
     ("plr", plr(leaks=or_equal), "plr_boundary_is_strict"),
     ("plr", plr(leaks=per_axis), "plr_distance_is_euclidean"),
     ("plr", plr(leaks=per_axis), "plr_rigid_motion"),
     ("plr", plr(leaks=per_axis), "plr_isotropic_gaussian"),
-    ("plr", plr(leaks=city_block), "plr_distance_is_euclidean"),
     ("plr", plr(leaks=squared), "plr_matches_brute_force"),
     ("plr", plr(leaks=squared), "plr_radial_gaussian"),
-    ("plr", plr(leaks=from_the_origin), "plr_rigid_motion"),
     ("plr", plr(leaks=in_a_ring), "plr_monotone_in_epsilon"),
     ("plr", plr(share=lambda leaked: 100 * np.mean(leaked)), "plr_all_and_none_leaked"),
     ("plr", plr(share=over_intervals), "plr_hand_examples"),
     ("plr", plr(share=undefined_for_one), "plr_single_sample"),
-    ("plr", plr(share=raises_on_one), "plr_single_sample"),
     ("plr", plr(share=first_counts_double), "plr_time_reversal"),
     ("ael_s", ael(leaks=or_equal), "ael_boundary_is_strict"),
-    ("ael_s", ael_over_all_samples, "ael_hand_examples"),
     ("ael_s", duration(np.median), "ael_of_independent_samples"),
     ("ael_s", duration(np.median), "ael_matches_brute_force"),
     ("ael_s", mel(), "ael_may_fall_as_epsilon_grows"),
-    ("ael_s", duration(weighted_by_length), "ael_may_fall_as_epsilon_grows"),
     ("ael_s", elapsed(np.mean), "ael_hand_examples"),
-    ("ael_s", elapsed(np.mean, further=mean_interval), "ael_irregular_sampling"),
     ("ael_s", ael(interval=first_interval), "ael_irregular_sampling"),
     ("ael_s", ael(nothing=nan), "ael_all_and_none_leaked"),
     ("ael_s", ael(change=without_first_segment), "ael_segment_at_either_end"),
@@ -275,26 +230,16 @@ BROKEN = [
     ("mel_s", mel(change=without_last_segment), "mel_segment_at_either_end"),
     ("mel_s", mel(change=without_last_segment), "mel_monotone_in_epsilon"),
     ("mel_s", mel(change=without_last_segment), "mel_is_at_least_ael"),
-    ("mel_s", mel(change=without_first_segment), "mel_segment_at_either_end"),
-    ("mel_s", mel_wraps_around, "mel_segment_at_either_end"),
-    ("mel_s", mel_wraps_around, "mel_matches_brute_force"),
-    ("mel_s", mel(interval=median_interval), "mel_irregular_sampling"),
+    ("mel_s", mel(interval=first_interval), "mel_irregular_sampling"),
     ("mel_s", elapsed(max), "mel_is_zero_exactly_when_plr_is"),
     ("mel_s", mel(interval=span_over_samples), "mel_all_and_none_leaked"),
-    ("mel_s", mel(interval=one_sample), "mel_rigid_motion_and_clock"),
     ("mel_s", mel(interval=zero_for_one), "mel_single_sample"),
-    ("mel_s", mel(interval=zero_for_one), "mel_is_zero_exactly_when_plr_is"),
     ("mel_s", mel(interval=clock_from_zero), "mel_rigid_motion_and_clock"),
     ("mel_s", mel_changes_its_input, "mel_matches_brute_force"),
-    ("mel_s", lambda *_: None, "mel_hand_examples"),
     ("exposure", exposure_across_tracks, "exposure_stops_at_the_end_of_a_track"),
-    ("exposure", exposure_across_tracks, "exposure_matches_brute_force"),
-    ("exposure", exposure_one_interval_for_all, "exposure_stops_at_the_end_of_a_track"),
     ("exposure", exposure_sorted_by_length, "exposure_order_of_tracks"),
-    ("exposure", exposure_drops_single_samples, "exposure_order_of_tracks"),
     ("exposure", exposure_drops_single_samples, "exposure_matches_brute_force"),
     ("prediction_grid", lambda t, w, h: grid(t, window=w, steps=h + 1)[1:], "grid_starts_now"),
-    ("prediction_grid", lambda t, _, h: grid(t, window=len(t), steps=h), "grid_starts_now"),
     ("prediction_grid", lambda t, w, h: grid(t, window=w + 1, steps=h), "grid_matches_brute_force"),
     ("prediction_grid", grid_divides_by_the_window, "grid_of_a_short_track"),
     ("robot_path", path_overshoots, "path_walks_then_waits"),
@@ -309,20 +254,16 @@ BROKEN = [
     ("is_conflict", lambda gap_m, radius_m: gap_m <= radius_m, "conflict_boundary_is_strict"),
     ("missed_conflict_rate", missed_among_all_scenes, "missed_rate_hand_examples"),
     ("missed_conflict_rate", lambda c, p: among(p[c]), "missed_rate_matches_brute_force"),
-    ("missed_conflict_rate", lambda c, p: among(~p[c], otherwise=0), "missed_rate_hand_examples"),
     ("false_alarm_rate", false_alarms_among_alarms, "false_alarm_rate_matches_brute_force"),
     ("false_alarm_rate", lambda c, p: among(p[~c], otherwise=0), "false_alarm_rate_hand_examples"),
     ("distance_mae_m", lambda a, b: among(b - a), "distance_mae_hand_examples"),
     ("distance_mae_m", lambda a, b: among((b - a) ** 2) ** 0.5, "distance_mae_matches_brute_force"),
-    ("distance_mae_m", lambda a, b: among(abs(b - a), otherwise=0), "distance_mae_hand_examples"),
     (
         "fid_d_sigma",
         fid(lambda rho, b: b - past(rho), acts=np.greater_equal),
         "fid_rule_hand_examples",
     ),
-    ("fid_d_sigma", fid(clipped_at_zero, acts=lambda *_: True), "fid_rule_hand_examples"),
     ("fid_d_sigma", fid(lambda rho, b: b - np.exp(-rho)), "fid_rule_matches_brute_force"),
     ("fid_d_sigma", fid(lambda rho, b: b - 1 + past(rho)), "fid_rule_monotone"),
-    ("fid_d_sigma", fid(lambda rho, b: (b - past(rho)) * rho), "fid_rule_hand_examples"),
 ]
 """(function of `Metrics`, what is offered for it, the check that must catch it)"""

@@ -72,36 +72,6 @@ def prediction_grid(*, t, window, horizon_steps):
     return [t[-1] + h * interval_s for h in range(horizon_steps)]
 
 
-def robot_point(*, start, destination, speed_mps, elapsed_s):
-    """Eq. robot_nominal_path at one moment."""
-    way_m = dist(start, destination)
-    walked_m = min(speed_mps * elapsed_s, way_m)
-    return [a + walked_m * (b - a) / way_m for a, b in zip(start, destination, strict=True)]
-
-
-def minimum_separation(*, robot, agents):
-    """Smallest distance of one scene: every agent, every step."""
-    smallest = float("inf")
-    for robot_path, agent_path in zip(robot, agents, strict=True):
-        for here, there in zip(robot_path, agent_path, strict=True):
-            smallest = min(smallest, dist(here, there))
-    return smallest
-
-
-def missed_conflict_rate(*, conflict, predicted):
-    """Count c = 1 and c-hat = 0 among c = 1."""
-    missed = sum(1 for c, p in zip(conflict, predicted, strict=True) if c and not p)
-    total = sum(1 for c in conflict if c)
-    return missed / total if total else nan
-
-
-def false_alarm_rate(*, conflict, predicted):
-    """Count c = 0 and c-hat = 1 among c = 0."""
-    false = sum(1 for c, p in zip(conflict, predicted, strict=True) if p and not c)
-    total = sum(1 for c in conflict if not c)
-    return false / total if total else nan
-
-
 def fid_d_sigma(*, fid, eta, alpha_m, beta):
     """Eqs. fid_ratio and fid_error_control for one sample."""
     rho = fid / eta
