@@ -36,15 +36,6 @@ if TYPE_CHECKING:
 Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 
 _BUILT_IN: dict[Kind, dict[str, str]] = {
-    "mechanisms": {
-        "raw": "isac_track.sharing:Raw",
-        "fixed": "isac_track.sharing:Fixed",
-        "fid": "isac_track.sharing:Fid",
-        "clean": "isac_track.sharing:Clean",
-        "correlated": "isac_track.sharing_controls:Correlated",
-        "offset": "isac_track.sharing_controls:Offset",
-        "thin": "isac_track.sharing_controls:Thin",
-    },
     "predictors": {
         "least_squares": "predictors.least_squares:LeastSquares",
         "kalman_cv": "predictors.kalman:KalmanCV",
@@ -68,6 +59,8 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "kinematic": "attacks.linkage.kinematic:Kinematic",
     },
 }
+_MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls")
+"""Modules with a table ``MECHANISMS``: one that is added there is known here."""
 _METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
 _MOST_LEVELS = 1000
 _MOST_SHOWN = 100
@@ -103,8 +96,15 @@ class Plugin:
 
 
 def names(kind: Kind) -> dict[str, str]:
-    """Return ``{name: "module:Class"}`` of built-ins and entry points, importing none of them."""
-    known = dict(_BUILT_IN[kind])
+    """Return ``{name: "module:Class"}`` of built-ins and entry points.
+
+    None of them is imported but the built-in mechanisms.
+    """
+    known = dict(_BUILT_IN.get(kind, {}))
+    if kind == "mechanisms":
+        for module in _MECHANISMS:
+            table = importlib.import_module(module).MECHANISMS
+            known |= {name: f"{module}:{cls.__name__}" for name, cls in table.items()}
     for point in _entry_points(kind):
         known.setdefault(point.name, point.value)
     return known

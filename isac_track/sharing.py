@@ -7,7 +7,7 @@ how much error each sample gets.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from isac_track.types import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.random import Generator
 
     from isac_track.types import Floats, Sensed
@@ -213,3 +215,7 @@ def _pseudonyms(n_tracks: int, rng: Generator) -> tuple[str, ...]:
     # A spawned child leaves the stream of the errors untouched.
     (child,) = rng.spawn(1)
     return tuple(row.tobytes().hex() for row in child.integers(0, 256, (n_tracks, 8), np.uint8))
+
+
+MECHANISMS: Final[Mapping[str, type]] = {"raw": Raw, "fixed": Fixed, "fid": Fid, "clean": Clean}
+"""By the name in a SPEC."""

@@ -8,7 +8,7 @@ fewer samples. A descriptor that tells how linkable people are must tell under t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, get_args
+from typing import TYPE_CHECKING, ClassVar, Final, get_args
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from isac_track.sharing import check_d_sigma, perturb
 from isac_track.types import Adding, ErrorLaw, Release
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.random import Generator
 
     from isac_track.types import Floats, Ints, Sensed
@@ -202,3 +204,7 @@ class Thin:
             offsets=np.concatenate([[0], np.cumsum(-(-sizes // self.every))]),
             pseudonym=whole.pseudonym,
         )
+
+
+MECHANISMS: Final[Mapping[str, type]] = {"correlated": Correlated, "offset": Offset, "thin": Thin}
+"""By the name in a SPEC."""
