@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from evaluation.analysis.levels import adding_of, level_text
+from evaluation.analysis.levels import level_text
 from evaluation.analysis.metrics import METRICS
 
 if TYPE_CHECKING:
@@ -227,14 +227,3 @@ def level(value: float | None) -> Cell:
     """Return a level; empty for a mechanism without one."""
     known = value is not None and math.isfinite(value)
     return Cell(level_text(value), value=value if known else None)
-
-
-MECHANISM: Final = (*words("mechanism", "adding"), Column("level"))
-"""The columns that name a mechanism level: those of `mechanism_cells`."""
-
-
-def mechanism_cells(mechanism: str, value: float | None) -> list[Cell]:
-    """Return mechanism, adding rule and level."""
-    bare, rule = adding_of(mechanism)
-    adds = bare not in ("raw", "clean")
-    return [word(bare), word(rule or ("linear" if adds else "")), level(value)]
