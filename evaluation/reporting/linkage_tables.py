@@ -9,13 +9,19 @@ from evaluation.analysis.families import CLEAN
 from evaluation.analysis.levels import INVALID, REMARKS, level_text, remarks, shortened
 from evaluation.analysis.metrics import SUCCESS
 from evaluation.cells.link_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
-from evaluation.reporting.rows import (
-    MECHANISM,
-    family_of,
-    mechanism_cells,
-    telling,
+from evaluation.reporting.rows import family_of, mechanism_columns, telling
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    amount,
+    built,
+    counted,
+    measured,
+    said,
+    table,
+    word,
+    words,
 )
-from evaluation.reporting.table import Cell, Column, amount, number, table, word, words
 from isac_track.linkability import LEVEL
 
 if TYPE_CHECKING:
@@ -31,6 +37,7 @@ if TYPE_CHECKING:
 MARKS = dict(zip(REMARKS, "~?!", strict=True))
 """Of what is to be said of a cell that does not simply link."""
 _MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
+TOO_WEAK = "attack too weak"
 _USUAL = "informed"
 _COHORTS = {WITHOUT_GROUPS: "walking groups", WITHOUT_FROZEN: "frozen annotations"}
 _LABEL_WIDTH = 30
@@ -85,55 +92,54 @@ def rank_table(
 
 def cells_table(task: LinkedTask, known: Mapping[str, Family]) -> Table:
     """Return every attack and adversary of a task at the levels that tell, a row each."""
-    rows = [
+    return built(
+        f"cells-{task.name}",
+        f"{_title(task)}, every adversary; 95 % intervals",
         [
-            *mechanism_cells(family_of(known, where[0]), where[1]),
-            word(source.consumer),
-            word(source.knowledge),
-            amount(SUCCESS, row["rank1"], row["ci_low"], row["ci_high"]),
-            amount(SUCCESS, row["chance"]),
-            word(row["outcome"]),
-            word(row["invalid"]),
-            number(row["gallery_mean"], digits=0),
-            number(row["n_clusters"], digits=0),
-        ]
-        for where in telling(task.cells, known)
-        for source, row in task.cells[where].items()
-    ]
-    columns = [
-        *MECHANISM,
-        *words("attack", "adversary"),
-        Column("rank 1", "%"),
-        Column("chance", "%"),
-        *words("outcome", "shortcut"),
-        Column("candidates"),
-        Column("people"),
-    ]
-    title = f"{_title(task)}, every adversary; 95 % intervals"
-    return table(f"cells-{task.name}", title, columns, rows, n_headings=3, n_keys=5)
+            {**row, "attack": source.consumer}
+            for where in telling(task.cells, known)
+            for source, row in task.cells[where].items()
+        ],
+        [
+            *mechanism_columns(known),
+            said("attack"),
+            said("adversary", "knowledge"),
+            measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
+            measured("chance", "chance", metric=SUCCESS),
+            said("outcome"),
+            said("shortcut", "invalid"),
+            counted("candidates", "", "gallery_mean", digits=0),
+            counted("people", "", "n_clusters", digits=0),
+        ],
+        n_headings=3,
+        n_keys=5,
+    )
 
 
 def doubt_table(linkability: pd.DataFrame, known: Mapping[str, Family]) -> Table:
     """Return the linkage cells that measure nothing: invalid ones, and too weak attacks."""
     of = linkability[linkability["cohort"] == "all"]
     of = of.assign(**of[["knowledge", "outcome", "invalid"]].astype(object).fillna(""))
-    of = of[of["knowledge"] != ""]
-    of = of[(of["invalid"] != "") | (of["outcome"] == "attack too weak")]
-    rows = [
+    of = of[(of["knowledge"] != "") & ((of["invalid"] != "") | (of["outcome"] == TOO_WEAK))]
+    return built(
+        "doubts",
+        "Linkage cells that measure nothing",
+        of.to_dict("records"),
         [
-            word(row["consumer"]),
-            word(row["knowledge"]),
-            *mechanism_cells(family_of(known, row["mechanism"]), row["level"]),
-            word(
-                f"invalid: {row['invalid']} tells people apart"
-                if row["invalid"]
-                else REMARKS["attack too weak"]
+            said("task/attack", "consumer"),
+            said("adversary", "knowledge"),
+            *mechanism_columns(known),
+            said(
+                "why",
+                lambda row: (
+                    f"invalid: {row['invalid']} tells people apart"
+                    if row["invalid"]
+                    else REMARKS[TOO_WEAK]
+                ),
             ),
-        ]
-        for row in of.to_dict("records")
-    ]
-    columns = [*words("task/attack", "adversary"), *MECHANISM, *words("why")]
-    return table("doubts", "Linkage cells that measure nothing", columns, rows, n_keys=5)
+        ],
+        n_keys=5,
+    )
 
 
 def _title(task: LinkedTask) -> str:

@@ -5,17 +5,30 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from evaluation.analysis.keys import Source
-from evaluation.analysis.metrics import EXPOSURE, METRICS
+from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, tolerance
 from evaluation.experiment.presets import SHARED
-from evaluation.reporting.rows import MECHANISM, family_of, mechanism_cells
-from evaluation.reporting.table import Cell, Column, amount, decision, number, table, word, words
+from evaluation.reporting.rows import by_level, mechanism_columns
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    amount,
+    built,
+    counted,
+    decided,
+    decision,
+    measured,
+    number,
+    said,
+    word,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
+
+    import pandas as pd
 
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Where
@@ -27,6 +40,8 @@ CRITERIA = {
     "plr": "equal PLR as shared",
 }
 """By what operating points are matched."""
+_POINT = ("criterion", "adding", "predictor", "consumer", "knowledge", "metric")
+_AS_SHARED = {SHARED: "as shared"}
 _EFFECTS = {"fraction": (100.0, 1, "points"), "s": (1.0, 3, "s"), "m": (1.0, 3, "m")}
 
 
@@ -47,72 +62,64 @@ def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
 def paper_table(frame: pd.DataFrame, known: Mapping[str, Family], *, dataset: str) -> Table:
     """Return the paper's numbers beside ours; judged only on the paper's own recording."""
     is_same = dataset == DATASET
-    rows = []
-    for row in frame.to_dict("records"):
-        metric, ours = row["metric"], row["ours"]
-        bias = ours - row["paper"]
-        allowed = tolerance(row["mechanism"], metric, row["paper"])
-        # A hair more: the difference of two rounded fractions may miss the limit itself.
-        met = "yes" if abs(bias) <= allowed + 1e-12 else "no"
-        within = row["within"] if np.isfinite(row["ci_low"]) else None
-        is_judged = isinstance(within, bool | np.bool_)
-        rows.append(
-            [
-                *mechanism_cells(family_of(known, row["mechanism"]), row["level"]),
-                word(METRICS[metric].title),
-                amount(metric, row["paper"]),
-                amount(metric, ours, row["ci_low"], row["ci_high"]),
-                amount(metric, bias, sign="+"),
-                *[decision("yes" if within else "no") if is_judged else Cell()] * is_same,
-                *[Cell(f"{met} ({amount(metric, allowed).text})" if np.isfinite(ours) else "")]
-                * is_same,
-            ]
-        )
-    judged = [Column("paper in our interval"), Column("tolerance at 5,000 scenes")]
-    columns = [
-        *MECHANISM,
-        *words("metric"),
-        Column("paper"),
-        Column("ours"),
-        Column("ours - paper"),
-        *judged * is_same,
-    ]
     note = f"The paper used {DATASET}; ours are of {dataset}, so they need not agree."
-    return table(
+    records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
+    judged = [
+        (Column("paper in our interval"), _within),
+        (Column("tolerance at 5,000 scenes"), _tolerated),
+    ]
+    return built(
         "paper",
         "The paper's numbers beside ours, privacy as shared; 95 % intervals",
-        columns,
-        rows,
+        records,
+        [
+            *mechanism_columns(known),
+            said("metric", lambda row: METRICS[row["metric"]].title),
+            measured("paper", "paper"),
+            measured("ours", "ours", "ci_low", "ci_high"),
+            measured("ours - paper", "bias", sign="+"),
+            *judged * is_same,
+        ],
         notes=[] if is_same else [note],
         n_headings=2,
         n_keys=4,
     )
 
 
+def _within(row: Mapping[str, Any]) -> Cell:
+    is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
+    return decision("yes" if row["within"] else "no") if is_judged else Cell()
+
+
+def _tolerated(row: Mapping[str, Any]) -> Cell:
+    allowed = tolerance(row["mechanism"], row["metric"], row["paper"])
+    # A hair more: the difference of two rounded fractions may miss the limit itself.
+    met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
+    text = f"{met} ({amount(row['metric'], allowed).text})"
+    return Cell(text if np.isfinite(row["ours"]) else "")
+
+
 def claims_table(claims: pd.DataFrame) -> Table:
     """Return the paper's claims, and whether they hold."""
-    rows = [
+    return built(
+        "claims",
+        "The paper's claims; 95 % intervals",
+        claims.to_dict("records"),
         [
-            word(row["adding"]),
-            word(row["claim"]),
-            decision(row["answer"]),
-            effect(row),
-            word(row["evidence"]),
-        ]
-        for row in claims.to_dict("records")
-    ]
-    columns = [
-        *words("adding", "claim", "answer"),
-        Column("effect"),
-        Column("evidence", align="left", is_long=True),
-    ]
-    notes = ["Evidence: paper_claims.csv."]
-    title = "The paper's claims; 95 % intervals"
-    return table("claims", title, columns, rows, notes=notes, n_headings=1, n_keys=2)
+            said("adding"),
+            said("claim"),
+            decided("answer"),
+            (Column("effect"), effect),
+            (Column("evidence", align="left", is_long=True), lambda row: word(row["evidence"])),
+        ],
+        notes=["Evidence: paper_claims.csv."],
+        n_headings=1,
+        n_keys=2,
+    )
 
 
 def matched_table(matched: pd.DataFrame, *, strongest: Collection[Source]) -> Table:
-    """Return FID against fixed noise half way along each curve, of the strongest attacks.
+    """Return every mechanism against fixed noise half way along each curve, strongest attacks.
 
     Parameters
     ----------
@@ -122,92 +129,83 @@ def matched_table(matched: pd.DataFrame, *, strongest: Collection[Source]) -> Ta
         Attacks that are shown, a linker with its task before it.
     """
     sources = {Source(SHARED), *strongest}
-    keys = ["criterion", "adding", "predictor", "consumer", "knowledge", "metric"]
+    keys = [*_POINT, "mechanism"]
     texts = matched.assign(**matched[keys].astype(object).fillna(""))
     rows = []
-    for _, part in texts.groupby(keys, sort=False):
-        first = part.iloc[0]
-        if Source(first["consumer"], first["knowledge"]) not in sources:
-            continue
-        known = part[part["ci_low"].notna()]
-        row = (known if len(known) else part).sort_values("at").iloc[max(0, len(known) - 1) // 2]
-        metric = row["metric"]
-        rows.append(
-            [
-                word(CRITERIA.get(row["criterion"], row["criterion"])),
-                word(row["adding"]),
-                word(row["predictor"]),
-                word("as shared" if row["consumer"] == SHARED else row["consumer"]),
-                word(row["knowledge"]),
-                word(METRICS[metric].title),
-                number(row["at"], scale=100.0),
-                amount(metric, row["fid"], row["fid_low"], row["fid_high"]),
-                amount(metric, row["fixed"], row["fixed_low"], row["fixed_high"]),
-                amount(metric, row["difference"], row["ci_low"], row["ci_high"], sign="+"),
-            ]
-        )
-    columns = [
-        *words("matched by", "adding", "predictor", "positions or attack", "adversary", "metric"),
-        Column("at", "%"),
-        Column("FID"),
-        Column("fixed"),
-        Column("FID - fixed"),
-    ]
-    title = "FID against fixed noise, half way along each curve: the strongest attacks"
-    notes = ["All points, attacks and intervals: matched.csv."]
-    return table("matched", title, columns, rows, notes=notes, n_headings=3, n_keys=6)
+    for key, part in texts.groupby(keys, sort=False):
+        if Source(*key[3:5]) in sources:
+            known = part[part["ci_low"].notna()]
+            middle = max(0, len(known) - 1) // 2
+            rows.append((known if len(known) else part).sort_values("at").iloc[middle].to_dict())
+    return built(
+        "matched",
+        "Every mechanism against fixed noise, half way along each curve: the strongest attacks",
+        rows,
+        [
+            said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
+            said("adding"),
+            said("predictor"),
+            said(
+                "positions or attack", lambda row: _AS_SHARED.get(row["consumer"], row["consumer"])
+            ),
+            said("adversary", "knowledge"),
+            said("metric", lambda row: METRICS[row["metric"]].title),
+            said("mechanism"),
+            counted("at", "%", "at", scale=100.0),
+            measured("of the mechanism", "fid", "fid_low", "fid_high"),
+            measured("of fixed noise", "fixed", "fixed_low", "fixed_high"),
+            measured("difference", "difference", "ci_low", "ci_high", sign="+"),
+        ],
+        notes=["All points, attacks and intervals: matched.csv."],
+        n_headings=3,
+        n_keys=7,
+    )
 
 
 def decision_table(
     decisions: pd.DataFrame, known: Mapping[str, Family], *, wheres: Sequence[Where]
 ) -> Table:
     """Return misses at equal false alarms, at some levels."""
-    rows = []
-    for mechanism, at in wheres:
-        same = decisions["level"].isna() if at is None else np.isclose(decisions["level"], at)
-        of = decisions[(decisions["mechanism"] == mechanism) & same]
-        rows += [
-            [
-                *mechanism_cells(family_of(known, mechanism), at),
-                word(row["consumer"]),
-                word(row["score"]),
-                number(row["area"], row["area_low"], row["area_high"], digits=3),
-                number(row["false_alarm_rate"], scale=100.0),
-                number(
-                    row["missed_conflict_rate"], row["missed_low"], row["missed_high"], scale=100.0
-                ),
-                number(row["difference"], row["ci_low"], row["ci_high"], scale=100.0, sign="+"),
-            ]
-            for row in of.to_dict("records")
-        ]
-    columns = [
-        *MECHANISM,
-        *words("predictor", "score"),
-        Column("area (0 perfect, 0.5 chance)"),
-        Column("at false alarms", "%"),
-        Column("missed", "%"),
-        Column("missed - reference", "points"),
-    ]
-    return table("decisions", "Misses at equal false alarms", columns, rows, n_headings=3, n_keys=5)
+    told = by_level(decisions)
+    return built(
+        "decisions",
+        "Misses at equal false alarms",
+        [row for where in wheres for row in told.get(where, ())],
+        [
+            *mechanism_columns(known),
+            said("predictor", "consumer"),
+            said("score"),
+            counted("area (0 perfect, 0.5 chance)", "", "area", "area_low", "area_high", digits=3),
+            counted("at false alarms", "%", "false_alarm_rate", scale=100.0),
+            measured("missed", MISSED_RATE, "missed_low", "missed_high", metric=MISSED_RATE),
+            counted(
+                *("missed - reference", "points", "difference", "ci_low", "ci_high"),
+                scale=100.0,
+                sign="+",
+            ),
+        ],
+        n_headings=3,
+        n_keys=5,
+    )
 
 
 def flag_table(flags: pd.DataFrame, known: Mapping[str, Family]) -> Table:
     """Return the flags of weak attacks."""
-    kinds = {"beaten": "beaten", "does_not_fall": "does not fall"}
     texts = flags.assign(**flags[["by", "by_knowledge"]].astype(object).fillna(""))
-    rows = [
+    return built(
+        "flags",
+        "All flags",
+        texts.to_dict("records"),
         [
-            word(kinds.get(row["kind"], "")),
-            word(Source(row["attack"], row["knowledge"]).label),
-            word(Source(row["by"], row["by_knowledge"]).label),
-            *mechanism_cells(family_of(known, row["mechanism"]), row["level"]),
-            amount(EXPOSURE, row["difference"], row["ci_low"], row["ci_high"], sign="+"),
-        ]
-        for row in texts.to_dict("records")
-    ]
-    columns = [
-        *words("flag", "attack", "beaten by"),
-        *MECHANISM,
-        Column("PLR difference", "points"),
-    ]
-    return table("flags", "All flags", columns, rows, n_keys=6)
+            said("flag", lambda row: row["kind"].replace("_", " ")),
+            said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
+            said("beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label),
+            *mechanism_columns(known),
+            counted(
+                *("PLR difference", "points", "difference", "ci_low", "ci_high"),
+                scale=100.0,
+                sign="+",
+            ),
+        ],
+        n_keys=6,
+    )

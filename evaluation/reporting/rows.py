@@ -9,19 +9,18 @@ from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, Family
 from evaluation.analysis.keys import Source
 from evaluation.analysis.levels import HEADLINE, is_attack
 from evaluation.experiment.presets import DISSOCIATION
-from evaluation.reporting.table import Cell, Column, level, word, words
+from evaluation.reporting.table import Column, level, said
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     import pandas as pd
 
     from evaluation.analysis.keys import Where
+    from evaluation.reporting.table import Made
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
-MECHANISM: Final = (*words("mechanism", "adding"), Column("level"))
-"""The columns that name a mechanism level: those of `mechanism_cells`."""
 _ORDER = (CLEAN, RAW, "fid", "fixed")
 
 
@@ -48,9 +47,19 @@ def parameters_text(one: Family) -> str:
     return text.replace("d_sigma=", "Δσ=").replace("tau_s=", "τ=")
 
 
-def mechanism_cells(one: Family, at: float | None) -> list[Cell]:
-    """Return mechanism, adding rule and level."""
-    return [word(one.name), word(one.adding), level(at)]
+def mechanism_columns(
+    known: Mapping[str, Family], where: Callable[[Any], Where] | None = None
+) -> list[Made]:
+    """Return the columns mechanism, adding rule and level of records, or of where these are."""
+
+    def at(record: Any) -> Where:  # noqa: ANN401 - a row of any frame
+        return where(record) if where else (record["mechanism"], record["level"])
+
+    return [
+        said("mechanism", lambda record: family_of(known, at(record)[0]).name),
+        said("adding", lambda record: family_of(known, at(record)[0]).adding),
+        (Column("level"), lambda record: level(at(record)[1])),
+    ]
 
 
 def by_level(frame: pd.DataFrame) -> dict[Where, list[dict[str, Any]]]:

@@ -129,7 +129,7 @@ def compared_levels(summary: pd.DataFrame) -> list[Where]:
         target = np.inf
         for one in known:
             rows = one.of(rates, rule)
-            if rows.empty:
+            if rows.empty or any(name == one.mechanisms[rule] for name, _ in wheres):
                 continue
             row = rows.iloc[0]
             if one.name == FID:
@@ -137,4 +137,4 @@ def compared_levels(summary: pd.DataFrame) -> list[Where]:
             else:
                 row = rows.loc[(rows["value"] - min(target, rows["value"].max())).abs().idxmin()]
             wheres.append((one.mechanisms[rule], float(row["level"])))
-    return list(dict.fromkeys(wheres))
+    return wheres

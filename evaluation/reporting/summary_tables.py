@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,35 +21,24 @@ from evaluation.analysis.metrics import (
 )
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.rows import (
-    MECHANISM,
     attacked,
     by_level,
-    family_of,
-    mechanism_cells,
+    mechanism_columns,
     sources_at,
     telling,
 )
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    metric_column,
-    metric_of,
-    table,
-    word,
-    words,
-)
+from evaluation.reporting.table import Cell, Column, built, metric_column, metric_of, said
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
     import pandas as pd
 
-    from evaluation.analysis.keys import Source
-    from evaluation.reporting.table import Table
+    from evaluation.analysis.keys import Source, Where
+    from evaluation.reporting.table import Made, Table
 
 _WEIGHTS = {MISSED_RATE: 3.0, EXPOSURE: 3.0, "rmse": 2.5, "ael": 2.0, "mel": 2.0}
-_EMPTY = Cell()
 SCOPE = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
 """What the levels are."""
 
@@ -74,34 +65,32 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
 
 
 def _sweep(rows: pd.DataFrame, *, name: str, title: str) -> Table:
-    metrics = [one for one in (*UTILITY, *DESCRIPTORS) if (rows["metric"] == one).any()]
-    known = families_in(rows)
-    columns = [
-        metric_column(
-            one,
-            f"{METRICS[one].head}, shared" if one in DESCRIPTORS else "",
-            weight=_WEIGHTS.get(one, 1.0),
-        )
-        for one in metrics
-    ]
-    cells = []
-    for (mechanism, at), block in by_level(rows).items():
-        by_metric = {row["metric"]: metric_of(row) for row in block}
-        cells.append(
-            [
-                *mechanism_cells(family_of(known, mechanism), at),
-                *(by_metric.get(one, _EMPTY) for one in metrics),
-            ]
-        )
-    return table(
+    present = set(rows["metric"])
+    return built(
         name,
         f"{title}; 95 % intervals",
-        [*MECHANISM, *columns],
-        cells,
+        by_level(rows).items(),
+        [
+            *mechanism_columns(families_in(rows), itemgetter(0)),
+            *(
+                _metric(one, f"{METRICS[one].head}{', shared' * (one in DESCRIPTORS)}")
+                for one in (*UTILITY, *DESCRIPTORS)
+                if one in present
+            ),
+        ],
         notes=[f"Levels: {SCOPE}."] if name == "sweep" else [],
         n_headings=2,
         n_keys=3,
     )
+
+
+def _metric(metric: str, name: str) -> Made:
+    """Return the column of a metric of levels with their rows."""
+
+    def cell(record: tuple[Where, Sequence[Mapping[str, Any]]]) -> Cell:
+        return next((metric_of(row) for row in record[1] if row["metric"] == metric), Cell())
+
+    return metric_column(metric, name, weight=_WEIGHTS.get(metric, 1.0)), cell
 
 
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
@@ -130,7 +119,6 @@ def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset(
     """
     rows = after_attack(summary)
     rows = rows[rows["metric"] == EXPOSURE]
-    known = families_in(rows)
     shown = most_knowing(sources_of(rows))
     # The strongest keep their intervals longest.
     means = {
@@ -140,20 +128,12 @@ def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset(
         for source in shown
     }
     columns = [
-        Column(source.label, weight=np.inf if source == AS_SHARED else float(means[source]))
+        (
+            Column(source.label, weight=np.inf if source == AS_SHARED else float(means[source])),
+            partial(_of_source, source),
+        )
         for source in shown
     ]
-    cells = []
-    for (mechanism, at), block in by_level(rows).items():
-        found = {
-            source: metric_of(metrics[EXPOSURE]) for source, metrics in sources_at(block).items()
-        }
-        cells.append(
-            [
-                *mechanism_cells(family_of(known, mechanism), at),
-                *(found.get(source, _EMPTY) for source in shown),
-            ]
-        )
     notes = []
     if any(source.knowledge == ORACLE for source in shown):
         notes.append("The oracle is a reference: it stands where nobody less can run the attack.")
@@ -162,15 +142,20 @@ def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset(
         for source in shown
         if source.consumer in slow
     ]
-    return table(
+    return built(
         "exposure",
         "After attack: PLR in % at all levels; 95 % intervals",
-        [*MECHANISM, *columns],
-        cells if len(shown) > 1 else [],
+        by_level(rows).items() if len(shown) > 1 else (),
+        [*mechanism_columns(families_in(rows), itemgetter(0)), *columns],
         notes=notes,
         n_headings=2,
         n_keys=3,
     )
+
+
+def _of_source(source: Source, record: tuple[Where, Sequence[Mapping[str, Any]]]) -> Cell:
+    found = sources_at(record[1]).get(source)
+    return metric_of(found[EXPOSURE]) if found else Cell()
 
 
 def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
@@ -192,29 +177,33 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     title = "After attack, every adversary; 95 % intervals"
     if only is not None:
         title = f"{'As shared' if only == AS_SHARED else f'After {only.label}'}; 95 % intervals"
-    cells = []
+    records = []
     for where in telling(blocks, known) if only is None else blocks:
         found = sources_at(blocks[where])
         if only is not None:
             found = {source: found[source] for source in found if source == only}
-        cells += [
-            [*mechanism_cells(family_of(known, where[0]), where[1]), *of] for of in _merged(found)
-        ]
-    return table(
+        records += [(where, *row) for row in _merged(found)]
+    return built(
         "attacks",
         title,
+        records,
         [
-            *MECHANISM,
-            *words("positions", "adversary"),
-            *(metric_column(one, weight=_WEIGHTS.get(one, 1.0)) for one in RECONSTRUCTION),
+            *mechanism_columns(known, itemgetter(0)),
+            said("positions", itemgetter(1)),
+            said("adversary", itemgetter(2)),
+            *(
+                (metric_column(one, weight=_WEIGHTS.get(one, 1.0)), lambda of, n=n: of[3][n])
+                for n, one in enumerate(RECONSTRUCTION)
+            ),
         ],
-        cells,
         n_headings=3,
         n_keys=5,
     )
 
 
-def _merged(found: Mapping[Source, Mapping[str, Mapping[str, Any]]]) -> list[list[Cell]]:
+def _merged(
+    found: Mapping[Source, Mapping[str, Mapping[str, Any]]],
+) -> list[tuple[str, str, tuple[Cell, ...]]]:
     """Return the rows of a level; one for adversaries whose numbers are the same."""
     shared = _amounts(found.get(AS_SHARED, {}))
     groups: dict[tuple[str, tuple[str, ...]], tuple[list[str], tuple[Cell, ...]]] = {}
@@ -226,21 +215,18 @@ def _merged(found: Mapping[Source, Mapping[str, Mapping[str, Any]]]) -> list[lis
             continue
         key = source.consumer, tuple(cell.full for cell in cells)
         groups.setdefault(key, ([], cells))[0].append(source.knowledge)
-    rows = []
-    for (consumer, _), (knows, cells) in groups.items():
-        is_any = len(knows) == adversaries[consumer] > 1
-        rows.append(
-            [
-                word("as shared" if knows == [""] else consumer),
-                word("any" if is_any else ", ".join(knows)),
-                *cells,
-            ]
+    return [
+        (
+            "as shared" if knows == [""] else consumer,
+            "any" if len(knows) == adversaries[consumer] > 1 else ", ".join(knows),
+            cells,
         )
-    return rows
+        for (consumer, _), (knows, cells) in groups.items()
+    ]
 
 
 def _amounts(metrics: Mapping[str, Mapping[str, Any]]) -> tuple[Cell, ...]:
-    return tuple(metric_of(metrics[one]) if one in metrics else _EMPTY for one in RECONSTRUCTION)
+    return tuple(metric_of(metrics[one]) if one in metrics else Cell() for one in RECONSTRUCTION)
 
 
 def _same(cells: Iterable[Cell], shared: Iterable[Cell]) -> bool:

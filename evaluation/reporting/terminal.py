@@ -69,21 +69,6 @@ def aligned(
     return lines
 
 
-def show_grouped(
-    rows: Sequence[tuple[str | None, list[str]]], lines: Sequence[str], *, console: Console
-) -> None:
-    """Print the lines under each new heading, unless their first cell says the same.
-
-    Rows without a heading are the table's head.
-    """
-    shown: str | None = None
-    for (heading, cells), line in zip(rows, lines, strict=True):
-        if heading is not None and heading not in (shown, cells[0]):
-            say(console, heading, "bold cyan")
-        shown = heading
-        say(console, line, "bold" if heading is None else "")
-
-
 def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
     """Print a table: title, lines that fit, what its marks mean, and its notes.
 

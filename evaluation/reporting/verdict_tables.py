@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
@@ -11,9 +12,12 @@ from evaluation.reporting.paper_tables import CRITERIA, effect
 from evaluation.reporting.table import (
     Cell,
     Column,
-    decision,
+    built,
+    counted,
+    decided,
     level,
     number,
+    said,
     table,
     word,
     words,
@@ -70,6 +74,7 @@ SHORT: Final = {
     REVERSED: "higher",
     UNDECIDED: "?",
 }
+_EFFECT: Final = Column("effect"), partial(effect, signed=True)
 _CRITERIA: Final = {MISSED: "", AT_EQUAL_ALARMS: " and alarms"}
 _OF: Final = {"as-shared": "as shared", "after-attack": "after attack", "linkage": "linked"}
 
@@ -107,58 +112,52 @@ def short_tables(said: Mapping[str, Any]) -> list[Table]:
 
 def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     """Return the items of the verdict, a table for each section."""
-    found = {}
-    for section, of in _by_section(items).items():
-        optional = [key for key in ("descriptor", "task", "criterion") if any(i[key] for i in of)]
-        rows = [
+    return {
+        section: built(
+            f"verdict-{section}",
+            section.capitalize(),
+            of,
             [
-                decision(item["decision"]),
-                word(_sentence(item)),
-                effect(item, signed=True),
-                word(item["adding"]),
-                *(_aspect(key, item[key]) for key in optional),
-                word(item["subject"]),
-                number(item["n"], digits=0),
-            ]
-            for item in of
-        ]
-        columns = [
-            *words("decision", "what it says"),
-            Column("effect"),
-            *words("adding", *optional, "about"),
-            Column("people"),
-        ]
-        found[section] = table(f"verdict-{section}", section.capitalize(), columns, rows)
-    return found
+                decided("decision"),
+                said("what it says", _sentence),
+                _EFFECT,
+                said("adding"),
+                *(
+                    said(key, partial(_aspect, key))
+                    for key in ("descriptor", "task", "criterion")
+                    if any(one[key] for one in of)
+                ),
+                said("about", "subject"),
+                counted("people", "", "n", digits=0),
+            ],
+        )
+        for section, of in _by_section(items).items()
+    }
 
 
 def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
     """Return the contrasts with the dissociation controls that validity rests on."""
-    rows = [
-        [
-            word(item["adding"]),
-            _aspect("descriptor", item["descriptor"]),
-            word(item["task"]),
-            word(contrast.get("subject") or item["subject"]),
-            word(contrast["mechanism"]),
-            level(contrast["level"]),
-            decision(contrast["reading"]),
-            effect({**contrast, "unit": item["unit"]}, signed=True),
-        ]
-        for item in items
-        for contrast in item.get("contrasts") or ()
-    ]
-    columns = [
-        *words("adding", "descriptor", "task", "attack", "against"),
-        Column("level"),
-        *words("reading"),
-        Column("effect"),
-    ]
-    title = (
+    return built(
+        "contrasts",
         "The contrasts behind it: FID and the controls against fixed noise where the descriptor "
-        "is equal"
+        "is equal",
+        [
+            {**item, **contrast, "subject": contrast.get("subject") or item["subject"]}
+            for item in items
+            for contrast in item.get("contrasts") or ()
+        ],
+        [
+            said("adding"),
+            said("descriptor", partial(_aspect, "descriptor")),
+            said("task"),
+            said("attack", "subject"),
+            said("against", "mechanism"),
+            (Column("level"), lambda row: level(row["level"])),
+            decided("reading"),
+            _EFFECT,
+        ],
+        n_keys=6,
     )
-    return table("contrasts", title, columns, rows, n_keys=6)
 
 
 def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
@@ -189,7 +188,8 @@ def _sentence(item: Mapping[str, Any]) -> str:
     return f"{item['sentence']} Undecided: {why.rstrip('.')}." if why else str(item["sentence"])
 
 
-def _aspect(key: str, value: str) -> Cell:
+def _aspect(key: str, item: Mapping[str, Any]) -> str:
+    value: str = item[key]
     if key == "criterion":
-        return word(CRITERIA.get(value, value))
-    return word(METRICS[value].head if key == "descriptor" and value in METRICS else value)
+        return CRITERIA.get(value, value)
+    return METRICS[value].head if key == "descriptor" and value in METRICS else value

@@ -80,7 +80,7 @@ def operating_figure(
             ax.set_ylabel(figure_style.label(metric))
             part = curves[(curves["adding"] == rule) & (curves["metric"] == metric)]
             for scheme in known:
-                _draw_matched(ax, part, scheme=scheme, metric=metric)
+                _draw_matched(ax, part, scheme=scheme, rule=rule, metric=metric)
                 measured = points.get((rule, metric, scheme))
                 if measured is not None:
                     _draw_points(ax, measured, scheme=scheme, named=metric == EXPOSURE)
@@ -93,16 +93,9 @@ def operating_figure(
         if values:
             values.append(raws[metric]["y"].to_numpy())
             figure_style.value_axis(axes[0], values, log=metric != EXPOSURE)
-    handles: list[Any] = [
-        figure_style.line_handle(scheme.title, figure_style.look_of(scheme))
-        for scheme in known
-        if any(key[2] is scheme for key in points)
-    ]
-    if any(not raw.empty for raw in raws.values()):
-        handles.append(figure_style.black_handle("raw", marker="*"))
-    if not curves.empty:
-        handles.append(figure_style.band_handle("95 % interval at matched rates"))
-    figure_style.legend(figure, handles)
+    drawn = [scheme for scheme in known if any(key[2] is scheme for key in points)]
+    has_raw = any(not raw.empty for raw in raws.values())
+    _legend(figure, drawn, has_raw=has_raw, has_curve=not curves.empty)
     what = f"operating points, predictor {predictor}"
     figure_style.title(figure, dataset=dataset, what=what)
     return figure
@@ -136,14 +129,16 @@ def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:
     return found
 
 
-def _draw_matched(ax: Axes, part: pd.DataFrame, *, scheme: Scheme, metric: str) -> None:
-    rows = part.sort_values(MISSED_RATE)
-    if rows.empty or scheme.name not in (FID, FIXED):
-        return
+def _draw_matched(ax: Axes, part: pd.DataFrame, *, scheme: Scheme, rule: str, metric: str) -> None:
+    """Draw the curve of a mechanism, or of the fixed noise that it is held against."""
+    is_fixed = scheme.name == FIXED
+    mechanism = next(iter(part["mechanism"]), "") if is_fixed else scheme.mechanisms.get(rule)
+    rows = part[part["mechanism"] == mechanism].sort_values(MISSED_RATE)
     look, scale = figure_style.look_of(scheme), METRICS[metric].scale
+    column = FIXED if is_fixed else FID
     x = rows[MISSED_RATE].to_numpy() * METRICS[MISSED_RATE].scale
-    ax.plot(x, rows[scheme.name] * scale, color=look.colour, linestyle=look.dashes)
-    low, high = (rows[f"{scheme.name}_{end}"].to_numpy() * scale for end in ("low", "high"))
+    ax.plot(x, rows[column] * scale, color=look.colour, linestyle=look.dashes)
+    low, high = (rows[f"{column}_{end}"].to_numpy() * scale for end in ("low", "high"))
     figure_style.band(ax, x=x, low=low, high=high, look=look)
 
 
@@ -169,3 +164,14 @@ def _draw_points(ax: Axes, found: pd.DataFrame, *, scheme: Scheme, named: bool) 
             horizontalalignment="center",
             color=look.colour,
         )
+
+
+def _legend(figure: Figure, drawn: list[Scheme], *, has_raw: bool, has_curve: bool) -> None:
+    handles: list[Any] = [
+        figure_style.line_handle(scheme.title, figure_style.look_of(scheme)) for scheme in drawn
+    ]
+    if has_raw:
+        handles.append(figure_style.black_handle("raw", marker="*"))
+    if has_curve:
+        handles.append(figure_style.band_handle("95 % interval at matched rates"))
+    figure_style.legend(figure, handles)

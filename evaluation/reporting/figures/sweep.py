@@ -20,6 +20,8 @@ from evaluation.reporting.figures.style import LOOKS, Look
 from evaluation.reporting.schemes import Scheme, schemes
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _EXPOSURE_LABEL = "Exposure, shared (s)"
 _MOST_BANDS = 2
+_MOST_CHARACTERS = 80
+"""Of a file's name."""
 # Apart from the looks of the predictors, with which they share a legend.
 _LOOKS = {
     EXPOSURE: Look("#000000", "o", "-"),
@@ -65,14 +69,24 @@ def drawings(run: Results) -> list[Drawing]:
     """Return a figure for each mechanism that is swept."""
     return [
         Drawing(
-            name=_FILES.get(scheme.name, f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', scheme.name)}"),
+            name=name,
             section="figures",
             title=f"Missed conflicts, PLR and exposure over the level: {scheme.title}",
             draw=partial(sweep_figure, run.ours, scheme=scheme, dataset=run.dataset),
             words=partial(_words, run.ours, scheme=scheme),
         )
-        for scheme in schemes(run.ours)
+        for name, scheme in _named(schemes(run.ours)).items()
     ]
+
+
+def _named(known: Sequence[Scheme]) -> dict[str, Scheme]:
+    """Return the mechanisms under plain names of files, each another."""
+    found: dict[str, Scheme] = {}
+    for one in known:
+        plain = f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', one.name)[:_MOST_CHARACTERS]}"
+        name = _FILES.get(one.name, plain)
+        found[f"{name}-{one.place}" if name in found else name] = one
+    return found
 
 
 def sweep_figure(summary: pd.DataFrame, *, scheme: Scheme, dataset: str) -> Figure | None:
