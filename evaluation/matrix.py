@@ -196,7 +196,7 @@ def _command(arguments: Sequence[str] | None) -> int:
 def _run(settings: Settings, *, dry_run: bool) -> int:
     # Heavy imports only now: --help, --list and a typing error answer at once.
     from evaluation.experiment.plan import plan  # noqa: PLC0415
-    from evaluation.reporting import tables  # noqa: PLC0415
+    from evaluation.reporting.tables import show  # noqa: PLC0415
     from evaluation.results import run  # noqa: PLC0415
     from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415
 
@@ -213,17 +213,8 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
         results = run(ready=ready, progress=bar.update)
     for notice in _notices(results.manifest):
         _say(f"notice: {notice}", stream=sys.stderr)
-    tables.show(
-        results.summary,
-        results.paper_table,
-        results.claims,
-        manifest=results.manifest,
-        linkability=results.linkability,
-    )
-    tables.show_flags(results.flags)
-    tables.show_verdict(results.verdict)
+    show(results)
     _say(f"\nresults in {results.out}; read {results.out / 'report.html'} first")
-    tables.show_failed(results.failed)
     return FAILED_CELLS if len(results.failed) else DONE
 
 

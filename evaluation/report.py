@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluation.reporting import tables
+from evaluation.reporting.tables import show
 from evaluation.results import load
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 
@@ -29,16 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _redraw(out: Path) -> int:
     results = load(out)
-    tables.show(
-        results.summary,
-        results.paper_table,
-        results.claims,
-        manifest=results.manifest,
-        linkability=results.linkability,
-    )
-    tables.show_verdict(results.verdict)
-    tables.show_flags(results.flags)
-    tables.show_failed(results.failed)
+    show(results)
     return FAILED_CELLS if len(results.failed) else DONE
 
 

@@ -11,16 +11,14 @@ from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families
-from evaluation.analysis.matching import MISSED, comparisons, matched
-from evaluation.analysis.metrics import SUCCESS
+from evaluation.analysis.matching import comparisons, matched
+from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.sweeps import Sweeps
 from evaluation.experiment.plan import plan
-from evaluation.experiment.presets import SHARED
 from evaluation.experiment.settings import Settings
-from evaluation.reporting import page, tables
-from evaluation.reporting.figures import draw as figures
 from evaluation.reporting.run_results import Results
+from evaluation.reporting.tables import write_tex
 from evaluation.runs import folder
 from evaluation.runs.checksums import check_sound
 from evaluation.runs.execute import execute
@@ -31,7 +29,6 @@ from evaluation.runs.lock import locked
 from evaluation.runs.memory import given_back
 from evaluation.verdict import sections as verdict
 from evaluation.verdict.within_level import read_levels
-from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -152,6 +149,11 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         linkability=linkability.linkability(read, dataset=dataset),
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
+        strongest={
+            task: source.attack
+            for task, source in (strongest(values, known, metric=EXPOSURE) | success).items()
+        },
+        gallery=read_gallery(out),
     )
     for frame, name in (
         (results.summary, "summary.csv"),
@@ -166,39 +168,18 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         write_whole(out / name, frame.to_csv(index=False).encode())
     write_whole(out / "flags.json", flags.to_json(flagged))
     write_whole(out / "verdict.json", verdict.to_bytes(said))
-    tables.write_tex(
-        results.summary,
-        results.paper_table,
-        folder=out / "tables",
-        linkability=results.linkability,
-        said=said,
-    )
-    _remove_pictures(out)  # those of an earlier report tell of other results
+    write_tex(results, folder=out / "tables")
+    folder.remove_figures(out)  # those of an earlier report tell of other results
     if pictures:
         _draw(results, jobs=jobs)
     return results
 
 
-def _remove_pictures(out: Path) -> None:
-    for path in (out / page.PAGE, *folder.figure_paths(out / "figures")):
-        try:
-            path.unlink(missing_ok=True)
-        except OSError as error:
-            raise DataError(
-                f"cannot replace {path}: {error.strerror}; finished cells are kept"
-            ) from None
-
-
 def _draw(results: Results, *, jobs: int) -> None:
-    at_equal = results.matched
-    drawn = figures.draw_all(
-        results.summary,
-        at_equal[(at_equal["criterion"] == MISSED) & (at_equal["consumer"] == SHARED)],
-        folder=results.out / "figures",
-        dataset=results.manifest["dataset"]["name"],
-        linkability=results.linkability,
-        curves=results.curves,
-        gallery=read_gallery(results.out),
-        jobs=jobs,
-    )
-    page.write(results, drawn=drawn, verdict=results.verdict)
+    # matplotlib is slow to import, and only needed to draw.
+    from evaluation.reporting import page  # noqa: PLC0415
+    from evaluation.reporting.figures.draw_all import draw_all  # noqa: PLC0415
+    from evaluation.reporting.figures.drawing import figures_of  # noqa: PLC0415
+
+    folder.note_figures(results.out, [one.name for one in figures_of(results)])
+    page.write(results, drawn=draw_all(results, folder=results.out / "figures", jobs=jobs))

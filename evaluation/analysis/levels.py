@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, Where
-from evaluation.analysis.linkability import CLEAN
-from evaluation.analysis.matching import ADDING_SUFFIX
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, RECONSTRUCTION, UTILITY
-from evaluation.experiment.presets import SHARED
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
@@ -19,8 +15,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-SHOWN = {name: METRICS[name] for name in (*UTILITY, *RECONSTRUCTION, "rank1")}
-_READ = ["level", "consumer", "knowledge", "metric", "value", "ci_low", "ci_high"]
 LEVEL_UNITS = {"fid": "eta in 1/(m^2 s)", "fixed": "d_sigma in m"}
 
 
@@ -32,24 +26,6 @@ HEADLINE: tuple[tuple[str, float | None, str], ...] = (
     ("fixed", 1.0, "fixed, 1.0 m"),
 )
 """The few levels that tell the story: mechanism without its adding rule, level and a name."""
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A value with its interval, as text; empty where it is unknown."""
-
-    value: str
-    low: str = ""
-    high: str = ""
-
-    @property
-    def interval(self) -> str:
-        """Both ends; they are never negative, so that a hyphen is clear."""
-        return f"{self.low}-{self.high}" if self.low else ""
-
-
-After: TypeAlias = "dict[tuple[str, float | None], dict[Source, dict[str, Number]]]"
-"""Mechanism and level to source to metric to number."""
 
 
 INVALID = "invalid"
@@ -81,37 +57,6 @@ class LinkedTask:
         return self.cohorts["all"]
 
 
-@dataclass(frozen=True, slots=True)
-class Sweep:
-    """One table: a predictor's view of every level, grouped by mechanism."""
-
-    predictor: str | None
-    metrics: tuple[str, ...]
-    blocks: dict[str, dict[float | None, dict[str, Number]]]
-    """Mechanism to level to metric to number."""
-
-
-def number(metric: str, value: float, low: float = math.nan, high: float = math.nan) -> Number:
-    """Return a value and its interval in the units shown."""
-    if not math.isfinite(value):
-        return Number("")
-    if not (math.isfinite(low) and math.isfinite(high)):
-        return Number(amount(metric, value))
-    return Number(amount(metric, value), amount(metric, low), amount(metric, high))
-
-
-def amount(metric: str, value: float, *, sign: str = "-") -> str:
-    """Return a value in the units shown, with `sign` "+" for a difference."""
-    shown = SHOWN[metric]
-    return f"{value * shown.scale:{sign}.{shown.digits}f}"
-
-
-def shared_head(metric: str) -> str:
-    """Return the name and unit of a metric; a descriptor's with whose positions it is of."""
-    shown = SHOWN[metric]
-    return f"{shown.head}{', shared' * (metric in DESCRIPTORS)} ({shown.unit})"
-
-
 _MOST_WRITTEN_OUT = 1e7
 
 
@@ -130,40 +75,6 @@ def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:
     Not the name of the consumer tells: an attack and a predictor may bear the same.
     """
     return frame["knowledge"].isin(list(ADVERSARIES))
-
-
-def sweeps(summary: pd.DataFrame) -> list[Sweep]:
-    """Return the tables of a summary: descriptors with the first predictor, then the others'."""
-    others = summary[~is_attack(summary)]
-    is_shared = others["consumer"] == SHARED
-    wanted = others["metric"].isin(DESCRIPTORS).where(is_shared, others["metric"].isin(UTILITY))
-    numbers = _numbers(others[wanted])
-    consumers = dict.fromkeys(source.consumer for _, _, source, _ in numbers)
-    predictors: list[str | None] = [name for name in consumers if name != SHARED]
-    found: list[Sweep] = []
-    for predictor in predictors or [None]:
-        drawn = {predictor} if found else {predictor, SHARED}
-        blocks: dict[str, dict[float | None, dict[str, Number]]] = {}
-        for (mechanism, level, source, metric), one in numbers.items():
-            if source.consumer in drawn:
-                blocks.setdefault(mechanism, {}).setdefault(level, {})[metric] = one
-        present = {metric for _, _, source, metric in numbers if source.consumer in drawn}
-        metrics = tuple(name for name in (*UTILITY, *DESCRIPTORS) if name in present)
-        found.append(Sweep(predictor, metrics, blocks))
-    return [sweep for sweep in found if sweep.blocks]
-
-
-def after_attack(summary: pd.DataFrame) -> After:
-    """Return the descriptors as shared and after each attack, by level; empty without attacks."""
-    attacked = is_attack(summary)
-    if not attacked.any():
-        return {}
-    rows = summary[attacked | (summary["consumer"] == SHARED)]
-    rows = rows[rows["metric"].isin(RECONSTRUCTION)]
-    found: After = {}
-    for (mechanism, level, source, metric), one in _numbers(rows).items():
-        found.setdefault((mechanism, level), {}).setdefault(source, {})[metric] = one
-    return found
 
 
 def sources(blocks: Iterable[Iterable[Source]]) -> list[Source]:
@@ -221,19 +132,6 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
     return found
 
 
-def linked_levels(task: LinkedTask) -> list[Where]:
-    """Return the ceiling, raw and the headline levels; all levels of a run without any of these."""
-    without_level: tuple[Where, ...] = ((CLEAN, None), ("raw", None))
-    alone = [where for where in without_level if where in task.cells]
-    headline: list[Where] = [
-        where
-        for suffix in ADDING_SUFFIX.values()
-        for mechanism, level, _ in HEADLINE
-        if level is not None and (where := (mechanism + suffix, level)) in task.cells
-    ]
-    return alone + (headline or [where for where in task.cells if where not in alone])
-
-
 def remarks(row: Mapping[str, Any]) -> list[str]:
     """Return what is to be said of a linkage cell that does not simply link."""
     return [row["outcome"]] * (row["outcome"] in REMARKS) + [INVALID] * bool(row["invalid"])
@@ -242,13 +140,6 @@ def remarks(row: Mapping[str, Any]) -> list[str]:
 def linker(source: Source) -> str:
     """Return the linker of an attack, without the reconstruction that it runs behind."""
     return source.consumer.partition("@")[0]
-
-
-def adding_of(mechanism: str) -> tuple[str, str]:
-    """Return a mechanism without its adding rule, and the rule if it is the independent one."""
-    suffix = ADDING_SUFFIX["independent"]
-    bare = mechanism.removesuffix(suffix)
-    return bare, "independent" if bare != mechanism else ""
 
 
 def level_unit(mechanism: str) -> str:
@@ -273,22 +164,6 @@ def shortened(name: str, *, room: int) -> str:
 def printable(text: str) -> str:
     """Return a name without what could move a cursor or break a line."""
     return "".join(character if character.isprintable() else "?" for character in text)
-
-
-def _numbers(rows: pd.DataFrame) -> dict[tuple[str, float | None, Source, str], Number]:
-    """Return the numbers by mechanism, level, source and metric, levels rising."""
-    numbers: dict[tuple[str, float | None, Source, str], Number] = {}
-    by_adversary = rows.assign(knowledge=rows["knowledge"].where(is_attack(rows), ""))
-    for mechanism in by_adversary["mechanism"].unique():
-        of = by_adversary[by_adversary["mechanism"] == mechanism]
-        ordered = of.sort_values("level", kind="stable")
-        for level, consumer, knowledge, metric, value, low, high in ordered[_READ].itertuples(
-            index=False, name=None
-        ):
-            where = str(mechanism), None if math.isnan(level) else float(level)
-            source = Source(consumer, knowledge)
-            numbers[*where, source, metric] = number(metric, value, low, high)
-    return numbers
 
 
 def _task_name(consumer: str) -> str:

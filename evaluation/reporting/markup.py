@@ -91,10 +91,8 @@ def _pages(table: Table) -> list[list[int]]:
     places = [place for place, column in enumerate(table.columns) if not column.is_long]
     keys = [place for place in places if place < table.n_keys]
     others = [place for place in places if place not in keys]
-    return [
-        [*keys, *others[start : start + _MOST_COLUMNS]]
-        for start in range(0, len(others), _MOST_COLUMNS)
-    ]
+    starts = range(0, max(1, len(others)), _MOST_COLUMNS)
+    return [[*keys, *others[start : start + _MOST_COLUMNS]] for start in starts]
 
 
 def _groups(table: Table, places: Sequence[int]) -> list[list[list[str]]]:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
-from evaluation.analysis.levels import adding_of, level_text
+from evaluation.analysis.levels import level_text
 from evaluation.analysis.metrics import METRICS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from isac_track.intervals import Estimate
 
@@ -122,6 +123,10 @@ class Table:
         )
 
 
+Made: TypeAlias = "tuple[Column, Callable[[Any], Cell]]"
+"""A column, and what makes the cell of a record."""
+
+
 def table(
     name: str,
     title: str,
@@ -151,6 +156,62 @@ def table(
         marks,
         n_headings,
         n_keys,
+    )
+
+
+def built(
+    name: str,
+    title: str,
+    records: Iterable[Any],
+    columns: Iterable[Made],
+    *,
+    notes: Sequence[str] = (),
+    n_headings: int = 0,
+    n_keys: int = 1,
+) -> Table:
+    """Return a table with a row for each record, its columns given with what makes their cells."""
+    pairs = list(columns)
+    return table(
+        name,
+        title,
+        [column for column, _ in pairs],
+        [[cell(record) for _, cell in pairs] for record in records],
+        notes=notes,
+        n_headings=n_headings,
+        n_keys=n_keys,
+    )
+
+
+def said(name: str, of: str | Callable[[Any], object] = "") -> Made:
+    """Return a column of words: what a record has under its name, under a key, or by a function."""
+    take = of if callable(of) else itemgetter(of or name)
+    return Column(name, align="left"), lambda record: word(take(record))
+
+
+def decided(name: str, of: str = "") -> Made:
+    """Return a column of decisions."""
+    return Column(name, align="left"), lambda record: decision(record[of or name])
+
+
+def counted(
+    name: str,
+    unit: str,
+    *keys: str,
+    scale: float = 1.0,
+    digits: int = 1,
+    sign: str = "-",
+) -> Made:
+    """Return a column of numbers: keys of value and, if there is one, both ends of the interval."""
+    return Column(name, unit), lambda record: number(
+        *(record[key] for key in keys), scale=scale, digits=digits, sign=sign
+    )
+
+
+def measured(name: str, *keys: str, metric: str = "", sign: str = "-") -> Made:
+    """Return a column of a metric, or of the one that each record names, as it is shown."""
+    unit = METRICS[metric].unit if metric else ""
+    return Column(name, unit), lambda record: amount(
+        metric or record["metric"], *(record[key] for key in keys), sign=sign
     )
 
 
@@ -227,14 +288,3 @@ def level(value: float | None) -> Cell:
     """Return a level; empty for a mechanism without one."""
     known = value is not None and math.isfinite(value)
     return Cell(level_text(value), value=value if known else None)
-
-
-MECHANISM: Final = (*words("mechanism", "adding"), Column("level"))
-"""The columns that name a mechanism level: those of `mechanism_cells`."""
-
-
-def mechanism_cells(mechanism: str, value: float | None) -> list[Cell]:
-    """Return mechanism, adding rule and level."""
-    bare, rule = adding_of(mechanism)
-    adds = bare not in ("raw", "clean")
-    return [word(bare), word(rule or ("linear" if adds else "")), level(value)]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 PIPE_WIDTH = 116
 """Columns where there is no terminal: room for every interval of a sweep."""
-_HEAD_WIDTH = 9
+_HEAD_WIDTH = 10
 _SHORT = 8
 _LEAST_WORDS = 16
 """Below this words are not wrapped to."""
@@ -69,21 +69,6 @@ def aligned(
     return lines
 
 
-def show_grouped(
-    rows: Sequence[tuple[str | None, list[str]]], lines: Sequence[str], *, console: Console
-) -> None:
-    """Print the lines under each new heading, unless their first cell says the same.
-
-    Rows without a heading are the table's head.
-    """
-    shown: str | None = None
-    for (heading, cells), line in zip(rows, lines, strict=True):
-        if heading is not None and heading not in (shown, cells[0]):
-            say(console, heading, "bold cyan")
-        shown = heading
-        say(console, line, "bold" if heading is None else "")
-
-
 def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
     """Print a table: title, lines that fit, what its marks mean, and its notes.
 
@@ -105,7 +90,7 @@ def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
         intervals, lines = _fitting(table, part, console.width)
         left_out = intervals < _intervals(table, part)
         console.print()
-        title = table.title + " (intervals where there is room)" * left_out
+        title = table.title + " where there is room" * left_out
         say(console, title, "bold", wrap=True)
         for line, style in lines:
             say(console, line, style)
@@ -198,11 +183,11 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
         head.append(column.unit)
     if not has_interval:
         return head, values
-    width = max(map(len, [*values, *head]))
+    width = max(map(len, values))
     ends = [_ends(cell) for cell in cells]
-    room = max(map(len, ends))
+    room = max(map(len, [*ends, *(line[width + 1 :] for line in head)]))
     return (
-        [line.rjust(width) + " " * (room + 1) for line in head],
+        [line.rjust(width).ljust(width + 1 + room) for line in head],
         [
             f"{value.rjust(width)} {end.ljust(room)}"
             for value, end in zip(values, ends, strict=True)
@@ -220,11 +205,10 @@ def _heading(table: Table, row: Sequence[Cell]) -> str:
     """Return what stands above a row: its leading cells, each with its column's name but one."""
     parts: list[str] = []
     for column, cell in zip(table.columns[: table.n_headings], row, strict=False):
-        if cell.text and parts:
-            named = (cell.text, column.name) if column.align == "left" else (column.name, cell.text)
-            parts.append(" ".join(named))
+        if cell.text and column.name == "adding":
+            parts.append(f"{cell.text} adding")
         elif cell.text:
-            parts.append(cell.text)
+            parts.append(f"{column.name} {cell.text}" if parts else cell.text)
     return ", ".join(parts)
 
 

@@ -1,14 +1,27 @@
-"""The verdict in the terminal and as LaTeX: three sentences, then a table for each section."""
+"""Tables of the verdict: each section in short, all of its items, and the contrasts behind them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
-from evaluation.reporting.latex import escape
-from evaluation.reporting.terminal import aligned, say
-from evaluation.verdict.items import NAME
+from evaluation.analysis.metrics import METRICS
+from evaluation.reporting.paper_tables import CRITERIA, effect
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    built,
+    counted,
+    decided,
+    level,
+    number,
+    said,
+    table,
+    word,
+    words,
+)
 from evaluation.verdict.rules import (
     DEFLATED,
     DOES_NOT,
@@ -23,112 +36,140 @@ from evaluation.verdict.rules import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from rich.console import Console
+    from evaluation.reporting.table import Table
 
-TITLES: Final = {
-    "validity": "At equal descriptor value, does every mechanism let as many people be linked?",
-    "within": "Does a track's own descriptor tell that it is linked, beyond length, speed, noise?",
-    "claim": "At equal missed rate (and equal false alarms), is FID lower than fixed noise?",
-    "inflation": "How many times higher is a descriptor after the strongest reconstruction?",
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A question of the verdict."""
+
+    question: str
+    about: str
+
+
+SECTIONS: Final = {
+    "validity": Section(
+        "Do the descriptors tell how linkable a person is?",
+        "Across mechanisms, controls among them: where the descriptor is equal, is linkability?",
+    ),
+    "within": Section(
+        "And whether this very person is linked?",
+        "Within a level, among tracks alike in length, speed and noise: is who leaks more linked?",
+    ),
+    "claim": Section(
+        "Is FID-controlled noise better than fixed noise?",
+        "Where both cost the same, or show the same PLR; negative effects are in favour of FID.",
+    ),
+    "inflation": Section(
+        "How much more is left than the descriptor says?",
+        "The descriptor after attack, how many times the same as shared.",
+    ),
 }
+"""By the name of a section in `verdict.json`."""
 SHORT: Final = {
     TRACKS: "tracks",
     WEAKLY: "weakly",
     DOES_NOT: "does not",
     HOLDS: "lower",
     REVERSED: "higher",
-    INFLATED: "",
-    DEFLATED: "",
     UNDECIDED: "?",
 }
+_EFFECT: Final = Column("effect"), partial(effect, signed=True)
 _CRITERIA: Final = {MISSED: "", AT_EQUAL_ALARMS: " and alarms"}
 _OF: Final = {"as-shared": "as shared", "after-attack": "after attack", "linkage": "linked"}
 
 
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """A section as a table: items that differ in the adding rule are rows of one table."""
-
-    title: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+def section_of(name: str) -> Section:
+    """Return a section; of one that is not known its name."""
+    return SECTIONS.get(name, Section(name, ""))
 
 
-def grids(said: Mapping[str, Any]) -> list[Grid]:
-    """Return a table for each section that has items."""
+def short_tables(said: Mapping[str, Any]) -> list[Table]:
+    """Return a table for each section that has items: decisions by what they are about."""
     found = []
-    for section, title in TITLES.items():
-        items = [one for one in said["items"] if one["section"] == section]
-        if not items:
-            continue
-        cells: dict[tuple[str, str], dict[str, str]] = {}
+    for name, items in _by_section(said["items"]).items():
+        cells: dict[tuple[str, str], dict[str, Cell]] = {}
         columns: dict[str, None] = {}
         for one in items:
             row, column = _place(one)
             columns[column] = None
-            cells.setdefault(row, {})[column] = _cell(one)
+            cells.setdefault(row, {})[column] = _short(one)
         found.append(
-            Grid(
-                title,
-                ("" if section == "claim" else "adding", "", *columns),
-                tuple(
-                    (*row, *(known.get(column, "") for column in columns))
+            table(
+                f"short-{name}",
+                section_of(name).question,
+                [*words("positions" if name == "claim" else "adding", "of"), *map(Column, columns)],
+                [
+                    [*map(word, row), *(known.get(column, Cell("")) for column in columns)]
                     for row, known in cells.items()
-                ),
+                ],
+                notes=[section_of(name).about],
+                n_keys=2,
             )
         )
     return found
 
 
-def show_verdict(said: Mapping[str, Any], *, console: Console) -> None:
-    """Print the verdict; `said` is as in `verdict.json`."""
-    if not said["items"]:
-        return
-    console.print()
-    say(console, "Verdict", "bold", wrap=True)
-    for sentence in said["answer"]:
-        say(console, f"- {sentence}", wrap=True)
-    for grid in grids(said):
-        console.print()
-        say(console, grid.title, "bold", wrap=True)
-        lines = aligned([grid.head, *_unrepeated(grid.rows)], left={0, 1})
-        for place, line in enumerate(lines):
-            say(console, line, "bold" if place == 0 else "")
-    say(
-        console,
-        "(?: undecided, no statement either way. Items, intervals and reasons: verdict.json.)",
-        wrap=True,
+def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
+    """Return the items of the verdict, a table for each section."""
+    return {
+        section: built(
+            f"verdict-{section}",
+            section.capitalize(),
+            of,
+            [
+                decided("decision"),
+                said("what it says", _sentence),
+                _EFFECT,
+                said("adding"),
+                *(
+                    said(key, partial(_aspect, key))
+                    for key in ("descriptor", "task", "criterion")
+                    if any(one[key] for one in of)
+                ),
+                said("about", "subject"),
+                counted("people", "", "n", digits=0),
+            ],
+        )
+        for section, of in _by_section(items).items()
+    }
+
+
+def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the contrasts with the dissociation controls that validity rests on."""
+    return built(
+        "contrasts",
+        "The contrasts behind it: FID and the controls against fixed noise where the descriptor "
+        "is equal",
+        [
+            {**item, **contrast, "subject": contrast.get("subject") or item["subject"]}
+            for item in items
+            for contrast in item.get("contrasts") or ()
+        ],
+        [
+            said("adding"),
+            said("descriptor", partial(_aspect, "descriptor")),
+            said("task"),
+            said("attack", "subject"),
+            said("against", "mechanism"),
+            (Column("level"), lambda row: level(row["level"])),
+            decided("reading"),
+            _EFFECT,
+        ],
+        n_keys=6,
     )
 
 
-def verdict_tex(said: Mapping[str, Any]) -> str:
-    """Return the verdict as tabulars, a section each."""
-    parts = ["% Needs \\usepackage{booktabs}. ?: undecided.\n"]
-    for grid in grids(said):
-        body = [
-            " & ".join(map(escape, row)) + r" \\" for row in (grid.head, *_unrepeated(grid.rows))
-        ]
-        parts.append(
-            "\n".join(
-                [
-                    f"% {grid.title}",
-                    rf"\begin{{tabular}}{{ll{'r' * (len(grid.head) - 2)}}}",
-                    r"\toprule",
-                    body[0],
-                    r"\midrule",
-                    *body[1:],
-                    r"\bottomrule",
-                    r"\end{tabular}",
-                    "",
-                ]
-            )
-        )
-    return "\n".join(parts)
+def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the items by section: those that are known first, in their order."""
+    names = dict.fromkeys([*SECTIONS, *(str(item["section"]) for item in items)])
+    sections = {name: [one for one in items if one["section"] == name] for name in names}
+    return {name: of for name, of in sections.items() if of}
 
 
 def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:
     """Return row and column of an item."""
-    name = NAME.get(one["descriptor"], "")
+    name = METRICS[one["descriptor"]].head if one["descriptor"] else ""
     if one["section"] == "claim":
         return (_OF[one["of"]], name or one["task"]), one["adding"] + _CRITERIA[one["criterion"]]
     if one["section"] == "inflation":
@@ -136,17 +177,19 @@ def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:
     return (one["adding"], name), one["task"]
 
 
-def _cell(one: Mapping[str, Any]) -> str:
-    if one["section"] == "inflation" and one["decision"] != UNDECIDED:
-        return f"{one['effect']:.1f}"
-    return SHORT[one["decision"]]
+def _short(one: Mapping[str, Any]) -> Cell:
+    if one["decision"] in (INFLATED, DEFLATED):
+        return number(one["effect"])
+    return Cell(SHORT.get(one["decision"], one["decision"]))
 
 
-def _unrepeated(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return the rows, the first cell only where it changes."""
-    shown = ""
-    found = []
-    for row in rows:
-        found.append(("" if row[0] == shown else row[0], *row[1:]))
-        shown = row[0]
-    return found
+def _sentence(item: Mapping[str, Any]) -> str:
+    why = item.get("why_undecided")
+    return f"{item['sentence']} Undecided: {why.rstrip('.')}." if why else str(item["sentence"])
+
+
+def _aspect(key: str, item: Mapping[str, Any]) -> str:
+    value: str = item[key]
+    if key == "criterion":
+        return CRITERIA.get(value, value)
+    return METRICS[value].head if key == "descriptor" and value in METRICS else value

@@ -26,11 +26,10 @@ from evaluation.runs.files import write_whole
 from evaluation.runs.manifest_shape import CELL_NAME, LAYOUT, defect_of
 from evaluation.experiment.fingerprint import source_digest
 from evaluation.runs.lock import LOCK
-from attacks.tasks.task_list import TASKS
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from evaluation.runs.cell_files import Index
 
@@ -52,19 +51,6 @@ _TABLES = (
     "failed.csv",
 )
 _TEX = ("sweep.tex", "attacks.tex", "paper.tex", "linkability.tex", "verdict.tex")
-HEAT_MAP, DISSOCIATION = "heat_map", "dissociation"
-FIGURES = (
-    "headline",
-    "fid_threshold",
-    "fixed_error",
-    "operating_points",
-    "after_attack",
-    "linkability",
-    "false_alarms",
-    "track_gallery",
-    *(f"{kind}-{task}" for task in TASKS for kind in (HEAT_MAP, DISSOCIATION)),
-)
-"""Of all figures that there can be: the names of their files."""
 _SHOWN_DIFFERENCES = 3
 _LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
 
@@ -278,7 +264,7 @@ def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
     """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
     ours = [out / FOLDER / name for entry in manifest["cells"] for name in entry["files"]]
     ours += [path for path in (out / FOLDER).glob("*.parquet") if CELL_NAME.fullmatch(path.name)]
-    ours += figure_paths(out / "figures")
+    ours += _figures(out, manifest)
     ours += [out / "tables" / name for name in _TEX]
     ours += [out / name for name in _TABLES]
     try:
@@ -294,9 +280,32 @@ def _remove_run(out: Path, manifest: Mapping[str, Any]) -> None:
         ) from None
 
 
-def figure_paths(folder: Path) -> list[Path]:
-    """Return every file that a report may write: svg for screens, pdf for print."""
-    return [folder / f"{name}.{kind}" for name in FIGURES for kind in ("svg", "pdf")]
+def note_figures(out: Path, names: Sequence[str]) -> None:
+    """Write into the manifest which figures a report draws, before it does, to find them again."""
+    write_manifest(out, read_manifest(out) | {"figures": list(names)})
+
+
+def remove_figures(out: Path) -> None:
+    """Delete the page and the figures that an earlier report drew.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be written.
+    """
+    for path in (out / "report.html", *_figures(out, read_manifest(out))):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise DataError(
+                f"cannot replace {path}: {error.strerror}; finished cells are kept"
+            ) from None
+
+
+def _figures(out: Path, manifest: Mapping[str, Any]) -> list[Path]:
+    """Return every file that a report may have drawn: svg for screens, pdf for print."""
+    names = [Path(name).name for name in manifest.get("figures", ())]
+    return [out / "figures" / f"{name}.{kind}" for name in names for kind in ("svg", "pdf")]
 
 
 def _git_commit() -> str | None:

@@ -103,6 +103,7 @@ _SHAPE = {
         "notice?": _text_or_none,
     },
     "history?": {"points": _number, "interval_s": _number},
+    "figures?": [_text],
     "groups?": _groups,
     "linkage?": {
         "skipped?": {"*": _text},

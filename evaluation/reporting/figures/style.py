@@ -22,6 +22,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from numpy.typing import NDArray
 
+    from evaluation.reporting.schemes import Scheme
     from isac_track.types import Floats
 
 Dashes = Literal["", "-", "--", "-.", ":"] | tuple[float, tuple[float, ...]]
@@ -195,6 +198,19 @@ def value_axis(ax: Axes, values: Sequence[Floats], *, log: bool) -> None:
         ax.set_ylim(bottom=-0.03 * ax.get_ylim()[1])
 
 
+def look_of(scheme: Scheme) -> Look:
+    """Return the look of what is swept, the same in every figure."""
+    return LOOKS[scheme.place % len(LOOKS)]
+
+
+def label(metric: str) -> str:
+    """Return the label of a metric's axis; of a descriptor with whose positions it is of."""
+    if metric == MISSED_RATE:
+        return "Missed conflicts (%)"
+    shown = METRICS[metric]
+    return f"{shown.head}{', shared' * (metric in DESCRIPTORS)} ({shown.unit})"
+
+
 def number(value: float) -> str:
     """Return a level or tick as a short number, large powers of ten as such."""
     exponent = round(np.log10(value)) if value > 0 else 0
@@ -203,13 +219,13 @@ def number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def line_handle(label: str, look: Look) -> Line2D:
+def line_handle(text: str, look: Look) -> Line2D:
     """Return the legend's entry of a line."""
-    return Line2D([], [], color=look.colour, marker=look.marker, linestyle=look.dashes, label=label)
+    return Line2D([], [], color=look.colour, marker=look.marker, linestyle=look.dashes, label=text)
 
 
 def black_handle(
-    label: str, *, marker: str = "", dashes: Dashes = "", hollow: bool = False
+    text: str, *, marker: str = "", dashes: Dashes = "", hollow: bool = False
 ) -> Line2D:
     """Return the legend's entry of something that has no colour of its own."""
     return Line2D(
@@ -220,13 +236,13 @@ def black_handle(
         markersize=5,
         markerfacecolor="white" if hollow else "black",
         linestyle=dashes,
-        label=label,
+        label=text,
     )
 
 
-def band_handle(label: str) -> Patch:
+def band_handle(text: str) -> Patch:
     """Return the legend's entry of a band."""
-    return Patch(color="black", alpha=_BAND_ALPHA, linewidth=0, label=label)
+    return Patch(color="black", alpha=_BAND_ALPHA, linewidth=0, label=text)
 
 
 def legend(figure: Figure, handles: Sequence[Artist]) -> None:

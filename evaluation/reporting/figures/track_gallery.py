@@ -2,18 +2,40 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures.drawing import Drawing
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from evaluation.reporting.run_results import Results
+
 _PERCENT = 100.0
 _SHARED_COLOUR, _REBUILT_COLOUR = "#D55E00", "#0072B2"
 _BAR_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+
+
+def drawings(run: Results) -> list[Drawing]:
+    """Return the gallery, if the run has one."""
+    if run.gallery is None:
+        return []
+    return [
+        Drawing(
+            name="track_gallery",
+            section="gallery",
+            title="Tracks: true, shared and rebuilt",
+            caption="The people of the run's first scene, not chosen by how they look.",
+            draw=partial(gallery_figure, run.gallery),
+            words=partial(_words, run.gallery),
+        )
+    ]
 
 
 def gallery_figure(rows: pd.DataFrame) -> Figure | None:
@@ -23,8 +45,6 @@ def gallery_figure(rows: pd.DataFrame) -> Figure | None:
     """
     if rows.empty:
         return None
-    from evaluation.reporting.figures import style as figure_style  # noqa: PLC0415 - computing rows needs no figure
-
     people = list(rows["track"].unique())
     mechanisms = list(rows["mechanism"].unique())
     figure = figure_style.placed_figure(
@@ -59,9 +79,17 @@ def gallery_figure(rows: pd.DataFrame) -> Figure | None:
     return figure
 
 
-def leak_shares(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the share of leaked samples as shared and rebuilt, a row for each mechanism."""
-    return rows.groupby("mechanism", sort=False)[["leaked_shared", "leaked_rec"]].mean()
+def _words(rows: pd.DataFrame) -> str:
+    shares = rows.groupby("mechanism", sort=False)[["leaked_shared", "leaked_rec"]].mean()
+    said = [
+        f"{mechanism}: {_PERCENT * share['leaked_shared']:.0f} % of the shared samples leak, "
+        f"{_PERCENT * share['leaked_rec']:.0f} % of the rebuilt ones"
+        for mechanism, share in shares.iterrows()
+    ]
+    return (
+        f"Walks of {rows['track'].nunique()} people, seen from above, under each mechanism; the "
+        f"rebuilt line follows the true one. {'; '.join(said)}."
+    )
 
 
 def _window(of: pd.DataFrame, *, shape: float) -> list[tuple[float, float]]:

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from evaluation.analysis.keys import AS_SHARED, ORACLE, Source
-from evaluation.analysis.levels import is_attack, most_knowing
-from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.levels import most_knowing
+from evaluation.analysis.metrics import EXPOSURE
 from evaluation.experiment.presets import IDENTITY
 from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, Look
-from evaluation.reporting.figures.sweeps import FID, FIXED
+from evaluation.reporting.schemes import rules_of, schemes
+from evaluation.reporting.summary_tables import after_attack, sources_of
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from evaluation.reporting.figures.sweeps import Scheme
+    from evaluation.reporting.run_results import Results
+    from evaluation.reporting.schemes import Scheme
 
 LABEL = "PLR, shared or attacked (%)"
-_METRIC = "plr"
 _PERCENT = 100.0
 _SHARED_LOOK = Look("#000000", "o", "-")
 # The oracle is set apart: grey, thin and hollow.
@@ -48,6 +51,32 @@ class _Line:
             return "as shared"
         return f"{self.source.label}, a reference" if self.is_oracle else self.source.label
 
+    @property
+    def apart(self) -> dict[str, Any]:
+        return {"linewidth": 0.8, "markerfacecolor": "white"} if self.is_oracle else {}
+
+    def of(self, rows: pd.DataFrame) -> pd.DataFrame:
+        """Return its rows in percent."""
+        rows = rows[
+            (rows["consumer"] == self.source.consumer)
+            & (rows["knowledge"] == self.source.knowledge)
+        ]
+        numbers = rows[["value", "ci_low", "ci_high"]] * _PERCENT
+        return rows[["mechanism", "level"]].join(numbers)
+
+
+def drawings(run: Results) -> list[Drawing]:
+    """Return the figure of what is left after attack."""
+    return [
+        Drawing(
+            name="after_attack",
+            section="after",
+            title="PLR as shared and after each attack, over the level",
+            draw=partial(attack_figure, run.ours, dataset=run.dataset),
+            words=partial(_words, run.ours, strongest=run.strongest.get("")),
+        )
+    ]
+
 
 def attack_figure(summary: pd.DataFrame, *, dataset: str) -> Figure | None:
     """Return PLR over the level, as shared and after each attack; None without attacks or levels.
@@ -57,41 +86,42 @@ def attack_figure(summary: pd.DataFrame, *, dataset: str) -> Figure | None:
     run is drawn as a reference. The control, which repeats what was shared, is left out, and so
     is what lies beyond the looks that there are.
     """
-    ours = summary.loc[
-        (summary["dataset"] == dataset)
-        & (summary["metric"] == _METRIC)
-        & (is_attack(summary) | (summary["consumer"] == AS_SHARED.consumer))
-        & np.isfinite(summary["value"])
-    ]
-    ours = ours.assign(knowledge=ours["knowledge"].where(is_attack(ours), ""))
-    lines = _lines(ours)
+    rows = _exposure(summary)
+    known = schemes(rows)
     series = {
-        (scheme, adding, line): found
-        for scheme in (FID, FIXED)
-        for adding, suffix in ADDING_SUFFIX.items()
-        for line in lines
-        if not (found := _series(ours, f"{scheme.name}{suffix}", line, log=scheme.log)).empty
+        (scheme, rule, line): found
+        for scheme in known
+        for rule in scheme.mechanisms
+        for line in _lines(rows)
+        if not (found := scheme.of(line.of(rows), rule)).empty
     }
-    drawn = [line for line in lines if any(key[2] == line for key in series)]
+    drawn = [line for line in _lines(rows) if any(key[2] == line for key in series)]
     if not any(line.source != AS_SHARED for line in drawn):
         return None
-    schemes = [scheme for scheme in (FID, FIXED) if any(key[0] == scheme for key in series)]
-    columns = [adding for adding in ADDING_SUFFIX if any(key[1] == adding for key in series)]
+    known = [scheme for scheme in known if any(key[0] is scheme for key in series)]
+    columns = rules_of(known)
     figure = figure_style.empty_figure(
         width_in=figure_style.SINGLE_COLUMN_IN
         if len(columns) == 1
         else figure_style.DOUBLE_COLUMN_IN,
-        height_in=2.0 * len(schemes) + 0.9,
+        height_in=2.0 * len(known) + 0.9,
     )
-    panels = figure.subplots(len(schemes), len(columns), sharex="row", sharey=True, squeeze=False)
-    raws = {line: raw for line in drawn if (raw := _raw(ours, line)) is not None}
-    for scheme, axes in zip(schemes, panels, strict=True):
-        for adding, ax in zip(columns, axes, strict=True):
-            ax.set_title(f"{scheme.title}, {adding} adding")
+    panels = figure.subplots(len(known), len(columns), sharex="row", sharey=True, squeeze=False)
+    raws = {
+        line: float(raw["value"].iloc[0])
+        for line in drawn
+        if len(raw := line.of(rows[rows["mechanism"] == "raw"]))
+    }
+    for scheme, axes in zip(known, panels, strict=True):
+        for rule, ax in zip(columns, axes, strict=True):
+            if rule not in scheme.mechanisms:
+                ax.set_axis_off()
+                continue
+            ax.set_title(f"{scheme.title}, {scheme.rule_text(rule)}")
             ax.set_xlabel(scheme.label)
             for line in drawn:
-                if (scheme, adding, line) in series:
-                    _draw(ax, series[scheme, adding, line], line=line)
+                if (scheme, rule, line) in series:
+                    _draw(ax, series[scheme, rule, line], line=line)
                 if line in raws:
                     _draw_raw(ax, raws[line], line=line, scheme=scheme)
         figure_style.level_axis(axes[0], log=scheme.log)
@@ -103,14 +133,34 @@ def attack_figure(summary: pd.DataFrame, *, dataset: str) -> Figure | None:
     return figure
 
 
-def _lines(summary: pd.DataFrame) -> list[_Line]:
+def _words(summary: pd.DataFrame, *, strongest: Source | None) -> str:
+    if strongest is None:
+        return ""
+    rows = _exposure(summary)
+    shared, after = (
+        rows[(rows["consumer"] == one.consumer) & (rows["knowledge"] == one.knowledge)]
+        for one in (AS_SHARED, strongest)
+    )
+    parts = []
+    for scheme in schemes(summary):
+        for rule in scheme.rules:
+            before, left = (scheme.ends(of, rule, EXPOSURE) for of in (shared, after))
+            if before:
+                parts.append(
+                    f"{scheme.title}, {scheme.rule_text(rule)}: as shared {before}; after "
+                    f"{strongest.label} {left}."
+                )
+    return f"Lines of PLR over the level. {' '.join(parts)}"
+
+
+def _exposure(summary: pd.DataFrame) -> pd.DataFrame:
+    rows = after_attack(summary)
+    return rows[(rows["metric"] == EXPOSURE) & np.isfinite(rows["value"])]
+
+
+def _lines(rows: pd.DataFrame) -> list[_Line]:
     """Return what is drawn, with its looks."""
-    pairs = summary[["consumer", "knowledge"]].drop_duplicates().itertuples(index=False, name=None)
-    chosen = [
-        source
-        for source in most_knowing(Source(consumer, knowledge) for consumer, knowledge in pairs)
-        if source.consumer != IDENTITY
-    ]
+    chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
     oracle = [source for source in chosen if source.knowledge == ORACLE]
     others = [source for source in chosen if source.knowledge and source not in oracle]
     return [
@@ -120,38 +170,16 @@ def _lines(summary: pd.DataFrame) -> list[_Line]:
     ]
 
 
-def _of(summary: pd.DataFrame, mechanism: str, source: Source) -> pd.DataFrame:
-    return summary.loc[
-        (summary["mechanism"] == mechanism)
-        & (summary["consumer"] == source.consumer)
-        & (summary["knowledge"] == source.knowledge)
-    ]
-
-
-def _series(summary: pd.DataFrame, mechanism: str, line: _Line, *, log: bool) -> pd.DataFrame:
-    rows = _of(summary, mechanism, line.source)
-    rows = rows[rows["level"] > 0 if log else rows["level"].notna()].sort_values("level")
-    found: pd.DataFrame = rows[["level"]].join(rows[["value", "ci_low", "ci_high"]] * _PERCENT)
-    return found
-
-
-def _raw(summary: pd.DataFrame, line: _Line) -> float | None:
-    rows = _of(summary, "raw", line.source)
-    return None if rows.empty else float(rows["value"].iloc[0]) * _PERCENT
-
-
 def _draw(ax: Axes, found: pd.DataFrame, *, line: _Line) -> None:
     look = line.look
-    level, value, low, high = (
-        found[key].to_numpy() for key in ("level", "value", "ci_low", "ci_high")
-    )
+    level, value, low, high = (found[k].to_numpy() for k in ("level", "value", "ci_low", "ci_high"))
     ax.plot(
         level,
         value,
         color=look.colour,
         marker=look.marker,
         linestyle=look.dashes,
-        **_apart(line),
+        **line.apart,
     )
     figure_style.band(ax, x=level, low=low, high=high, look=look)
 
@@ -169,15 +197,11 @@ def _draw_raw(ax: Axes, value: float, *, line: _Line, scheme: Scheme) -> None:
     )
 
 
-def _apart(line: _Line) -> dict[str, Any]:
-    return {"linewidth": 0.8, "markerfacecolor": "white"} if line.is_oracle else {}
-
-
 def _legend(figure: Figure, lines: list[_Line], *, has_raw: bool) -> None:
     handles: list[Any] = []
     for line in lines:
         handle = figure_style.line_handle(line.label, line.look)
-        handle.set(**_apart(line))
+        handle.set(**line.apart)
         handles.append(handle)
     if has_raw:
         handles.append(figure_style.black_handle("raw (attacks: at its edge)", dashes=":"))

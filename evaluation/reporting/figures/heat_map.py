@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,13 +13,13 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath, text_to_path
 from matplotlib.transforms import Affine2D
 
-from evaluation.analysis.levels import INVALID, shortened
-from evaluation.analysis.linkability import CLEAN
-from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.families import ADDING_RULES, FID
+from evaluation.analysis.levels import INVALID, level_text, shortened
 from evaluation.reporting.figures import style as figure_style
-from evaluation.reporting.figures.page_figures import SWEPT, family, parameters_of, rule_of
+from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import Look
-from evaluation.reporting.figures.sweeps import FID, FIXED
+from evaluation.reporting.rows import family_of, parameters_text, rank_of
+from evaluation.reporting.schemes import schemes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,8 +28,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.path import Path
 
+    from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Source, Where
     from evaluation.analysis.levels import LinkedTask
+    from evaluation.reporting.run_results import Results
     from isac_track.types import Floats
 
 _PERCENT = 100.0
@@ -45,25 +48,47 @@ _BRIGHT = 0.46
 """Share of the colour scale above which text is dark."""
 
 
-def heat_figure(task: LinkedTask) -> Figure:
+def drawings(run: Results) -> list[Drawing]:
+    """Return a figure for each task."""
+    return [
+        Drawing(
+            name=f"heat_map-{task.name}",
+            section="linkability",
+            title=f"{task.name}: who links at which level",
+            caption="? attack too weak: it fails even without any error, so its silence is no "
+            "privacy. ~ no link detected. Crossed out: invalid, a shortcut tells people apart.",
+            draw=partial(heat_figure, task, run.families, titles=_titles(run)),
+            words=partial(_words, task),
+            task=task.name,
+        )
+        for task in run.tasks
+    ]
+
+
+def heat_figure(
+    task: LinkedTask, known: Mapping[str, Family], *, titles: Mapping[str, list[str]]
+) -> Figure:
     """Return rank 1 of every attack and adversary at every level of a task, one block a rule.
 
     Columns run from no error to the controls. `~`: no link detected, `?`: the attack is too
-    weak, crossed out: a shortcut leaks.
+    weak, crossed out: a shortcut leaks. `titles`: names of what is swept, longest first.
     """
     cells = task.cells
     sources = _by_attack(cells)
+    ordered = _in_order(cells, known)
+    rules = {name: family_of(known, name).adding for name, _ in cells}
     blocks = {
-        rule: [where for where in _in_order(cells) if rule_of(where[0]) in (rule, "")]
-        for rule in ADDING_SUFFIX
-        if any(rule_of(where[0]) == rule for where in cells)
-    } or {"": _in_order(cells)}
+        rule: [where for where in ordered if rules[where[0]] in (rule, "")]
+        for rule in ADDING_RULES
+        if rule in rules.values()
+    } or {"": ordered}
     names = [shortened(source.label, room=figure_style.NAME_LENGTH) for source in sources]
     left_in = max(_width_in(name) for name in names) + 0.12
     n_columns = max(map(len, blocks.values()))
     cell_in = min(2 * _CELL_IN, (figure_style.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
     # Above the numbers stand the levels, then the mechanisms that they are of.
-    head_in = 0.2 + max(0.5, *(_width_in(_head(where)) for where in cells))
+    heads = {where: _head(where, known, titles) for where in cells}
+    head_in = 0.2 + max(0.5, *map(_width_in, heads.values()))
     top_in, block_in = 0.22, _CELL_IN * len(sources)
     height_in = top_in + len(blocks) * (head_in + block_in) + 0.42
     figure = figure_style.placed_figure(width_in=figure_style.DOUBLE_COLUMN_IN, height_in=height_in)
@@ -79,7 +104,9 @@ def heat_figure(task: LinkedTask) -> Figure:
         )
         _draw_heat(ax, cells, sources=sources, columns=columns, cell_in=cell_in)
         ax.set_yticks(np.arange(len(sources)), names)
-        _head_columns(ax, columns, block_in=block_in, cell_in=cell_in)
+        ax.xaxis.tick_top()
+        ax.set_xticks(np.arange(len(columns)), [heads[where] for where in columns], rotation=90)
+        _name_swept(ax, columns, titles, block_in=block_in, cell_in=cell_in)
         if rule:
             # In the corner above the names.
             figure.text(0.01, (y_in + block_in + _MECHANISMS_IN) / height_in, f"{rule} adding")
@@ -96,16 +123,13 @@ def _by_attack(cells: Mapping[Where, Mapping[Source, Any]]) -> list[Source]:
     return sorted(found, key=lambda source: attacks.index(source.consumer))
 
 
-def _in_order(cells: Mapping[Where, Any]) -> list[Where]:
+def _in_order(cells: Mapping[Where, Any], known: Mapping[str, Family]) -> list[Where]:
     """Return the columns: no error first, FID with less and less, fixed, then the controls."""
-    kinds = (CLEAN, "raw", FID.name, FIXED.name)
     names = list(dict.fromkeys(name for name, _ in cells))
 
     def key(where: Where) -> tuple[int, int, float]:
-        name, level = where
-        kind = kinds.index(family(name)) if family(name) in kinds else len(kinds)
-        at = 0.0 if level is None else level
-        return kind, 0 if kind < 2 else names.index(name), -at if kind == 2 else at  # noqa: PLR2004
+        one, at = family_of(known, where[0]), where[1] or 0.0
+        return rank_of(one), names.index(where[0]), -at if one.family == FID else at
 
     return sorted(cells, key=key)
 
@@ -199,13 +223,18 @@ def _width_in(text: str) -> float:
     return _text_width(text, points=7.0) / _POINTS_PER_IN
 
 
-def _head_columns(ax: Axes, columns: Sequence[Where], *, block_in: float, cell_in: float) -> None:
-    """Write the levels above the columns, and the swept mechanisms above their levels."""
-    ax.xaxis.tick_top()
-    ax.set_xticks(np.arange(len(columns)), [_head(where) for where in columns], rotation=90)
+def _name_swept(
+    ax: Axes,
+    columns: Sequence[Where],
+    titles: Mapping[str, list[str]],
+    *,
+    block_in: float,
+    cell_in: float,
+) -> None:
+    """Write the swept mechanisms above their levels."""
     swept: dict[str, list[int]] = {}
     for place, (mechanism, _) in enumerate(columns):
-        if family(mechanism) in SWEPT:
+        if mechanism in titles:
             swept.setdefault(mechanism, []).append(place)
     transform = ax.get_xaxis_transform()
     line = 1.0 + (_MECHANISMS_IN - 0.03) / block_in
@@ -214,28 +243,46 @@ def _head_columns(ax: Axes, columns: Sequence[Where], *, block_in: float, cell_i
         ax.plot(
             ends, [line, line], transform=transform, color="black", linewidth=0.5, clip_on=False
         )
-        names = _names(mechanism)
+        names = titles[mechanism]
         fits = (name for name in names if _width_in(name) <= cell_in * len(places))
         ax.text(
             ends[0], 1.0 + _MECHANISMS_IN / block_in, next(fits, names[-1]), transform=transform
         )
 
 
-def _head(where: Where) -> str:
+def _titles(run: Results) -> dict[str, list[str]]:
+    """Return names of what is swept by mechanism, longest first."""
+    return {
+        mechanism: [scheme.label, scheme.name, run.families[mechanism].family]
+        for scheme in schemes(run.summary)
+        for mechanism in scheme.mechanisms.values()
+    }
+
+
+def _head(where: Where, known: Mapping[str, Family], titles: Mapping[str, list[str]]) -> str:
     """Return the head of a column: its level, and what it is unless that stands above it."""
     mechanism, level = where
     at = "" if level is None else figure_style.number(level)
-    if family(mechanism) in SWEPT:
+    if mechanism in titles:
         return at
-    return " ".join(filter(None, [family(mechanism), at, parameters_of(mechanism)]))
+    one = family_of(known, mechanism)
+    return " ".join(filter(None, [one.family, at, parameters_text(one)]))
 
 
-def _names(mechanism: str) -> list[str]:
-    """Return names of a swept mechanism, longest first."""
-    scheme = FID if family(mechanism) == FID.name else FIXED
-    extra = parameters_of(mechanism)
-    tail = f", {extra}" if extra else ""
-    return [f"{scheme.label}{tail}", f"{scheme.name}{tail}", scheme.name]
+def _words(task: LinkedTask) -> str:
+    rows = [row for block in task.cells.values() for row in block.values()]
+    best = max(rows, key=lambda row: row["rank1"] if np.isfinite(row["rank1"]) else -1.0)
+    counts = [
+        f"{sum(row['outcome'] == outcome for row in rows)} {outcome}"
+        for outcome in ("links", "no link detected", "attack too weak")
+    ]
+    where = f"{best['mechanism']} {level_text(best['level'])}".rstrip()
+    return (
+        f"{task.about}. Rank 1 in per cent, a row for each attack and adversary, a column for each "
+        f"mechanism level. Of {len(rows)} cells: {', '.join(counts)}; "
+        f"{sum(bool(row['invalid']) for row in rows)} invalid. "
+        f"Highest: {_PERCENT * best['rank1']:.0f} % at {where}."
+    )
 
 
 def _heat_legend(figure: Figure, cells: Mapping[Where, Mapping[Source, Any]]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,12 +11,13 @@ import pandas as pd
 from matplotlib.ticker import MaxNLocator
 
 from attacks.tasks.task_list import TASKS
-from evaluation.analysis.levels import linked_tasks, remarks, shortened
-from evaluation.analysis.linkability import CLEAN, dataset_of
-from evaluation.analysis.matching import ADDING_SUFFIX
+from evaluation.analysis.families import CLEAN, RAW
+from evaluation.analysis.levels import remarks, shortened
+from evaluation.analysis.linkability import dataset_of
 from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, Look
-from evaluation.reporting.figures.sweeps import FID, FIXED
+from evaluation.reporting.schemes import schemes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,7 +27,8 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.keys import Source
     from evaluation.analysis.levels import LinkedTask
-    from evaluation.reporting.figures.sweeps import Scheme
+    from evaluation.reporting.run_results import Results
+    from evaluation.reporting.schemes import Scheme
 
 LABEL = "rank 1 (%)"
 _PERCENT = 100.0
@@ -35,6 +38,7 @@ _CEILING_LOOK = Look("#000000", "", (0, (6, 2)))
 # What is near chance gets a shorter axis: on a whole one it would be a line at the bottom.
 _LIMITS = (10.0, 30.0, 100.0)
 _MOST_BANDS = 2
+_MOST_TICKS = 4
 _NOTES = {"rerelease": "upper bound"}
 
 
@@ -43,11 +47,7 @@ class _Panel:
     """A column of the figure: a way of adding error, and its adding rule."""
 
     scheme: Scheme
-    adding: str
-
-    @property
-    def mechanism(self) -> str:
-        return f"{self.scheme.name}{ADDING_SUFFIX[self.adding]}"
+    rule: str
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,45 +58,61 @@ class _Row:
     series: Mapping[tuple[_Panel, Source], pd.DataFrame]
     """Level, rank 1 and interval in %, and whether it links, by rising level."""
 
+    @property
+    def drawn(self) -> list[Source]:
+        """Who is drawn."""
+        return list(dict.fromkeys(source for _, source in self.series))
+
     def alone(self, mechanism: str) -> dict[Source, float]:
         """Return rank 1 in % at a mechanism without levels, of the attacks that are drawn."""
         block = self.task.cells.get((mechanism, None), {})
-        drawn = dict.fromkeys(source for _, source in self.series)
         return {
             source: _PERCENT * block[source]["rank1"]
-            for source in drawn
+            for source in self.drawn
             if source in block and np.isfinite(block[source]["rank1"])
         }
 
     @property
     def banded(self) -> list[Source]:
         """The strongest: the bands of many would hide each other."""
-        drawn = dict.fromkeys(source for _, source in self.series)
-        return sorted(drawn, key=lambda source: -_mean(self.task, source))[:_MOST_BANDS]
+        return sorted(self.drawn, key=lambda source: -_mean(self.task, source))[:_MOST_BANDS]
 
     @property
     def limit(self) -> float:
         """End of the axis."""
-        known = [*self.alone("raw").values(), *self.alone(CLEAN).values(), 0.0]
+        known = [*self.alone(RAW).values(), *self.alone(CLEAN).values(), 0.0]
         known += [float(np.nanmax(found[_ESTIMATE])) for found in self.series.values()]
         highest = max(known)
         return next((limit for limit in _LIMITS if highest <= limit), _LIMITS[-1])
 
 
-def linkage_figure(linkability: pd.DataFrame, *, dataset: str) -> Figure | None:
+def drawings(run: Results) -> list[Drawing]:
+    """Return the figure of all tasks."""
+    return [
+        Drawing(
+            name="linkability",
+            section="linkability",
+            title="Rank 1 of the strongest attacks over the level, task by task",
+            draw=partial(linkage_figure, run),
+            words=partial(_words, run),
+        )
+    ]
+
+
+def linkage_figure(run: Results) -> Figure | None:
     """Return rank 1 over the level, one row for each task; None without linkage or levels.
 
     One column for each way of adding error and adding rule. At most five attacks are drawn: the
     strongest of each task by mean rank 1 over all levels, then the second strongest of each, and
     so on. An attack looks the same in every task.
     """
-    tasks = linked_tasks(ours(linkability, dataset=dataset))
-    drawn = _strongest(tasks)
-    rows = [row for task in tasks if (row := _row(task, drawn)).series]
+    known = [_Panel(scheme, rule) for scheme in schemes(run.summary) for rule in scheme.rules]
+    drawn = _strongest(run.tasks)
+    rows = [row for task in run.tasks if (row := _row(task, drawn, known)).series]
     if not rows:
         return None
     panels = [
-        panel for panel in _panels() if any(panel == key[0] for row in rows for key in row.series)
+        panel for panel in known if any((panel, one) in row.series for row in rows for one in drawn)
     ]
     looks = dict(zip(drawn, LOOKS, strict=False))
     figure = figure_style.empty_figure(
@@ -110,29 +126,50 @@ def linkage_figure(linkability: pd.DataFrame, *, dataset: str) -> Figure | None:
         in_row[0].set_ylabel(_label(row.task))
         in_row[0].set_ylim(-0.03 * row.limit, 1.03 * row.limit)
         if row.limit < _PERCENT:
-            _say_short(in_row[0], limit=row.limit)
+            in_row[0].text(
+                0.03,
+                0.97,
+                f"axis ends at {row.limit:g} %",
+                transform=in_row[0].transAxes,
+                va="top",
+            )
         for panel, ax in zip(panels, in_row, strict=True):
             _draw(ax, row, panel=panel, looks=looks)
     for panel, in_column in zip(panels, axes.T, strict=True):
-        in_column[0].set_title(f"{panel.scheme.title},\n{panel.adding} adding")
+        in_column[0].set_title(f"{panel.scheme.title},\n{panel.scheme.rule_text(panel.rule)}")
         in_column[-1].set_xlabel(panel.scheme.label)
         figure_style.level_axis(in_column[0], log=panel.scheme.log)
         if not panel.scheme.log:
             # Few, lest those of two panels meet.
-            in_column[0].xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 5, 10]))
+            locator = MaxNLocator(nbins=_MOST_TICKS, steps=[1, 5, 10])
+            in_column[0].xaxis.set_major_locator(locator)
     _legend(figure, rows, looks)
-    _title(figure, [row.task for row in rows], dataset=dataset)
+    _title(figure, [row.task for row in rows], dataset=run.dataset)
     return figure
 
 
-def ours(linkability: pd.DataFrame, *, dataset: str) -> pd.DataFrame:
-    """Return the rows of a run's data set and of the tasks that have their own."""
-    expected = linkability["consumer"].map(lambda name: dataset_of(name, dataset=dataset))
-    return linkability[linkability["dataset"] == expected]
-
-
-def _panels() -> list[_Panel]:
-    return [_Panel(scheme, adding) for scheme in (FID, FIXED) for adding in ADDING_SUFFIX]
+def _words(run: Results) -> str:
+    parts = []
+    for task in run.tasks:
+        source = run.link_of(task)
+        levels = {
+            where: block[source]
+            for where, block in task.cells.items()
+            if source in block and np.isfinite(block[source]["rank1"])
+        }
+        if not levels:
+            continue
+        said = [
+            f"{_PERCENT * row['rank1']:.0f} % at {name}"
+            for (name, level), row in levels.items()
+            if level is None
+        ]
+        noisy = [_PERCENT * row["rank1"] for (_, level), row in levels.items() if level is not None]
+        if noisy:
+            said.append(f"{min(noisy):.0f} to {max(noisy):.0f} % with noise")
+        chance = _PERCENT * next(iter(levels.values()))["chance"]
+        parts.append(f"{task.name}: {source.label} {', '.join(said)}; chance {chance:.1f} %.")
+    return f"Lines of rank 1, a row for each task. {' '.join(parts)}"
 
 
 def _strongest(tasks: Sequence[LinkedTask]) -> list[Source]:
@@ -157,25 +194,26 @@ def _mean(task: LinkedTask, source: Source) -> float:
     return float(np.mean(values)) if values else -1.0
 
 
-def _row(task: LinkedTask, drawn: Sequence[Source]) -> _Row:
+def _row(task: LinkedTask, drawn: Sequence[Source], panels: Sequence[_Panel]) -> _Row:
     series = {}
-    for panel in _panels():
-        for source in drawn:
-            points = [
+    for source in drawn:
+        points = pd.DataFrame(
+            [
                 [
-                    level,
+                    mechanism,
+                    np.nan if level is None else level,
                     *(_PERCENT * block[source][key] for key in _ESTIMATE),
                     not remarks(block[source]),
                 ]
                 for (mechanism, level), block in task.cells.items()
-                if mechanism == panel.mechanism
-                and level is not None
-                and (level > 0 or not panel.scheme.log)
-                and source in block
-                and np.isfinite(block[source]["rank1"])
-            ]
-            if points:
-                series[panel, source] = pd.DataFrame(points, columns=["level", *_ESTIMATE, "links"])
+                if source in block and np.isfinite(block[source]["rank1"])
+            ],
+            columns=["mechanism", "level", *_ESTIMATE, "links"],
+        )
+        for panel in panels:
+            found = panel.scheme.of(points, panel.rule)
+            if len(found):
+                series[panel, source] = found
     return _Row(task=task, series=series)
 
 
@@ -192,7 +230,7 @@ def _draw(ax: Axes, row: _Row, *, panel: _Panel, looks: Mapping[Source, Look]) -
             zorder=1.6,
         )
     at_edge = (0.95, 1.0) if panel.scheme.log else (0.0, 0.06)
-    for source, value in row.alone("raw").items():
+    for source, value in row.alone(RAW).items():
         ax.plot(
             at_edge,
             [value, value],
@@ -222,28 +260,20 @@ def _draw(ax: Axes, row: _Row, *, panel: _Panel, looks: Mapping[Source, Look]) -
             figure_style.band(ax, x=level, low=estimate[1], high=estimate[2], look=look)
 
 
-def _say_short(ax: Axes, *, limit: float) -> None:
-    ax.text(0.03, 0.97, f"axis ends at {limit:g} %", transform=ax.transAxes, va="top")
-
-
 def _label(task: LinkedTask) -> str:
     is_simulated = task.name in TASKS and TASKS[task.name].simulated
     note = "simulated" if is_simulated else _NOTES.get(task.name, "")
     return "\n".join([task.name, *filter(None, [note and f"({note})"]), LABEL])
 
 
-def _name(source: Source) -> str:
-    return shortened(source.label, room=figure_style.NAME_LENGTH)
-
-
 def _legend(figure: Figure, rows: Sequence[_Row], looks: Mapping[Source, Look]) -> None:
-    drawn = {source for row in rows for _, source in row.series}
+    drawn = {source for row in rows for source in row.drawn}
     handles: list[Any] = [
-        figure_style.line_handle(_name(source), look)
+        figure_style.line_handle(shortened(source.label, room=figure_style.NAME_LENGTH), look)
         for source, look in looks.items()
         if source in drawn
     ]
-    if any(row.alone("raw") for row in rows):
+    if any(row.alone(RAW) for row in rows):
         handles.append(figure_style.black_handle("raw (at its edge)", dashes=":"))
     if any(row.alone(CLEAN) for row in rows):
         handles.append(figure_style.line_handle("ceiling (no error at all)", _CEILING_LOOK))
@@ -252,7 +282,7 @@ def _legend(figure: Figure, rows: Sequence[_Row], looks: Mapping[Source, Look]) 
             figure_style.black_handle("does not link, or is invalid", marker="o", hollow=True)
         )
     handles.append(figure_style.line_handle("chance", _CHANCE_LOOK))
-    crowded = any(len(row.banded) < len({source for _, source in row.series}) for row in rows)
+    crowded = any(len(row.banded) < len(row.drawn) for row in rows)
     only = f" (the {_MOST_BANDS} strongest)" if crowded else ""
     handles.append(figure_style.band_handle(f"95 % interval{only}"))
     figure_style.legend(figure, handles)

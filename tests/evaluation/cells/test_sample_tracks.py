@@ -1,0 +1,81 @@
+"""The gallery of tracks: whose they are, what leaks, and that the run folder gives it back."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from evaluation.cells import sample_tracks
+from evaluation.experiment.plan import plan
+from evaluation.experiment.settings import Settings
+from evaluation.runs import gallery as gallery_file
+from isac_track import plugins as registry
+from isac_track.errors import DataError
+
+
+def gallery(ready, *specs):
+    mechanisms = [plugin for spec in specs for plugin in registry.parse("mechanisms", spec)]
+    return sample_tracks.gallery_rows(
+        tracks=ready.tracks,
+        mechanisms=mechanisms,
+        attacks=(),
+        stages=ready.settings.stages,
+        seed=0,
+    )
+
+
+@pytest.fixture(scope="module")
+def found(ready):
+    return gallery(ready, "raw", "fid:1", "fid:100", "fixed:0.2", "fixed:0.8")
+
+
+@pytest.fixture(scope="module")
+def ready():
+    return plan(Settings(preset="smoke", dataset="plaza", scenes=2, attacks=(), tasks=()))
+
+
+class TestTheGallery:
+    def test_four_people_under_three_mechanisms(self, found):
+        assert list(found.columns) == sample_tracks.COLUMNS
+        assert list(found["mechanism"].unique()) == ["raw", "fid:1", "fixed:0.8"]
+        assert found["track"].nunique() == 4
+        assert set(found["attack"]) == {"radial_rts"}
+
+    def test_a_leak_is_a_place_within_epsilon_of_the_truth(self, found):
+        for what, leaked in (("shared", "leaked_shared"), ("rec", "leaked_rec")):
+            distance = np.hypot(
+                found[f"x_{what}"] - found["x_true"], found[f"y_{what}"] - found["y_true"]
+            )
+            sure = abs(distance - 0.3) > 0.002  # positions are kept in millimetres
+            np.testing.assert_array_equal((distance < 0.3)[sure], found[leaked][sure])
+
+    def test_the_truth_is_the_same_whatever_is_shared(self, found):
+        raw, fid = (found[found["mechanism"] == name] for name in ("raw", "fid:1"))
+        np.testing.assert_array_equal(raw[["t", "x_true"]], fid[["t", "x_true"]])
+        assert fid["leaked_shared"].mean() < raw["leaked_shared"].mean()
+
+    def test_without_any_error_everything_leaks(self, ready):
+        clean = gallery(ready, "clean")
+        assert clean["leaked_shared"].all()
+        np.testing.assert_array_equal(clean["x_shared"], clean["x_true"])
+
+    def test_samples_that_are_not_shared_are_not_shown(self, ready):
+        whole, thin = gallery(ready, "clean"), gallery(ready, "thin:4")
+        assert 0.2 < len(thin) / len(whole) < 0.3
+        assert (thin.groupby("track")["t"].diff().dropna() > 0).all()
+        # What is shared lies about the truth of its own instant, not of another one.
+        assert np.hypot(thin["x_shared"] - thin["x_true"], 0).median() < 1.0
+
+    def test_it_is_kept_and_read_again(self, found, tmp_path):
+        gallery_file.write_gallery([found], out=tmp_path)
+        pd.testing.assert_frame_equal(gallery_file.read_gallery(tmp_path), found)
+        assert gallery_file.read_gallery(tmp_path / "other") is None
+
+    @pytest.mark.parametrize("content", [b"no parquet", None])
+    def test_a_broken_one_is_an_error_that_says_what_to_do(self, tmp_path, content):
+        path = tmp_path / gallery_file.GALLERY
+        if content is None:
+            pd.DataFrame({"other": [1]}).to_parquet(path)
+        else:
+            path.write_bytes(content)
+        with pytest.raises(DataError, match="delete it"):
+            gallery_file.read_gallery(tmp_path)

@@ -1,0 +1,393 @@
+"""Figures over the level: what is drawn, that it is the numbers, and that odd data survive."""
+
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.finished_runs import (
+    INDEPENDENT,
+    STRONGEST,
+    emptied,
+    levels,
+    make_matched,
+    make_run,
+    make_summary,
+)
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures.after_attack import attack_figure
+from evaluation.reporting.figures.draw_all import draw_all
+from evaluation.reporting.figures.drawing import figures_of
+from evaluation.reporting.figures.headline import headline_figure, headline_lines
+from evaluation.reporting.figures.operating_points import operating_figure
+from evaluation.reporting.figures.sweep import sweep_figure
+from evaluation.reporting.schemes import compared_levels, schemes
+
+SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
+BOTH = levels(swept=SWEPT)
+LINEAR = levels(swept=SWEPT, rules=("",), others=[])
+STRANGERS = [
+    *levels(swept=SWEPT, rules=("",), others=[]),
+    *[("ou", at) for at in (0.2, 0.4, 0.8)],
+    *[("mine", at) for at in (1.0, 10.0, 1000.0)],
+]
+ODD_NAMES = [
+    "<script>",
+    "a_$b^{c}$ & \\d",
+    "広場 & 'x'",
+    "line\nbreak\x1b[31m",
+    "x" * 300,
+    "",
+]
+
+
+def scheme_of(frame, name):
+    return next(one for one in schemes(frame) if one.name == name)
+
+
+def sweep(frame, name, dataset="students03"):
+    known = [one for one in schemes(frame) if one.name == name]
+    with figure_style.style():
+        return sweep_figure(frame, scheme=known[0], dataset=dataset) if known else None
+
+
+def figures_from(frame, matched, dataset="students03"):
+    with figure_style.style():
+        found = [
+            sweep(frame, "fid", dataset),
+            sweep(frame, "fixed", dataset),
+            operating_figure(frame, matched, dataset=dataset),
+            attack_figure(frame, dataset=dataset),
+        ]
+        for figure in found:
+            if figure is not None:
+                figure.draw_without_rendering()
+    return found
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return figures_from(make_summary(BOTH), make_matched())
+
+
+@pytest.fixture(scope="module")
+def strangers():
+    return figures_from(make_summary(STRANGERS), make_matched())
+
+
+def lines_of(ax, linestyle=None):
+    return [
+        line
+        for line in ax.lines
+        if len(line.get_xdata()) > 1 and linestyle in (None, line.get_linestyle())
+    ]
+
+
+def named(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+class TestEveryFigure:
+    def test_axes_have_labels_with_a_unit_that_say_whose_positions_it_is_of(self, drawn):
+        for figure in drawn:
+            y = [ax.get_ylabel() for ax in figure.axes if ax.get_subplotspec().is_first_col()]
+            x = [ax.get_xlabel() for ax in figure.axes if ax.get_subplotspec().is_last_row()]
+            assert all(label.endswith(("(%)", "(s)", "(m)", "(1/(m² s))")) for label in [*x, *y])
+            private = [label for label in y if label != "Missed conflicts (%)"]
+            assert private
+            assert all("shared" in label for label in private)
+
+    def test_text_lies_within_it_is_readable_and_the_legend_below_the_panels(
+        self, drawn, strangers
+    ):
+        for figure in [*drawn, *strangers]:
+            renderer = FigureCanvasAgg(figure).get_renderer()
+            room = figure.bbox
+            legend = figure.legends[0].get_window_extent(renderer)
+            title = figure._suptitle.get_window_extent(renderer)
+            assert room.x0 <= legend.x0 <= legend.x1 <= room.x1
+            assert room.x0 <= title.x0 <= title.x1 <= room.x1
+            for ax in figure.axes:
+                panel = ax.get_tightbbox(renderer)
+                assert panel.y0 >= legend.y1
+                assert panel.y1 <= title.y0
+            assert figure.get_figwidth() in (3.5, 7.16)
+            assert all(
+                text.get_fontsize() >= 7
+                for text in figure.findobj(lambda a: hasattr(a, "get_fontsize"))
+            )
+
+    @pytest.mark.slow  # test_page.py compares two whole reports
+    def test_drawn_twice_the_files_are_the_same_bytes(self, tmp_path):
+        first = draw_all(make_run(at=LINEAR), folder=tmp_path / "a")
+        code = (
+            "import sys; from pathlib import Path; sys.path[:0] = sys.argv[1:3]\n"
+            "from test_levels import *\n"
+            "draw_all(make_run(at=LINEAR), folder=Path(sys.argv[3]))"
+        )
+        (tmp_path / "matplotlibrc").write_text("font.size: 30\nsvg.fonttype: none\n")
+        here = Path(__file__).parent
+        subprocess.run(
+            [sys.executable, "-c", code, here, here.parents[2], tmp_path / "b"],
+            check=True,
+            env=os.environ
+            | {"PYTHONHASHSEED": "1", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc")},
+        )
+        for path in first:
+            assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+        assert not list((tmp_path / "a").glob(".*"))
+
+    @pytest.mark.parametrize("name", ODD_NAMES)
+    def test_odd_names_are_drawn_as_they_are(self, tmp_path, name):
+        frame = make_summary([("fid", 1.0), ("fid", 10.0)], dataset=name, attacks=())
+        frame = frame[frame["metric"] == "plr"]
+        run = make_run(dataset=name, **emptied(make_run()) | {"summary": frame})
+        paths = draw_all(run, folder=tmp_path)
+        assert {path.stem for path in paths} == {"fid_threshold", "headline"}
+        for path in paths:
+            if path.suffix == ".svg":
+                ET.parse(path)
+
+    def test_names_of_files_are_plain_and_each_is_there_once(self):
+        at = [("fid", 1.0), ("my.module:Mine,a=../x", 1.0), ("my.module:Mine,a=.._x", 2.0)]
+        names = [one.name for one in figures_of(make_run(at=at))]
+        assert len(set(names)) == len(names)
+        assert all(Path(name).name == name and not name.startswith(".") for name in names)
+        assert sum(name.startswith("sweep-my.module") for name in names) == 2
+
+    @pytest.mark.parametrize(
+        ("keep", "expected"),
+        [
+            (lambda f: f["mechanism"] == "fid", [True, False, True, False]),
+            (lambda f: f["mechanism"].isin(["raw", "fixed"]), [False, True, True, False]),
+            (lambda f: f["mechanism"] == "raw", [False] * 4),
+            (lambda f: f["consumer"] == "shared", [True, True, False, False]),
+            (lambda f: f["metric"] == "missed_conflict_rate", [True, True, False, False]),
+            (lambda f: f["level"].isna() | (f["level"] == 1.0), [True, True, True, False]),
+            (lambda f: f["dataset"] == "", [False] * 4),
+        ],
+    )
+    def test_missing_parts_leave_out_no_more_than_they_must(self, keep, expected):
+        frame = make_summary(LINEAR, attacks=())
+        found = figures_from(frame[keep(frame)], make_matched()[:0])
+        assert [figure is not None for figure in found] == expected
+
+    def test_unknown_intervals_and_values_and_zeros_do_not_stop_it(self):
+        frame = make_summary(LINEAR, attacks=())
+        frame[["ci_low", "ci_high"]] = np.nan
+        frame.loc[frame["metric"] == "ael", "value"] = np.nan
+        frame.loc[frame["metric"].isin(["mel", "missed_conflict_rate"]), "value"] = 0.0
+        matched = make_matched()
+        matched[["fid", "fid_low", "fixed_high"]] = np.nan
+        assert None not in figures_from(frame, matched)[:3]
+
+    @pytest.mark.parametrize(
+        ("value", "text"),
+        [(1.0, "1"), (0.25, "0.25"), (1000.0, "1000"), (1e4, "10⁴"), (1e12, "10¹²"), (0.0, "0")],
+    )
+    def test_numbers_are_short(self, value, text):
+        assert figure_style.number(value) == text
+
+
+class TestSchemes:
+    def test_a_strangers_mechanism_is_one_and_a_control_is_none(self):
+        assert [one.name for one in schemes(make_summary(levels()))] == ["fid", "fixed"]
+        names = [one.name for one in schemes(make_summary(STRANGERS))]
+        assert names == ["fid", "fixed", "ou", "mine"]
+
+    def test_without_a_rule_it_is_shown_under_both(self):
+        frame = make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])])
+        ou = scheme_of(frame, "ou")
+        assert ou.mechanisms == {"linear": "ou", "independent": "ou"}
+        assert ou.rules == ["linear"]
+        assert ou.rule_text("linear") == "any adding"
+        assert scheme_of(frame, "fid").mechanisms["independent"] == f"fid{INDEPENDENT}"
+        assert scheme_of(frame, "mine").rule_text("linear") == "linear adding"
+
+    def test_an_unknown_axis_is_logarithmic_where_levels_span_much(self):
+        frame = make_summary(STRANGERS)
+        assert [scheme_of(frame, name).log for name in ("fid", "fixed", "ou", "mine")] == (
+            [True, False, False, True]
+        )
+
+    def test_parameters_are_part_of_the_name_and_the_rule_is_not(self):
+        at = [("ou:tau=3", 1.0), ("ou:tau=3,adding=independent", 1.0), ("ou:tau=9", 1.0)]
+        assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3", "ou:tau=9"]
+
+    def test_compared_is_what_costs_most_nearly_the_same(self):
+        # Misses rise along the levels: fid 1 costs less than any fixed level of its rule.
+        assert compared_levels(make_summary(levels())) == [
+            ("raw", None),
+            ("fid", 1.0),
+            ("fixed", 0.4),
+            (f"fid{INDEPENDENT}", 1.0),
+            (f"fixed{INDEPENDENT}", 0.4),
+        ]
+        wheres = compared_levels(make_summary(STRANGERS))
+        assert ("ou", 0.2) in wheres
+        assert len(wheres) == len(set(wheres)) == 5
+        alone = compared_levels(make_summary([("raw", np.nan), ("ou", 0.2), ("ou", 0.8)]))
+        assert alone == [("raw", None), ("ou", 0.8)]
+
+
+class TestTheSweep:
+    def test_the_lines_are_the_numbers_of_the_frame_in_percent(self, drawn):
+        frame = make_summary(BOTH)
+        rows = frame[(frame["mechanism"] == "fid") & (frame["metric"] == "missed_conflict_rate")]
+        line = lines_of(drawn[0].axes[0], "-")[0]
+        np.testing.assert_array_equal(line.get_xdata(), [1.0, 1000.0, 1e5])
+        np.testing.assert_allclose(line.get_ydata(), 100 * rows["value"])
+        assert drawn[0].axes[0].get_xscale() == "log"
+        assert drawn[1].axes[0].get_xscale() == "linear"
+
+    def test_raw_is_a_dotted_line_at_its_value(self, drawn):
+        (raw,) = lines_of(drawn[0].axes[0], ":")
+        assert raw.get_ydata()[0] == pytest.approx(12.0)
+
+    def test_the_paper_is_marked_on_its_own_recording_in_linear_panels_only(self, drawn):
+        hollow = [
+            [line for line in ax.lines if line.get_markerfacecolor() == "white"]
+            for ax in drawn[0].axes[:2]
+        ]
+        values = sorted(line.get_ydata()[0] for line in hollow[0])
+        assert values == pytest.approx([10.5, 15.2, 30.5])
+        assert not hollow[1]
+        for other in (sweep(make_summary(BOTH), "fid", "plaza"),
+                      sweep(make_summary(STRANGERS), "ou")):  # fmt: skip
+            lines = [line for ax in other.axes for line in ax.lines]
+            assert not any(line.get_markerfacecolor() == "white" for line in lines)
+
+    def test_several_predictors_have_a_line_each_with_its_own_look(self):
+        names = [f"predictor_{n}" for n in range(7)]
+        figure = sweep(make_summary(LINEAR, predictors=names), "fid")
+        drawn = [line for line in lines_of(figure.axes[0]) if line.get_linestyle() != ":"]
+        assert len(drawn) == len({(one.get_color(), one.get_marker()) for one in drawn}) == 5
+
+    def test_a_strangers_mechanism_has_one_of_its_own(self):
+        figure = sweep(make_summary(STRANGERS), "ou")
+        assert [ax.get_title(loc="left") for ax in figure.axes[:1]] == ["any adding"]
+        assert list(lines_of(figure.axes[0], "-")[0].get_xdata()) == [0.2, 0.4, 0.8]
+        names = {one.name for one in figures_of(make_run(at=STRANGERS))}
+        assert {"fid_threshold", "fixed_error", "sweep-ou", "sweep-mine"} <= names
+
+    def test_an_attack_that_bears_the_name_of_a_predictor_is_not_drawn_as_one(self):
+        odd = make_summary(LINEAR, attacks=[("least_squares", "blind"), ("shared", "blind")])
+        more = odd[odd["knowledge"] != ""].assign(metric="missed_conflict_rate")
+        for name in ("fid", "fixed"):
+            one, other = sweep(pd.concat([odd, more]), name), sweep(make_summary(LINEAR), name)
+            for ax, same in zip(one.axes, other.axes, strict=True):
+                for line, same_line in zip(lines_of(ax), lines_of(same), strict=True):
+                    np.testing.assert_array_equal(line.get_ydata(), same_line.get_ydata())
+
+
+class TestThePlane:
+    def test_it_shows_the_matched_curve_and_the_measured_points(self, drawn):
+        ax = drawn[2].axes[0]
+        fid, fixed = lines_of(ax, "-")[0], lines_of(ax, "--")[0]
+        np.testing.assert_allclose(fid.get_xdata(), [12, 18, 22])
+        np.testing.assert_allclose(fid.get_ydata(), 20)
+        np.testing.assert_allclose(fixed.get_ydata(), 40)
+        markers = [line for line in ax.lines if line.get_linestyle() == "None"]
+        assert [len(line.get_xdata()) for line in markers] == [3, 3, 1]
+
+    def test_strangers_are_on_it_one_without_a_rule_in_both_rows(self, strangers):
+        assert {"ou", "mine"} <= set(named(strangers[2]))
+        points = [[line for line in ax.lines if line.get_linestyle() == "None"]
+                  for ax in strangers[2].axes[::3]]  # fmt: skip
+        assert [len(of) for of in points] == [5, 2]  # raw is one of each
+
+
+class TestAfterAttack:
+    def test_drawn_is_the_adversary_who_knows_most_short_of_the_oracle(self, drawn):
+        assert named(drawn[3])[:6] == [
+            "as shared",
+            "moving_average (informed)",
+            "savgol (informed)",
+            "kalman_rts (informed)",
+            "radial_rts (informed)",
+            "averaging (oracle), a reference",
+        ]
+
+    def test_the_lines_are_the_numbers_of_the_frame_and_the_oracle_is_set_apart(self, drawn):
+        frame = make_summary(BOTH)
+        panels = ["fid", f"fid{INDEPENDENT}", "fixed", f"fixed{INDEPENDENT}"]
+        for ax, mechanism in zip(drawn[3].axes, panels, strict=True):
+            lines = [line for line in lines_of(ax) if line.get_linestyle() != ":"]
+            hollow = [line.get_markerfacecolor() == "white" for line in lines]
+            assert hollow == [False] * 5 + [True]
+            assert len({(line.get_color(), line.get_marker()) for line in lines}) == 6
+            kalman = frame[
+                (frame["mechanism"] == mechanism)
+                & (frame["consumer"] == "kalman_rts")
+                & (frame["knowledge"] == "informed")
+                & (frame["metric"] == "plr")
+            ]
+            np.testing.assert_allclose(lines[3].get_ydata(), 100 * kalman["value"])
+            raws = lines_of(ax, ":")
+            assert len(raws) == 6
+            assert tuple(raws[0].get_xdata()) == (0.0, 1.0)
+
+    def test_strangers_have_a_row_each(self, strangers):
+        titles = [ax.get_title(loc="left") for ax in strangers[3].axes]
+        assert [title for title in titles if title.startswith(("ou", "mine"))] == (
+            ["ou, any adding"] * 2 + ["mine, linear adding"]
+        )
+
+    def test_without_an_attack_or_a_level_there_is_none(self):
+        def draw(frame):
+            return attack_figure(frame, dataset="students03")
+
+        assert draw(make_summary(attacks=())) is None
+        assert draw(make_summary(attacks=[("identity", "blind")])) is None
+        attacked = make_summary(LINEAR, attacks=[("averaging", "oracle")])
+        assert draw(attacked[attacked["mechanism"] == "raw"]) is None
+        assert draw(attacked[attacked["consumer"] == "shared"]) is None
+        only = draw(attacked[attacked["mechanism"] == "fixed"])
+        assert len(only.axes) == 1
+        assert named(only) == ["as shared", "averaging (oracle), a reference", "95 % interval"]
+
+    def test_more_attacks_than_looks_and_odd_names_do_not_stop_it(self):
+        many = [(f"mine_{n}:{'x' * 40}$_", "blind") for n in range(9)]
+        frame = make_summary(BOTH, attacks=[*many, *[(f"o{n}", "oracle") for n in range(4)]])
+        frame["ci_low"] = np.nan
+        figure = attack_figure(frame, dataset="students03")
+        assert len(lines_of(figure.axes[0])) == 2 * (1 + 5 + 2)
+
+
+class TestTheHeadline:
+    def test_it_has_a_panel_for_each_scheme_and_three_lines(self):
+        run = make_run(at=STRANGERS)
+        with figure_style.style():
+            figure = headline_figure(run)
+        assert [ax.get_title(loc="left") for ax in figure.axes] == [
+            "FID-controlled sharing", "fixed added error", "ou", "mine"
+        ]  # fmt: skip
+        assert list(headline_lines(run)) == [
+            "PLR as shared: the descriptor",
+            "PLR after radial_rts (informed)",
+            "found again (rerelease, rank 1): shape@radial_rts (informed)",
+        ]
+        shared, after, linked = [one for one in lines_of(figure.axes[0])
+                                 if one.get_linestyle() != ":"]  # fmt: skip
+        plr = run.ours[(run.ours["mechanism"] == "fid") & (run.ours["metric"] == "plr")]
+        of = plr[plr["consumer"] == "shared"]
+        np.testing.assert_allclose(shared.get_ydata(), 100 * of["value"])
+        of = plr[(plr["consumer"] == "radial_rts") & (plr["knowledge"] == "informed")]
+        np.testing.assert_allclose(after.get_ydata(), 100 * of["value"])
+        block = run.tasks[0].cells["fid", 1.0][STRONGEST["rerelease"]]
+        assert linked.get_ydata()[0] == pytest.approx(100 * block["rank1"])
+
+    def test_it_is_told_in_numbers(self):
+        run = make_run(at=LINEAR, strongest={"": STRONGEST[""]})
+        (said,) = [one.words() for one in figures_of(run) if one.name == "headline"]
+        plr = run.ours[(run.ours["consumer"] == "radial_rts") & (run.ours["metric"] == "plr")]
+        plr = plr[(plr["knowledge"] == "informed") & (plr["mechanism"] == "fid")]["value"]
+        told = f"{100 * plr.iloc[0]:.1f} % at η = 1 to {100 * plr.iloc[-1]:.1f} % at η = 100000"
+        assert f"PLR after radial_rts (informed) {told}" in said
+        assert "mine 1" not in said

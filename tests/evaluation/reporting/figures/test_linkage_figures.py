@@ -1,0 +1,395 @@
+"""Figures of linkage: whose lines are drawn, that cells are the numbers, and what tells what."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.finished_runs import (
+    INDEPENDENT,
+    STRONGEST,
+    levels,
+    make_curves,
+    make_linkability,
+    make_run,
+    make_summary,
+)
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures.dissociation import dissociation_figure, dissociation_points
+from evaluation.reporting.figures.draw_all import draw_all
+from evaluation.reporting.figures.drawing import figures_of
+from evaluation.reporting.figures.false_alarms import curves_figure
+from evaluation.reporting.figures.linkability import linkage_figure
+from evaluation.reporting.figures.track_gallery import gallery_figure
+
+LEVELS = levels(swept=(("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0))), others=[])
+STRANGERS = [*levels(), *[("ou", at) for at in (0.2, 0.4, 0.8)]]
+ATTACKS = {"shape@radial_rts": 0.6, "shape": 0.5, "histogram": 0.3}
+TASKS = {
+    "rerelease": ATTACKS,
+    "split": dict.fromkeys(ATTACKS, 0.03),
+    "handover-2s": {"kinematic": 0.8, "histogram": 0.2, "dtw": 0.1},
+    "new_traversal": {"shape": 0.02, "behaviour": 0.03, "profile": 0.01},
+}
+
+
+def make_frame(tasks=TASKS, *, dataset="students03", at=LEVELS):
+    return make_linkability(at, tasks=tasks, dataset=dataset)
+
+
+def drawn_from(frame, dataset="students03", at=LEVELS):
+    run = make_run(dataset=dataset, at=at, linkability=frame)
+    with figure_style.style():
+        figure = linkage_figure(run)
+        if figure is not None:
+            figure.draw_without_rendering()
+    return figure
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return drawn_from(make_frame())
+
+
+def grid(figure):
+    return np.reshape(figure.axes, figure.axes[0].get_gridspec().get_geometry())
+
+
+def curves(ax):
+    """The lines over the level: neither those across a panel nor the hollow markers."""
+    return [line for line in ax.lines if line.get_marker() not in ("", "None", None)
+            and line.get_linestyle() != "None"]  # fmt: skip
+
+
+def across(ax):
+    return [line.get_ydata()[0] for line in ax.lines if tuple(line.get_xdata()) == (0, 1)]
+
+
+def named(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+class TestLinesOverTheLevel:
+    def test_each_task_has_a_row_and_each_way_of_adding_a_column(self, drawn):
+        axes = grid(drawn)
+        assert [ax.get_ylabel() for ax in axes[:, 0]] == [
+            "rerelease\n(upper bound)\nrank 1 (%)",
+            "split\nrank 1 (%)",
+            "handover-2s\nrank 1 (%)",
+            "new_traversal\n(simulated)\nrank 1 (%)",
+        ]
+        assert [ax.get_title(loc="left") for ax in axes[0]] == [
+            f"{scheme},\n{rule} adding"
+            for scheme in ("FID-controlled sharing", "fixed added error")
+            for rule in ("linear", "independent")
+        ]
+        assert [ax.get_xscale() for ax in axes[0]] == ["log", "log", "linear", "linear"]
+        assert all(ax.get_xlabel().endswith(("(m)", "(1/(m² s))")) for ax in axes[-1])
+
+    def test_a_strangers_mechanism_has_a_column(self):
+        figure = drawn_from(make_frame(at=STRANGERS), at=STRANGERS)
+        last = grid(figure)[0, -1]
+        assert last.get_title(loc="left") == "ou,\nany adding"
+        assert list(curves(last)[0].get_xdata()) == [0.2, 0.4, 0.8]
+
+    def test_the_lines_are_the_results_of_informed_adversaries_in_percent(self, drawn):
+        frame = make_frame()
+        of = (frame["cohort"] == "all") & (frame["knowledge"] == "informed")
+        panels = ["fid", f"fid{INDEPENDENT}", "fixed", f"fixed{INDEPENDENT}"]
+        for ax, mechanism in zip(grid(drawn)[0], panels, strict=True):
+            rows = frame[of & (frame["consumer"] == "rerelease/shape@radial_rts")]
+            rows = rows[rows["mechanism"] == mechanism]
+            line = curves(ax)[0]
+            np.testing.assert_array_equal(line.get_xdata(), rows["level"])
+            np.testing.assert_allclose(line.get_ydata(), 100 * rows["rank1"])
+            (edge, *_) = ax.collections
+            assert edge.get_datalim(ax.transData).y1 == pytest.approx(100 * rows["ci_high"].max())
+
+    def test_levels_in_any_order_are_drawn_by_rising_level(self):
+        figure = drawn_from(make_frame({"rerelease": ATTACKS}, at=LEVELS[::-1]))
+        for ax in grid(figure)[0]:
+            assert all(np.all(np.diff(line.get_xdata()) > 0) for line in curves(ax))
+
+    def test_the_strongest_of_each_task_come_first_and_look_alike_everywhere(self, drawn):
+        assert named(drawn)[:5] == [
+            "shape@radial_rts (informed)",
+            "kinematic (informed)",
+            "behaviour (informed)",
+            "shape (informed)",
+            "histogram (informed)",
+        ]
+        counts = [len(curves(ax)) for ax in grid(drawn)[:, 0]]
+        assert counts == [3, 3, 2, 2]
+        handles = drawn.legends[0].get_lines()
+        looks = {line.get_color(): line.get_marker() for line in handles[:5]}
+        assert len(looks) == 5
+        for ax in drawn.axes:
+            assert all(looks[line.get_color()] == line.get_marker() for line in curves(ax))
+        shape = handles[3].get_color()
+        has_shape = [
+            any(one.get_color() == shape for one in curves(ax)) for ax in grid(drawn)[:, 0]
+        ]
+        assert has_shape == [True, True, False, True]
+        assert "by mean rank 1" in drawn._suptitle.get_text()
+
+    def test_strength_is_that_over_the_levels_without_raw_and_the_ceiling(self):
+        frame = make_frame({"rerelease": {"shape": 0.5, "dtw": 0.6}})
+        alone = frame["level"].isna() & (frame["consumer"] == "rerelease/shape")
+        frame.loc[alone, "rank1"] = 1.0
+        assert named(drawn_from(frame))[:2] == ["dtw (informed)", "shape (informed)"]
+
+    def test_a_task_near_chance_has_a_shorter_axis_and_says_so(self, drawn):
+        tops = [ax.get_ylim()[1] for ax in grid(drawn)[:, 0]]
+        assert tops == pytest.approx([103.0, 10.3, 103.0, 10.3])
+        notes = [[text.get_text() for text in ax.texts] for ax in grid(drawn)[:, 0]]
+        assert notes == [[], ["axis ends at 10 %"], [], ["axis ends at 10 %"]]
+        for in_row in grid(drawn):
+            assert len({ax.get_ylim() for ax in in_row}) == 1
+        frame = make_frame({"split": {"shape": 0.03}})
+        frame.loc[frame["ci_high"] > 0.02, "ci_high"] = 0.4
+        assert drawn_from(frame).axes[0].get_ylim()[1] == pytest.approx(103.0)
+
+    def test_chance_the_ceiling_and_raw_are_there(self, drawn):
+        for ax in grid(drawn)[2]:
+            assert across(ax) == pytest.approx([0.72, 80.0])
+        raws = [line for line in grid(drawn)[2, 0].lines if line.get_linestyle() == ":"]
+        assert [line.get_ydata()[0] for line in raws] == pytest.approx([80 / 1.1, 20 / 1.1])
+        assert {tuple(line.get_xdata()) for line in raws} == {(0.95, 1.0)}
+        assert named(drawn)[5:] == [
+            "raw (at its edge)",
+            "ceiling (no error at all)",
+            "chance",
+            "95 % interval (the 2 strongest)",
+        ]
+        bare = make_frame()
+        bare = drawn_from(bare[bare["level"].notna()])
+        assert across(bare.axes[0]) == pytest.approx([0.72])
+        assert named(bare)[5:] == ["chance", "95 % interval (the 2 strongest)"]
+
+    def test_what_does_not_link_is_hollow(self):
+        frame = make_frame()
+        at = (frame["consumer"] == "rerelease/shape") & (frame["mechanism"] == "fid")
+        frame.loc[at & (frame["level"] == 1.0), "outcome"] = "no link detected"
+        frame.loc[at & (frame["level"] == 1000.0), "invalid"] = "clock"
+        figure = drawn_from(frame)
+        hollow = [
+            list(line.get_xdata())
+            for line in figure.axes[0].lines
+            if line.get_markerfacecolor() == "white" and len(line.get_xdata())
+        ]
+        assert hollow == [[1.0, 1000.0]]
+        assert "does not link, or is invalid" in named(figure)
+
+    def test_recorded_tasks_are_of_the_data_set_and_the_simulated_one_has_its_own(self):
+        other = make_frame({"rerelease": {"dtw": 0.9}}, dataset="plaza")
+        figure = drawn_from(pd.concat([make_frame(), other], ignore_index=True))
+        assert not any("dtw" in name for name in named(figure))
+        assert figure._suptitle.get_text().endswith("(new_traversal: plaza-two-sessions)")
+        assert figure._suptitle.get_text().startswith("students03: ")
+        only = drawn_from(make_frame({"new_traversal": ATTACKS}))
+        assert only._suptitle.get_text().startswith("plaza-two-sessions: ")
+        recorded = drawn_from(make_frame({"rerelease": ATTACKS}))
+        assert "plaza" not in recorded._suptitle.get_text()
+
+    def test_without_linkage_or_levels_there_is_none(self):
+        frame = make_frame()
+        assert drawn_from(frame[:0]) is None
+        assert drawn_from(frame[frame["knowledge"] == ""]) is None
+        assert drawn_from(frame[frame["level"].isna()]) is None
+        assert drawn_from(make_frame({"split": ATTACKS}), dataset="plaza") is None
+        frame["rank1"] = np.nan
+        assert drawn_from(frame) is None
+        frame = make_frame()
+        only = drawn_from(frame[frame["mechanism"] == "fixed"])
+        assert grid(only).shape == (4, 1)
+        assert only.get_figwidth() == 3.5
+
+    def test_text_lies_within_is_readable_and_the_legend_below_the_panels(self, drawn):
+        renderer = FigureCanvasAgg(drawn).get_renderer()
+        room = drawn.bbox
+        legend = drawn.legends[0].get_window_extent(renderer)
+        title = drawn._suptitle.get_window_extent(renderer)
+        for box in (legend, title):
+            assert room.x0 <= box.x0 <= box.x1 <= room.x1
+        for ax in drawn.axes:
+            panel = ax.get_tightbbox(renderer)
+            assert legend.y1 <= panel.y0 <= panel.y1 <= title.y0
+            assert room.x0 <= panel.x0 <= panel.x1 <= room.x1
+        assert drawn.get_figwidth() == 7.16
+        texts = drawn.findobj(lambda a: hasattr(a, "get_fontsize"))
+        assert min(text.get_fontsize() for text in texts) >= 7
+
+    def test_unknown_values_and_intervals_do_not_stop_it(self):
+        frame = make_frame()
+        frame[["ci_low", "ci_high"]] = np.nan
+        frame.loc[frame["level"] == 1000.0, "rank1"] = np.nan
+        figure = drawn_from(frame)
+        np.testing.assert_array_equal(curves(figure.axes[0])[0].get_xdata(), [1.0, 1e5])
+
+    @pytest.mark.parametrize("name", ["a_$b^{c}$ & \\d<x>", "広場", "x" * 200])
+    def test_odd_names_are_drawn_as_they_are_and_short(self, name):
+        frame = make_frame({"rerelease": {f"mine:{name}": 0.5}}, dataset=name)
+        (attack, *_) = named(drawn_from(frame, dataset=name))
+        assert attack.startswith("mine:")
+        assert attack.endswith(" (informed)")
+        assert len(attack) <= 40
+
+    def test_the_run_is_drawn_by_any_number_of_workers_alike(self, tmp_path):
+        run = make_run(at=levels(rules=("",)), gallery=make_gallery())
+        one, two = (draw_all(run, folder=tmp_path / f"{jobs}", jobs=jobs) for jobs in (1, 2))
+        assert {path.stem for path in one} == {figure.name for figure in figures_of(run)}
+        assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
+
+
+def heat(frame=None, at=None):
+    run = make_run(at=at, linkability=make_linkability(at) if frame is None else frame)
+    (drawing,) = [one for one in figures_of(run) if one.name == "heat_map-rerelease"]
+    with figure_style.style():
+        figure = drawing.draw()
+    return figure, drawing.words()
+
+
+def heads(ax):
+    return [label.get_text() for label in ax.get_xticklabels()]
+
+
+class TestTheHeatMap:
+    def test_columns_run_from_no_error_to_the_controls(self):
+        linear = heat(at=STRANGERS)[0].axes[0]
+        assert heads(linear) == [
+            "clean", "raw", "1000", "1", "0.4", "0.7", "1", "0.2", "0.4", "0.8", "offset 0.4",
+            "correlated 0.5", "thin 4 Δσ=0.75",
+        ]  # fmt: skip
+        above = [text.get_text() for text in linear.texts]
+        assert above[-1] in ("level of ou", "ou")
+
+    def test_a_strangers_mechanism_without_a_rule_stands_in_both_blocks(self):
+        for ax in heat(at=STRANGERS)[0].axes:
+            assert heads(ax)[7:10] == ["0.2", "0.4", "0.8"]
+
+    def test_the_image_holds_rank_1_in_percent_and_each_number_is_printed(self):
+        frame = make_linkability()
+        linear, independent = heat(frame)[0].axes
+        values = linear.images[0].get_array()
+        assert values.shape == (6, 2 + 2 + 3 + 3)
+        raw = frame[(frame["mechanism"] == "raw") & (frame["consumer"] == "rerelease/shape")]
+        assert values[0, 1] == pytest.approx(100 * raw["rank1"].iloc[0])
+        assert independent.images[0].get_array().shape == (6, 2 + 2 + 3 + 2)
+        printed = sum(
+            len(line.get_xdata()) for line in linear.lines if line.get_linestyle() == "None"
+        )
+        assert printed == sum(len(f"{value:.0f}") for value in values.flat)
+
+    def test_marks_say_what_is_not_to_be_read_and_a_leak_is_crossed_out(self):
+        frame = make_linkability()
+        frame.loc[frame["mechanism"] == "raw", "invalid"] = "frame"
+        frame.loc[frame["mechanism"] == "fid", "outcome"] = "attack too weak"
+        frame.loc[frame["mechanism"] == "fixed", "outcome"] = "no link detected"
+        figure, words = heat(frame)
+        crosses, _ = figure.axes[0].collections
+        segments = crosses.get_segments()
+        assert len(segments) == 2 * 6
+        assert {tuple(np.sort(segment[:, 0])) for segment in segments} == {(0.5, 1.5)}
+        values = figure.axes[0].images[0].get_array()
+        printed = sum(
+            len(one.get_xdata()) for one in figure.axes[0].lines if one.get_linestyle() == "None"
+        )
+        # One sign instead of a number under fid, one more before it under fixed.
+        told = sum(len(f"{value:.0f}") for value in np.delete(values, [2, 3], axis=1).flat)
+        assert printed == told + 6 * 2 + 6 * 3
+        marks = {"crossed out: a shortcut leaks", "~  no link detected", "?  attack too weak"}
+        assert marks <= set(named(figure))
+        assert "66 links, 18 no link detected, 12 attack too weak; 6 invalid" in words
+
+
+class TestDescriptorAgainstLinkability:
+    def drawn(self, at, **changes):
+        run = make_run(at=at, **changes)
+        with figure_style.style():
+            figure = dissociation_figure(run, run.tasks[0])
+            if figure is not None:
+                figure.draw_without_rendering()
+        return figure
+
+    def test_points_pair_the_descriptor_with_rank_1_of_one_level(self):
+        frame = make_summary()
+        run = make_run(summary=frame[frame["mechanism"] != "clean"])
+        source = STRONGEST["rerelease"]
+        points = dissociation_points(run.ours, run.tasks[0], source=source)
+        assert "clean" not in set(points["mechanism"])  # its descriptors were not measured
+        offset = points[points["mechanism"] == "offset"].iloc[0]
+        plr = frame[(frame["mechanism"] == "offset") & (frame["metric"] == "plr")]
+        assert offset["plr"] == plr["value"].iloc[0]
+        assert offset["rank1"] == run.tasks[0].cells["offset", 0.4][source]["rank1"]
+
+    def test_controls_are_marked_and_a_descriptor_of_zero_is_on_the_axis(self):
+        frame = make_summary()
+        frame.loc[frame["mechanism"] == "offset", "value"] = 0.0
+        figure = self.drawn(None, summary=frame)
+        assert len(figure.axes) == 6
+        labels = set(named(figure))
+        assert {"control: offset", "control: correlated", "control: thin"} <= labels
+        ael = figure.axes[1]
+        assert ael.get_xscale() == "symlog"
+        (diamond,) = [line for line in ael.lines if line.get_marker() == "D"]
+        assert list(diamond.get_xdata()) == [0.0]
+        low, high = ael.get_xlim()
+        assert low < 0.0 < high
+
+    def test_a_strangers_mechanism_is_a_line_under_both_rules_and_no_control(self):
+        figure = self.drawn(STRANGERS)
+        labels = named(figure)
+        assert "ou" in labels
+        assert "control: ou" not in labels
+        colour = figure.legends[0].get_lines()[labels.index("ou")].get_color()
+        for ax in figure.axes[::3]:
+            lines = [one for one in ax.lines if one.get_color() == colour]
+            assert [len(one.get_xdata()) for one in lines if one.get_linestyle() != "None"] == [3]
+
+    def test_without_a_sweep_there_is_none(self):
+        assert self.drawn([("raw", np.nan), ("offset", 0.4)]) is None
+
+
+class TestMissesAndFalseAlarms:
+    def test_every_score_is_a_line_in_percent_at_levels_that_cost_alike(self):
+        frame = make_summary(STRANGERS)
+        with figure_style.style():
+            figure = curves_figure(make_curves(STRANGERS), frame, dataset="students03")
+        assert [ax.get_title(loc="left") for ax in figure.axes[:4]] == [
+            "raw", "fid, η = 1, linear adding", "fixed, 0.4 m, linear adding", "ou, 0.2, any adding"
+        ]  # fmt: skip
+        lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) > 1]
+        assert len(lines) == 2
+        np.testing.assert_allclose(lines[0].get_xdata(), [0, 50, 100])
+        np.testing.assert_allclose(lines[0].get_ydata(), [100, 50, 0])
+        (point,) = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 1]
+        assert point.get_xydata().tolist() == [[pytest.approx(12.0), pytest.approx(12.0)]]
+        assert curves_figure(make_curves()[:0], frame, dataset="students03") is None
+
+
+def make_gallery():
+    """As `gallery.parquet`: four straight walks, every other shared sample leaks."""
+    t = np.arange(8.0)
+    return pd.concat(
+        pd.DataFrame(
+            {
+                "track": track, "source": f"p{track}", "mechanism": mechanism,
+                "attack": "radial_rts", "epsilon_m": 0.3, "t": t, "x_true": t, "y_true": track,
+                "x_shared": t + 0.1, "y_shared": track + 0.2, "x_rec": t, "y_rec": track + 0.1,
+                "leaked_shared": t % 2 == 0, "leaked_rec": t > 1,
+            }
+        )
+        for track in range(4)
+        for mechanism in ("raw", "fid:1", "fixed:0.8")
+    )  # fmt: skip
+
+
+class TestTheGallery:
+    def test_it_has_a_panel_for_each_and_says_what_leaks(self):
+        with figure_style.style():
+            figure = gallery_figure(make_gallery())
+            figure.draw_without_rendering()
+        assert len(figure.axes) == 4 * 3
+        said = next(text.get_text() for text in figure.axes[0].texts)
+        assert said == "leaks: shared 50 %, rebuilt 75 %"
+        assert gallery_figure(make_gallery().head(0)) is None

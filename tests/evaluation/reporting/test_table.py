@@ -1,0 +1,266 @@
+"""A table in each of its four ways: nothing lost, nothing misread, lines that fit."""
+
+import csv
+import io
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from evaluation.reporting.markup import escape, html, latex, markdown, to_csv
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    amount,
+    built,
+    decision,
+    number,
+    said,
+    table,
+    word,
+    words,
+)
+from evaluation.reporting.terminal import PIPE_WIDTH, show_table, standard_output
+
+ODD = ["<script>", "[red]x[/red]", "[/]", ":smile:", "$a_b%&#{}~^\\|", "\x1b[31mx"]
+
+
+def make_table(*, n_columns=3, n_rows=4, names=("fid", "fixed"), notes=(), marks=None, mark=""):
+    columns = [*words("mechanism"), Column("level")]
+    columns += [
+        Column(f"m_{n}", "%", above="linear" if n else "", weight=n) for n in range(n_columns)
+    ]
+    rows = [
+        [
+            word(name),
+            number(place, digits=0),
+            *(number(0.1 * n + place, place, place + 1, mark=mark) for n in range(n_columns)),
+        ]
+        for name in names
+        for place in range(1, n_rows + 1)
+    ]
+    return table("some", "A title", columns, rows, notes=notes, marks=marks, n_headings=1, n_keys=2)
+
+
+def printed(one, *, width=120, encoding="utf-8", **options):
+    raw = io.BytesIO()
+    file = io.TextIOWrapper(raw, encoding=encoding, write_through=True)
+    show_table(one, console=Console(file=file, width=width, highlight=False, **options))
+    return raw.getvalue().decode(encoding)
+
+
+def body_of(tex):
+    return "\n".join(line for line in tex.splitlines() if not line.startswith("%"))
+
+
+def assert_well_formed(tex):
+    """Braces are balanced, special characters escaped, rows as long as their tabular is wide."""
+    body = body_of(tex)
+    bare = re.sub(r"\\[{}]", "", body)
+    depth = np.cumsum([{"{": 1, "}": -1}.get(c, 0) for c in bare])
+    assert depth.min() >= 0
+    assert depth[-1] == 0
+    assert not re.search(r"(?<!\\)[_#%~]|(?<!\\)\^", body)
+    assert body.count(r"\begin{tabular}") == body.count(r"\end{tabular}")
+    columns = None
+    for line in body.splitlines():
+        if line.startswith(r"\begin"):
+            columns = len(line.split("{")[-1].rstrip("}"))
+        elif line.endswith(r"\\") and "multicolumn" not in line:
+            assert len(re.findall(r"(?<!\\)&", line)) == columns - 1
+
+
+class TestCells:
+    @pytest.mark.parametrize(
+        ("given", "text"),
+        [
+            ((0.187, 0.184, 0.191), "18.7 [18.4, 19.1]"),
+            ((0.187,), "18.7"),
+            ((0.187, np.nan, np.nan), "18.7"),
+            ((np.nan, 0.1, 0.2), ""),
+            ((None,), ""),
+        ],
+    )
+    def test_a_number_stands_with_its_interval(self, given, text):
+        assert number(*given, scale=100.0).full == text
+        assert amount("plr", *given).full == text
+
+    def test_it_is_sorted_by_the_number_that_is_shown(self):
+        assert number(0.187, scale=100.0).value == pytest.approx(18.7)
+        assert word("as shared").value is None
+        assert word(np.nan) == word(None) == Cell()
+
+    def test_a_column_of_numbers_is_one_even_with_gaps(self):
+        rows = [[word("a"), number(None)], [word("b"), number(1.0)]]
+        assert table("x", "x", [*words("name"), Column("n")], rows).numeric == (False, True)
+
+    def test_a_row_has_a_cell_for_each_column(self):
+        with pytest.raises(ValueError, match="table x: rows need 1 cells"):
+            table("x", "x", words("name"), [[word("a"), word("b")]])
+
+    def test_columns_make_the_cells_of_records(self):
+        one = built("x", "x", [{"a": 1, "b": 2}], [said("a"), said("c", "b"), said("d", len)])
+        assert [cell.text for cell in one.rows[0]] == ["1", "2", "2"]
+
+
+class TestTheTerminal:
+    def test_rows_stand_below_their_heading_and_values_before_intervals(self):
+        lines = printed(make_table(n_columns=1)).splitlines()
+        assert lines[1] == "A title"
+        assert lines[3] == "fid"
+        assert lines[4].split() == ["1", "1.0", "1.0-2.0"]
+        assert lines[8] == "fixed"
+
+    def test_a_short_name_without_a_level_stands_in_its_own_row(self):
+        one = make_table(n_columns=1)
+        rows = [[word("raw"), Cell(), number(5.0)], *one.rows]
+        text = printed(table("x", "x", one.columns, rows, n_headings=1, n_keys=2))
+        assert re.search(r"^ *raw +5\.0", text, flags=re.MULTILINE)
+
+    @pytest.mark.parametrize("width", [40, 60, 80, 100, 116, 200])
+    def test_no_line_is_wider_and_columns_line_up(self, width):
+        text = printed(make_table(n_columns=8), width=width)
+        lines = text.splitlines()
+        assert max(map(len, lines)) <= width
+        assert text.count("m_") == 8  # whatever is split, nothing is left out
+        for part in text.split("A title")[1:]:
+            numbers = [line for line in part.splitlines() if re.match(r"^ *\d ", line)]
+            assert len(numbers) == 8
+            assert len({len(line) for line in numbers}) == 1
+
+    def test_intervals_go_before_columns_and_light_ones_first(self):
+        def intervals(width):
+            rows = [
+                line for line in printed(make_table(), width=width).splitlines() if "1.0" in line
+            ]
+            return [bool(re.search(rf"{n}  ?\S+-", rows[0])) for n in ("1.0", "1.1", "1.2")]
+
+        full = max(map(len, printed(make_table()).splitlines()))
+        assert intervals(full) == [True, True, True]
+        assert intervals(full - 1) == [False, True, True]
+        assert intervals(full - 8) == [False, False, True]
+        assert "where there is room" in printed(make_table(), width=full - 1)
+        assert "where there is room" not in printed(make_table(), width=full)
+
+    def test_marks_are_explained_where_they_are_used_and_values_line_up(self):
+        marks = {"~": "no link detected", "?": "too weak"}
+        text = printed(make_table(n_columns=1, mark="~", marks=marks))
+        assert "(~ no link detected)" in text
+        assert "?" not in text
+        assert "1.0~ 1.0-2.0" in text
+
+    def test_signed_intervals_are_in_brackets(self):
+        one = table("x", "x", [Column("d")], [[number(-1.0, -2.0, 1.0, sign="+")]])
+        assert "-1.0 [-2.0, +1.0]" in printed(one)
+
+    def test_missing_numbers_are_a_dash(self):
+        one = make_table(n_columns=1)
+        rows = [[*row[:2], number(None)] for row in one.rows]
+        text = printed(table("x", "x", one.columns, rows, n_headings=1, n_keys=2))
+        assert len(re.findall(r"^ *\d +-$", text, flags=re.MULTILINE)) == 8
+
+    def test_long_words_wrap_and_long_columns_are_left_out(self):
+        columns = [*words("claim"), Column("n"), Column("why", align="left", is_long=True)]
+        text = printed(
+            table("x", "x", columns, [[word("it falls " * 20), number(1.0), word("evidence")]]),
+            width=60,
+        )
+        assert max(map(len, text.splitlines())) <= 60
+        assert text.count("it falls") == 20
+        assert "evidence" not in text
+
+    @pytest.mark.parametrize("name", ODD)
+    def test_names_are_shown_literally(self, name):
+        assert name.replace("\x1b", "?") in printed(make_table(names=(name,)))
+
+    def test_without_colours_nothing_is_lost_and_ascii_terminals_survive(self, monkeypatch):
+        coloured = printed(make_table(), force_terminal=True, color_system="truecolor")
+        assert re.sub(r"\x1b\[[0-9;]*m", "", coloured) == printed(make_table())
+        monkeypatch.setenv("NO_COLOR", "1")
+        assert not re.search(r"\x1b\[[0-9;]*3\dm", printed(make_table(), force_terminal=True))
+        assert "??" in printed(make_table(names=("広場",)), encoding="ascii")
+
+    def test_piped_output_has_a_fixed_width(self, monkeypatch):
+        monkeypatch.delenv("COLUMNS", raising=False)
+        assert standard_output().width == PIPE_WIDTH
+
+    def test_of_a_table_without_rows_nothing_is_printed(self):
+        assert printed(make_table(names=())) == ""
+
+
+class TestLatex:
+    def test_it_is_balanced_and_escaped_whatever_the_names(self):
+        text = latex(
+            [make_table(names=ODD, notes=["a_b%"]), make_table(mark="~", marks={"~": "~x"})]
+        )
+        assert_well_formed(text)
+        assert text.count(r"\toprule") == 2
+        assert r"\textasciitilde{} \textasciitilde{}x" in text
+
+    def test_every_special_character_is_escaped(self):
+        assert escape("a_b%$&#{}") == r"a\_b\%\$\&\#\{\}"
+        assert escape("\\~^<>|") == (
+            r"\textbackslash{}\textasciitilde{}\textasciicircum{}\textless{}\textgreater{}"
+            r"\textbar{}"
+        )
+
+    def test_values_stand_with_their_intervals_and_marks(self):
+        text = latex([make_table(n_columns=1, mark="?", marks={"?": "weak"})])
+        assert r"fid & 1 & 1.0\textsuperscript{?} {\scriptsize [1.0, 2.0]} \\" in text
+        signed = latex([table("x", "x", [Column("d")], [[number(-4.5)], [number(None)]])])
+        assert "$-4.5$ \\\\\n-- \\\\" in signed
+
+    def test_many_intervals_stand_below_and_more_columns_in_further_tabulars(self):
+        text = latex([make_table(n_columns=23)])
+        assert_well_formed(text)
+        specs = re.findall(r"begin{tabular}{(l+r+)}", text)
+        assert [len(spec) for spec in specs] == [12, 12, 5]
+        assert "\n &  & {\\scriptsize [1.0, 2.0]} & " in text
+        assert text.count(" & linear & ") > 0
+
+
+class Tags(HTMLParser):
+    def __init__(self, text):
+        super().__init__()
+        self.names, self.text = [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.names.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+class TestHtmlMarkdownAndCsv:
+    @pytest.mark.parametrize("name", ODD)
+    def test_a_name_is_a_word_on_a_page(self, name):
+        tags = Tags(html(make_table(names=(name,))))
+        assert {tag for tag, _ in tags.names} == {
+            "div", "table", "caption", "thead", "tr", "th", "button", "tbody", "td",
+        }  # fmt: skip
+        assert name in tags.text
+
+    def test_cells_hold_what_they_are_sorted_by(self):
+        tags = Tags(html(make_table(n_columns=1, n_rows=1, names=("fid",))))
+        assert [a.get("data-value") for tag, a in tags.names if tag == "td"] == [None, "1", "1"]
+
+    def test_decisions_are_a_sign_a_word_and_a_colour(self):
+        text = html(table("x", "x", words("decision"), [[decision("does not track")]]))
+        assert '<td class="t bad">✗ does not track</td>' in text
+
+    def test_markdown_has_as_many_cells_in_every_line(self):
+        lines = markdown(make_table(names=("a|b", "<i>"))).splitlines()
+        assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
+        assert lines[1] == "| :-- | --: | --: | --: | --: |"
+        assert lines[2].endswith("| 1.2 [1.0, 2.0] |")
+        assert "<i>" not in "".join(lines)
+
+    def test_csv_gives_the_cells_back(self):
+        one = make_table(names=('a "b", c',))
+        rows = list(csv.reader(io.StringIO(to_csv(one))))
+        assert rows[0] == [column.head for column in one.columns]
+        assert rows[1:] == [[cell.full for cell in row] for row in one.rows]
