@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.runs import rows_of
 
 import evaluation
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Key
 from evaluation.analysis.weak_attacks import COLUMNS
 from evaluation.results import build
-from evaluation.runs import cell_files
 from evaluation.runs import folder as store
 from isac_track.intervals import Estimate, percentile_interval
 
@@ -309,14 +309,9 @@ def test_a_bad_attack_in_a_real_run_is_flagged_in_the_file_and_the_frame(results
 
 def test_what_a_slow_attack_saw_is_what_others_are_read_on(results):
     once = flags.on_first_releases(results.out, results.manifest)
-    entries = [entry for entry in results.manifest["cells"] if entry["spec"] == "raw"]
-    paths = {
-        entry["consumer"]: [results.out / "cells" / name for name in entry["files"]]
-        for entry in entries
-    }
-    slow = cell_files.read_cells(paths["broken_for_flags:SlowBlur"], columns=["scene", "agent"])
-    fast = cell_files.read_cells(paths["identity"], columns=["scene", "agent", "plr"]).to_pandas()
-    seen = fast.merge(slow.to_pandas(), on=["scene", "agent"])
+    slow = rows_of(results.out, "raw", "broken_for_flags:SlowBlur", BLIND)[["scene", "agent"]]
+    fast = rows_of(results.out, "raw", "identity", BLIND)
+    seen = fast.merge(slow, on=["scene", "agent"])
     assert len(seen) == 24 < len(fast)
     value = once[Key("raw", None, "identity", "plr", BLIND)].value
     assert value == pytest.approx(seen["plr"].mean(), abs=1e-12)
