@@ -21,7 +21,7 @@ import pytest
 import evaluation
 from evaluation import matrix
 from evaluation.cells.progress import Failed, note, noted
-from evaluation.cells.scenes import Block
+from evaluation.cells.work import Block
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster

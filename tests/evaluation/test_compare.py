@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.runs import rows_of
 from helpers.small_runs import write_walks
 from rich.console import Console
 from scipy.stats import t as student
@@ -119,13 +120,7 @@ def row_of(comparison, *, metric="plr", mechanism="fixed", level=0.7, consumer="
 def plr_replicates(out, *, weights, groups=None, spec="fixed:0.7"):
     """PLR as shared and its replicates, straight from the cells."""
     manifest = read_manifest(out)
-    files = [
-        name
-        for entry in manifest["cells"]
-        if entry["kind"] == "shared" and entry["spec"] == spec
-        for name in entry["files"]
-    ]
-    rows = pd.concat([pd.read_parquet(out / "cells" / name) for name in files])
+    rows = rows_of(out, spec, "shared")
     by_group = rows.groupby("group", observed=True)["plr"].agg(["sum", "count"])
     by_group = by_group.reindex(groups or manifest["groups"]).fillna(0.0)
     value = by_group["sum"].sum() / by_group["count"].sum()

@@ -1,28 +1,29 @@
 """Mechanisms that share fewer samples, and the descriptors of what is linked, window by window."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.runs import arrays, linked_level_of
 
 import evaluation
 from attacks.tasks.build import build
 from attacks.tasks.sessions import Windows
 from attacks.tasks.task_list import TASKS
-from evaluation.cells.left_out import kept, reduced
-from evaluation.cells.link_setup import ground
-from evaluation.cells.linkage import link_level
-from evaluation.cells.scenes import Block, LinkWork, _share, cells, compute_block
-from evaluation.cells.windows import read_windows
+from evaluation.cells.link_setup import sensed_sessions
+from evaluation.cells.samples import restricted, samples_shared
+from evaluation.cells.sharing import share, share_block
+from evaluation.cells.windows import COLUMNS
+from evaluation.cells.work import Block, LinkWork, cells
 from evaluation.experiment.axes import Axes, Consumer, Link, axes
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
+from evaluation.runs.cell_files import read_windows
 from isac_track import plugins as registry
 from isac_track import privacy
 from isac_track.config import StageSettings
-from isac_track.errors import DataError, PluginError
+from isac_track.errors import PluginError
 from isac_track.plugins import Plugin
 from isac_track.protocols import grants
 from isac_track.rng import stream
@@ -110,14 +111,13 @@ class World:
         self.sensed = sense_scenes(self.scenes, settings=STAGES.sensing, seed=0)
 
     def share(self, by):
-        return _share(mechanism(by), self.sensed, ("block", 0), seed=0)
+        return share_block(mechanism(by), self.sensed, 0, seed=0)
 
     def rows(self, by, *consumers):
         levels = ((mechanism(by), consumers),)
         block = Block(number=0, first_scene=0, order=self.order, levels=levels)
-        return [
-            rows for *_, rows in compute_block(block, tracks=self.tracks, stages=STAGES, seed=0)
-        ]
+        found = cells(block, tracks=self.tracks, stages=STAGES, seed=0)
+        return [arrays(tables, tracks=self.tracks) for *_, tables in found]
 
 
 def attack(instance):
@@ -133,7 +133,7 @@ def world(tracks):
     return World(tracks)
 
 
-class TestWhatIsKept:
+class TestSamplesShared:
     SENSED = Sensed(
         t=np.array([0.0, 0.1, 0.2, 5.0, 5.1, 0.1, 0.2]),
         xy=np.arange(14.0).reshape(7, 2),
@@ -150,13 +150,13 @@ class TestWhatIsKept:
         return Release(t, np.zeros((t.size, 2)), None, np.array(offsets), names)
 
     def test_everything(self):
-        assert kept(self.released(self.SENSED.t, [0, 3, 5, 7]), self.SENSED) is None
+        assert samples_shared(self.released(self.SENSED.t, [0, 3, 5, 7]), self.SENSED) is None
 
     def test_some_of_each_track(self):
-        left = kept(self.released([0.0, 0.2, 5.1, 0.1, 0.2], [0, 2, 3, 5]), self.SENSED)
-        assert left.samples.tolist() == [0, 2, 4, 5, 6]
+        left = samples_shared(self.released([0.0, 0.2, 5.1, 0.1, 0.2], [0, 2, 3, 5]), self.SENSED)
+        assert left.rows.tolist() == [0, 2, 4, 5, 6]
         assert left.offsets.tolist() == [0, 2, 3, 5]
-        known = reduced(self.SENSED, left)
+        known = restricted(self.SENSED, left)
         assert known.t.tolist() == [0.0, 0.2, 5.1, 0.1, 0.2]
         assert known.xy[:, 0].tolist() == [0, 4, 8, 10, 12]
         assert known.sigma_raw.tolist() == [0, 2, 4, 5, 6]
@@ -166,16 +166,16 @@ class TestWhatIsKept:
     def test_as_many_but_of_other_tracks(self):
         # The times of all samples are those that were sensed; whose they are is not.
         with pytest.raises(ValueError, match=r"in track 0 nothing was sensed at 5 s"):
-            kept(self.released(self.SENSED.t, [0, 4, 5, 7]), self.SENSED)
+            samples_shared(self.released(self.SENSED.t, [0, 4, 5, 7]), self.SENSED)
 
     @pytest.mark.parametrize("at", [-1.0, 0.15, 0.2 + 1e-12, 9.0])
     def test_nothing_at_another_instant(self, at):
         with pytest.raises(ValueError, match=r"in track 2 nothing was sensed at .* left out, not"):
-            kept(self.released([0.0, 5.0, at], [0, 1, 2, 3]), self.SENSED)
+            samples_shared(self.released([0.0, 5.0, at], [0, 1, 2, 3]), self.SENSED)
 
     def test_no_track_is_dropped(self):
         with pytest.raises(ValueError, match="of 3 tracks it returned 2"):
-            kept(self.released([0.0, 5.0], [0, 1, 2]), self.SENSED)
+            samples_shared(self.released([0.0, 5.0], [0, 1, 2]), self.SENSED)
 
 
 class TestRefused:
@@ -336,23 +336,15 @@ def sessions():
 
 
 def linked(sessions, by, *links, controls=False):
-    """What a level's consumers make of a task, by consumer and adversary, and its ground."""
-    known = ground(sessions, groups=(), stages=STAGES, seed=0)
+    """What a level's consumers make of a task, by consumer and adversary, and its controls."""
+    known = sensed_sessions(sessions, groups=(), stages=STAGES, seed=0)
     task = sessions.task
     crossed = Axes(
         mechanisms=(), predictors=(), attacks=(), links=tuple((task, one) for one in links)
     )
     readers = [one for one in crossed.readers(task) if controls or one.kind != "control"]
     by = mechanism(by)
-    found = link_level(
-        by,
-        readers,
-        ground=known,
-        share=partial(_share, by, seed=0),
-        epsilon_m=EPSILON_M,
-        seed=0,
-    )
-    return {(one.spec, one.knowledge): result for one, result in found}, known
+    return linked_level_of(by, readers, known=known, epsilon_m=EPSILON_M, seed=0)
 
 
 @dataclass(frozen=True)
@@ -395,10 +387,11 @@ class TestLinkage:
 
     def test_what_only_times_tell_is_asked_anew(self, sessions):
         (shape,) = registry.parse("attacks", "shape")
-        whole, ground_of_all = linked(sessions["rerelease"], "raw", Link(shape), controls=True)
-        few, _ = linked(sessions["rerelease"], "thin:4", Link(shape), controls=True)
+        whole, at_all = linked(sessions["rerelease"], "raw", Link(shape), controls=True)
+        few, at_none = linked(sessions["rerelease"], "thin:4", Link(shape), controls=True)
+        assert at_none == {}
         key = "rerelease/control-sample_count", ""
-        assert ground_of_all.controlled["sample_count"] is whole[key]
+        assert at_all["sample_count"] is whole[key]
         assert not np.array_equal(whole[key].searches[0].scores, few[key].searches[0].scores)
 
     @pytest.mark.parametrize("task", ["rerelease", "handover-1s"])
@@ -410,23 +403,22 @@ class TestLinkage:
 
 
 class TestWindows:
-    def frame(self, sessions, by, tmp_path):
+    def frame(self, sessions, by, stages=STAGES):
         consumer = Consumer("windows", task=sessions.task.name)
         work = LinkWork(sessions=sessions, groups=(), levels=((mechanism(by), (consumer,)),))
-        ((_, _, one, content),) = cells(work, tracks=None, stages=STAGES, seed=0)
+        ((_, _, one, tables),) = cells(work, tracks=None, stages=stages, seed=0)
         assert one.spec == f"{sessions.task.name}/windows"
-        (tmp_path / "cell.parquet").write_bytes(content)
-        return read_windows(tmp_path / "cell.parquet")
+        return tables["rows"].to_pandas()
 
     @pytest.mark.parametrize("by", ["fixed:0.3,adding=independent", "thin:3,d_sigma=0.3"])
     @pytest.mark.parametrize(("side", "row"), [("probe", 0), ("gallery", 17)])
-    def test_a_window_by_hand(self, sessions, tmp_path, by, side, row):
+    def test_a_window_by_hand(self, sessions, by, side, row):
         task = sessions["rerelease"]
-        found = self.frame(task, by, tmp_path)
-        known = ground(task, groups=(), stages=STAGES, seed=0)
+        found = self.frame(task, by)
+        known = sensed_sessions(task, groups=(), stages=STAGES, seed=0)
         number = ("probe", "gallery").index(side)
         windows, sensed = getattr(task, side), known.sensed[number]
-        release = _share(mechanism(by), sensed, ("linkage", "rerelease", side), seed=0)[row]
+        release = share(mechanism(by), sensed, "linkage", "rerelease", side, seed=0)[row]
         window = slice(windows.offsets[row], windows.offsets[row + 1])
         t, xy = windows.t[window], windows.xy[window]
         held = np.isin(t, release.t)
@@ -449,44 +441,22 @@ class TestWindows:
         assert mine["ael_s"] == expected.ael_s[0]
         assert mine["mel_s"] == expected.mel_s[0]
 
-    def test_epsilon_is_the_setting(self, sessions, tmp_path):
-        consumer = Consumer("windows", task="rerelease")
+    def test_epsilon_is_the_setting(self, sessions):
         stages = StageSettings().changed({"privacy.epsilon_m": 0.6})
-        work = LinkWork(
-            sessions=sessions["rerelease"],
-            groups=(),
-            levels=((mechanism("fixed:0.7"), (consumer,)),),
-        )
-        ((*_, content),) = cells(work, tracks=None, stages=stages, seed=0)
-        (tmp_path / "wide.parquet").write_bytes(content)
-        wide = read_windows(tmp_path / "wide.parquet")
-        usual = self.frame(sessions["rerelease"], "fixed:0.7", tmp_path)
+        wide = self.frame(sessions["rerelease"], "fixed:0.7", stages)
+        usual = self.frame(sessions["rerelease"], "fixed:0.7")
         assert wide["plr"].mean() > usual["plr"].mean()
 
     @pytest.mark.parametrize("task", ["rerelease", "handover-1s"])
-    def test_there_is_one_row_for_each_window_of_either_side(self, sessions, tmp_path, task):
-        found = self.frame(sessions[task], "raw", tmp_path)
+    def test_there_is_one_row_for_each_window_of_either_side(self, sessions, task):
+        found = self.frame(sessions[task], "raw")
         sides = [sessions[task].probe, sessions[task].gallery]
         assert found["side"].tolist() == ["probe"] * len(sides[0]) + ["gallery"] * len(sides[1])
-        assert list(found.columns) == [
-            "side",
-            "search",
-            "source",
-            "group",
-            "n_samples",
-            "duration_s",
-            "path_m",
-            "speed_mps",
-            "sigma_m",
-            "sigma_raw_m",
-            "plr",
-            "ael_s",
-            "mel_s",
-        ]
+        assert tuple(found.columns) == COLUMNS
 
-    def test_the_walk_is_the_same_at_every_level(self, sessions, tmp_path):
+    def test_the_walk_is_the_same_at_every_level(self, sessions):
         raw, thin, clean = (
-            self.frame(sessions["rerelease"], by, tmp_path) for by in ("raw", "thin:4", "clean")
+            self.frame(sessions["rerelease"], by) for by in ("raw", "thin:4", "clean")
         )
         for name in ("source", "search", "duration_s", "path_m", "speed_mps"):
             assert raw[name].tolist() == thin[name].tolist() == clean[name].tolist()
@@ -494,15 +464,14 @@ class TestWindows:
         assert (clean["sigma_m"] == 0).all()
         assert (thin["n_samples"] < raw["n_samples"]).all()
 
-    def test_nothing_declared_is_no_number(self, sessions, tmp_path):
+    def test_nothing_declared_is_no_number(self, sessions):
         silent = Makes(lambda release: release.without_sigma())
-        found = self.frame(sessions["rerelease"], silent, tmp_path)
+        found = self.frame(sessions["rerelease"], silent)
         assert found["sigma_m"].isna().all()
         assert (found["sigma_raw_m"] > 0).all()
 
     def test_a_walk_of_one_sample_has_no_speed(self, sessions):
         task = sessions["rerelease"]
-        known = ground(task, groups=(), stages=STAGES, seed=0)
         short = replace(
             task,
             **{
@@ -517,17 +486,9 @@ class TestWindows:
             },
         )
         found, _ = linked(short, "raw")
-        assert known.sessions is task
         rows = found["rerelease/windows", ""]
         assert np.isnan(rows["speed_mps"]).all()
         assert (rows["path_m"] == 0).all()
-
-    def test_a_missing_or_broken_file_is_named(self, tmp_path):
-        with pytest.raises(DataError, match=r"gone\.parquet is missing; run the matrix again"):
-            read_windows(tmp_path / "gone.parquet")
-        (tmp_path / "bad.parquet").write_bytes(b"not parquet")
-        with pytest.raises(DataError, match=r"bad\.parquet cannot be read .*; delete it"):
-            read_windows(tmp_path / "bad.parquet")
 
 
 EVERY_OTHER = """
@@ -575,7 +536,7 @@ def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
     assert [(one["spec"], one["consumer"], one["knowledge"]) for one in entries] == [
         (spec, "rerelease/windows", "") for spec in ("clean", "raw", "sieves:EveryOther", "thin:3")
     ]
-    frames = [read_windows(settings.out / "cells" / one["files"][0]) for one in entries]
+    frames = [read_windows(settings.out, one) for one in entries]
     mean = [frame["n_samples"].mean() for frame in frames]
     assert mean[0] == mean[1]
     assert mean[2] / mean[1] == pytest.approx(1 / 2, rel=0.05)

@@ -2,13 +2,12 @@
 
 import json
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
+from helpers.runs import linked_level_of
 
 import evaluation
 from attacks.tasks.build import build
@@ -16,12 +15,11 @@ from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation import matrix
 from evaluation.analysis import linkability
-from evaluation.cells.link_file import read_card, to_parquet
-from evaluation.cells.link_setup import ground
-from evaluation.cells.linkage import link_level
-from evaluation.cells.scenes import _share
-from evaluation.experiment.axes import Axes, Link, axes
+from evaluation.cells.link_setup import sensed_sessions
+from evaluation.cells.link_tables import DERIVED, linkage_tables
+from evaluation.experiment.axes import Axes, Consumer, Link, axes
 from evaluation.experiment.settings import Settings
+from evaluation.runs import cell_files
 from isac_track import plugins as registry
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError
@@ -34,7 +32,6 @@ from isac_track.types import Knowledge, Reconstruction, Tracks
 
 STAGES = StageSettings()
 EPSILON_M = STAGES.privacy.epsilon_m
-DERIVED = {"chance", "residual_risk", "d_sys_corrected"}
 
 
 def walkers(n=40, *, n_groups=4):
@@ -120,24 +117,17 @@ def link(linker, behind=None):
 
 
 def linked(*links, task="rerelease", mechanism="raw", tracks=None, controls=False, seed=0):
-    """Outcome of every consumer by (consumer, adversary), and the ground."""
+    """Outcome of every consumer by (consumer, adversary), and the sessions."""
     tracks = tracks or walkers()
     sessions = build(TASKS[task], tracks=tracks, later=None, settings=STAGES, seed=seed)
-    known = ground(sessions, groups=sorted(set(tracks.group)), stages=STAGES, seed=seed)
+    known = sensed_sessions(sessions, groups=sorted(set(tracks.group)), stages=STAGES, seed=seed)
     crossed = Axes(
         mechanisms=(), predictors=(), attacks=(), links=tuple((TASKS[task], one) for one in links)
     )
     consumers = [one for one in crossed.linkers(TASKS[task]) if controls or one.kind != "control"]
     (shared_by,) = registry.parse("mechanisms", mechanism)
-    found = link_level(
-        shared_by,
-        consumers,
-        ground=known,
-        share=partial(_share, shared_by, seed=seed),
-        epsilon_m=EPSILON_M,
-        seed=seed,
-    )
-    return {(one.spec, one.knowledge): result for one, result in found}, known
+    found, _ = linked_level_of(shared_by, consumers, known=known, epsilon_m=EPSILON_M, seed=seed)
+    return found, known
 
 
 def scores(result):
@@ -294,8 +284,8 @@ class TestWhatIsReadOff:
         hits = np.concatenate(
             [rank1(scores=search.scores, mate=search.mate) for search in result.searches]
         )
-        assert result.card.estimates["rank1"].value == pytest.approx(hits.mean(), abs=1e-12)
-        assert result.card.n_mated == hits.size
+        assert result.scored.estimates["rank1"].value == pytest.approx(hits.mean(), abs=1e-12)
+        assert result.scored.n_mated == hits.size
 
     def test_without_groups_neither_probes_nor_candidates_are_of_one(self):
         found, known = linked(link(Spy()), mechanism="clean")
@@ -309,16 +299,16 @@ class TestWhatIsReadOff:
                 candidates = np.flatnonzero(alone[gallery])
                 best = candidates[search.scores[row, candidates].argmax()]
                 hits.append(best == search.mate[row])
-        part = result.parts["without_groups"]
+        part = result.cohorts["without_groups"]
         assert part.n_mated == len(hits) == known.sessions.alone.sum()
         assert part.rank1.value == pytest.approx(np.mean(hits), abs=1e-12)
-        assert part.chance > result.card.estimates["chance"].value
+        assert part.chance > result.scored.estimates["chance"].value
 
     def test_who_is_in_the_scenes_too_is_drawn_alike(self):
         tracks = walkers()
         groups = sorted(set(tracks.group))[5:]
         sessions = build(TASKS["rerelease"], tracks=tracks, later=None, settings=STAGES, seed=0)
-        known = ground(sessions, groups=groups, stages=STAGES, seed=0)
+        known = sensed_sessions(sessions, groups=groups, stages=STAGES, seed=0)
         drawn = cluster_weights(n_clusters=len(groups), n_replicates=1000, seed=0)
         ours = sorted(set(sessions.group))
         for place, name in enumerate(ours):
@@ -334,14 +324,14 @@ class TestWhatIsReadOff:
             linked(link(shape), mechanism=spec)[0]["rerelease/shape", "blind"]
             for spec in ("clean", "fixed:1")
         )
-        assert clean.card.estimates["rank1"].ci_low > shared.card.estimates["rank1"].ci_high
+        assert clean.scored.estimates["rank1"].ci_low > shared.scored.estimates["rank1"].ci_high
 
     def test_who_has_no_mate_is_left_alone_in_a_handover(self):
         kinematic = registry.parse("attacks", "kinematic")[0]
         found, known = linked(
             link(kinematic), task="handover-2s", mechanism="clean", tracks=walkers(80)
         )
-        card = found["handover-2s/kinematic", "informed"].card
+        card = found["handover-2s/kinematic", "informed"].scored
         assert (known.sessions.mate < 0).any()
         assert card.estimates["rank1"].value > 0.9
         assert card.estimates["rank1_assigned"].value > 0.8
@@ -366,7 +356,7 @@ class TestControls:
             assert np.allclose(np.sort(one.scores), np.sort(other.scores), rtol=1e-5)
             assert (one.mate == other.mate).all()
         # That it is rejected as often as it should be takes many seeds: see below.
-        assert real.card.p_value <= 0.001 < shuffled.card.p_value
+        assert real.scored.p_value <= 0.001 < shuffled.scored.p_value
 
     def test_what_sees_times_alone_is_alike_at_every_level(self):
         raw, fixed = (
@@ -382,7 +372,7 @@ class TestControls:
         rejected = []
         for seed in range(300):
             found, _ = linked(link(Spy()), controls=True, seed=seed)
-            rejected.append(found[f"rerelease/control-{name}", ""].card.p_value <= 0.05)
+            rejected.append(found[f"rerelease/control-{name}", ""].scored.p_value <= 0.05)
         assert 0.02 <= np.mean(rejected) <= 0.085  # 300 draws at 5 %: three standard errors
 
 
@@ -395,7 +385,7 @@ class TestDeterminism:
         )
         key = ("rerelease/spy", "blind")
         assert equal(alone[key], company[key])
-        one, other = alone[key].card, company[key].card
+        one, other = alone[key].scored, company[key].scored
         assert one.p_value == other.p_value
         for name, estimate in one.estimates.items():
             assert np.array_equal(
@@ -457,61 +447,109 @@ class TestBreaches:
 
         tracks = walkers()
         sessions = build(TASKS["split"], tracks=tracks, later=None, settings=STAGES, seed=0)
-        known = ground(sessions, groups=(), stages=STAGES, seed=0)
+        known = sensed_sessions(sessions, groups=(), stages=STAGES, seed=0)
         crossed = Axes((), (), (), links=((TASKS["split"], link(needs)),))
         consumers = [one for one in crossed.linkers(TASKS["split"]) if one.kind == "linkage"]
         assert [one.knowledge for one in consumers] == ["oracle"]
         silent = plugin(Silent(), "silent")
         with pytest.raises(PluginError, match="requires SIGMA, but mechanism 'silent'"):
-            list(
-                link_level(
-                    silent,
-                    consumers,
-                    ground=known,
-                    share=partial(_share, silent, seed=0),
-                    epsilon_m=EPSILON_M,
-                    seed=0,
-                )
-            )
+            linked_level_of(silent, consumers, known=known, epsilon_m=EPSILON_M, seed=0)
 
 
 class TestCells:
-    def test_a_cell_keeps_the_raw_scores_and_the_card(self, tmp_path):
-        found, known = linked(link(Spy()), task="handover-2s", mechanism="raw")
-        result = found["handover-2s/spy", "blind"]
-        path = tmp_path / "cell.parquet"
-        path.write_bytes(to_parquet(result, known.sessions))
-        table = pq.read_table(path).to_pandas()
-        about = json.loads(pq.read_metadata(path).metadata[b"isac_track.linkage"])
-        first = 0
-        for number, search in enumerate(result.searches):
-            rows = table.iloc[first : first + len(search.mate)]
-            first += len(search.mate)
-            assert set(rows["search"]) == {known.sessions.searches[number]}
-            assert np.array_equal(np.stack(rows["scores"].to_list()), search.scores)
-            gallery = about["gallery"][number]
-            for source, mate in zip(rows["source"], rows["mate"], strict=True):
-                assert mate < 0 or gallery[mate] == source
-        assert first == len(table)
-        card = read_card(path)
-        for name, estimate in result.card.estimates.items():
-            read = card.estimates[name]
+    def entry_of(self, out, tables, consumer):
+        content = cell_files.packed(
+            [(consumer, "key", tables)], unit="", code={}, code_of={"key": {}}
+        )
+        (out / "cells").mkdir()
+        (out / "cells" / "one.parquet").write_bytes(content)
+        return {
+            "files": ["one.parquet"],
+            "consumer": consumer.spec,
+            "knowledge": consumer.knowledge,
+        }
+
+    def link(self, task, *, control=""):
+        found, known = linked(link(Spy()), task=task, controls=bool(control))
+        consumer = Consumer("linkage", plugin(Spy()), "blind", task=task)
+        if control:
+            consumer = Consumer("control", task=task, control=control)
+        return consumer, found[consumer.spec, consumer.knowledge], known
+
+    @pytest.mark.parametrize("task", ["rerelease", "handover-2s"])
+    @pytest.mark.parametrize("control", ["", "random"])
+    def test_what_is_read_is_what_was_computed(self, tmp_path, task, control):
+        consumer, result, known = self.link(task, control=control)
+        tables = linkage_tables(result, known, seed=0, keep_scores=False)
+        read = cell_files.read_outcome(tmp_path, self.entry_of(tmp_path, tables, consumer))
+        assert list(read.estimates) == list(result.scored.estimates)
+        with_draws = 0
+        for name, estimate in result.scored.estimates.items():
+            found = read.estimates[name]
             assert np.array_equal(
-                [read.value, read.ci_low, read.ci_high, read.n],
+                [found.value, found.ci_low, found.ci_high, found.n],
                 [estimate.value, estimate.ci_low, estimate.ci_high, estimate.n],
                 equal_nan=True,
             )
-            kept = estimate.replicates[:0] if name in DERIVED else estimate.replicates
-            assert np.allclose(read.replicates, kept, rtol=1e-6, equal_nan=True)
-        assert card.numbers["p_value"] == result.card.p_value
+            if not found.replicates.size:
+                of_ranks = name in result.scored.probes.values()
+                assert name in DERIVED or (control and not of_ranks)
+                continue
+            with_draws += 1
+            expected = estimate.replicates.astype(np.float32)
+            np.testing.assert_array_equal(found.replicates, expected)
+        assert with_draws == (3 if control else 10) + (task != "rerelease")
+        assert read.numbers["p_value"] == result.scored.p_value
+        assert read.cohorts.keys() == result.cohorts.keys()
+
+    def test_every_probe_says_how_it_fared(self, tmp_path):
+        consumer, result, known = self.link("handover-2s")
+        tables = linkage_tables(result, known, seed=0, keep_scores=False)
+        assert "scores" not in tables["rows"].column_names
+        rows = cell_files.read_probes(tmp_path, self.entry_of(tmp_path, tables, consumer))
+        expected = [
+            (number, scores, mate)
+            for number, search in enumerate(result.searches)
+            for scores, mate in zip(search.scores, search.mate, strict=True)
+        ]
+        assert len(rows) == len(expected)
+        for row, (number, scores, mate) in zip(rows.itertuples(), expected, strict=True):
+            assert row.search == known.sessions.searches[number]
+            assert row.chance == 1 / scores.size
+            if mate < 0:
+                assert (row.above, row.tied) == (-1, 0)
+                assert np.isnan(row.mate_score)
+                assert row.best_other_score == np.float32(scores.max())
+                continue
+            assert row.above == (scores > scores[mate]).sum()
+            assert row.tied == (scores == scores[mate]).sum()
+            assert row.mate_score == np.float32(scores[mate])
+            assert row.best_other_score == np.float32(np.delete(scores, mate).max())
+
+    def test_raw_scores_stay_where_they_are_asked_for(self, tmp_path):
+        consumer, result, known = self.link("handover-2s")
+        tables = linkage_tables(result, known, seed=0, keep_scores=True)
+        entry = self.entry_of(tmp_path, tables, consumer)
+        rows = cell_files.read_rows(tmp_path, entry, columns=["source", "mate", "scores"])
+        gallery = json.loads(tables["about"]["about"][0].as_py())["gallery"]
+        table, first = rows.to_pandas(), 0
+        for number, search in enumerate(result.searches):
+            mine = table.iloc[first : first + len(search.mate)]
+            first += len(search.mate)
+            assert np.array_equal(np.stack(mine["scores"].to_list()), search.scores)
+            for source, mate in zip(mine["source"], mine["mate"], strict=True):
+                assert mate < 0 or gallery[number][mate] == source
+        assert first == len(table)
 
     @pytest.mark.parametrize("content", [b"", b"PAR1 nonsense", None])
-    def test_a_broken_cell_is_named(self, tmp_path, content):
-        path = tmp_path / "cell.parquet"
+    def test_a_missing_or_broken_file_is_named(self, tmp_path, content):
+        (tmp_path / "cells").mkdir()
         if content is not None:
-            path.write_bytes(content)
-        with pytest.raises(DataError, match=r"cell\.parquet .*run the matrix again"):
-            read_card(path)
+            (tmp_path / "cells" / "cell.parquet").write_bytes(content)
+        entry = {"files": ["cell.parquet"], "consumer": "split/x", "knowledge": "blind"}
+        for read in (cell_files.read_outcome, cell_files.read_windows, cell_files.read_probes):
+            with pytest.raises(DataError, match=r"cell\.parquet .*run the matrix again"):
+                read(tmp_path, entry)
 
 
 @pytest.fixture
@@ -605,7 +643,7 @@ class TestRuns:
 
     def test_an_earlier_attack_whose_ceiling_is_missing_is_left_out(self, settings):
         evaluation.run(replace(settings, tasks=("rerelease",), attacks=("shape",)), pictures=False)
-        for path in (settings.out / "cells").glob("clean*shape*"):
+        for path in (settings.out / "cells").glob("clean*"):
             path.unlink()
         again = replace(settings, tasks=("rerelease",), attacks=("histogram",))
         found = evaluation.run(again, pictures=False).linkability

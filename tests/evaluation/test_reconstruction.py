@@ -8,12 +8,14 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.runs import arrays, rows_of
 
 import evaluation
 from attacks.reconstruction.kalman_rts import KalmanRTS
 from evaluation.cells import reconstruction
-from evaluation.cells.reconstruction import TRAINING_PEOPLE, benchmark, descriptors, folds, ground
-from evaluation.cells.scenes import Block, compute_block
+from evaluation.cells.descriptors import descriptors
+from evaluation.cells.reconstruction import TRAINING_PEOPLE, attacked_block, benchmark, folds
+from evaluation.cells.work import Block, cells
 from evaluation.experiment.axes import Axes
 from evaluation.experiment.settings import Settings
 from isac_track import plugins as registry
@@ -110,11 +112,9 @@ def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None
     levels = tuple((mechanism, consumers) for mechanism in mechanisms)
     found = {}
     for block in blocks_of(known, n_scenes=n_scenes, size=size, levels=levels, seed=seed):
-        for mechanism, consumer, rows in compute_block(
-            block, tracks=known, stages=STAGES, seed=seed
-        ):
+        for _, mechanism, consumer, tables in cells(block, tracks=known, stages=STAGES, seed=seed):
             key = (mechanism.spec, consumer.spec, consumer.knowledge)
-            found.setdefault(key, []).append(rows)
+            found.setdefault(key, []).append(arrays(tables, tracks=known))
     return found
 
 
@@ -146,8 +146,8 @@ class World:
         offsets = self.scenes.offsets
         return np.concatenate([np.arange(*offsets[row : row + 2]) for row in self.rows(fold)])
 
-    def grounded(self, *, repeats=False):
-        return ground(
+    def attacked(self, *, repeats=False):
+        return attacked_block(
             scenes=self.scenes,
             sensed=self.sensed,
             tracks=self.tracks,
@@ -196,9 +196,9 @@ class TestGround:
     @pytest.mark.parametrize("n_groups", [2, 4, 5, 12])
     def test_nobody_is_attacked_by_who_learnt_from_them_or_their_group(self, tracks, n_groups):
         world = World(in_groups(tracks, n_groups))
-        made = world.grounded()
+        made = world.attacked()
         group = np.array(world.tracks.group)
-        for part, (scenes, _) in zip(made.parts, made.training, strict=True):
+        for part, (scenes, _) in zip(made.halves, made.training, strict=True):
             victims = world.scenes.track[part.rows]
             assert set(group[victims]).isdisjoint(group[scenes.track])
             assert len(set(scenes.track)) == scenes.track.size
@@ -206,21 +206,20 @@ class TestGround:
 
     def test_the_halves_are_the_block(self, tracks):
         world = World(tracks)
-        made = world.grounded()
-        rows = np.concatenate([part.rows for part in made.parts])
+        made = world.attacked()
+        rows = np.concatenate([part.rows for part in made.halves])
         assert sorted(rows) == list(range(world.scenes.track.size))
-        for fold, part in enumerate(made.parts):
+        for fold, part in enumerate(made.halves):
             assert part.rows.tolist() == world.rows(fold).tolist()
-            assert part.samples.tolist() == world.samples(fold).tolist()
-            np.testing.assert_array_equal(part.truth, world.scenes.xy[part.samples])
-            np.testing.assert_array_equal(part.t, world.scenes.t[part.samples])
+            np.testing.assert_array_equal(part.truth, world.scenes.xy[world.samples(fold)])
+            np.testing.assert_array_equal(part.t, world.scenes.t[world.samples(fold)])
 
     def test_no_more_people_train_than_it_takes(self, tracks, monkeypatch):
         assert TRAINING_PEOPLE >= 6  # of the twelve here all do
-        full = World(tracks).grounded().training
+        full = World(tracks).attacked().training
         assert [scenes.track.size for scenes, _ in full] == [6, 6]
         monkeypatch.setattr(reconstruction, "TRAINING_PEOPLE", 2)
-        few = World(tracks).grounded().training
+        few = World(tracks).attacked().training
         assert [scenes.track.size for scenes, _ in few] == [2, 2]
 
     @pytest.mark.parametrize("n_groups", [12, 4])
@@ -233,18 +232,18 @@ class TestGround:
             lambda half, *, fold, seed: np.flatnonzero(half == 1 - fold)[-1:],  # noqa: ARG005
         )
         with pytest.raises(AssertionError, match="victim's group is among the training people"):
-            world.grounded()
+            world.attacked()
 
     def test_one_group_has_nobody_to_learn_from(self, tracks):
-        made = World(in_groups(tracks, 1)).grounded()
-        attacked = [fold for fold, part in enumerate(made.parts) if part.rows.size]
+        made = World(in_groups(tracks, 1)).attacked()
+        attacked = [fold for fold, part in enumerate(made.halves) if part.rows.size]
         assert len(attacked) == 1
         assert made.training[attacked[0]] is None
 
     def test_the_walks_are_sensed_anew_for_repeats_alone(self, tracks):
         world = World(tracks)
-        assert world.grounded().again == ()
-        again = world.grounded(repeats=True).again
+        assert world.attacked().again == ()
+        again = world.attacked(repeats=True).again
         assert len(again) == reconstruction.N_REPEATS
         truths = [one.xy - one.sigma_raw[:, None] * one.unit_error for one in again]
         for truth, one in zip(truths, again, strict=True):
@@ -277,7 +276,18 @@ class TestIdentity:
             rows, 4 * N_SCENES
         )
         assert set(rows) == {
-            *("scene", "agent", "track", "n_samples", "plr", "ael_s", "mel_s", "segments"),
+            *(
+                "scene",
+                "agent",
+                "track",
+                "source",
+                "group",
+                "n_samples",
+                "plr",
+                "ael_s",
+                "mel_s",
+                "segments",
+            ),
             *("mse_m2", "benchmark_mse_m2", "benchmark_plr"),
         }
 
@@ -793,9 +803,7 @@ class TestRuns:
             if entry["kind"] != "attack":
                 continue
             seen += 1
-            rows = pd.concat(
-                pd.read_parquet(settings.out / "cells" / name) for name in entry["files"]
-            )
+            rows = rows_of(settings.out, entry["spec"], entry["consumer"], entry["knowledge"])
             key = (entry["mechanism"], entry["consumer"], entry["knowledge"])
             assert table[*key, "rmse_over_benchmark"] == pytest.approx(
                 np.sqrt(rows["mse_m2"].sum() / rows["benchmark_mse_m2"].sum())

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers.runs import change_code
 from helpers.strategies import reproducible
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -22,7 +23,7 @@ from evaluation import matrix, report
 from evaluation.analysis import linkability, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.experiment.plan import plan
-from evaluation.runs import cell_files
+from evaluation.runs import checksums
 from evaluation.runs import folder as store
 from evaluation.runs.lock import locked
 from isac_track.errors import DataError, IsacTrackError, SettingsError
@@ -31,13 +32,14 @@ TINY = evaluation.Settings(
     dataset="plaza",
     preset="smoke",
     scenes=8,
-    mechanisms=("raw",),
+    mechanisms=("raw", "fixed:0.7"),
     predictors=("least_squares",),
     attacks=(),
     tasks=(),
     jobs=1,
 )
 OPTIONS = ("--dataset", "plaza", "--preset", "smoke", "--scenes", "8", "--mechanism", "raw")
+OPTIONS += ("--mechanism", "fixed:0.7")
 OPTIONS += ("--predictor", "least_squares", "--attack", "none", "--task", "none", "--jobs", "1")
 NOBODY = 65534
 
@@ -154,11 +156,19 @@ class TestWhereTheFolderCannotBeUsed:
         assert f"cannot use {out / 'cells'}: File exists" in capsys.readouterr().err
 
     def test_a_cell_that_cannot_be_dropped_is_named(self, out, monkeypatch):
+        def refuse(path, **_):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+        change_code(monkeypatch, "isac_track.sensing")
+        monkeypatch.setattr(Path, "unlink", refuse)
+        with pytest.raises(SettingsError, match=f"cannot use {out}/cells/.*: Permission denied"):
+            evaluation.run(replace(TINY, out=out), pictures=False)
+
+    def test_a_folder_in_place_of_a_cell_is_named(self, out):
         cell = min((out / "cells").iterdir())
         cell.unlink()
         cell.mkdir()
-        monkeypatch.setattr(store, "code_hash", lambda: "another version")
-        with pytest.raises(SettingsError, match=f"cannot use {cell}: Is a directory"):
+        with pytest.raises(DataError, match=f"cannot write {cell}: Is a directory"):
             evaluation.run(replace(TINY, out=out), pictures=False)
 
     def test_a_folder_in_place_of_the_lock_is_named(self, out, capsys):
@@ -220,7 +230,7 @@ DAMAGE = {
     ),
     "a time in words": (lambda one: one.update(wall_time_s="abc"), "wall_time_s is 'abc'"),
     "no time at all": (lambda one: one.update(wall_time_s=10**400), "wall_time_s is 1000"),
-    "a cell that is none": (lambda one: one["cells"].append(None), "cells[2] is no table"),
+    "a cell that is none": (lambda one: one["cells"].append(None), "cells[4] is no table"),
     "no groups": (lambda one: one.pop("groups"), "groups is missing"),
     "a group twice": (
         lambda one: one.update(groups=[one["groups"][0]] * 2),
@@ -259,7 +269,7 @@ class TestManifest:
         assert f"{out} was written by another version, or its manifest.json is damaged" in line
         assert f"({where}" in line
         with pytest.raises(DataError, match=re.escape(f"({where}")):
-            store.open_run(out, identity={}, code="", fresh=False)
+            store.open_run(out, identity={}, fresh=False)
 
     @pytest.mark.parametrize("name", ["nothing of a run", "files that are none"])
     def test_that_is_damaged_is_replaced_by_fresh_and_by_nothing_else(self, name, out, capsys):
@@ -280,7 +290,7 @@ class TestManifest:
     def test_of_a_run_that_never_started_is_continued_but_has_no_report(self, tmp_path, capsys):
         out = tmp_path / "run"
         ready = plan(replace(TINY, out=out))
-        manifest = store.open_run(out, identity=ready.identity, code=ready.code, fresh=False)
+        manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)
         store.write_manifest(out, manifest | {"code": ready.code, "state": "running"})
         assert report.main([str(out)]) == 2
         assert f"{out} holds a run that never started" in one_line(capsys)
@@ -362,15 +372,13 @@ class TestAnyDamageOfAManifest:
         content = json.dumps(mutated(whole, changes))
         (bare / "manifest.json").write_text(content)
         with contextlib.suppress(IsacTrackError):
-            opened = store.open_run(bare, identity=whole["identity"], code="another", fresh=False)
+            opened, _, _ = store.open_run(bare, identity=whole["identity"], fresh=False)
             store.write_manifest(bare, opened)  # a run goes on from here
             float(opened.get("wall_time_s", 0.0))
         (bare / "manifest.json").write_text(content)
         with contextlib.suppress(IsacTrackError):
             manifest = store.read_manifest(bare)
-            cell_files.check_sound(
-                run, [name for one in manifest["cells"] for name in one["files"]]
-            )
+            checksums.check_sound(run, [name for one in manifest["cells"] for name in one["files"]])
             summary.estimates(run, manifest)
             flags.slow_attacks(manifest)
             flags.on_first_releases(run, manifest)
@@ -412,9 +420,9 @@ class TestChecksums:
 
     def test_have_no_lines_of_cells_that_were_dropped(self, out, monkeypatch):
         before = self.check(out)
-        monkeypatch.setattr(store, "code_hash", lambda: "another version")
+        change_code(monkeypatch, "isac_track.sensing")
         results = evaluation.run(replace(TINY, out=out), pictures=False)
-        assert results.manifest["dropped_cells"] == 2
+        assert results.manifest["dropped_cells"] == 4
         after = self.check(out)
         assert after == {path.name for path in (out / "cells").iterdir()}
         assert after.isdisjoint(before)
@@ -432,7 +440,7 @@ class TestChecksums:
         before = self.check(out)
         lost = min((out / "cells").iterdir())
         lost.unlink()
-        evaluation.run(replace(TINY, out=out, mechanisms=("fixed:0.7",)), pictures=False)
+        evaluation.run(replace(TINY, out=out, mechanisms=("clean",)), pictures=False)
         assert self.check(out) >= before - {lost.name}
         assert lost.name not in self.check(out)
 
@@ -461,11 +469,11 @@ class TestAnnounced:
     def test_cells_without_a_checksum_do_not_count_as_finished(self, out, capsys):
         arguments = [*OPTIONS, "--out", str(out), "--dry-run"]
         assert matrix.main(arguments) == 0
-        assert "2 cells, 2 of them finished by SHA256SUMS, in" in capsys.readouterr().err
+        assert "4 cells, 4 of them finished by SHA256SUMS, in" in capsys.readouterr().err
         first, second = (out / "SHA256SUMS").read_text().splitlines()
         (out / "SHA256SUMS").write_text(f"{first}\n{second[:70]}")
         assert matrix.main(arguments) == 0
-        assert "2 cells, 1 of them finished by SHA256SUMS, in" in capsys.readouterr().err
+        assert "4 cells, 2 of them finished by SHA256SUMS, in" in capsys.readouterr().err
         (out / first.partition("  ")[2]).unlink()
         assert matrix.main(arguments) == 0
-        assert "2 cells, in" in capsys.readouterr().err
+        assert "4 cells, in" in capsys.readouterr().err

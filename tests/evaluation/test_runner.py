@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.runs import arrays, change_code, held_by, rows_of
 
 import evaluation
 from evaluation.analysis import summary
-from evaluation.cells.scenes import Block, compute_block
+from evaluation.cells.work import Block, cells
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
 from evaluation.results import build
-from evaluation.runs import folder as store
 from evaluation.runs.execute import FailedCellsWarning
 from isac_track import plugins as registry
 from isac_track import sharing
@@ -49,7 +49,8 @@ def computed(tracks, *, spec="fid:100", stages=None, seed=0, predictor="least_sq
     (forecaster,) = registry.parse("predictors", predictor)
     consumers = (Consumer("shared"), Consumer("predictor", forecaster))
     block = Block(number=0, first_scene=0, order=order, levels=((mechanism, consumers),))
-    return [rows for *_, rows in compute_block(block, tracks=known, stages=stages, seed=seed)]
+    found = cells(block, tracks=known, stages=stages, seed=seed)
+    return [arrays(tables) for *_, tables in found]
 
 
 def same(a, b):
@@ -157,7 +158,9 @@ def test_a_run_leaves_what_the_design_says(settings):
     out = settings.out
     for name in ("manifest.json", "summary.csv", "paper_table.csv"):
         assert (out / name).is_file()
-    assert sorted(path.suffix for path in (out / "cells").iterdir()) == [".parquet"] * 6
+    held = held_by(out)  # a level each: the descriptors as shared and the predictor together
+    assert list(held.values()) == [{"shared", "least_squares"}] * 3
+    assert {name.rpartition(".")[2] for name in held} == {"parquet"}
     assert {path.suffix for path in (out / "figures").iterdir()} == {".svg", ".pdf"}
     assert {path.suffix for path in (out / "tables").iterdir()} == {".tex"}
     assert list(results.summary.columns) == [
@@ -222,15 +225,13 @@ def test_pictures_of_an_earlier_report_do_not_stay_beside_new_numbers(settings):
 def test_the_summary_is_the_mean_over_the_rows_of_the_cells(settings):
     results = evaluation.run(settings, pictures=False)
     table = results.summary.set_index(["mechanism", "consumer", "metric"])["value"]
-    (cell,) = (settings.out / "cells").glob("raw-shared*")
-    rows = pd.read_parquet(cell)
+    rows = rows_of(settings.out, "raw", "shared")
     assert len(rows) == 12 * 4
     assert table["raw", "shared", "plr"] == pytest.approx(rows["plr"].mean())
     assert table["raw", "shared", "mel"] == pytest.approx(rows["mel_s"].mean())
     assert table["raw", "shared", "ael"] == pytest.approx(rows["ael_s"].mean())
     assert table["raw", "shared", "rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))
-    (cell,) = (settings.out / "cells").glob("fixed-0.7-least*")
-    rows = pd.read_parquet(cell)
+    rows = rows_of(settings.out, "fixed:0.7", "least_squares")
     assert len(rows) == 12
     conflicts = rows[rows["conflict"]]
     assert table["fixed", "least_squares", "missed_conflict_rate"] == pytest.approx(
@@ -286,7 +287,7 @@ def test_missing_cells_are_computed_again_and_alike(settings):
 
 def test_cells_of_other_code_are_not_mixed_in(settings, monkeypatch):
     evaluation.run(settings, pictures=False)
-    monkeypatch.setattr(store, "code_hash", lambda: "another version")
+    change_code(monkeypatch, "isac_track.sensing")
     narrow = evaluation.run(replace(settings, mechanisms=("raw",)), pictures=False)
     assert set(narrow.summary["mechanism"]) == {"raw"}
     assert narrow.manifest["dropped_cells"] == 6
@@ -325,7 +326,7 @@ def test_fresh_removes_only_what_a_run_wrote(settings):
         note.write_text("keep me", encoding="utf-8")
     evaluation.run(replace(settings, mechanisms=("raw",), fresh=True))
     assert all(note.read_text(encoding="utf-8") == "keep me" for note in notes)
-    assert len(list((settings.out / "cells").glob("*.parquet"))) == 2
+    assert len(list((settings.out / "cells").glob("*.parquet"))) == 1
 
 
 def test_fresh_leaves_a_folder_with_somebody_elses_manifest_alone(settings):

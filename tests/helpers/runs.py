@@ -1,0 +1,66 @@
+"""What a finished run's folder holds: rows of its cells, and everything that was computed."""
+
+import json
+
+import numpy as np
+
+from evaluation.cells.linkage import link, linked_level
+from evaluation.cells.tables import ROWS
+from evaluation.experiment import fingerprint
+from evaluation.runs import cell_files
+from evaluation.runs.checksums import FOLDER
+
+
+def entry_of(out, spec, consumer, knowledge=""):
+    """The manifest's entry of a consumer at a level."""
+    wanted = spec, consumer, knowledge
+    cells = json.loads((out / "manifest.json").read_text(encoding="utf-8"))["cells"]
+    (entry,) = [one for one in cells if (one["spec"], one["consumer"], one["knowledge"]) == wanted]
+    return entry
+
+
+def rows_of(out, spec, consumer, knowledge=""):
+    """All rows of a consumer at a level, with all of its columns."""
+    entry = entry_of(out, spec, consumer, knowledge)
+    first = cell_files._tables(out / FOLDER / entry["files"][0], cell_files.label_of(entry))[ROWS]
+    columns = [name for name in first.column_names if first[name].null_count == 0]
+    return cell_files.read_rows(out, entry, columns=columns).to_pandas()
+
+
+def held_by(out):
+    """Labels of the consumers in each file of cells."""
+    return {
+        path.name: set(cell_files.index_of(path).consumers) for path in (out / FOLDER).iterdir()
+    }
+
+
+def change_code(monkeypatch, *modules):
+    """Let the code of some modules look as if somebody had changed it."""
+    read = fingerprint._read
+
+    def changed(name, **place):
+        found = read(name, **place)
+        return (found[0] + b"# changed\n", found[1]) if name in modules else found
+
+    monkeypatch.setattr(fingerprint, "_read", changed)
+
+
+def arrays(tables, *, tracks=None):
+    """The rows of a cell as arrays by name; with `tracks` also which of them, by its source."""
+    rows = tables[ROWS]
+    found = {name: column.to_numpy() for name, column in zip(rows.column_names, rows, strict=True)}
+    if tracks is not None:
+        place = {name: row for row, name in enumerate(tracks.source)}
+        found["track"] = np.array([place[name] for name in found["source"]], dtype=np.int64)
+    return found
+
+
+def linked_level_of(mechanism, consumers, *, known, epsilon_m, seed):
+    """What consumers link at one level by (consumer, adversary), and the controls of all levels."""
+    level = linked_level(mechanism, known=known, epsilon_m=epsilon_m, seed=seed)
+    controls = {}
+    found = {
+        (one.spec, one.knowledge): link(one, level, whole=known, controls=controls)
+        for one in consumers
+    }
+    return found, controls
