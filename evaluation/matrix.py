@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import math
 import sys
 import tomllib
 import warnings
@@ -13,14 +12,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
+from evaluation.reporting.announcements import broken, listing, notices, plan_lines
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
-from isac_track.config import StageSettings, setting_types
+from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from evaluation.experiment.plan import Plan
+    from collections.abc import Iterable, Sequence
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
@@ -188,7 +186,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(arguments: Sequence[str] | None) -> int:
     options = parser().parse_args(arguments)
     if options.list:
-        _list()
+        _say(listing())
+        _say(broken(), stream=sys.stderr)
         return DONE
     return _run(settings_from(options), dry_run=options.dry_run)
 
@@ -202,85 +201,16 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
 
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
     ready = plan(settings)
-    _announce(ready)
-    for why in ready.axes.skipped.values():
-        _say(f"notice: left out: {why}", stream=sys.stderr)
-    _announce_slow(ready)
+    _say(plan_lines(ready), stream=sys.stderr)
     if dry_run:
         return DONE
     with _Bar() as bar, warnings.catch_warnings():
         warnings.simplefilter("ignore", FailedCellsWarning)  # told below
         results = run(ready=ready, progress=bar.update)
-    for notice in _notices(results.manifest):
-        _say(f"notice: {notice}", stream=sys.stderr)
+    _say((f"notice: {one}" for one in notices(results.manifest)), stream=sys.stderr)
     show(results)
-    _say(f"\nresults in {results.out}; read {results.out / 'report.html'} first")
+    _say([f"\nresults in {results.out}; read {results.out / 'report.html'} first"])
     return FAILED_CELLS if len(results.failed) else DONE
-
-
-def _notices(manifest: dict[str, Any]) -> list[str]:
-    notices = [
-        f"{spec} asked for {' and '.join(asked)}, which a robot does not have by default"
-        for spec, asked in manifest["granted"].items()
-    ]
-    notices += [
-        f"{family} does not say by `adding` how it adds its error: it is judged under both rules"
-        for family in manifest["without_rule"]
-    ]
-    if manifest["dropped_cells"]:
-        notices.append(f"{manifest['dropped_cells']} cells of another code version were dropped")
-    if manifest["damaged_cells"]:
-        notices.append(
-            f"{len(manifest['damaged_cells'])} cells were not as they had been written and are "
-            f"computed anew, {manifest['damaged_cells'][0]} for one"
-        )
-    if manifest["exhausted_redraws"]:
-        notices.append(
-            f"{manifest['exhausted_redraws']} background agents found no place with "
-            "scenes.clearance_m and kept their last draw"
-        )
-    notices += [f"track gallery without {why}" for why in manifest["gallery_without"]]
-    return notices
-
-
-def _announce_slow(ready: Plan) -> None:
-    """Say what the slow attacks cost, before they start."""
-    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415
-
-    for spec in dict.fromkeys(one.spec for one in ready.axes.consumers if one.is_slow):
-        rows = [one for one in ready.axes.consumers if one.is_slow and one.spec == spec]
-        cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=len(ready.axes.mechanisms))
-        about = "it does not say how" if math.isnan(cost_s) else f"about {_duration(cost_s)}"
-        _say(
-            f"notice: attack {spec} is slow: {about} for {len(rows)} adversaries at "
-            f"{len(ready.axes.mechanisms)} levels in one process; it runs on one release of each "
-            "source track",
-            stream=sys.stderr,
-        )
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"  # noqa: PLR2004
-
-
-def _announce(ready: Plan) -> None:
-    from evaluation.runs.checksums import CHECKSUMS  # noqa: PLC0415 - as in _run
-    from evaluation.runs.folder import usable  # noqa: PLC0415
-    from evaluation.runs.missing_work import n_finished  # noqa: PLC0415
-
-    # Reading all of them would take seconds here; the run does, and says which are damaged.
-    with usable(ready.out):
-        finished = n_finished(ready)
-    so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
-    if ready.dataset.notice:
-        _say(f"notice: {ready.dataset.notice}", stream=sys.stderr)
-    _say(
-        f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
-        f"{ready.settings.n_scenes} scenes; {ready.n_cells} cells"
-        + ("" if ready.settings.fresh else so_far)
-        + f", in {ready.out}",
-        stream=sys.stderr,
-    )
 
 
 class _Bar:
@@ -321,32 +251,6 @@ class _Bar:
 
     def update(self, done: int, total: int, what: str) -> None:
         self._progress.update(self._task, completed=done, total=total, description=f"{what:<40.40}")
-
-
-def _list() -> None:
-    from attacks.tasks.task_list import TASKS  # noqa: PLC0415
-    from isac_track import plugins as registry  # noqa: PLC0415
-    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
-
-    defaults = StageSettings().flat()
-    sections: dict[str, dict[str, str]] = {
-        "presets": {name: preset.summary for name, preset in PRESETS.items()},
-        "data sets": {name: known.about for name, known in KNOWN.items()},
-        "mechanisms": registry.names("mechanisms"),
-        "predictors": registry.names("predictors"),
-        "attacks": registry.names("attacks"),
-        "tasks": {name: task.about for name, task in TASKS.items()},
-        "settings (--set)": {name: f"{defaults[name]}" for name in setting_types()},
-    }
-    width = max(len(name) for entries in sections.values() for name in entries)
-    for title, entries in sections.items():
-        _say(f"{title}:")
-        for name, text in entries.items():
-            _say(f"  {name:<{width}}  {text}")
-        _say("")
-    for kind in ("mechanisms", "predictors", "attacks"):
-        for name, wrong in registry.broken(kind).items():
-            _say(f"skipped {name}: {wrong}", stream=sys.stderr)
 
 
 def _read_config(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -395,8 +299,9 @@ def _axis(specs: list[str] | None, *, option: str) -> tuple[str, ...] | None:
     return tuple(specs)
 
 
-def _say(text: str, *, stream: Any = None) -> None:  # noqa: ANN401 - a text stream
-    print(text, file=stream or sys.stdout)
+def _say(lines: Iterable[str], *, stream: Any = None) -> None:  # noqa: ANN401 - a text stream
+    for line in lines:
+        print(line, file=stream or sys.stdout)
 
 
 if __name__ == "__main__":

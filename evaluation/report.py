@@ -9,11 +9,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from evaluation.reporting.docs_tables import write_docs
 from evaluation.reporting.tables import show
 from evaluation.results import load
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 
 if TYPE_CHECKING:
+    from argparse import Namespace
     from collections.abc import Sequence
 
 
@@ -24,12 +26,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Redraw summary, tables and figures of a run folder from its finished cells.",
     )
     parser.add_argument("out", type=Path, help="folder of a run, as given to the matrix by --out")
-    return exit_code(lambda: _redraw(parser.parse_args(arguments).out))
+    parser.add_argument(
+        "--docs",
+        action="store_true",
+        help="also write its summary into docs/results and the result tables of README and docs, "
+        "in the repository that one stands in",
+    )
+    return exit_code(lambda: _redraw(parser.parse_args(arguments)))
 
 
-def _redraw(out: Path) -> int:
-    results = load(out)
+def _redraw(options: Namespace) -> int:
+    results = load(options.out)
     show(results)
+    if options.docs:
+        for path in write_docs(results, root=Path.cwd()):
+            print(f"written: {path}")
     return FAILED_CELLS if len(results.failed) else DONE
 
 

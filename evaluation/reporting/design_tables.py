@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from evaluation.analysis.keys import Source
-from evaluation.analysis.levels import LEVEL_UNITS, REMARKS, amount, level_text, remarks
+from evaluation.analysis.levels import LEVEL_UNITS, REMARKS, level_text, remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.reporting import table as tables
 from evaluation.reporting.design_words import closer, notes, reasons, sentence
@@ -114,7 +114,7 @@ def _linked(choice: Choice, rows: Sequence[Level | None]) -> Table:
         columns.append(_column(SUCCESS, task.task, limit=limit))
         cells.append([_rank1(one) for one in found])
         known = [one for one in found if one and one.attack]
-        chances = dict.fromkeys(amount(SUCCESS, one.chance) for one in known)
+        chances = dict.fromkeys(tables.amount(SUCCESS, one.chance).text for one in known)
         where = "" if task.limited else f", {task.dataset}"
         if chances:
             about.append(f"{task.task}{where}: {_attacks(known)}; chance {', '.join(chances)} %")

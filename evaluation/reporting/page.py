@@ -129,7 +129,7 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
 
 
 def _figures(run: Results, svgs: Mapping[str, bytes], *, styles: Styles) -> list[Shown]:
-    figures = []
+    figures: list[Shown] = []
     for one in figures_of(run):
         if one.name not in svgs:
             continue

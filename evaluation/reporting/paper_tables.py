@@ -132,8 +132,9 @@ def matched_table(matched: pd.DataFrame, *, strongest: Collection[Source]) -> Ta
     keys = [*_POINT, "mechanism"]
     texts = matched.assign(**matched[keys].astype(object).fillna(""))
     rows = []
-    for key, part in texts.groupby(keys, sort=False):
-        if Source(*key[3:5]) in sources:
+    for _, part in texts.groupby(keys, sort=False):
+        first = part.iloc[0]
+        if Source(first["consumer"], first["knowledge"]) in sources:
             known = part[part["ci_low"].notna()]
             middle = max(0, len(known) - 1) // 2
             rows.append((known if len(known) else part).sort_values("at").iloc[middle].to_dict())

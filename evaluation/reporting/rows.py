@@ -70,9 +70,9 @@ def by_level(frame: pd.DataFrame) -> dict[Where, list[dict[str, Any]]]:
     return blocks
 
 
-def sources_at(rows: Iterable[Mapping[str, Any]]) -> dict[Source, dict[str, Mapping[str, Any]]]:
+def sources_at(rows: Iterable[Mapping[Any, Any]]) -> dict[Source, dict[str, Mapping[Any, Any]]]:
     """Return rows of a summary by whose positions they are of, then by metric."""
-    found: dict[Source, dict[str, Mapping[str, Any]]] = {}
+    found: dict[Source, dict[str, Mapping[Any, Any]]] = {}
     for row in rows:
         knowledge = row["knowledge"] if isinstance(row["knowledge"], str) else ""
         found.setdefault(Source(row["consumer"], knowledge), {})[row["metric"]] = row

@@ -96,7 +96,7 @@ def _metric(metric: str, name: str) -> Made:
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of descriptors as shared and after attacks; none without attacks."""
     is_attacked = is_attack(summary)
-    rows = summary[(is_attacked | (summary["consumer"] == SHARED)) & is_attacked.any()]
+    rows = summary[(is_attacked | (summary["consumer"] == SHARED)) & bool(is_attacked.any())]
     return attacked(rows[rows["metric"].isin(RECONSTRUCTION)])
 
 

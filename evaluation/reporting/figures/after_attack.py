@@ -62,7 +62,8 @@ class _Line:
             & (rows["knowledge"] == self.source.knowledge)
         ]
         numbers = rows[["value", "ci_low", "ci_high"]] * _PERCENT
-        return rows[["mechanism", "level"]].join(numbers)
+        found: pd.DataFrame = rows[["mechanism", "level"]].join(numbers)
+        return found
 
 
 def drawings(run: Results) -> list[Drawing]:
@@ -155,7 +156,8 @@ def _words(summary: pd.DataFrame, *, strongest: Source | None) -> str:
 
 def _exposure(summary: pd.DataFrame) -> pd.DataFrame:
     rows = after_attack(summary)
-    return rows[(rows["metric"] == EXPOSURE) & np.isfinite(rows["value"])]
+    found: pd.DataFrame = rows[(rows["metric"] == EXPOSURE) & np.isfinite(rows["value"])]
+    return found
 
 
 def _lines(rows: pd.DataFrame) -> list[_Line]:

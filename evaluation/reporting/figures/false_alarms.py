@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from evaluation.analysis.keys import Where
+    from evaluation.reporting.figures.style import Dashes
     from evaluation.reporting.run_results import Results
 
 _PERCENT = 100.0
 _FALSE_ALARMS = "false_alarm_rate"
-_DASHES = {"separation": "-", "probability": (0, (3, 1.5))}
+_DASHES: dict[str, Dashes] = {"separation": "-", "probability": (0, (3, 1.5))}
 
 
 def drawings(run: Results) -> list[Drawing]:

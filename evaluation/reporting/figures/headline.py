@@ -58,11 +58,11 @@ def headline_figure(run: Results) -> Figure | None:
     is_wide = len(known) > _MOST_SINGLE
     figure = figure_style.placed_figure(
         width_in=figure_style.DOUBLE_COLUMN_IN if is_wide else figure_style.SINGLE_COLUMN_IN,
-        height_in=2.6,
+        height_in=2.65,
     )
     panels = figure_style.placed(
         figure, rows=1, columns=len(known), left_in=0.5, right_in=0.08, top_in=0.42,
-        bottom_in=0.36 + 0.15 * len(lines) + 0.2, gap_in=0.22, sharey=True,
+        bottom_in=0.62 + 0.15 * len(lines), gap_in=0.22, sharey=True,
     )[0]  # fmt: skip
     for scheme, ax in zip(known, panels, strict=True):
         ax.set_title(scheme.title)

@@ -243,11 +243,12 @@ def _name_swept(
         ax.plot(
             ends, [line, line], transform=transform, color="black", linewidth=0.5, clip_on=False
         )
-        names = titles[mechanism]
-        fits = (name for name in names if _width_in(name) <= cell_in * len(places))
-        ax.text(
-            ends[0], 1.0 + _MECHANISMS_IN / block_in, next(fits, names[-1]), transform=transform
+        room_in = cell_in * (len(places) - 0.3)
+        short = shortened(
+            titles[mechanism][-1], room=max(4, int(room_in * figure_style.CHARACTERS_PER_IN))
         )
+        name = next((one for one in titles[mechanism] if _width_in(one) <= room_in), short)
+        ax.text(ends[0], 1.0 + _MECHANISMS_IN / block_in, name, transform=transform)
 
 
 def _titles(run: Results) -> dict[str, list[str]]:

@@ -155,7 +155,7 @@ def _draw_points(ax: Axes, found: pd.DataFrame, *, scheme: Scheme, named: bool) 
         markeredgewidth=0.4,
     )
     if named:
-        noisiest = found.loc[found["x"].idxmax()]
+        noisiest = found.sort_values("x", kind="stable").iloc[-1]
         ax.annotate(
             scheme.at(float(noisiest["level"])),
             (noisiest["x"], noisiest["y"]),

@@ -61,8 +61,9 @@ class _Line:
             & (frame["metric"] == self.metric)
             & np.isfinite(frame["value"])
         ]
-        ends = ["value", "ci_low", "ci_high"]
-        return rows[["mechanism", "level"]].join(rows[ends] * METRICS[self.metric].scale)
+        numbers = rows[["value", "ci_low", "ci_high"]] * METRICS[self.metric].scale
+        found: pd.DataFrame = rows[["mechanism", "level"]].join(numbers)
+        return found
 
 
 def drawings(run: Results) -> list[Drawing]:
