@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from evaluation.experiment.plan import Plan
+    from isac_track.plugins import Kind
 
 _MOST_SECONDS = 120
-_KINDS = ("mechanisms", "predictors", "attacks")
+_KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
 
 def listing() -> list[str]:
@@ -30,7 +31,7 @@ def listing() -> list[str]:
     sections: dict[str, dict[str, str]] = {
         "presets": {name: preset.summary for name, preset in PRESETS.items()},
         "data sets": {name: known.about for name, known in KNOWN.items()},
-        **{kind: plugins.names(kind) for kind in _KINDS},  # type: ignore[arg-type]
+        **{kind: plugins.names(kind) for kind in _KINDS},
         "tasks": {name: task.about for name, task in TASKS.items()},
         "settings (--set)": {name: f"{defaults[name]}" for name in setting_types()},
     }

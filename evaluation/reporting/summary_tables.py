@@ -211,7 +211,7 @@ def _merged(
     for source, metrics in found.items():
         adversaries[source.consumer] = adversaries.get(source.consumer, 0) + 1
         cells = _amounts(metrics)
-        if source.consumer == IDENTITY and _same(cells, shared):
+        if source.consumer == IDENTITY and AS_SHARED in found and _same(cells, shared):
             continue
         key = source.consumer, tuple(cell.full for cell in cells)
         groups.setdefault(key, ([], cells))[0].append(source.knowledge)
