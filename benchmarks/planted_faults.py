@@ -14,6 +14,7 @@ import ast
 import copy
 import json
 import math
+import multiprocessing
 import os
 import re
 import shutil
@@ -24,14 +25,25 @@ import tempfile
 import time
 import traceback
 import types
+import warnings
 from collections import Counter, defaultdict
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeAlias
+
+import numpy as np
+import pytest
+
+try:
+    import coverage
+except ImportError:  # the benchmark says so
+    coverage = None
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+
+    from coverage import Coverage
 
 ROOT = Path(__file__).resolve().parent.parent
 END_TO_END = (
@@ -46,7 +58,7 @@ END_TO_END = (
 """Names of test files that are shown the lines that no test reaches in its own process."""
 HANGS_S: Final = 60.0
 """A test that takes this much, and 20 times what it took, hangs: the fault is noticed."""
-_HEAVY = ("numpy", "scipy.stats", "pandas", "numba", "sklearn.base", "matplotlib.figure", "pytest")
+_HEAVY = ("scipy.stats", "pandas", "numba", "sklearn.base", "matplotlib.figure")
 _NOT_COPIED = shutil.ignore_patterns(".git", "*.pyc", ".*_cache", ".hypothesis", "runs", "mutants")
 _PROSE = frozenset({"help", "description", "epilog", "metavar"})
 _WORD = re.compile(r"[A-Za-z0-9_.-]+")
@@ -120,6 +132,8 @@ class Reach:
     lines: dict[str, dict[str, list[str]]] = field(default_factory=dict)
     """By file and line, the tests and shared fixtures that run it."""
     failed: list[str] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
+    """Of tests that were run."""
 
 
 def statements(path: Path, *, root: Path) -> list[Statement]:
@@ -214,40 +228,47 @@ def _expressions(node: ast.AST) -> Iterator[ast.AST]:
                 yield from _expressions(child)
 
 
-def _of_expression(node: ast.AST) -> Iterator[Rewrite]:  # noqa: C901 - a kind of fault a branch
-    match node:
-        case ast.Compare(ops=ops):
-            for place, op in enumerate(ops):
-                if type(op) in _SWAPPED:
-                    swapped = [*ops[:place], _SWAPPED[type(op)](), *ops[place + 1 :]]
-                    yield "comparison flipped", node, _text(_with(node, ops=swapped))
-        case ast.BinOp(op=op) | ast.BoolOp(op=op):
+def _of_expression(node: ast.AST) -> Iterator[Rewrite]:
+    if isinstance(node, ast.Constant):
+        yield from _of_constant(node)
+    elif isinstance(node, ast.Call):
+        yield from _of_call(node)
+    elif isinstance(node, ast.Compare):
+        for place, op in enumerate(node.ops):
             if type(op) in _SWAPPED:
-                yield "operator swapped", node, _text(_with(node, op=_SWAPPED[type(op)]()))
-        case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
-            yield "sign or not dropped", node, _text(operand)
-        case ast.IfExp(test=test):
-            yield "condition negated", test, f"(not ({ast.unparse(test)}))"
-        case ast.comprehension(ifs=ifs):
-            for test in ifs:
-                yield "condition negated", test, f"(not ({ast.unparse(test)}))"
-        case ast.Constant(value=bool() as value):
-            yield "constant changed", node, str(not value)
-        case ast.Constant(value=int() | float() as value):
-            changed = value + 1 if isinstance(value, int) else 2.0 * value or 1.0
-            yield "constant changed", node, repr(changed)
-        case ast.Constant(value=str() as value) if _WORD.fullmatch(value):
-            yield "constant changed", node, repr(value + "x")
-        case ast.Call(func=func, keywords=keywords):
-            for one in keywords:
-                if one.arg is not None and one.arg not in _PROSE:
-                    fewer = [other for other in keywords if other is not one]
-                    yield "argument dropped", node, ast.unparse(_with(node, keywords=fewer))
-            name = getattr(func, "id", getattr(func, "attr", ""))
-            if name in _NAMES_SWAPPED:
-                key = "id" if isinstance(func, ast.Name) else "attr"
-                other = _with(func, **{key: _NAMES_SWAPPED[name]})
-                yield "function swapped", node, ast.unparse(_with(node, func=other))
+                ops = [*node.ops[:place], _SWAPPED[type(op)](), *node.ops[place + 1 :]]
+                yield "comparison flipped", node, _text(_with(node, ops=ops))
+    elif isinstance(node, ast.BinOp | ast.BoolOp) and type(node.op) in _SWAPPED:
+        yield "operator swapped", node, _text(_with(node, op=_SWAPPED[type(node.op)]()))
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
+        yield "sign or not dropped", node, _text(node.operand)
+    tests = [node.test] if isinstance(node, ast.IfExp) else getattr(node, "ifs", [])
+    for test in tests:
+        yield "condition negated", test, f"(not ({ast.unparse(test)}))"
+
+
+def _of_constant(node: ast.Constant) -> Iterator[Rewrite]:
+    value = node.value
+    if isinstance(value, bool):
+        yield "constant changed", node, str(not value)
+    elif isinstance(value, int):
+        yield "constant changed", node, repr(value + 1)
+    elif isinstance(value, float):
+        yield "constant changed", node, repr(2.0 * value or 1.0)
+    elif isinstance(value, str) and _WORD.fullmatch(value):
+        yield "constant changed", node, repr(value + "x")
+
+
+def _of_call(node: ast.Call) -> Iterator[Rewrite]:
+    for one in node.keywords:
+        if one.arg is not None and one.arg not in _PROSE:
+            fewer = [other for other in node.keywords if other is not one]
+            yield "argument dropped", node, ast.unparse(_with(node, keywords=fewer))
+    name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+    if name in _NAMES_SWAPPED:
+        key = "id" if isinstance(node.func, ast.Name) else "attr"
+        other = _with(node.func, **{key: _NAMES_SWAPPED[name]})
+        yield "function swapped", node, ast.unparse(_with(node, func=other))
 
 
 def _with(node: ast.AST, **changes: object) -> ast.AST:
@@ -261,7 +282,7 @@ def _text(node: ast.AST) -> str:
     return f"({ast.unparse(node)})"
 
 
-def rewritten(source: bytes, node: Any, text: str) -> bytes:
+def rewritten(source: bytes, node: ast.expr | ast.stmt, text: str) -> bytes:
     """Return a source with the text of one node replaced."""
     lines = source.splitlines(keepends=True)
     start = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
@@ -276,7 +297,6 @@ def drawn(
 
     The kind of a fault is drawn from those that its statement can have, then the fault itself.
     """
-    np = import_module("numpy")
     rng = np.random.default_rng(seed)
     weights = np.array([one.last - one.first + 1.0 for one in found])
     order = rng.choice(len(found), size=len(found), replace=False, p=weights / weights.sum())
@@ -297,68 +317,76 @@ def drawn(
             continue
         if same:
             continue
-        before = ast.get_source_segment(source.decode(), node) or ""  # type: ignore[arg-type] - it has a place
-        fault = Fault(one.file, node.lineno, kind, before, text)  # type: ignore[attr-defined] - as above
+        before = ast.get_source_segment(source.decode(), node) or ""
+        fault = Fault(one.file, node.lineno, kind, before, text)
         planted.append((one, fault, faulty))
     return planted
 
 
+class _Recorder:
+    """A plug-in of pytest: coverage by test and by fixture of several tests, and seconds."""
+
+    def __init__(self, measured: Coverage, say: Callable[..., None]) -> None:
+        self.measured, self.say = measured, say
+        self.found = Reach()
+        self.now = ""
+        self.shared_s = 0.0
+        """Spent on fixtures of several tests, of the set-up that is under way."""
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        for item in items:
+            names = item._fixtureinfo.name2fixturedefs.values()  # noqa: SLF001 - nothing else tells
+            self.found.shared[item.nodeid] = sorted(
+                {_fixture(one) for all_ in names for one in all_ if one.scope != "function"}
+            )
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self._switch(nodeid)
+        self.say(start=nodeid)
+
+    def _switch(self, context: str) -> None:
+        self.now = context
+        self.measured.switch_context(context)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef) -> Iterator[None]:
+        if fixturedef.scope == "function":
+            return (yield)
+        before, mine, started = self.now, _fixture(fixturedef), time.monotonic()
+        self._switch(mine)
+        try:
+            return (yield)
+        finally:
+            took = time.monotonic() - started
+            self.found.shared_seconds[mine] = self.found.shared_seconds.get(mine, 0.0) + took
+            self.shared_s += took
+            self._switch(before)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed and report.nodeid not in self.found.failed:
+            self.found.failed.append(report.nodeid)
+        took = report.duration
+        if report.when == "setup":
+            took, self.shared_s = max(0.0, took - self.shared_s), 0.0
+        if not report.skipped:
+            seconds = self.found.seconds
+            seconds[report.nodeid] = seconds.get(report.nodeid, 0.0) + took
+
+
 def record(plan: dict[str, Any], say: Callable[..., None]) -> int:
     """Run all tests with coverage; in a process of its own."""
-    coverage = import_module("coverage")
-    pytest = import_module("pytest")
-    found = Reach()
     measured = coverage.Coverage(
         data_file=None,
         config_file=False,
         include=[str(Path(plan["root"]) / plan["package"] / "*")],
     )
-    shared: list[float] = []
-
-    class Plugin:
-        def pytest_collection_modifyitems(self, items: list[Any]) -> None:
-            for item in items:
-                names = item._fixtureinfo.name2fixturedefs.values()  # noqa: SLF001 - nothing else tells
-                found.shared[item.nodeid] = sorted(
-                    {_fixture(one) for all_ in names for one in all_ if one.scope != "function"}
-                )
-
-        @pytest.hookimpl(wrapper=True)
-        def pytest_runtest_protocol(self, item: Any) -> Iterator[None]:
-            self.now = item.nodeid
-            measured.switch_context(self.now)
-            say(start=item.nodeid)
-            return (yield)
-
-        @pytest.hookimpl(wrapper=True)
-        def pytest_fixture_setup(self, fixturedef: Any) -> Iterator[None]:
-            if fixturedef.scope == "function":
-                return (yield)
-            before, self.now = self.now, _fixture(fixturedef)
-            measured.switch_context(self.now)
-            started = time.monotonic()
-            try:
-                return (yield)
-            finally:
-                took = time.monotonic() - started
-                found.shared_seconds[self.now] = found.shared_seconds.get(self.now, 0.0) + took
-                shared.append(took)
-                self.now = before
-                measured.switch_context(before)
-
-        def pytest_runtest_logreport(self, report: Any) -> None:
-            if report.failed and report.nodeid not in found.failed:
-                found.failed.append(report.nodeid)
-            took = max(0.0, report.duration - sum(shared) * (report.when == "setup"))
-            if report.when == "setup":
-                shared.clear()
-            if not report.skipped:
-                found.seconds[report.nodeid] = found.seconds.get(report.nodeid, 0.0) + took
-
+    recorder = _Recorder(measured, say)
     measured.start()
-    code = int(pytest.main([*plan["pytest"], *plan["tests"]], plugins=[Plugin()]))
-    measured.stop()
-    data = measured.get_data()
+    code = int(pytest.main([*plan["pytest"], *plan["tests"]], plugins=[recorder]))
+    with warnings.catch_warnings():  # tests may have made errors of them
+        warnings.simplefilter("ignore")
+        measured.stop()
+        data, found = measured.get_data(), recorder.found
     for file in data.measured_files():
         name = str(Path(file).relative_to(plan["root"]))
         by_line = data.contexts_by_lineno(file)
@@ -369,17 +397,16 @@ def record(plan: dict[str, Any], say: Callable[..., None]) -> int:
     return code
 
 
-def _fixture(one: Any) -> str:
+def _fixture(one: pytest.FixtureDef) -> str:
     return f"fixture {one.baseid}::{one.argname}"
 
 
 def judge(plan: dict[str, Any], say: Callable[..., None]) -> int:
     """Run some tests in their order until one fails; in a process of its own."""
-    pytest = import_module("pytest")
     order = {name: place for place, name in enumerate(plan["order"])}
 
     class Plugin:
-        def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
             items[:] = sorted(
                 (item for item in items if item.nodeid in order), key=lambda one: order[one.nodeid]
             )
@@ -387,11 +414,11 @@ def judge(plan: dict[str, Any], say: Callable[..., None]) -> int:
         def pytest_runtest_logstart(self, nodeid: str) -> None:
             say(start=nodeid)
 
-        def pytest_runtest_logreport(self, report: Any) -> None:
+        def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
             if report.failed:
                 say(killed_by=report.nodeid)
 
-        def pytest_collectreport(self, report: Any) -> None:
+        def pytest_collectreport(self, report: pytest.CollectReport) -> None:
             if report.failed:
                 say(killed_by=f"collection of {report.nodeid}")
 
@@ -416,36 +443,7 @@ def in_child(
     started = time.monotonic()
     pid = os.fork()
     if pid == 0:
-        code = 3
-        try:
-            os.setsid()
-            with (scratch / "output.txt").open("w") as output:
-                os.dup2(output.fileno(), 1)
-                os.dup2(output.fileno(), 2)
-                os.chdir(plan["root"])
-                os.environ["PYTHONPATH"] = plan["root"]
-                sys.executable = plan["python"]
-                import_module("multiprocessing").set_executable(plan["python"])
-                os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-                os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(scratch / "hypothesis")
-                sys.dont_write_bytecode = True
-                sys.path[:] = [plan["root"], *sys.path[1:]]
-                # Processes that the tests start would otherwise import this file.
-                sys.modules["__main__"] = types.ModuleType("__main__")
-                signal.signal(signal.SIGINT, signal.default_int_handler)
-                with said.open("a", encoding="utf-8") as file:
-
-                    def say(**what: object) -> None:
-                        file.write(json.dumps(what) + "\n")
-                        file.flush()
-
-                    code = work(plan, say)
-        except BaseException:  # noqa: BLE001 - nobody else would tell
-            traceback.print_exc()
-        finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(code)
+        _child(work, plan, scratch=scratch, said=said)
     ended, note, now, since = None, "", "", started
     try:
         while ended is None:
@@ -473,6 +471,46 @@ def in_child(
         "killed_by": by,
         "seconds": round(time.monotonic() - started, 1),
     }
+
+
+def _child(
+    work: Callable[[dict[str, Any], Callable[..., None]], int],
+    plan: dict[str, Any],
+    *,
+    scratch: Path,
+    said: Path,
+) -> NoReturn:
+    """Do the work with the copy of the tree alone in sight, and end the process."""
+    code = 3
+    try:
+        os.setsid()
+        with (scratch / "output.txt").open("w") as output:
+            os.dup2(output.fileno(), 1)
+            os.dup2(output.fileno(), 2)
+        os.chdir(plan["root"])
+        os.environ["PYTHONPATH"] = plan["root"]
+        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+        os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(scratch / "hypothesis")
+        sys.executable = plan["python"]
+        multiprocessing.set_executable(plan["python"])
+        sys.dont_write_bytecode = True
+        sys.path[:] = [plan["root"], *sys.path[1:]]
+        # Processes that the tests start would otherwise import this file.
+        sys.modules["__main__"] = types.ModuleType("__main__")
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        with said.open("a", encoding="utf-8") as file:
+
+            def say(**what: object) -> None:
+                file.write(json.dumps(what) + "\n")
+                file.flush()
+
+            code = work(plan, say)
+    except BaseException:  # noqa: BLE001 - nobody else would tell
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
 
 
 def _last(said: Path, key: str) -> str:
@@ -552,15 +590,15 @@ def reached(options: argparse.Namespace, plan: dict[str, Any], *, scratch: Path)
 
     Every file of tests has a process of its own: one that ends its process costs no other.
     """
-    if options.reach is not None and options.reach.is_file():
-        return Reach(**json.loads(options.reach.read_text(encoding="utf-8")))
     root, reach = Path(plan["root"]), Reach()
+    if options.reach is not None and options.reach.is_file():
+        reach = Reach(**json.loads(options.reach.read_text(encoding="utf-8")))
     files = [
         str(file.relative_to(root))
         for name in options.tests
         for file in (sorted((root / name).rglob("test_*.py")) or [root / name])
     ]
-    for file in files:
+    for file in [file for file in files if file not in reach.files]:
         Path(plan["reach"]).unlink(missing_ok=True)
         one = plan | {"tests": [file]}
         done = in_child(record, one, scratch=scratch, limit_s=math.inf, usual_s={})
@@ -578,8 +616,9 @@ def reached(options: argparse.Namespace, plan: dict[str, Any], *, scratch: Path)
             known = reach.lines.setdefault(name, {})
             for line, contexts in lines.items():
                 known[line] = sorted({*known.get(line, ()), *contexts})
-    if options.reach is not None:
-        options.reach.write_text(json.dumps(asdict(reach)), encoding="utf-8")
+        reach.files.append(file)
+        if options.reach is not None:
+            options.reach.write_text(json.dumps(asdict(reach)), encoding="utf-8")
     return reach
 
 
@@ -603,27 +642,29 @@ def measure(options: argparse.Namespace, *, scratch: Path) -> tuple[Reach, list[
         for path in sorted((root / options.package).rglob("*.py"))
         for one in statements(path, root=root)
     ]
-    faults = []
+    faults, finished = [], earlier(options)
     chosen = drawn(found, root=root, count=options.faults, seed=options.seed)
     for number, (one, fault, faulty) in enumerate(chosen, start=1):
+        known = finished.get((fault.file, fault.line, fault.before, fault.after))
+        if known is not None:
+            faults.append(known)
+            continue
         tests = tests_of(one, reach=reach, root=root, package=options.package)
         if not tests:
             tests, fault.shown_to = end_to_end(reach, options.end_to_end), "end-to-end tests"
         fault.tests = len(tests)
         order = fastest_first(tests, reach=reach)
-        path = root / fault.file
-        sound = path.read_bytes()
-        path.write_bytes(faulty)
-        try:
-            done = in_child(
-                judge,
-                plan | {"order": order},
-                scratch=scratch,
+        done = {"code": 5, "note": "no test reaches it", "killed_by": "", "seconds": 0.0}
+        if order:
+            done = shown_to(
+                order,
+                faulty,
+                path=root / fault.file,
+                plan=plan,
                 limit_s=options.limit,
-                usual_s=reach.seconds | _with_shared(reach),
+                usual_s=_with_shared(reach),
+                scratch=scratch,
             )
-        finally:
-            path.write_bytes(sound)
         fault.killed_by, fault.seconds, fault.note = (
             done[key] for key in ("killed_by", "seconds", "note")
         )
@@ -636,6 +677,23 @@ def measure(options: argparse.Namespace, *, scratch: Path) -> tuple[Reach, list[
         )
         write(options, reach, faults)
     return reach, faults
+
+
+def shown_to(
+    order: Sequence[str],
+    faulty: bytes,
+    *,
+    path: Path,
+    plan: dict[str, Any],
+    **limits: Any,  # noqa: ANN401 - as of `in_child`
+) -> dict[str, Any]:
+    """Run tests while a file holds a fault; return what `in_child` does."""
+    sound = path.read_bytes()
+    path.write_bytes(faulty)
+    try:
+        return in_child(judge, plan | {"order": order}, **limits)
+    finally:
+        path.write_bytes(sound)
 
 
 def _with_shared(reach: Reach) -> dict[str, float]:
@@ -685,6 +743,17 @@ def write(options: argparse.Namespace, reach: Reach, faults: Sequence[Fault]) ->
     options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
+def earlier(options: argparse.Namespace) -> dict[tuple[str, int, str, str], Fault]:
+    """Return the faults of an earlier start of the same command that was cut short."""
+    if options.json is None or not options.json.is_file():
+        return {}
+    found = json.loads(options.json.read_text(encoding="utf-8"))
+    if (found["tree"], found["seed"]) != (str(options.tree), options.seed):
+        return {}
+    faults = [Fault(**one) for one in found["faults"]]
+    return {(one.file, one.line, one.before, one.after): one for one in faults}
+
+
 def show(faults: Sequence[Fault]) -> None:
     """Print how many faults of each kind were noticed, and every one that was not."""
     planted = Counter(one.kind for one in faults)
@@ -714,8 +783,8 @@ def parser() -> argparse.ArgumentParser:
     add("--seed", type=int, default=1)
     add("--limit", type=float, default=300.0, metavar="S", help="seconds of tests for a fault")
     add("--end-to-end", nargs="+", default=END_TO_END, metavar="GLOB", help="names of test files")
-    add("--reach", type=Path, metavar="FILE", help="keep which tests reach what, or use it again")
-    add("--json", type=Path, metavar="FILE", help="write every fault")
+    add("--reach", type=Path, metavar="FILE", help="keep which tests reach what, or go on from it")
+    add("--json", type=Path, metavar="FILE", help="write every fault, or go on from it")
     return command
 
 
@@ -726,12 +795,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not (options.tree / options.package).is_dir():
         say(f"error: {options.tree} has no folder {options.package}")
         return 2
-    try:
-        for name in ("coverage", *_HEAVY):
-            import_module(name)
-    except ImportError as error:
-        say(f"error: {error}; which tests reach a line is told by coverage.py (pip install it)")
+    if coverage is None:
+        say("error: coverage.py is missing: nothing else tells which tests reach a line")
         return 2
+    for name in _HEAVY:
+        import_module(name)
     with tempfile.TemporaryDirectory(prefix="planted-") as folder:
         reach, faults = measure(options, scratch=Path(folder).resolve())
     write(options, reach, faults)

@@ -38,6 +38,13 @@ def scale(monkeypatch):
 
 
 @pytest.fixture
+def planted_faults(monkeypatch):
+    pytest.importorskip("coverage")
+    monkeypatch.syspath_prepend(str(ROOT))
+    return import_module("benchmarks.planted_faults")
+
+
+@pytest.fixture
 def processes(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
     return import_module("benchmarks.processes")
@@ -203,6 +210,59 @@ class TestSoakPlace:
             time.sleep(0.01)
         child.wait()
         assert "gone" in processes.command_of(child.pid)
+
+
+class TestPlantedFaults:
+    def every(self, planted_faults, tmp_path, source):
+        """Every fault of a source, as the line that holds it."""
+        path = tmp_path / "one.py"
+        path.write_text(source)
+        for one in planted_faults.statements(path, root=tmp_path):
+            for _, node, text in one.rewrites:
+                yield planted_faults.rewritten(source.encode(), node, text).decode()
+
+    @pytest.mark.parametrize(
+        ("sound", "faulty"),
+        [
+            ("x = a < b", {"x = (a >= b)"}),
+            ("x = a - 2", {"x = (a + 2)", "x = a - 3"}),
+            ("assert a", {"assert not (a)"}),
+            ("x = f(a, key=b)", {"x = f(a)"}),
+            ("x = not a", {"x = (a)"}),
+            ("x = max(é, a)", {"x = min(é, a)"}),
+            ("x = 'key' in a", {"x = ('key' not in a)", "x = 'keyx' in a"}),
+            ("'prose stays, and so does what is inside f-strings'", set()),
+            ("x = f'{a + b}'", set()),
+            ("x += 1", {"x -= 1", "x += 2"}),
+        ],
+    )
+    def test_of_a_statement(self, planted_faults, tmp_path, sound, faulty):
+        assert set(self.every(planted_faults, tmp_path, sound)) == faulty
+
+    def test_are_found_by_the_tests_that_reach_them(self, planted_faults, tmp_path):
+        tree = tmp_path / "tree"
+        for name, source in {
+            "evaluation/__init__.py": "",
+            "evaluation/sums.py": "def add(a, b):\n    return a + b\n\n\n"
+            "def never(a):\n    return a - 1\n",
+            "tests/test_sums.py": "from evaluation.sums import add\n\n\n"
+            "def test_add():\n    assert add(2, 1) == 3\n\n\n"
+            "def test_other():\n    raise AssertionError\n",
+        }.items():
+            (tree / name).parent.mkdir(parents=True, exist_ok=True)
+            (tree / name).write_text(source)
+        words = [sys.executable, planted_faults.__file__, "--tree", tree, "--tests", "tests"]
+        words += ["--json", tmp_path / "said.json"]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        said = json.loads((tmp_path / "said.json").read_text())
+        assert said["suite"]["failed"] == ["tests/test_sums.py::test_other"]
+        assert (said["planted"], said["killed"]) == (2, 1)
+        faults = {one["line"]: one for one in said["faults"]}
+        assert faults[2]["killed_by"] == "tests/test_sums.py::test_add"
+        assert (faults[6]["killed_by"], faults[6]["tests"]) == ("", 0)
+        assert "return a + b" in (tree / "evaluation" / "sums.py").read_text()
+        assert "survived 0" in done.stdout
 
 
 def run(*arguments):
