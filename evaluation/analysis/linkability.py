@@ -56,6 +56,10 @@ COLUMNS = [
     "d_sys_bins",
     "inverted",
 ]
+_AS_SCORED = (
+    *("p_value", "p_rank1", "minimum_detectable_rank1", "n_probes", "n_mated", "n_clusters"),
+    *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins"),
+)
 AT_CHANCE, BEATS_CHANCE = "at chance", "beats chance"
 """Outcomes of a control."""
 
@@ -119,36 +123,27 @@ def linkability(
             "level": np.nan if entry["level"] is None else entry["level"],
             "consumer": entry["consumer"],
             "knowledge": entry["knowledge"],
-            "cohort": "all",
-            "outcome": found,
-            "invalid": ", ".join(leaks.get((entry["spec"], task), ())),
-            "p_value": p_value,
-            "p_rank1": numbers["p_rank1"],
-            "rank1": rank1.value,
-            "ci_low": rank1.ci_low,
-            "ci_high": rank1.ci_high,
-            "chance": card.estimates["chance"].value,
-            "minimum_detectable_rank1": numbers["minimum_detectable_rank1"],
-            "n_probes": numbers["n_probes"],
-            "n_mated": numbers["n_mated"],
-            "n_clusters": numbers["n_clusters"],
-            "gallery_min": low,
-            "gallery_mean": mean,
-            "gallery_max": high,
-            "realised_fpr_1pct": numbers["realised_fpr_1pct"],
-            "realised_fpr_01pct": numbers["realised_fpr_01pct"],
-            "d_sys_bins": numbers["d_sys_bins"],
-            "inverted": numbers["is_inverted"],
         }
-        rows.append(row)
-        rows += [
-            {key: row[key] for key in COLUMNS[:5]}
-            | {"cohort": name, "invalid": row["invalid"]}
+        invalid = ", ".join(leaks.get((entry["spec"], task), ()))
+        rows.append(
+            row
+            | {name: numbers[name] for name in _AS_SCORED}
             | {
-                key: cohort[key]
-                for key in ("rank1", "ci_low", "ci_high", "chance", "p_rank1", "n_mated")
+                "cohort": "all",
+                "outcome": found,
+                "invalid": invalid,
+                "rank1": rank1.value,
+                "ci_low": rank1.ci_low,
+                "ci_high": rank1.ci_high,
+                "chance": card.estimates["chance"].value,
+                "gallery_min": low,
+                "gallery_mean": mean,
+                "gallery_max": high,
+                "inverted": numbers["is_inverted"],
             }
-            | {"n_clusters": cohort["n_clusters"]}
+        )
+        rows += [
+            row | {"cohort": name, "invalid": invalid, **cohort}
             for name, cohort in card.cohorts.items()
         ]
     return pd.DataFrame(rows, columns=COLUMNS)

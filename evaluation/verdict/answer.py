@@ -53,38 +53,26 @@ def answer(items: Items, *, dataset: str, fid: Collection[str]) -> list[str]:
 
 def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
     mine = [one for one in items if one["section"] == VALIDITY]
-    decided = {
-        descriptor: next(
-            (
-                decision
-                for decision in _ORDER
-                if any(
-                    one["descriptor"] == descriptor and one["decision"] == decision for one in mine
-                )
-            ),
-            UNDECIDED,
-        )
-        for descriptor in DESCRIPTORS
-    }
     if not mine:
         return (
             f"Whether PLR, AEL and MEL track linkability in {dataset} was not tested: the run "
             "has no sweep of fixed noise, or nobody links."
         )
-    parts = []
-    for decision in _ORDER:
-        names = [NAME[one] for one in DESCRIPTORS if decided[one] == decision]
-        if names:
-            parts.append(
-                f"{_listed(names)} {_PLURAL[decision][len(names) > 1]} how linkable people are"
-            )
-    open_ones = [NAME[one] for one in DESCRIPTORS if decided[one] == UNDECIDED]
-    if open_ones:
-        parts.append(f"of {_listed(open_ones)} it is undecided whether")
-        if len(parts) == 1:
-            parts = [f"whether {_listed(open_ones)} track how linkable people are is undecided"]
-        else:
-            parts[-1] = f"for {_listed(open_ones)} that is undecided"
+    named: dict[str, list[str]] = {decision: [] for decision in (*_ORDER, UNDECIDED)}
+    for descriptor in DESCRIPTORS:
+        decided = {one["decision"] for one in mine if one["descriptor"] == descriptor}
+        worst = next((decision for decision in _ORDER if decision in decided), UNDECIDED)
+        named[worst].append(NAME[descriptor])
+    open_ones = named.pop(UNDECIDED)
+    parts = [
+        f"{_listed(names)} {_PLURAL[decision][len(names) > 1]} how linkable people are"
+        for decision, names in named.items()
+        if names
+    ]
+    if open_ones and parts:
+        parts.append(f"for {_listed(open_ones)} that is undecided")
+    elif open_ones:
+        parts = [f"whether {_listed(open_ones)} track how linkable people are is undecided"]
     said = f"In {dataset}, " + "; ".join(parts)
     against = [one for one in mine if one["decision"] == DOES_NOT]
     if against:

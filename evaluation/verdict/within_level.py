@@ -15,8 +15,9 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, RAW
+from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
-from evaluation.runs.cell_files import read_probes, read_rows
+from evaluation.runs.cell_files import read_probes, read_windows
 from evaluation.verdict.items import NAME, Draft, known, with_interval
 from evaluation.verdict.rules import (
     DOES_NOT,
@@ -37,14 +38,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.analysis.keys import Source
     from evaluation.analysis.sweeps import Sweeps
     from isac_track.types import Floats, Ints
 
 COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
 """Of either release: length, speed and mean noise."""
-COLUMNS: Final = {name: METRICS[name].column for name in DESCRIPTORS}
-_SIDES: Final = ("probe", "gallery")
 _FEW = 3
 
 
@@ -84,59 +82,39 @@ def read_levels(
     DataError
         If a cell cannot be read.
     """
-    files = {
+    entries = {
         (entry["spec"], entry["consumer"], entry["knowledge"]): entry for entry in manifest["cells"]
     }
     wanted = {RAW}.union(*(sweeps.swept(adding) for adding in ADDING_RULES))
     found: dict[str, list[LevelTracks]] = {}
-    for task, measure in success.items():
-        for (spec, consumer, _), entry in files.items():
-            linked = files.get((spec, measure.consumer, measure.knowledge))
-            if entry["kind"] != "windows" or consumer.partition("/")[0] != task or linked is None:
-                continue
-            if entry["mechanism"] in wanted:
-                found.setdefault(task, []).append(
-                    _level(
-                        out,
-                        linked,
-                        entry,
-                        mechanism=entry["mechanism"],
-                    )
-                )
+    for task, linker in success.items():
+        for (spec, consumer, _), windows in entries.items():
+            linked = entries.get((spec, linker.consumer, linker.knowledge))
+            is_of_task = windows["kind"] == "windows" and Source(consumer).task == task
+            if is_of_task and linked is not None and windows["mechanism"] in wanted:
+                found.setdefault(task, []).append(_level(out, linked, windows))
     return found
 
 
-def _level(
-    out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any], *, mechanism: str
-) -> LevelTracks:
+def _level(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LevelTracks:
     probes = read_probes(out, linked)
     probes = probes[probes["above"] >= 0]
-    keys = ("side", "search", "source")
-    rows = read_rows(out, windows, columns=[*keys, *COLUMNS.values(), *COVARIATES])
-    # Looked up by hand: thousands of labels in a MultiIndex take most of a report's time.
-    place = {
-        key: row
-        for row, key in enumerate(zip(*(rows[name].to_pylist() for name in keys), strict=True))
-    }
-    sides = np.array(
-        [
-            [place[side, *where] for where in zip(probes["search"], probes["source"], strict=True)]
-            for side in _SIDES
-        ]
-    )
-    groups, cluster = np.unique(probes["group"].to_numpy(str), return_inverse=True)
-    assert groups.size
+    tracks = read_windows(out, windows)
+    keys = ["search", "source"]
+    sides = [
+        probes[keys].merge(tracks[tracks["side"] == side], on=keys, how="left", validate="m:1")
+        for side in ("probe", "gallery")
+    ]
 
     def both(column: str) -> Floats:
-        values: Floats = rows[column].to_numpy().astype(np.float64)[sides].T
-        return values
+        return np.column_stack([side[column].to_numpy(np.float64) for side in sides])
 
     return LevelTracks(
-        mechanism=mechanism,
+        mechanism=windows["mechanism"],
         hit=np.where(probes["above"] == 0, 1.0 / probes["tied"], 0.0),
         chance=probes["chance"].to_numpy(),
-        cluster=cluster.astype(np.int64),
-        descriptors={name: both(column) for name, column in COLUMNS.items()},
+        cluster=np.unique(probes["group"].to_numpy(str), return_inverse=True)[1].astype(np.int64),
+        descriptors={name: both(METRICS[name].column) for name in DESCRIPTORS},
         covariates=np.column_stack([both(column) for column in COVARIATES]),
     )
 
