@@ -11,6 +11,8 @@ from isac_track import datasets
 from isac_track.rng import stream
 from isac_track.types import Tracks
 
+pytest_plugins = ["pytester"]  # for tests that strangers run, in this process
+
 # A shell that starts the tests in the background has them, and all that they start, ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

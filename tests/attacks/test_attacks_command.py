@@ -196,18 +196,8 @@ class TestNew:
         assert "class My2nd:" in (folder / "my_2nd.py").read_text(encoding="utf-8")
         assert f"  pip install -e '{folder}'\n  pytest '{folder}'\n" in capsys.readouterr().out
 
-    def test_an_empty_folder_is_taken(self, here):
-        (here / "my_attack").mkdir()
-        assert main(["new", "my_attack"]) == 0
-        assert (here / "my_attack" / "my_attack.py").is_file()
-
-    @pytest.mark.parametrize("kind", ["reconstruction", "linkage"])
-    def test_nothing_is_left_to_fill_in(self, kind, here):
-        assert main(["new", "my_attack", "--kind", kind]) == 0
-        for path in (here / "my_attack").iterdir():
-            assert "$" not in path.read_text(encoding="utf-8")
-
     def test_it_can_be_installed_under_its_name(self, here):
+        (here / "my_attack").mkdir()  # an empty folder is taken
         assert main(["new", "my_attack"]) == 0
         text = (here / "my_attack" / "pyproject.toml").read_text(encoding="utf-8")
         project = tomllib.loads(text)["project"]
@@ -222,8 +212,9 @@ class TestNew:
         ],
     )
     def test_it_works_as_it_is(
-        self, name, kind, checks, parameter, here, capsys, installed, monkeypatch
+        self, name, kind, checks, parameter, capsys, installed, monkeypatch, pytester
     ):
+        here = pytester.path
         assert main(["new", name, "--kind", kind]) == 0
         assert {path.name for path in (here / name).iterdir()} == {
             f"{name}.py",
@@ -236,12 +227,13 @@ class TestNew:
             f"  pytest {name}",
             f"  python -m evaluation.matrix --preset smoke --attack {name}",
         ]
+        assert not any("$" in path.read_text("utf-8") for path in (here / name).iterdir())
         for file in ("README.md", "pyproject.toml"):
             assert f"A {kind} attack for isac-track" in (here / name / file).read_text("utf-8")
         # Its own tests, from where it was made.
-        done = run_python(here, "-W", "error", "-m", "pytest", "-p", "no:cacheprovider", name)
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert f"{2 * len(checks)} passed" in done.stdout
+        done = pytester.runpytest_inprocess("-W", "error", "-p", "no:cacheprovider", name)
+        done.assert_outcomes(passed=2 * len(checks))
+        capsys.readouterr()
         # By name, once installed.
         monkeypatch.syspath_prepend(here / name)
         class_name = name.title().replace("_", "")
@@ -347,12 +339,11 @@ class TestCommandLine:
 
 
 class TestGuide:
-    def test_runs_as_it_stands(self, tmp_path):
+    def test_runs_as_it_stands(self, pytester):
         guide = DOCS.read_text(encoding="utf-8")
         files = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", guide, re.DOTALL)
         assert [name for name, _ in files][-2:] == ["my_attack.py", "test_my_attack.py"]
         for name, code in files:
-            (tmp_path / name).write_text(code, encoding="utf-8")
-        done = run_python(tmp_path, "-m", "pytest", "-p", "no:cacheprovider")
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert f"{2 * len(CHECKS)} passed" in done.stdout
+            (pytester.path / name).write_text(code, encoding="utf-8")
+        done = pytester.runpytest_inprocess("-W", "error", "-p", "no:cacheprovider")
+        done.assert_outcomes(passed=2 * len(CHECKS))

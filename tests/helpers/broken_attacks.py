@@ -95,12 +95,6 @@ def own_dice(track):
     return track.xy + np.random.default_rng().normal(0.0, 0.05, track.xy.shape)
 
 
-@fails("same_seed_same_result", "keep nothing between two calls of fit")
-def memory(track, calls=[]):  # noqa: B006 - it remembers how often it was asked
-    calls.append(1)
-    return track.xy + 1e-9 * len(calls)
-
-
 @fails("inputs_are_not_mutated", "changed release.xy; ")
 def in_place(release):
     release.xy.flags.writeable = True
@@ -108,13 +102,6 @@ def in_place(release):
         track.xy.flags.writeable = True
         track.xy[:] = halfway_back(track.xy)
     return release.xy
-
-
-@fails("inputs_are_not_mutated", "as informed (granted TRAIN), .*train.truth", uses=TRAIN)
-def shifts_training_set(context):
-    if Knowledge.TRAIN in context.granted:
-        context.train.truth.flags.writeable = True
-        context.train.truth[:] += 1.0
 
 
 @fails("inputs_are_not_mutated", "as oracle .* changed context.repeats[1].t", uses=REPEATS)

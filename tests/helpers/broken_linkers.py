@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from helpers.broken_attacks import MECHANISM, SIGMA, TRAIN, locals_called, replacing
+from helpers.broken_attacks import SIGMA, TRAIN, locals_called, replacing
 
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
@@ -145,40 +145,12 @@ def own_dice(probe, gallery):
     return HONEST.link(probe, gallery) + noise
 
 
-@fails("same_seed_same_result", "keep nothing between two calls of fit")
-def memory(context, fits=[]):  # noqa: ARG001, B006 - it remembers how often it was fitted
-    fits.append(1)
-    drift = 1e-9 * len(fits)
-    return lambda probe, gallery: (
-        HONEST.link(probe, gallery) + drift * np.eye(len(probe), len(gallery))
-    )
-
-
-@fails("inputs_are_not_mutated", "changed gallery.xy; ")
-def in_place(probe, gallery):
-    """Takes walks back to where the first began, without a copy."""
-    gallery.xy.flags.writeable = True
-    gallery.xy[:] -= gallery.xy[0]
-    return HONEST.link(probe, gallery)
-
-
 @fails("inputs_are_not_mutated", "as informed (granted TRAIN), .* context.train.mate", uses=TRAIN)
 def crosses_out(context):
     """Marks the training pairs that it has learnt from."""
     if Knowledge.TRAIN in context.granted:
         context.train.mate.flags.writeable = True
         context.train.mate[:] = -1
-
-
-@fails("only_granted_knowledge_is_touched", "TRAIN was not granted")
-def takes_training_set(context):
-    assert len(context.train.probe)
-
-
-@fails("only_granted_knowledge_is_touched", "as blind (granted nothing)", uses=MECHANISM)
-def never_looks(context):
-    """A blind adversary grants it nothing, yet it reads what it only `uses`."""
-    assert context.mechanism.d_sigma >= 0
 
 
 @fails("only_granted_knowledge_is_touched", "gallery.sigma are None", uses=SIGMA)
@@ -195,20 +167,6 @@ def likes_the_first(probe, gallery):
 @fails("order_of_tracks_does_not_matter", "depend on a track's number?")
 def numbers_probes(probe, gallery):
     return HONEST.link(probe, gallery) - 1e-3 * np.arange(len(probe))[:, None]
-
-
-@fails("order_of_tracks_does_not_matter", "tracks in another order: scores differ by")
-def across_tracks(release):
-    """Smooths the speeds of all tracks as if they were one series."""
-    speeds = HONEST.traits(release)
-    return 0.999 * speeds + 0.001 * np.concatenate([speeds[:1], speeds[:-1]])
-
-
-@fails("frames_and_clocks_do_not_matter", "in another frame and clock")
-def northbound(track):
-    """Looks at the heading, too."""
-    heading = np.arctan2(*(track.xy[-1] - track.xy[0]))
-    return HONEST.trait(track) + 0.003 * heading
 
 
 @fails("frames_and_clocks_do_not_matter", "on absolute times")
@@ -248,12 +206,6 @@ def same_name(probe, gallery):
     return HONEST.link(probe, gallery) + 0.1 * same
 
 
-@fails("pseudonyms_do_not_matter", "drawn afresh")
-def first_by_name(release):
-    first = np.array([name == min(release.pseudonym) for name in release.pseudonym])
-    return HONEST.traits(release) + 0.01 * first
-
-
 @fails("one_candidate_is_handled", "P = 1, G = 1, .* 1 of 1 scores are not")
 def against_the_others(probe, gallery):
     """Standard scores over the candidates; a single one has no spread."""
@@ -262,12 +214,6 @@ def against_the_others(probe, gallery):
     with np.errstate(invalid="ignore", divide="ignore"):
         square = (gap**2).sum(axis=1, keepdims=True) / np.float64(scores.shape[1] - 1)
     return gap / np.maximum(np.sqrt(square), 1e-9)
-
-
-@fails("short_tracks_are_handled", "raised IndexError: .* (broken_linkers.py, line ")
-def needs_three(track):
-    assert np.isfinite(track.xy[2]).all()
-    return HONEST.trait(track)
 
 
 @fails("short_tracks_are_handled", "who cannot tell gives all candidates the same score")
@@ -297,24 +243,6 @@ def takes_the_last_for_nobody(context):
     gap = HONEST.traits(train.probe) - HONEST.traits(train.gallery)[train.mate]
     scale = np.sqrt(np.mean(gap**2))
     return lambda probe, gallery: -np.log1p((HONEST.link(probe, gallery) / scale) ** 2)
-
-
-@fails("training_without_mates_is_handled", "AssertionError: who is this?", uses=TRAIN)
-def insists_on_mates(context):
-    if Knowledge.TRAIN in context.granted:
-        assert (context.train.mate >= 0).all(), "who is this?"
-
-
-@fails("calls_do_not_remember", "asked once more, after other releases")
-def counts_calls(context):  # noqa: ARG001
-    """Drifts with every question that one function is asked."""
-    asked = []
-
-    def link(probe, gallery):
-        asked.append(probe)
-        return HONEST.link(probe, gallery) - 1e-9 * len(asked)
-
-    return link
 
 
 @fails("calls_do_not_remember", "other releases, asked after the first: scores")

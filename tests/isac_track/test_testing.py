@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers import broken_metrics, oracles
 from helpers.broken_metrics import BROKEN
-from helpers.processes import ROOT, run_python
+from helpers.processes import ROOT
 
 from isac_track.errors import SettingsError
 from isac_track.testing import (
@@ -256,10 +256,10 @@ class TestDocumentation:
         assert re.search(r"^\d+ passed, 0 failed, \d+ skipped$", shown.out, re.MULTILINE)
         assert "skipped ael_hand_examples: not offered: ael_s" in shown.out
 
-    def test_example_runs_with_pytest(self, example):
-        done = run_python(example, "-m", "pytest", "-q", "-p", "no:cacheprovider")
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert re.search(r"^\d+ passed, \d+ skipped", done.stdout, re.MULTILINE)
+    def test_example_runs_with_pytest(self, example, pytester):
+        done = pytester.runpytest_inprocess("-W", "error", "-p", "no:cacheprovider", str(example))
+        outcomes = done.parseoutcomes()
+        assert outcomes.keys() == {"passed", "skipped"}, done.stdout.str()
 
     def test_example_is_short(self):
         (text, _) = python_blocks()
