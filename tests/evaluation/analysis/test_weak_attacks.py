@@ -9,7 +9,6 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.runs import rows_of
 
 import evaluation
 from evaluation.analysis import weak_attacks as flags
