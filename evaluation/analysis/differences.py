@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri, stdtr
 
-from evaluation.analysis.families import families
-from evaluation.analysis.levels import LEVEL_UNITS
+from evaluation.analysis.families import LEVEL_UNITS, families
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import (

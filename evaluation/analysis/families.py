@@ -22,6 +22,8 @@ RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
 SWEPT: Final = (RAW, FIXED, FID)
 """Families that the paper compares."""
+LEVEL_UNITS: Final = {FID: "eta in 1/(m^2 s)", FIXED: "d_sigma in m"}
+"""What a level is, by family, as far as it is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,3 +92,9 @@ def named(known: Mapping[str, Family], *, family: str, adding: str) -> str:
         ),
         "",
     )
+
+
+def with_unit(mechanism: str) -> str:
+    """Return the name of a mechanism with what its level is."""
+    unit = LEVEL_UNITS.get(mechanism.partition(":")[0], "")
+    return f"{mechanism}, {unit}" if unit else mechanism

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from evaluation.experiment.presets import SHARED
+from isac_track.protocols import ADVERSARIES
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ORACLE: Final = "oracle"
 """Adversary who is granted all: a reference, never the headline."""
 Where: TypeAlias = "tuple[str, float | None]"
 """Mechanism and level."""
+_MOST_WRITTEN_OUT = 1e7
 
 
 @dataclass(frozen=True, order=True, slots=True)
@@ -77,3 +83,20 @@ class Key:
     def measure(self) -> Measure:
         """What is measured there."""
         return Measure(self.consumer, self.metric, self.knowledge)
+
+
+def level_text(level: float | None) -> str:
+    """Return a level, short; empty for a mechanism without one."""
+    if level is None or math.isnan(level):
+        return ""
+    short = f"{level:.4g}"
+    # As it is typed: 10000, not 1e+04, as long as it can be read.
+    return f"{level:.0f}" if "e+" in short and abs(level) < _MOST_WRITTEN_OUT else short
+
+
+def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:
+    """Return which rows of a summary are of an attack: those that name an adversary.
+
+    Not the name of the consumer tells: an attack and a predictor may bear the same.
+    """
+    return frame["knowledge"].isin(list(ADVERSARIES))

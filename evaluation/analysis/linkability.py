@@ -8,6 +8,8 @@ shortcut it was.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,7 +17,10 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
+from evaluation.analysis.families import CLEAN
+from evaluation.analysis.keys import Source
 from evaluation.analysis.significance import holm
+from evaluation.analysis.strongest import most_knowing
 from evaluation.runs.cell_files import read_outcome
 from isac_track.linkability import LEVEL, outcome
 
@@ -23,10 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from evaluation.analysis.keys import Where
     from evaluation.runs.cell_files import LinkageOutcome
 
-CLEAN = "clean"
-"""Mechanism of the ceiling."""
 AUDIT_LEVEL: Final = 0.01
 """Of the shortcut audit, two-sided, over all audits of a cell (Holm): set before any was run."""
 COLUMNS = [
@@ -63,7 +67,14 @@ _AS_SCORED = (
 AT_CHANCE, BEATS_CHANCE = "at chance", "beats chance"
 """Outcomes of a control."""
 
-
+INVALID = "invalid"
+REMARKS = {
+    "no link detected": "no link detected",
+    "attack too weak": "attack too weak: it fails on clean too",
+    INVALID: "a shortcut leaks: no measure of the attack",
+}
+"""What is to be said of a linkage cell that does not simply link: its outcome, or that a shortcut
+gives people away. With what it means."""
 TWO_SESSIONS = "plaza-two-sessions"
 """Data set of a task that only the simulated two-session crowd has."""
 
@@ -166,3 +177,65 @@ def _leaks(
         if beaten := sorted(name for name, p_value in adjusted if p_value <= AUDIT_LEVEL):
             leaks[where] = tuple(beaten)
     return leaks
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkedTask:
+    """A linkage task: how well each attack links at each level, and its controls."""
+
+    name: str
+    about: str
+    attacks: tuple[Source, ...]
+    """Of each attack the adversary that knows most, short of the oracle if there is one."""
+    cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]]
+    """Rows of `linkability.csv` by cohort, mechanism and level, and attack."""
+    controls: tuple[Mapping[Any, Any], ...]
+    """Rows of the controls, at all levels."""
+
+    @property
+    def cells(self) -> dict[Where, dict[Source, Mapping[str, Any]]]:
+        """The result: everybody, at each level."""
+        return self.cohorts["all"]
+
+
+def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
+    """Return the tasks in which somebody links, in the order of the run, levels rising."""
+    texts = {name: linkability[name].astype(object) for name in ("knowledge", "outcome", "invalid")}
+    # Of texts read from a file, those that are empty are missing.
+    tidy = linkability.assign(
+        task=[Source(name).task for name in linkability["consumer"]],
+        **{name: text.where(text.notna(), "") for name, text in texts.items()},
+    )
+    tidy = tidy.sort_values("level", kind="stable", na_position="first")
+    found = []
+    for task in dict.fromkeys(Source(name).task for name in linkability["consumer"]):
+        of = tidy[tidy["task"] == task].drop(columns="task")
+        cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]] = {}
+        # In the order of the run, not of their levels.
+        for mechanism in linkability["mechanism"].unique():
+            rows = of[(of["mechanism"] == mechanism) & (of["knowledge"] != "")]
+            for row in rows.to_dict("records"):
+                where = mechanism, None if math.isnan(row["level"]) else float(row["level"])
+                source = Source(row["consumer"], row["knowledge"]).attack
+                cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
+        if "all" not in cohorts:
+            continue
+        linkers: dict[str, list[Source]] = {}
+        for source in most_knowing(one for level in cohorts["all"].values() for one in level):
+            # The reconstructions that a linker runs behind, next to it.
+            linkers.setdefault(source.consumer.partition("@")[0], []).append(source)
+        found.append(
+            LinkedTask(
+                name=task,
+                about=TASKS[task].about if task in TASKS else "",
+                attacks=tuple(source for behind in linkers.values() for source in behind),
+                cohorts=cohorts,
+                controls=tuple(of[of["knowledge"] == ""].to_dict("records")),
+            )
+        )
+    return found
+
+
+def remarks(row: Mapping[str, Any]) -> list[str]:
+    """Return what is to be said of a linkage cell that does not simply link."""
+    return [row["outcome"]] * (row["outcome"] in REMARKS) + [INVALID] * bool(row["invalid"])

@@ -8,7 +8,7 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
-ADDING_SUFFIX: Final = {"linear": "", "independent": ":adding=independent"}
 MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"
 """Criteria of matching."""
 N_POINTS, N_ATTACK_POINTS = 20, 10

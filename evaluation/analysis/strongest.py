@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT
-from evaluation.analysis.keys import ORACLE, Key, Source
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Key, Source
 from evaluation.experiment.presets import IDENTITY
+from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -96,3 +97,20 @@ def values_in(summary: pd.DataFrame) -> dict[Key, float]:
         Key(mechanism, None if np.isnan(level) else level, consumer, metric, knowledge): value
         for mechanism, level, consumer, metric, knowledge, value in rows
     }
+
+
+def most_knowing(of: Iterable[Source]) -> list[Source]:
+    """Return for each attack the adversary that knows most, short of the oracle if there is one.
+
+    What was shared stays.
+    """
+    # The oracle is a reference: it stands for an attack that nobody else can run.
+    rank = {"": 0, ORACLE: 0} | {
+        name: 1 + place for place, name in enumerate(name for name in ADVERSARIES if name != ORACLE)
+    }
+    best: dict[str, Source] = {}
+    for source in of:
+        name = "" if source == AS_SHARED else source.consumer
+        if name not in best or rank[source.knowledge] > rank[best[name].knowledge]:
+            best[name] = source
+    return list(best.values())

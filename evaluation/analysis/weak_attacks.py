@@ -29,8 +29,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import CLEAN, RAW
-from evaluation.analysis.keys import AS_SHARED, Key, Source
-from evaluation.analysis.levels import level_text
+from evaluation.analysis.keys import AS_SHARED, Key, Source, level_text
 from evaluation.analysis.metrics import EXPOSURE
 from evaluation.analysis.paper import MIN_CLUSTERS
 from evaluation.analysis.summary import clusters, weights_of

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from evaluation.analysis.keys import Source
-from evaluation.analysis.levels import LEVEL_UNITS, REMARKS, level_text, remarks
+from evaluation.analysis.families import LEVEL_UNITS
+from evaluation.analysis.keys import Source, level_text
+from evaluation.analysis.linkability import REMARKS, remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.reporting import table as tables
 from evaluation.reporting.design_words import closer, notes, reasons, sentence

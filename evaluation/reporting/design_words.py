@@ -7,7 +7,7 @@ import shlex
 from typing import TYPE_CHECKING, Any
 
 from evaluation.analysis.families import FID, FIXED
-from evaluation.analysis.levels import level_text
+from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.experiment.presets import PRESETS
 from evaluation.reporting.table import estimated

@@ -13,12 +13,13 @@ from evaluation.analysis.differences import (
     UNTESTED,
     counts,
 )
-from evaluation.analysis.keys import Source
-from evaluation.analysis.levels import heading, level_text, shortened
+from evaluation.analysis.families import with_unit
+from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
 from evaluation.reporting.table import Cell, Column, amount, level, table, word, words
 from evaluation.reporting.terminal import aligned, say, show_table, standard_output
+from evaluation.reporting.texts import shortened
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -180,7 +181,7 @@ def _heading(row: Mapping[Any, Any], *, room: int) -> str:
         else str(row[f"mechanism_{side}"])
         for side in "ab"
     )
-    full = f"{source}: {heading(a) if a == b else f'{a} -> {b}'}"
+    full = f"{source}: {with_unit(a) if a == b else f'{a} -> {b}'}"
     bare = f"{source}: {a if a == b else f'{a} -> {b}'}"
     return full if len(full) <= room else shortened(bare, room=room)
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN
-from evaluation.analysis.levels import INVALID, REMARKS, level_text, remarks, shortened
+from evaluation.analysis.keys import level_text
+from evaluation.analysis.linkability import INVALID, REMARKS, remarks
 from evaluation.analysis.metrics import SUCCESS
 from evaluation.cells.link_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
 from evaluation.reporting.rows import family_of, mechanism_columns, telling
@@ -22,6 +23,7 @@ from evaluation.reporting.table import (
     word,
     words,
 )
+from evaluation.reporting.texts import shortened
 from isac_track.linkability import LEVEL
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Source, Where
-    from evaluation.analysis.levels import LinkedTask
+    from evaluation.analysis.linkability import LinkedTask
     from evaluation.reporting.table import Table
 
 MARKS = dict(zip(REMARKS, "~?!", strict=True))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from evaluation.analysis.levels import printable
+from evaluation.reporting.texts import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -6,8 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, Family
-from evaluation.analysis.keys import Source
-from evaluation.analysis.levels import HEADLINE, is_attack
+from evaluation.analysis.keys import Source, is_attack
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.reporting.table import Column, level, said
 
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
+HEADLINE: Final = (("raw", None), ("fid", 1.0), ("fid", 1000.0), ("fixed", 0.7), ("fixed", 1.0))
+"""The few levels that tell the story: mechanism without its adding rule, and level."""
 _ORDER = (CLEAN, RAW, "fid", "fixed")
 
 
@@ -95,7 +96,7 @@ def telling(
     levels: dict[str, list[float | None]] = {}
     for mechanism, at in wheres:
         levels.setdefault(mechanism, []).append(at)
-    wanted = {name: [at for of, at, _ in HEADLINE if of == name] for name, *_ in HEADLINE}
+    wanted = {name: [at for of, at in HEADLINE if of == name] for name, _ in HEADLINE}
     told: dict[str, list[float | None]] = {}
     for mechanism, ats in levels.items():
         one = family_of(known, mechanism)

@@ -7,8 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from evaluation.analysis.families import families_in
-from evaluation.analysis.levels import linked_tasks
-from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.linkability import dataset_of, linked_tasks
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Source
-    from evaluation.analysis.levels import LinkedTask
+    from evaluation.analysis.linkability import LinkedTask
 
 
 @dataclass(frozen=True, eq=False)

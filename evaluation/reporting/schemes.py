@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, families_in
-from evaluation.analysis.levels import level_text
+from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.reporting.rows import is_control
 

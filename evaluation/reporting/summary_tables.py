@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.analysis.families import families_in
-from evaluation.analysis.keys import AS_SHARED, ORACLE
-from evaluation.analysis.levels import LEVEL_UNITS, is_attack, most_knowing
+from evaluation.analysis.families import LEVEL_UNITS, families_in
+from evaluation.analysis.keys import AS_SHARED, ORACLE, is_attack
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
     EXPOSURE,
@@ -19,6 +18,7 @@ from evaluation.analysis.metrics import (
     RECONSTRUCTION,
     UTILITY,
 )
+from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.rows import (
     attacked,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
-from evaluation.analysis.levels import level_text
+from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import METRICS
 
 if TYPE_CHECKING:

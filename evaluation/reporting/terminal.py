@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.text import Text
 
-from evaluation.analysis.levels import printable
+from evaluation.reporting.texts import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -15,8 +15,7 @@ import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, families_in
 from evaluation.analysis.keys import AS_SHARED, Source
-from evaluation.analysis.levels import linked_tasks
-from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.linkability import dataset_of, linked_tasks
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.analysis.strongest import strongest_of
 from evaluation.experiment.fingerprint import code_hash
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Where
-    from evaluation.analysis.levels import LinkedTask
+    from evaluation.analysis.linkability import LinkedTask
 
 Status: TypeAlias = Literal["met", "not met", "cannot say"]
 

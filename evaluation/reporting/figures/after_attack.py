@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation.analysis.keys import AS_SHARED, ORACLE, Source
-from evaluation.analysis.levels import most_knowing
 from evaluation.analysis.metrics import EXPOSURE
+from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing

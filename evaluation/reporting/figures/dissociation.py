@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from evaluation.analysis.families import RAW, families_in
-from evaluation.analysis.levels import level_text, shortened
+from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting.figures import style as figure_style
@@ -19,6 +19,7 @@ from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import Look
 from evaluation.reporting.rows import by_level, family_of, is_control, parameters_text
 from evaluation.reporting.schemes import rules_of, schemes
+from evaluation.reporting.texts import shortened
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Source
-    from evaluation.analysis.levels import LinkedTask
+    from evaluation.analysis.linkability import LinkedTask
     from evaluation.reporting.run_results import Results
     from evaluation.reporting.schemes import Scheme
 

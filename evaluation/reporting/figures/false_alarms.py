@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.analysis.levels import is_attack, level_text
+from evaluation.analysis.keys import is_attack, level_text
 from evaluation.analysis.metrics import MISSED_RATE
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.levels import shortened
 from evaluation.analysis.metrics import EXPOSURE
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import Look
 from evaluation.reporting.schemes import rules_of, schemes
+from evaluation.reporting.texts import shortened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,12 +14,14 @@ from matplotlib.textpath import TextPath, text_to_path
 from matplotlib.transforms import Affine2D
 
 from evaluation.analysis.families import ADDING_RULES, FID
-from evaluation.analysis.levels import INVALID, level_text, shortened
+from evaluation.analysis.keys import level_text
+from evaluation.analysis.linkability import INVALID
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import Look
 from evaluation.reporting.rows import family_of, parameters_text, rank_of
 from evaluation.reporting.schemes import schemes
+from evaluation.reporting.texts import shortened
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Source, Where
-    from evaluation.analysis.levels import LinkedTask
+    from evaluation.analysis.linkability import LinkedTask
     from evaluation.reporting.run_results import Results
     from isac_track.types import Floats
 

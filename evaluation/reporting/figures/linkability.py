@@ -12,12 +12,12 @@ from matplotlib.ticker import MaxNLocator
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import CLEAN, RAW
-from evaluation.analysis.levels import remarks, shortened
-from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.linkability import dataset_of, remarks
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, Look
 from evaluation.reporting.schemes import schemes
+from evaluation.reporting.texts import shortened
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from evaluation.analysis.keys import Source
-    from evaluation.analysis.levels import LinkedTask
+    from evaluation.analysis.linkability import LinkedTask
     from evaluation.reporting.run_results import Results
     from evaluation.reporting.schemes import Scheme
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation.analysis.families import FID, FIXED
-from evaluation.analysis.levels import is_attack
+from evaluation.analysis.keys import is_attack
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.experiment.presets import SHARED

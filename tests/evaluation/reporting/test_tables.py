@@ -26,7 +26,7 @@ from rich.console import Console
 
 from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import Source
-from evaluation.analysis.levels import linked_tasks
+from evaluation.analysis.linkability import linked_tasks
 from evaluation.reporting.linkage_tables import cells_table, doubt_table, rank_table
 from evaluation.reporting.paper_tables import claims_table, matched_table, paper_table
 from evaluation.reporting.rows import telling
