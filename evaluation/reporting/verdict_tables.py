@@ -171,7 +171,9 @@ def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:
     """Return row and column of an item."""
     name = METRICS[one["descriptor"]].head if one["descriptor"] else ""
     if one["section"] == "claim":
-        return (_OF[one["of"]], name or one["task"]), one["adding"] + _CRITERIA[one["criterion"]]
+        # Of FID, unless it says of which other mechanism.
+        of = ", ".join([*([one["mechanism"]] if "mechanism" in one else ()), _OF[one["of"]]])
+        return (of, name or one["task"]), one["adding"] + _CRITERIA[one["criterion"]]
     if one["section"] == "inflation":
         return (one["adding"], one["of"]), name
     return (one["adding"], name), one["task"]

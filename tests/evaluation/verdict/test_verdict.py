@@ -105,10 +105,10 @@ class TestVerdict:
         assert len(said["answer"]) == 3
         assert "PLR, AEL and MEL do not track" in said["answer"][0]
 
-    def test_tables_hold_every_item(self, said):
-        tables = short_tables(said)
+    def test_the_short_tables_hold_every_item_of_every_mechanism(self, strangers):
+        tables = short_tables(strangers)
         cells = [cell.text for one in tables for row in one.rows for cell in row[2:]]
-        assert len([cell for cell in cells if cell]) == len(said["items"])
+        assert len([cell for cell in cells if cell]) == len(strangers["items"])
         assert latex(tables).count(r"\toprule") == len(tables)
 
     def test_a_mechanism_of_somebody_elses_is_judged_like_fid(self, strangers):
