@@ -124,6 +124,11 @@ def parser() -> argparse.ArgumentParser:
         "cluster; see docs/cluster.md",
     )
     add("--scheduler", metavar="ADDRESS", help="of the Dask cluster, as tcp://host:8786")
+    add(
+        "--keep-scores",
+        action="store_true",
+        help="keep the raw scores of everybody who links as well: some hundred MB",
+    )
     add("--out", type=Path, metavar="DIR", help="run folder (default: runs/DATASET-PRESET-SEED)")
     add("--fresh", action="store_true", help="replace the run in the folder, do not continue it")
     add("--list", action="store_true", help="list what can be named, and stop")
@@ -170,6 +175,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
         executor=values.get("executor", "local"),
         scheduler=values.get("scheduler"),
         out=Path(values["out"]) if "out" in values else None,
+        keep_scores=options.keep_scores,
         fresh=options.fresh,
     )
 

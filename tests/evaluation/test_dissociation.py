@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers.runs import arrays, linked_level_of
+from helpers.walkers import walkers, write_walkers
 
 import evaluation
 from attacks.tasks.build import build
@@ -26,11 +27,10 @@ from isac_track.config import StageSettings
 from isac_track.errors import PluginError
 from isac_track.plugins import Plugin
 from isac_track.protocols import grants
-from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, predicted_separation, track_order
 from isac_track.sensing import sense_scenes
 from isac_track.sharing import Clean, Fixed, Raw
-from isac_track.types import Knowledge, Reconstruction, Release, Sensed, Tracks
+from isac_track.types import Knowledge, Reconstruction, Release, Sensed
 
 STAGES = StageSettings()
 EPSILON_M = STAGES.privacy.epsilon_m
@@ -307,26 +307,6 @@ class TestScenes:
         assert np.isfinite(rows["mse_m2"]).all()
 
 
-def walkers(n=40):
-    """People who cross a place within 60 s of each other, at speeds of their own."""
-    t_parts, xy_parts = [], []
-    for row in range(n):
-        rng = stream(0, "test", "walkers", row)
-        t = rng.uniform(0, 30) + np.arange(0.0, rng.uniform(16, 30), 0.4)
-        turn = np.cumsum(rng.normal(0, 0.15, t.size)) + rng.uniform(0, 2 * np.pi)
-        step = 0.4 * rng.uniform(0.5, 1.8) * np.column_stack([np.cos(turn), np.sin(turn)])
-        t_parts.append(np.round(t, 2))
-        xy_parts.append(rng.uniform(-5, 5, 2) + np.cumsum(step, axis=0))
-    names = tuple(f"w{row}" for row in range(n))
-    return Tracks(
-        t=np.concatenate(t_parts),
-        xy=np.concatenate(xy_parts),
-        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
-        source=names,
-        group=tuple(f"g{row // 2}" if row < 8 else name for row, name in enumerate(names)),
-    )
-
-
 @pytest.fixture(scope="module")
 def sessions():
     return {
@@ -514,13 +494,7 @@ class EveryOther:
 def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
     (tmp_path / "sieves.py").write_text(EVERY_OTHER, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    rows = ["t,id,x,y"]
-    for walk in walkers():
-        rows += [
-            f"{t:.2f},{walk.source[0]},{x:.4f},{y:.4f}"
-            for t, (x, y) in zip(walk.t, walk.xy, strict=True)
-        ]
-    (tmp_path / "walks.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write_walkers(tmp_path / "walks.csv")
     settings = Settings(
         preset="smoke",
         dataset=str(tmp_path / "walks.csv"),

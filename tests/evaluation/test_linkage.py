@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.runs import linked_level_of
+from helpers.walkers import walkers, write_walkers
 
 import evaluation
 from attacks.tasks.build import build
@@ -27,30 +28,10 @@ from isac_track.intervals import cluster_weights
 from isac_track.linkability import rank1
 from isac_track.plugins import Plugin
 from isac_track.protocols import LinkageTrainingSet
-from isac_track.rng import stream
-from isac_track.types import Knowledge, Reconstruction, Tracks
+from isac_track.types import Knowledge, Reconstruction
 
 STAGES = StageSettings()
 EPSILON_M = STAGES.privacy.epsilon_m
-
-
-def walkers(n=40, *, n_groups=4):
-    """People who cross a place within 60 s of each other, at speeds of their own."""
-    t_parts, xy_parts = [], []
-    for row in range(n):
-        rng = stream(0, "test", "walkers", row)
-        t = rng.uniform(0, 30) + np.arange(0.0, rng.uniform(16, 30), 0.4)
-        turn = np.cumsum(rng.normal(0, 0.15, t.size)) + rng.uniform(0, 2 * np.pi)
-        step = 0.4 * rng.uniform(0.5, 1.8) * np.column_stack([np.cos(turn), np.sin(turn)])
-        t_parts.append(np.round(t, 2))
-        xy_parts.append(rng.uniform(-5, 5, 2) + np.cumsum(step, axis=0))
-    return Tracks(
-        t=np.concatenate(t_parts),
-        xy=np.concatenate(xy_parts),
-        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
-        source=tuple(f"w{row}" for row in range(n)),
-        group=tuple(f"g{row // 2}" if row < 2 * n_groups else f"w{row}" for row in range(n)),
-    )
 
 
 @dataclass(frozen=True)
@@ -554,15 +535,8 @@ class TestCells:
 
 @pytest.fixture
 def recording(tmp_path):
-    tracks = walkers()
-    rows = [
-        f"{t:.2f},{source},{x:.4f},{y:.4f}"
-        for source, track in zip(tracks.source, tracks, strict=True)
-        for t, (x, y) in zip(track.t, track.xy, strict=True)
-    ]
-    path = tmp_path / "walkers.csv"
-    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    return path
+    write_walkers(tmp_path / "walkers.csv")
+    return tmp_path / "walkers.csv"
 
 
 @pytest.fixture

@@ -270,6 +270,48 @@ def test_adding_a_mechanism_changes_no_other_row_and_computes_only_its_cells(set
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
 
 
+def test_a_consumer_that_is_added_later_leaves_a_further_file(settings):
+    evaluation.run(settings, pictures=False)
+    stamps = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
+    wider = replace(settings, predictors=("least_squares", "kalman_cv"), attacks=("identity",))
+    after = evaluation.run(wider, pictures=False).summary
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
+    names = {path.name for path in stamps}
+    added = [held for name, held in held_by(settings.out).items() if name not in names]
+    assert sorted(map(sorted, added)) == [["identity (blind)"]] * 3 + [["kalman_cv"]] * 3
+    afresh = evaluation.run(replace(wider, fresh=True), pictures=False).summary
+    pd.testing.assert_frame_equal(afresh, after, check_exact=True)
+    assert len(list((settings.out / "cells").iterdir())) == 6
+
+
+def test_a_changed_plug_in_is_computed_again_and_its_neighbours_are_not(settings, monkeypatch):
+    wider = replace(settings, predictors=("least_squares", "kalman_cv"))
+    evaluation.run(wider, pictures=False)
+    before = held_by(settings.out)
+    stamps = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
+    change_code(monkeypatch, "predictors.kalman")
+    again = evaluation.run(wider, pictures=False)
+    assert again.manifest["dropped_cells"] == 3
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
+    new = [held for name, held in held_by(settings.out).items() if name not in before]
+    assert new == [{"kalman_cv"}] * 3
+
+
+def test_a_folder_of_the_earlier_layout_is_refused_with_the_way_out(settings):
+    evaluation.run(settings, pictures=False)
+    path = settings.out / "manifest.json"
+    manifest = json.loads(path.read_text(encoding="utf-8"))
+    del manifest["layout"]
+    path.write_text(json.dumps(manifest), encoding="utf-8")
+    earlier = settings.out / "cells" / "raw-shared_00000_0123456789abcdef.parquet"
+    earlier.write_bytes(b"of a consumer of its own")
+    for use in (lambda: evaluation.run(settings), lambda: evaluation.load(settings.out)):
+        with pytest.raises(DataError, match=r"another version.*again with --fresh or another --"):
+            use()
+    evaluation.run(replace(settings, fresh=True), pictures=False)
+    assert not earlier.exists()
+
+
 def test_a_narrower_run_keeps_what_the_folder_already_has(settings):
     evaluation.run(settings, pictures=False)
     narrow = evaluation.run(replace(settings, mechanisms=("raw",)), pictures=False)

@@ -1,0 +1,107 @@
+"""What levels have in common is computed once, and is what computing each would give."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.walkers import walkers
+
+from attacks.tasks.build import build
+from attacks.tasks.task_list import TASKS
+from evaluation.cells import work as work_module
+from evaluation.cells.sharing import release_digest, sees_release_alone
+from evaluation.cells.work import Block, LinkWork, cells
+from evaluation.experiment.axes import axes
+from evaluation.experiment.settings import Settings
+from isac_track import plugins as registry
+from isac_track.config import StageSettings
+from isac_track.scenes import cut, track_order
+from isac_track.types import Release
+
+STAGES = StageSettings()
+ALIKE = ("fid:1", "fid:1.001", "fixed:0.75")
+"""Their releases are the same bit for bit: so near 1, eta lets nothing through."""
+
+
+def levels_of(*, consumers, specs=(*ALIKE, "fixed:0.3")):
+    return tuple((registry.parse("mechanisms", spec)[0], consumers) for spec in specs)
+
+
+def block_of(tracks):
+    order = track_order(n_tracks=len(tracks), n_scenes=6, agents=4, seed=0)
+    crossed = axes(Settings(attacks=("identity", "kalman_rts"), tasks=()))
+    return Block(0, 0, order, levels_of(consumers=crossed.consumers))
+
+
+def task_of(walks):
+    sessions = build(TASKS["rerelease"], tracks=walks, later=None, settings=STAGES, seed=0)
+    settings = Settings(
+        attacks=("shape", "histogram", "histogram@kalman_rts"), tasks=("rerelease",)
+    )
+    consumers = axes(settings).readers(TASKS["rerelease"])
+    return LinkWork(sessions, (), levels_of(consumers=consumers))
+
+
+@pytest.fixture(params=["scenes", "task"])
+def piece(request, tracks):
+    known = cut(tracks, settings=STAGES, seed=0)
+    return (block_of(known) if request.param == "scenes" else task_of(walkers())), known
+
+
+def test_levels_that_are_shared_alike_are_computed_once_and_the_same(piece, monkeypatch):
+    work, tracks = piece
+    once = list(cells(work, tracks=tracks, stages=STAGES, seed=0))
+    monkeypatch.setattr(work_module, "sees_release_alone", lambda _: False)
+    each = list(cells(work, tracks=tracks, stages=STAGES, seed=0))
+    first = {one.label: tables for _, by, one, tables in once if by.spec == ALIKE[0]}
+    n_shared = 0
+    for (*_, by, one, tables), (*_, apart) in zip(once, each, strict=True):
+        assert tables.keys() == apart.keys()
+        assert all(
+            table.to_pandas().equals(apart[name].to_pandas()) for name, table in tables.items()
+        )
+        is_first = by.spec == ALIKE[0]
+        same = tables is first[one.label] and not is_first
+        assert same == (by.spec in ALIKE[1:] and sees_release_alone(one))
+        n_shared += same
+    assert n_shared > 4
+
+
+def test_who_may_draw_from_a_stream_of_the_level_or_knows_it_is_computed_for_each():
+    settings = Settings(
+        predictors=("least_squares",),
+        attacks=("identity", "shape", "histogram", "histogram@radial_rts"),
+        tasks=("rerelease",),
+    )
+    crossed = axes(settings)
+    consumers = (*crossed.consumers, *crossed.readers(TASKS["rerelease"]))
+    alone = {one.label for one in consumers if sees_release_alone(one)}
+    assert {"shared", "least_squares", "rerelease/windows", "rerelease/shape (blind)"} <= alone
+    assert not any("identity" in label or "control" in label for label in alone)
+    for one in consumers:
+        if "MECHANISM" in {what.name for what in one.granted}:
+            assert one.label not in alone
+
+
+def test_what_a_stranger_wrote_is_computed_for_each():
+    crossed = axes(Settings(attacks=("shape",), tasks=("rerelease",)))
+    (blind, *_) = (one for one in crossed.readers(TASKS["rerelease"]) if one.kind == "linkage")
+    assert sees_release_alone(blind)
+    for origin in ("mine:Shape", "attackers.shape:Shape"):
+        theirs = replace(blind, plugin=replace(blind.plugin, origin=origin))
+        assert not sees_release_alone(theirs)
+        assert not sees_release_alone(replace(blind, behind=theirs.plugin))
+
+
+def test_a_pseudonym_alone_makes_no_other_release():
+    t, offsets = np.arange(4.0), np.array([0, 2, 4])
+    one = Release(t, np.zeros((4, 2)), np.ones(4), offsets, ("a", "b"))
+    assert release_digest(one) == release_digest(replace(one, pseudonym=("c", "d")))
+    others = {
+        "t": t + 1e-9,
+        "xy": one.xy + 1e-12,
+        "sigma": None,
+        "offsets": np.array([0, 1, 4]),
+    }
+    for name, changed in others.items():
+        assert release_digest(replace(one, **{name: changed})) != release_digest(one), name

@@ -1,0 +1,192 @@
+"""What a cell depends on: the code of its stage and of its plug-ins, and nothing else."""
+
+import sys
+
+import pytest
+from helpers.runs import change_code
+
+from evaluation.experiment.axes import axes
+from evaluation.experiment.fingerprint import (
+    RECONSTRUCTION,
+    SHARING,
+    closure_digest,
+    consumer_key,
+    source_digest,
+    sources,
+)
+from evaluation.experiment.settings import Settings
+
+FILES = {
+    "solo.py": "import os\nimport numpy\nfrom helper_a import f\n",
+    "helper_a.py": "def f():\n    import helper_b\n",
+    "helper_b.py": "FACTOR = 1\n",
+    "stranger.py": "FACTOR = 1\n",
+    "kit/__init__.py": "from kit import base\n",
+    "kit/base.py": "from .deep import core as c\n",
+    "kit/deep/__init__.py": "",
+    "kit/deep/core.py": "from .. import side\n",
+    "kit/side.py": "X = 1\n",
+    "kit/unused.py": "X = 1\n",
+    "kit/plugin.py": "import kit.deep\n",
+    "broken.py": "def (\n",
+    "circle.py": "import circle, circle_2\n",
+    "circle_2.py": "import circle\n",
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    for name, text in FILES.items():
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    for name in [name for name in sys.modules if name.partition(".")[0] == "kit"]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize(
+    ("module", "changes", "stays"),
+    [
+        ("solo", ["solo.py", "helper_a.py", "helper_b.py"], ["stranger.py", "kit/base.py"]),
+        (
+            "kit.plugin",
+            ["kit/plugin.py", "kit/__init__.py", "kit/base.py", "kit/deep/core.py", "kit/side.py"],
+            ["kit/unused.py", "solo.py"],
+        ),
+        ("broken", ["broken.py"], ["solo.py"]),
+        ("circle", ["circle.py", "circle_2.py"], ["solo.py"]),
+    ],
+)
+def test_what_it_is_made_of(folder, module, changes, stays):
+    before = source_digest(module)
+    assert source_digest(module) == before
+    for names, is_part in ((changes, True), (stays, False)):
+        for name in names:
+            path = folder / name
+            text = path.read_text()
+            path.write_text(f"{text}# changed\n")
+            assert (source_digest(module) != before) is is_part, name
+            path.write_text(text)
+
+
+def test_reading_imports_runs_nothing(folder):
+    (folder / "helper_a.py").write_text("raise SystemExit(1)\n")
+    source_digest("solo")
+    assert "helper_a" not in sys.modules
+
+
+def test_an_installed_module_is_its_own_package_alone(folder, monkeypatch):
+    monkeypatch.setattr("sysconfig.get_paths", lambda: {"purelib": str(folder)})
+    before = source_digest("solo"), source_digest("kit.plugin")
+    (folder / "helper_a.py").write_text("X = 2\n")
+    assert source_digest("solo") == before[0]
+    (folder / "kit" / "base.py").write_text("X = 2\n")
+    assert source_digest("kit.plugin") != before[1]
+
+
+def test_what_has_no_file_is_nothing(monkeypatch):
+    monkeypatch.setattr(sys.modules["__main__"], "__spec__", None)  # as of a script
+    assert source_digest("sys") == source_digest("builtins") == source_digest("__main__")
+
+
+TREE = {
+    "kernel": "",
+    "reader": "import kernel",
+    "package": "from package import late",
+    "package.first": "def f():\n    import_module('isac_track.loops')",
+    "package.late": "",
+    "isac_track.loops": "import kernel",
+    "types_only": "if TYPE_CHECKING:\n    import kernel\nelse:\n    import package.late",
+}
+
+
+@pytest.mark.parametrize(
+    ("module", "made_of"),
+    [
+        ("reader", "reader kernel"),
+        ("kernel", "kernel"),
+        ("package.first", "package package.first package.late isac_track.loops kernel"),
+        ("types_only", "types_only package package.late"),
+    ],
+)
+def test_imports_count_as_they_are_made(module, made_of):
+    def digest(tree):
+        def source_of(name):
+            return (tree[name].encode(), name == "package") if name in tree else None
+
+        return closure_digest(module, source_of=source_of)
+
+    before = digest(TREE)
+    for name, text in TREE.items():
+        changed = digest(TREE | {name: f"{text}\nX = 1"})
+        assert (changed != before) == (name in made_of.split()), name
+
+
+STAGES = (SHARING, RECONSTRUCTION, "rerelease")
+
+
+@pytest.mark.parametrize(
+    ("module", "stages"),
+    [
+        ("isac_track.sensing", STAGES),
+        ("isac_track.datasets.read_table", STAGES),
+        ("evaluation.cells.sharing", STAGES),
+        ("evaluation.experiment.constants", (RECONSTRUCTION,)),
+        ("isac_track.privacy", STAGES),
+        ("isac_track.conflict", STAGES),
+        ("evaluation.cells.forecasts", (SHARING,)),
+        ("isac_track.kalman._linear_loops", (RECONSTRUCTION, "rerelease")),
+        ("isac_track.linkability._loops", ("rerelease",)),
+        ("attacks.tasks.closed_set", ("rerelease",)),
+        ("evaluation.cells.link_tables", ("rerelease",)),
+        ("evaluation.experiment.presets", ()),
+        ("evaluation.experiment.axes", ()),
+        ("isac_track.plugins", ()),
+        ("isac_track.testing.engine", ()),
+        ("attacks.testing", ()),
+        ("evaluation.reporting.figures.heat", ()),
+        ("evaluation.analysis.summary", ()),
+        ("evaluation.runs.execute", ()),
+    ],
+)
+def test_a_stage_is_computed_by_what_it_imports(monkeypatch, module, stages):
+    def digests():
+        return {stage: [source_digest(one) for one in sources(stage)] for stage in STAGES}
+
+    before = digests()
+    change_code(monkeypatch, module)
+    after = digests()
+    assert {stage for stage in STAGES if before[stage] != after[stage]} == set(stages)
+
+
+def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
+    crossed = axes(Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape")))
+    consumers = (*crossed.consumers, *crossed.linkers(crossed.tasks[0]))
+
+    def keys():
+        return {
+            one.label: consumer_key(
+                one,
+                code=[source_digest(name) for name in sources("", one.plugin, one.behind)],
+                keep_scores=False,
+            )
+            for one in consumers
+        }
+
+    before = keys()
+    assert len(set(before.values())) == len(consumers)
+    change_code(monkeypatch, "attacks.reconstruction._parabola_loop")
+    after = keys()
+    changed = {label.partition(" ")[0] for label in before if before[label] != after[label]}
+    assert changed == {"savgol", "rerelease/shape@savgol"}
+
+
+def test_raw_scores_are_another_thing_to_keep():
+    crossed = axes(Settings(attacks=("savgol", "shape")))
+    for one in (*crossed.consumers, *crossed.readers(crossed.tasks[0])):
+        with_scores, without = (
+            consumer_key(one, code=(), keep_scores=keep) for keep in (True, False)
+        )
+        assert (with_scores != without) == (one.kind in ("linkage", "control"))
