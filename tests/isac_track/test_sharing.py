@@ -89,6 +89,7 @@ class TestIndependentAdding:
         changed = perturb(batch, 0.8, rng(), adding="independent", law=other)
         np.testing.assert_array_equal(default.xy, named.xy)
         assert not np.allclose(default.xy, changed.xy)
+        perturb(batch, 0.8, rng(), adding="independent", law="fixed_direction")  # of each track
 
     def test_levels_share_their_draws(self):
         batch = sensed()
