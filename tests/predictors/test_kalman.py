@@ -45,16 +45,6 @@ def test_the_kernels_are_filterpy(tracker, noise):
 
 
 @by_name
-def test_one_track_at_a_time_is_the_same(tracker):
-    release, t_future, _ = walks(60, 40, 5)
-    whole = tracker.predict(release, t_future)
-    for row, track in enumerate(release):
-        alone = tracker.predict(track, t_future[row : row + 1])
-        assert np.allclose(alone.mean[0], whole.mean[row])
-        assert np.allclose(alone.cov[0], whole.cov[row])
-
-
-@by_name
 def test_a_late_clock_loses_nothing(tracker):
     early, t_early, _ = walks(60)
     late, t_late, _ = walks(60, from_s=1e6)

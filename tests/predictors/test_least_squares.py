@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.walks import release_of, smooth_walks
+from helpers.walks import smooth_walks
 
 from predictors.least_squares import LeastSquares
 
@@ -24,14 +24,6 @@ def test_it_is_polyfit_over_the_last_samples(window):
         for axis in range(2):
             line = np.polyfit(t, xy[:, axis], 1)
             assert np.allclose(found[row, :, axis], np.polyval(line, t_future[row]), atol=1e-8)
-
-
-def test_a_straight_walk_is_foreseen_exactly():
-    t = smooth_walks(30)[0].t
-    straight = release_of([(t, np.stack([1.2 * t + 3, 5 - 0.4 * t], axis=1))])
-    t_future = future_of(straight)
-    expected = np.stack([1.2 * t_future[0] + 3, 5 - 0.4 * t_future[0]], axis=1)
-    assert np.allclose(LeastSquares().predict(straight, t_future).mean[0], expected)
 
 
 def test_one_sample_stands_still():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from helpers.walks import context, hits, release_of, two_releases
-from scipy.spatial.distance import jensenshannon
 
 from attacks.linkage.histogram import SPEEDS, Histogram, counts_of, one_source
 from attacks.linkage.signals import motion, on_grid
@@ -28,15 +27,6 @@ def test_it_is_the_likelihood_ratio():
             two = multinomial(a[i], a[i] / a[i].sum()) + multinomial(b[j], b[j] / b[j].sum())
             assert ratio[i, j] == pytest.approx(one - two, abs=1e-9)
     assert (ratio <= 1e-9).all()
-
-
-def test_of_equal_counts_it_is_the_jensen_shannon_divergence():
-    rng = stream(1, "test", "histogram")
-    a, b = rng.dirichlet(np.ones(7), 3), rng.dirichlet(np.ones(7), 5)
-    ratio = one_source(40 * a, 40 * b)
-    for i in range(3):
-        for j in range(5):
-            assert ratio[i, j] == pytest.approx(-80 * jensenshannon(a[i], b[j]) ** 2)
 
 
 def test_every_cell_of_the_grid_is_counted_once():

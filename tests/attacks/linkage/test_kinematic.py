@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
-from helpers.walks import Person, context, hits, release_of
+from helpers.walks import Person, context, release_of
 
 from attacks.linkage.kinematic import Kinematic, backwards, continuations, rivals
 from attacks.linkage.learning import log_rank
@@ -91,14 +91,6 @@ def test_backwards_is_each_track_backwards():
     for row, (lo, hi) in enumerate(zip(gallery.offsets[:-1], gallery.offsets[1:], strict=True)):
         assert np.array_equal(t[lo:hi], -gallery[row].t[::-1])
         assert np.array_equal(xy[lo:hi], gallery[row].xy[::-1])
-
-
-@pytest.mark.parametrize("informed", [False, True])
-def test_who_walks_on_is_found(informed):
-    probe, gallery, mate = gap(10, same_start=False)
-    train = LinkageTrainingSet(*gap(20, seed=3)) if informed else None
-    scores = Kinematic().fit(scene(train))(probe, gallery)
-    assert hits(scores, mate) == 1.0
 
 
 def test_a_common_motion_changes_nothing():

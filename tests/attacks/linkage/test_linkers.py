@@ -11,7 +11,7 @@ from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.learning import LEAST_MATES, log_rank, tracks_of
 from attacks.linkage.profile import Profile
 from attacks.linkage.shape import Shape
-from isac_track.protocols import LinkageAttack, LinkageTrainingSet, grants, kind_of
+from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Knowledge
 
 BY_MOTION = [Profile(), DTW(), Shape(), Behaviour(), Histogram()]
@@ -30,29 +30,6 @@ def fitted(attack, train=None):
 @pytest.fixture(scope="module")
 def easy():
     return two_releases(12)
-
-
-@pytest.fixture(scope="module")
-def lesson():
-    return LinkageTrainingSet(*two_releases(30, seed=1, noise_m=0.02))
-
-
-@pytest.mark.parametrize("attack", ALL, ids=name)
-def test_it_is_a_linkage_attack_of_two_rows(attack):
-    assert isinstance(attack, LinkageAttack)
-    assert kind_of(attack) == "linkage"
-    task = frozenset({Knowledge.SCENE}) & attack.requires
-    assert list(grants(attack, everyone=task)) == ["blind", "informed"]
-
-
-@pytest.mark.parametrize("informed", [False, True])
-@pytest.mark.parametrize("attack", [Profile(), Shape(), DTW(), Histogram()], ids=name)
-def test_an_easy_walk_is_found(attack, informed, easy, lesson):
-    probe, gallery, mate = easy
-    # Warping reaches no further than its band, and a histogram knows no time: most will do.
-    least = 1.0 if isinstance(attack, Profile | Shape) else 0.75
-    scores = fitted(attack, lesson if informed else None)(moved(probe, seed=3), moved(gallery))
-    assert hits(scores, mate) >= least
 
 
 @pytest.mark.parametrize("attack", BY_MOTION, ids=name)  # of Kinematic, see its own tests

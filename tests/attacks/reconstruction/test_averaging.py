@@ -1,14 +1,11 @@
 """Repeating a release: closed forms of the mean over R + 1 of them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers.walks import context, release_of
 
 from attacks.reconstruction.averaging import Averaging
 from isac_track.errors import KnowledgeDenied
-from isac_track.rng import stream
 from isac_track.types import Knowledge
 
 SCENE, SIGMA, REPEATS = Knowledge.SCENE, Knowledge.SIGMA, Knowledge.REPEATS
@@ -49,31 +46,6 @@ def test_a_sample_declared_exact_decides():
         granted=(SCENE, REPEATS, SIGMA),
     )
     assert found.xy == pytest.approx(np.ones((1, 2)), abs=1e-9)
-
-
-@pytest.mark.parametrize("n_repeats", [0, 1, 2, 7])
-def test_equal_variances_leave_one_part_in_as_many_as_there_are_releases(n_repeats):
-    rng = stream(0, "test", "averaging", n_repeats)
-    truth = rng.normal(0, 5, (20_000, 2))
-    releases = [one_walk(truth + 0.8 * rng.standard_normal(truth.shape)) for _ in range(9)]
-    found = averaged(*releases[: n_repeats + 1])
-    # 40,000 squares: their mean is known to 0.7 %.
-    left = np.mean((found.xy - truth) ** 2)
-    assert left == pytest.approx(0.64 / (n_repeats + 1), rel=0.03)
-
-
-def test_inverse_variances_leave_the_harmonic_sum():
-    rng = stream(0, "test", "averaging", "unequal")
-    truth = rng.normal(0, 5, (20_000, 2))
-    stds = [rng.uniform(0.2, 2.0, 20_000) for _ in range(3)]
-    releases = [
-        one_walk(truth + std[:, None] * rng.standard_normal(truth.shape), sigma=std) for std in stds
-    ]
-    found = averaged(*releases, granted=(SCENE, REPEATS, SIGMA))
-    best = 1.0 / sum(1.0 / std**2 for std in stds)
-    assert np.mean((found.xy - truth) ** 2) == pytest.approx(best.mean(), rel=0.03)
-    plain = averaged(*(replace(one, sigma=None) for one in releases))
-    assert np.mean((plain.xy - truth) ** 2) > 1.5 * best.mean()
 
 
 def test_without_repeats_it_cannot_run():

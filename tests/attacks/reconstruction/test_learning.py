@@ -91,13 +91,6 @@ class TestExposureLoss:
         )
         assert loss == pytest.approx(((0 + 1 / 2 + 4 / 5) / 3 + 16 / 17) / 2)
 
-    def test_nothing_for_the_truth_itself_and_one_for_hopeless_errors(self):
-        truth = np.zeros((3, 2))
-        offsets = np.array([0, 2, 3])
-        assert exposure_loss(xy=truth, truth=truth, offsets=offsets, epsilon_m=EPSILON_M) == 0.0
-        far = exposure_loss(xy=truth + 1e6, truth=truth, offsets=offsets, epsilon_m=EPSILON_M)
-        assert far == pytest.approx(1.0)
-
 
 LEARNERS = {  # class, candidates, what they are candidates for, and whether more of it smooths more
     "moving_average": (moving_average.MovingAverage, moving_average, ("width_s",), True),

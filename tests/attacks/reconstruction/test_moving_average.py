@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.walks import context, release_of, smooth_walks
+from helpers.walks import context, smooth_walks
 
 from attacks.reconstruction.moving_average import MovingAverage, centred_means
 from attacks.reconstruction.windows import REFERENCE_STD_M, half_windows, mean_intervals_s
@@ -35,14 +35,6 @@ def test_the_whole_attack_is_the_loop():
     half = half_windows(release, width_s=1.5, bias_order=2)
     ours = MovingAverage(width_s=1.5).fit(context())(release)
     assert np.allclose(ours.xy, by_loop(release.xy, release.offsets, half), atol=1e-9)
-
-
-def test_a_straight_walk_at_even_steps_stays():
-    clocks = (np.arange(40) * 0.1, np.arange(9) * 0.2)
-    release = release_of([(t, np.stack([t, 3 - 2 * t], axis=1)) for t in clocks])
-    half = np.array([8, 4])
-    ours = centred_means(xy=release.xy, offsets=release.offsets, half=half)
-    assert np.allclose(ours, release.xy, atol=1e-12)
 
 
 @pytest.mark.parametrize(("bias_order", "exponent"), [(2, 2 / 5), (4, 2 / 9)])

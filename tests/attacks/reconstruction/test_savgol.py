@@ -60,17 +60,3 @@ def test_running_sums_lose_nothing_on_a_long_track():
     half = np.array([40])
     ours = parabolas(t=release.t, xy=release.xy, offsets=release.offsets, half=half)
     assert np.allclose(ours, by_scipy(release, half), atol=1e-9, rtol=0)
-
-
-def test_a_parabola_at_even_steps_stays():
-    along = np.arange(80) * 0.1
-    curve = np.stack([0.1 * (along - 3) ** 2, along**2 - along], axis=1)
-    release = release_of([(along, curve)])
-    ours = Savgol(width_s=50.0).fit(context())(release)
-    assert np.allclose(ours.xy, release.xy, atol=1e-9)
-
-
-@pytest.mark.parametrize("size", [1, 2])
-def test_one_or_two_samples_are_returned(size):
-    release, _ = smooth_walks(size)
-    assert np.array_equal(Savgol().fit(context())(release).xy, release.xy)

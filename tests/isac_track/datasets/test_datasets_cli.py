@@ -77,13 +77,6 @@ def test_show_takes_format_and_fps(tmp_path, capsys):
     assert "--fps" in capsys.readouterr().err
 
 
-def test_show_names_the_frozen(ucy, capsys):
-    assert main(["show", "students03"]) == 0
-    out = capsys.readouterr().out
-    assert "5 tracks with at least 90% steps of no length: 289, 453, 454, 468, 473" in out
-    assert "Lerner" in out
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -116,20 +109,6 @@ def test_fetch(ucy, mirror, empty_machine, capsys):
     assert main(["fetch", "students03"]) == 0
     assert f"students03: already here: {target}" in capsys.readouterr().out
     assert len(mirror.asked) == 2
-    target.write_bytes(b"damaged")  # in our own cache: replaced
-    assert main(["fetch", "students03"]) == 0
-    assert len(mirror.asked) == 3
-    assert target.read_bytes() == mirror.files["/base/students03/obsmat.txt"]
-
-
-def test_fetch_leaves_a_wrong_file_of_the_users_alone(data_folder, mirror, capsys):
-    mine = data_folder / "zara01" / "obsmat.txt"
-    mine.parent.mkdir()
-    mine.write_text("mine")
-    assert main(["fetch", "zara01"]) == 2
-    assert "is not the obsmat.txt of zara01" in capsys.readouterr().err
-    assert mine.read_text() == "mine"
-    assert mirror.asked == []
 
 
 def test_an_interrupt_ends_with_130_and_leaves_nothing(mirror, empty_machine):

@@ -89,11 +89,6 @@ def test_pedpy_in_centimetres_is_converted_and_reported():
     assert kinds(repairs) == {"unit": 2}
 
 
-def test_pedpy_without_a_header_takes_fps():
-    tracks, _ = read_walk(b"7 0 1 2\n7 5 2 2\n", "pedpy", fps=5)
-    np.testing.assert_array_equal(tracks.t, [0, 1])
-
-
 def test_trajnet_scenes_count_rows_a_second_while_f_counts_video_frames():
     data = b'{"scene": {"id": 0, "p": 1, "s": 0, "e": 20, "fps": 2.5, "tag": [1, []]}}\n'
     for f in (0, 10, 20):
