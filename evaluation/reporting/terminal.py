@@ -90,7 +90,10 @@ def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
         intervals, lines = _fitting(table, part, console.width)
         left_out = intervals < _intervals(table, part)
         console.print()
-        title = table.title + " where there is room" * left_out
+        told = " where there is room"
+        if not table.title.endswith("intervals"):
+            told = f" (intervals{told})"
+        title = table.title + told * left_out
         say(console, title, "bold", wrap=True)
         for line, style in lines:
             say(console, line, style)
