@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -30,6 +29,8 @@ from isac_track.linkability import ProbeRanks
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
+
+    import pandas as pd
 
     from evaluation.cells.tables import Tables
     from evaluation.experiment.axes import Consumer
@@ -192,7 +193,9 @@ def places_of(files: Mapping[str, Index]) -> dict[tuple[str, str], str]:
 
 def label_of(entry: Mapping[str, Any]) -> str:
     """Return the label of the consumer of an entry of a manifest."""
-    return f"{entry['consumer']} ({entry['knowledge']})" if entry["knowledge"] else entry["consumer"]
+    return (
+        f"{entry['consumer']} ({entry['knowledge']})" if entry["knowledge"] else entry["consumer"]
+    )
 
 
 def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) -> pa.Table:

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from evaluation.runs import folder as store
-from evaluation.experiment.fingerprint import code_hash, source_digest
 from evaluation.cells.progress import Failed, note
+from evaluation.experiment.fingerprint import code_hash, source_digest
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, told
 

@@ -10,14 +10,14 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from evaluation.runs import folder as store
+from evaluation.cells.progress import Failed, note, noted
+from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.work import LinkWork, attempt
 from evaluation.experiment.fingerprint import sources
+from evaluation.runs import folder as store
 from evaluation.runs.cell_files import packed, places_of, read_rows
 from evaluation.runs.checksums import write_checked
 from evaluation.runs.failures import FailedCell, Failures
-from evaluation.runs.missing_work import cut_for_cluster, files_of, missing_of, pieces_of
-from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.runs.gallery import write_gallery
 from evaluation.runs.manifest import (
     describe,
@@ -26,7 +26,7 @@ from evaluation.runs.manifest import (
     merged_cells,
     whole_cells,
 )
-from evaluation.cells.progress import Failed, note, noted
+from evaluation.runs.missing_work import cut_for_cluster, files_of, missing_of, pieces_of
 from evaluation.runs.workers import spread
 from isac_track import kalman as kernels
 from isac_track.command_line import check_interrupt
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 
     from evaluation.cells.tables import Tables
     from evaluation.cells.work import Item
-    from evaluation.runs.missing_work import Missing
-    from evaluation.runs.failures import Work
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan
+    from evaluation.runs.failures import Work
+    from evaluation.runs.missing_work import Missing
     from isac_track.plugins import Plugin
 
 

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from evaluation.cells.progress import Failed
     from evaluation.cells.work import LinkWork
     from evaluation.experiment.axes import Consumer
-    from evaluation.cells.progress import Failed
     from isac_track.plugins import Plugin
 
 Work: TypeAlias = "Block | LinkWork"

@@ -6,11 +6,9 @@ The parent alone writes; a file is there whole or not at all.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import platform
-import re
 import shutil
 import subprocess
 import sys
@@ -23,9 +21,8 @@ from evaluation.experiment.fingerprint import can_be_found, source_digest
 from evaluation.runs.cell_files import label_of, sound_files
 from evaluation.runs.checksums import FOLDER, forget_missing
 from evaluation.runs.files import write_whole
-from evaluation.runs.manifest_shape import CELL_NAME, LAYOUT, defect_of
-from evaluation.experiment.fingerprint import source_digest
 from evaluation.runs.lock import LOCK
+from evaluation.runs.manifest_shape import CELL_NAME, LAYOUT, defect_of
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
@@ -121,7 +118,12 @@ def open_run(
     DataError
         If its manifest cannot be read, or is damaged and not to be replaced.
     """
-    manifest: dict[str, Any] = {"layout": LAYOUT, "identity": identity, "cells": [], "dropped_cells": 0}
+    manifest: dict[str, Any] = {
+        "layout": LAYOUT,
+        "identity": identity,
+        "cells": [],
+        "dropped_cells": 0,
+    }
     with usable(out):
         is_there = (out / MANIFEST).exists()
         if fresh and is_there:
@@ -157,7 +159,10 @@ def _without_other_code(
         name: {
             label
             for label, held in index.consumers.items()
-            if all(here.get(name, one) == one for name, one in (*index.code.items(), *held.code.items()))
+            if all(
+                here.get(name, one) == one
+                for name, one in (*index.code.items(), *held.code.items())
+            )
         }
         for name, index in files.items()
     }

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from attacks.tasks.sessions import Sessions
+    from evaluation.experiment.plan import Plan
     from evaluation.runs.cell_files import Index
     from evaluation.runs.failures import FailedCell
-    from evaluation.experiment.plan import Plan
 
 
 def failed_earlier(manifest: dict[str, Any], ready: Plan) -> list[dict[str, Any]]:
@@ -144,9 +144,7 @@ def merged_cells(
     finished = [
         entry
         for entry in earlier
-        if all(
-            name in held and label_of(entry) in held[name].consumers for name in entry["files"]
-        )
+        if all(name in held and label_of(entry) in held[name].consumers for name in entry["files"])
     ]
     return _with_ceiling(ours + [one for one in finished if _cell_key(one) not in known])
 
@@ -166,9 +164,7 @@ def _with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def whole_cells(
-    entries: list[dict[str, Any]], failed: list[FailedCell]
-) -> list[dict[str, Any]]:
+def whole_cells(entries: list[dict[str, Any]], failed: list[FailedCell]) -> list[dict[str, Any]]:
     """Return the index without entries that miss a cell: nothing is averaged over less."""
     missing = {_cell_key(described_failure(one)) for one in failed}
     return _with_ceiling([entry for entry in entries if _cell_key(entry) not in missing])

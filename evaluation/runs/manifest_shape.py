@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 CELL_NAME = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 LAYOUT = 2
-"""Of the folder: a file of cells for each unit of work. Before, each consumer had one of its own."""
+"""Of the folder: a file of cells for each unit of work, where each consumer had its own before."""
 _LARGEST = 1e300
 
 
