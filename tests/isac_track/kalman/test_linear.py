@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from filterpy.common import Q_discrete_white_noise
 from helpers import kernel_oracles as oracle
-from helpers.kalman_cases import Q, batch, close, hard_tracks, one_by_one, prefixes, sound
+from helpers.kalman_cases import batch, close, hard_tracks, one_by_one, prefixes, sound
 from helpers.strategies import reproducible
 from hypothesis import given
-from scipy.stats import chi2
 
 from isac_track import kalman
 from isac_track.rng import stream
@@ -47,16 +45,6 @@ def test_every_state_is_filterpy_s(case, gate):
 
 
 class TestAgainstTheDensePosterior:
-    def test_every_state_is_the_posterior_of_the_samples_so_far(self, case):
-        result = after_every_sample(case)
-        for rows, track in one_by_one(case):
-            for k in range(min(12, len(track["t"]))):
-                known = {name: track[name][: k + 1] for name in ("t", "xy", "variance")}
-                mean, cov, density = oracle.joint_posterior(**track | known)
-                close(result.mean[rows][k], mean[-1])
-                close(result.cov[rows][k], cov[-1])
-                close(result.log_likelihood[rows][k], density)
-
     def test_gated_samples_are_as_if_never_seen(self, case):
         case["xy"] = case["xy"].copy()
         case["xy"][[10, 11, 25]] += 100.0
@@ -114,112 +102,6 @@ class TestGate:
         assert not accepted(result).any()
         close(result.mean[:, 0, 0], [0.0, 1.0, 2.0], 1e-6)
         assert result.log_likelihood[-1] == 0.0
-
-
-def test_the_axes_do_not_mix(case):
-    before = kalman.kalman_last(**case)
-    after = kalman.kalman_last(**case | {"xy": case["xy"] + [0.0, 3.0]})
-    np.testing.assert_array_equal(after.mean[:, 0], before.mean[:, 0])
-    assert (after.mean[:, 1, 0] > before.mean[:, 1, 0]).all()
-    np.testing.assert_array_equal(after.cov, before.cov)
-
-
-def simulated(*, model, n_tracks, n_samples, variance):
-    """Motion and samples drawn from the very model, priors included; also the true states."""
-    d = MODELS[model]
-    rng = stream(5, "test", "consistency", model)
-    steps = rng.choice([0.05, 0.1, 0.7], (n_tracks, n_samples))
-    prior = np.diag([4.0, 1.0, 0.5][:d])
-    state = np.empty((n_tracks, n_samples, 2, d))
-    root = {s: np.linalg.cholesky(oracle.process_noise(s, Q, d)) for s in (0.05, 0.1, 0.7)}
-    for i in range(n_tracks):
-        now = rng.standard_normal((2, d)) @ np.sqrt(prior)
-        for k in range(n_samples):
-            if k > 0:
-                s = steps[i, k]
-                now = now @ oracle.transition(s, d).T + rng.standard_normal((2, d)) @ root[s].T
-            state[i, k] = now
-    noise = rng.standard_normal((n_tracks * n_samples, 2)) * np.sqrt(variance)[:, None]
-    case = {
-        "model": model,
-        "t": steps.cumsum(axis=1).ravel(),
-        "xy": state[..., 0].reshape(-1, 2) + noise,
-        "variance": variance,
-        "offsets": np.arange(n_tracks + 1) * n_samples,
-        "q": Q,
-        "initial_mean": np.zeros((n_tracks, 2, d)),
-        "initial_cov": np.tile(prior, (n_tracks, 1, 1)),
-    }
-    return case, steps, state
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_consistency_where_the_model_is_exact(model):
-    n_tracks, n_samples = 300, 25
-    variance = stream(6, "test", "variance").uniform(0.01, 1.0, n_tracks * n_samples)
-    case, steps, truth = simulated(
-        model=model, n_tracks=n_tracks, n_samples=n_samples, variance=variance
-    )
-    d = MODELS[model]
-    result = after_every_sample(case)
-    mean = result.mean.reshape(truth.shape)
-    cov = result.cov.reshape(n_tracks, n_samples, d, d)
-
-    def within(total, freedom):
-        low, high = chi2.ppf([0.0005, 0.9995], freedom)
-        assert low < total < high
-
-    # Innovations are independent; the errors of one track are not: one sample of each counts.
-    xy, nis = case["xy"].reshape(n_tracks, n_samples, 2), []
-    for i in range(n_tracks):
-        for k in range(1, n_samples):
-            h = oracle.transition(steps[i, k], d)[0]
-            grown = oracle.process_noise(steps[i, k], Q, d)[0, 0]
-            spread = h @ cov[i, k - 1] @ h + grown + variance[i * n_samples + k]
-            nis.append(np.sum((xy[i, k] - mean[i, k - 1] @ h) ** 2) / spread)
-    within(np.sum(nis), 2 * len(nis))
-    assert np.mean(np.array(nis) > chi2.ppf(0.95, 2)) == pytest.approx(0.05, abs=0.01)
-    for k in (n_samples - 1, 3):
-        error = (mean - truth)[:, k].swapaxes(1, 2)
-        within((error * np.linalg.solve(cov[:, k], error)).sum(), 2 * d * n_tracks)
-    if model == "cv":
-        position, spread = kalman.smooth_positions(
-            **{name: value for name, value in case.items() if name != "model"}
-        )
-        error = ((position - truth[..., 0].reshape(-1, 2)) ** 2).sum(axis=1) / spread
-        for k in (0, 12):
-            within(error[k::n_samples].sum(), 2 * n_tracks)
-
-
-class TestSteps:
-    def test_a_worthless_sample_changes_nothing(self, case):
-        """Predictions compose over steps; with filterpy's discrete white noise they do not."""
-        between = (case["t"][20] + case["t"][21]) / 2
-        more = case | {
-            "t": np.insert(case["t"], 21, between),
-            "xy": np.insert(case["xy"], 21, [1e3, -1e3], axis=0),
-            "variance": np.insert(case["variance"], 21, 1e18),
-            "offsets": case["offsets"] + (case["offsets"] > 0),
-        }
-        plain, longer = after_every_sample(case), after_every_sample(more)
-        close(np.delete(longer.mean, 21, axis=0), plain.mean)
-        close(np.delete(longer.cov, 21, axis=0), plain.cov)
-
-    def test_discrete_white_noise_would_not_compose(self):
-        f = oracle.transition(0.5, 2)
-        half, whole = (Q_discrete_white_noise(2, dt=dt, var=Q) for dt in (0.5, 1.0))
-        assert np.abs(f @ half @ f.T + half - whole).max() > 0.01
-        half, whole = (oracle.process_noise(dt, Q, 2) for dt in (0.5, 1.0))
-        close(f @ half @ f.T + half, whole, 1e-12)
-
-    @pytest.mark.parametrize("model", MODELS)
-    def test_a_single_sample_is_prior_times_measurement(self, model):
-        case = batch(d=MODELS[model], sizes=(1,)) | {"model": model}
-        a, r = case["initial_cov"][0, 0, 0], case["variance"][0]
-        result = kalman.kalman_last(**case)
-        assert result.cov[0, 0, 0] == pytest.approx(a * r / (a + r), rel=1e-12)
-        expected = (case["initial_mean"][0, :, 0] * r + case["xy"][0] * a) / (a + r)
-        np.testing.assert_allclose(result.mean[0, :, 0], expected, rtol=1e-12)
 
 
 def precise_filter(*, t, xy, variance, q, mean, cov):

@@ -43,15 +43,19 @@ def run(code, *, user=None, cwd=None, **environment):
     )
 
 
-def test_numba_is_not_imported_before_it_is_needed(tmp_path):
+def test_numba_is_not_imported_before_it_is_needed_and_prepare_brings_in_all_loops(tmp_path):
     code = (
         "import sys\n"
         "from isac_track import kalman\n"
-        "print(sorted({'numba', 'filterpy', 'scipy'} & sys.modules.keys()))"
+        "early = sys.modules.keys() & {'numba', 'filterpy', 'scipy'}\n"
+        "import isac_track.linkability\n"
+        "early |= sys.modules.keys() & {'numba'}\n"
+        "kalman.prepare()\n"
+        "loops = {f'isac_track.kalman._{name}_loops' for name in ('linear', 'imm')}\n"
+        "print(early, loops <= sys.modules.keys())"
     )
     done = run(code, HOME=str(tmp_path))
-    assert done.stdout == "[]\n", done.stderr
-    assert done.stderr == ""
+    assert done.stdout == "set() True\n", done.stdout + done.stderr
 
 
 def processor_s(code, **environment):
@@ -78,16 +82,6 @@ def test_first_use_of_interacting_models_compiles_for_seconds(tmp_path):
     done, spent_s = processor_s("import isac_track.kalman._imm_loops", **environment)
     assert (done.returncode, done.stderr) == (0, NOTICE)
     assert spent_s < 10.0
-
-
-def test_prepare_brings_in_all_loops(tmp_path):
-    code = (
-        "import sys; from isac_track import kalman; kalman.prepare()\n"
-        "loops = {f'isac_track.kalman._{name}_loops' for name in ('linear', 'imm')}\n"
-        "print(loops <= sys.modules.keys())"
-    )
-    done = run(code, HOME=str(tmp_path))
-    assert done.stdout == "True\n", done.stderr
 
 
 @pytest.fixture
