@@ -134,6 +134,8 @@ def _draw_matched(ax: Axes, part: pd.DataFrame, *, scheme: Scheme, rule: str, me
     is_fixed = scheme.name == FIXED
     mechanism = next(iter(part["mechanism"]), "") if is_fixed else scheme.mechanisms.get(rule)
     rows = part[part["mechanism"] == mechanism].sort_values(MISSED_RATE)
+    if rows.empty:
+        return
     look, scale = figure_style.look_of(scheme), METRICS[metric].scale
     column = FIXED if is_fixed else FID
     x = rows[MISSED_RATE].to_numpy() * METRICS[MISSED_RATE].scale

@@ -20,6 +20,7 @@ from helpers.finished_runs import (
 )
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from evaluation.analysis import matching
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.after_attack import attack_figure
 from evaluation.reporting.figures.draw_all import draw_all
@@ -295,6 +296,12 @@ class TestThePlane:
         np.testing.assert_allclose(fixed.get_ydata(), 40)
         markers = [line for line in ax.lines if line.get_linestyle() == "None"]
         assert [len(line.get_xdata()) for line in markers] == [3, 3, 1]
+
+    def test_without_any_matched_point_the_measured_ones_are_there(self):
+        nothing = pd.DataFrame(columns=matching.COLUMNS)
+        figure = operating_figure(make_summary(LINEAR), nothing, dataset="students03")
+        assert not lines_of(figure.axes[0], "-")
+        assert any(line.get_linestyle() == "None" for line in figure.axes[0].lines)
 
     def test_strangers_are_on_it_one_without_a_rule_in_both_rows(self, strangers):
         assert {"ou", "mine"} <= set(named(strangers[2]))
