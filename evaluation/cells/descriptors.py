@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from isac_track import privacy
 if TYPE_CHECKING:
     from evaluation.cells.tables import Rows
     from isac_track.types import Floats, Ints, Scenes
+
+
+DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")
+"""Columns of the descriptors of a track, or of a window."""
 
 
 def descriptors(*, xy: Floats, truth: Floats, t: Floats, offsets: Ints, epsilon_m: float) -> Rows:
@@ -28,9 +32,7 @@ def descriptors(*, xy: Floats, truth: Floats, t: Floats, offsets: Ints, epsilon_
     exposure = privacy.exposure(leaked=away_m < epsilon_m, t=t, offsets=offsets)
     starts = offsets[:-1]
     return {
-        "plr": exposure.plr,
-        "ael_s": exposure.ael_s,
-        "mel_s": exposure.mel_s,
+        **{name: getattr(exposure, name) for name in DESCRIPTORS},
         "segments": exposure.segments,
         "mse_m2": np.add.reduceat(away_m**2, starts) / np.diff(offsets)
         if starts.size

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from evaluation.cells.descriptors import descriptors
+from evaluation.cells.descriptors import DESCRIPTORS, descriptors
 from evaluation.cells.link_setup import SIDES
 from evaluation.cells.tables import ROWS, names_column
 
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 COLUMNS = (
     *("side", "search", "source", "group"),
     *("n_samples", "duration_s", "path_m", "speed_mps"),
-    *("sigma_m", "sigma_raw_m", "plr", "ael_s", "mel_s"),
+    *("sigma_m", "sigma_raw_m"),
+    *DESCRIPTORS,
 )
 """Of the rows of a cell."""
 
@@ -70,7 +71,7 @@ def window_rows(
                 "n_samples": np.diff(left.offsets),
                 **_walked(whole),
                 **_noise(release, sensed),
-                **{name: exposed[name] for name in ("plr", "ael_s", "mel_s")},
+                **{name: exposed[name] for name in DESCRIPTORS},
             }
         )
     return {name: np.concatenate([one[name] for one in sides]) for name in sides[0]}
@@ -81,8 +82,7 @@ def window_tables(rows: Rows, sessions: Sessions) -> Tables:
 
     `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`, `group`;
     of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where none is
-    declared), `sigma_raw_m` (mean of sensing), `plr`, `ael_s`, `mel_s`; of the true walk, alike at
-    all levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
+    declared), `sigma_raw_m` (mean of sensing) and `DESCRIPTORS`; of the true walk, alike at all levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
     """
     return {
         ROWS: pa.table(
