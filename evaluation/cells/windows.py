@@ -82,7 +82,8 @@ def window_tables(rows: Rows, sessions: Sessions) -> Tables:
 
     `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`, `group`;
     of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where none is
-    declared), `sigma_raw_m` (mean of sensing) and `DESCRIPTORS`; of the true walk, alike at all levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
+    declared), `sigma_raw_m` (mean of sensing) and `DESCRIPTORS`; of the true walk, alike at all
+    levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
     """
     return {
         ROWS: pa.table(
