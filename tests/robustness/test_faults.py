@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.processes import ROOT
 from helpers.runs import held_by, rows_of
 
 from evaluation import matrix, report
@@ -242,7 +243,7 @@ class Place:
     @property
     def environment(self):
         return os.environ | {
-            "PYTHONPATH": str(self.folder / "plugins"),
+            "PYTHONPATH": os.pathsep.join([str(self.folder / "plugins"), str(ROOT)]),
             "TASK_FILES": str(self.folder / "files"),
             "TMPDIR": str(self.temporary),
         }

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from helpers.processes import ROOT
 
 import evaluation
 from evaluation import matrix
@@ -78,6 +79,11 @@ class Cluster:
             return client.run_on_scheduler(question)
 
 
+def path_of(folder):
+    """Where a process finds its plug-ins, and this very project."""
+    return os.pathsep.join([str(folder), str(ROOT)])
+
+
 @contextlib.contextmanager
 def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
     """A scheduler and workers as the commands start them; all are ended."""
@@ -85,7 +91,7 @@ def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
 
     def start(module, *arguments, modules=modules):
         log = mine / f"log-{len(processes)}"
-        environment = dict(os.environ, SLOW_S="0.3", PYTHONPATH=str(modules or folder))
+        environment = dict(os.environ, SLOW_S="0.3", PYTHONPATH=path_of(modules or folder))
         with log.open("wb") as output:
             process = subprocess.Popen(
                 [sys.executable, "-m", f"distributed.cli.{module}", *arguments],
@@ -185,7 +191,7 @@ def command(settings, folder, *options):
             "--predictor", "none", "--attack", "none", "--task", "none",
             "--out", str(settings.out), *options,
         ],
-        env=dict(os.environ, PYTHONPATH=str(folder)),
+        env=dict(os.environ, PYTHONPATH=path_of(folder)),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
