@@ -2,8 +2,8 @@
 
 The scorecard takes a bootstrap and a permutation test; it belongs to the cell, so that a report is
 drawn without computing either again. Replicates of rank metrics follow from the probes; those of
-score metrics visit every pair, and are kept. Of controls they are not: each is held against its own
-permutation test, and nobody pairs two.
+score metrics visit every pair, and are kept. Of controls neither these are nor the scores of their
+probes: each is held against its own permutation test, and nobody pairs two.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def linkage_tables(
     - `rows`, one a probe: `search` (a half, or the instant of a handover), `source`, `group`;
       `above` and `tied`, how many candidates score above its mate and how many as high, the mate
       included (-1 and 0 without a mate); `mate_score`, `best_other_score` (NaN where there is
-      none), `chance` of rank 1, `assigned` (`ASSIGNED`); with the raw scores also `mate` (place in
+      none, and of controls), `chance` of rank 1, `assigned` (`ASSIGNED`); with the raw scores also `mate` (place in
       the gallery, or -1) and `scores` against the whole gallery;
     - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
     - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
@@ -68,6 +68,8 @@ def linkage_tables(
         np.concatenate(columns)
         for columns in zip(*(_own_and_best(one) for one in linked.searches), strict=True)
     )
+    if linked.is_control:
+        own, best = np.full_like(own, np.nan), np.full_like(best, np.nan)
     assigned = probes.assigned + 1 if linked.is_assigned else np.full(persons.size, 3)
     rows = {
         "search": names_column(np.repeat(np.arange(len(n_probes)), n_probes), sessions.searches),
