@@ -55,8 +55,8 @@ def linkage_tables(
     - `rows`, one a probe: `search` (a half, or the instant of a handover), `source`, `group`;
       `above` and `tied`, how many candidates score above its mate and how many as high, the mate
       included (-1 and 0 without a mate); `mate_score`, `best_other_score` (NaN where there is
-      none, and of controls), `chance` of rank 1, `assigned` (`ASSIGNED`); with the raw scores also `mate` (place in
-      the gallery, or -1) and `scores` against the whole gallery;
+      none, and of controls), `chance` of rank 1, `assigned` (`ASSIGNED`); with the raw scores
+      also `mate` (place in the gallery, or -1) and `scores` against the whole gallery;
     - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
     - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
     - `about`: one row with all other numbers as JSON.
