@@ -104,7 +104,6 @@ def alike(rng, sizes):
 
 
 GROUPS = {
-    "fours": [4] * 10,
     "mixed": [1] * 30 + [2] * 15 + [3] * 5 + [4] * 3,
 }
 
