@@ -75,59 +75,29 @@ class TestList:
 
 
 class TestCheck:
-    @pytest.mark.parametrize(
-        ("spec", "checks"), [("identity", CHECKS), ("helpers.broken_linkers:Base", LINKAGE_CHECKS)]
-    )
-    def test_an_attack_that_passes(self, spec, checks, capsys):
-        assert main(["check", spec]) == 0
+    def test_an_attack_that_passes(self, capsys):
+        assert main(["check", "helpers.broken_linkers:Base"]) == 0
         head, *lines, summary = capsys.readouterr().out.splitlines()
-        assert head == f"{spec} as blind:"
-        assert lines == [f"  pass  {name}" for name in checks]
-        assert summary == f"{len(checks)} passed, 0 failed, 0 skipped"
+        assert head == "helpers.broken_linkers:Base as blind:"
+        assert lines == [f"  pass  {name}" for name in LINKAGE_CHECKS]
+        assert summary == f"{len(LINKAGE_CHECKS)} passed, 0 failed, 0 skipped"
 
-    @pytest.mark.parametrize(
-        ("spec", "checks", "message"),
-        [
-            (
-                "helpers.broken_attacks:across_tracks",
-                CHECKS,
-                "across_tracks as blind (granted nothing), 8 walks",
-            ),
-            (
-                "helpers.broken_linkers:likes_the_first",
-                LINKAGE_CHECKS,
-                "likes_the_first as blind (granted nothing), P = 7, G = 9",
-            ),
-        ],
-    )
-    def test_an_attack_that_fails(self, spec, checks, message, capsys):
-        assert main(["check", spec]) == 1
+    def test_an_attack_that_fails(self, capsys):
+        assert main(["check", "helpers.broken_attacks:across_tracks"]) == 1
         shown = capsys.readouterr().out
-        assert f"{len(checks) - 1} passed, 1 failed, 0 skipped" in shown
+        assert f"{len(CHECKS) - 1} passed, 1 failed, 0 skipped" in shown
         lines = shown.splitlines()
-        assert {line.index(name) for line in lines for name in checks if name in line} == {8}
+        assert {line.index(name) for line in lines for name in CHECKS if name in line} == {8}
         (failed,) = re.findall(r"^  FAIL  (\w+) +(.*)$", shown, re.MULTILINE)
         assert failed[0] == "order_of_tracks_does_not_matter"
-        assert failed[1].startswith(message)
+        assert failed[1].startswith("across_tracks as blind (granted nothing), 8 walks")
 
-    @pytest.mark.parametrize(
-        ("spec", "checks", "who", "skipped"),
-        [
-            ("averaging", CHECKS, "oracle", "frame_and_clock_do_not_matter"),
-            (
-                "helpers.broken_linkers:Continues",
-                LINKAGE_CHECKS,
-                "blind",
-                "frames_and_clocks_do_not_matter",
-            ),
-        ],
-    )
-    def test_a_check_that_does_not_apply(self, spec, checks, who, skipped, capsys):
-        assert main(["check", spec]) == 0
+    def test_a_check_that_does_not_apply(self, capsys):
+        assert main(["check", "averaging"]) == 0
         shown = capsys.readouterr().out
-        assert shown.startswith(f"{spec} as {who}:\n")
-        assert f"  skip  {skipped:<33}  granted SCENE in every row" in shown
-        assert shown.endswith(f"{len(checks) - 1} passed, 0 failed, 1 skipped\n")
+        assert shown.startswith("averaging as oracle:\n")
+        assert f"  skip  {'frame_and_clock_do_not_matter':<33}  granted SCENE in every row" in shown
+        assert shown.endswith(f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped\n")
 
     def test_with_parameters(self, capsys):
         assert main(["check", "kalman_rts:0.1"]) == 0

@@ -117,8 +117,6 @@ class TestMistakesWithoutEnd:
         ("result", "shown"),
         [
             (None, "got NoneType"),
-            ("same", "got str"),
-            ([[1.0], [2.0, 3.0]], "got list"),
             (np.full((7, 9), 1j), "got an array of complex128"),
         ],
     )

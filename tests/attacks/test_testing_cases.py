@@ -49,6 +49,15 @@ class TestReconstruction:
         assert rate_hz.max() <= 16.0 + 1e-9
         assert 0.8 < np.mean(np.concatenate(speeds)) < 1.4
 
+    def test_acceleration_is_as_announced(self):
+        # Velocity gains q dt of variance per axis: look at long steps, where it dominates.
+        case = _cases.made_up("test", about="", sizes=(4000,), sigma_m=0.3, sampling="irregular")
+        step_s = np.diff(case.release.t)
+        velocity = np.diff(case.truth, axis=0) / step_s[:, None]
+        # Mean velocities of two neighbouring steps differ by q (dt1 + dt2) / 3 of variance.
+        scaled = np.diff(velocity, axis=0) ** 2 / ((step_s[1:] + step_s[:-1]) / 3)[:, None]
+        assert scaled.mean() == pytest.approx(_cases.ACCELERATION, rel=0.05)
+
     def test_other_people_and_repeats_are_what_they_should_be(self):
         case = _cases.noisy(0.3, "radial")
         assert len(case.repeats) == 2

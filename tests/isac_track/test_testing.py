@@ -129,6 +129,7 @@ class TestTheOracleOfTheSuite:
         assert longest_run_expected(n, p) == pytest.approx(longest)
         assert mean_run_expected(n, p) == pytest.approx(mean)
 
+    @pytest.mark.slow
     def test_expected_longest_run_of_the_paper(self):
         # fid at eta = 1: PLR 18.4 % of 366 samples every 0.083 s, and a MEL of 0.28 s. Tracks
         # that differ in PLR make it a little longer than one common PLR does.

@@ -4,26 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from attacks.linkage.alignment import FULL_CELLS, LEAST_OVERLAP, aligned_costs, polynomials
+from attacks.linkage.alignment import FULL_CELLS, LEAST_OVERLAP, aligned_costs
 from attacks.linkage.signals import (
     STEP_S,
 )
 from isac_track.rng import stream
-
-
-@pytest.mark.parametrize("first", [0, 1])
-def test_polynomials_are_orthonormal(first):
-    values, begin, ranks = polynomials(20, 5, first)
-    for m in range(1, 21):
-        assert ranks[m] == min(5, m - first)
-        basis = values[begin[m] : begin[m + 1]].reshape(ranks[m], m)
-        assert np.allclose(basis @ basis.T, np.eye(ranks[m]))
-        if first == 1:
-            assert np.allclose(basis.sum(axis=1), 0)
-        kept = np.polynomial.Polynomial([1.0, 2.0, 0.5])(np.arange(m))
-        if m > 6:
-            rest = kept - kept.mean() * first
-            assert np.allclose(basis.T @ (basis @ rest), rest)
 
 
 def slow_cost(a, b, *, floor, rank, exponent, reach, rotated):

@@ -73,18 +73,6 @@ def test_it_is_dtaidistance(n, m):
             assert costs[i, j] == pytest.approx(known, rel=1e-9)
 
 
-def test_warping_forgives_a_change_of_pace():
-    at = np.linspace(0, 1, 24)
-    bump = np.stack([np.sin(6 * at), 0 * at], axis=1)
-    slower = np.stack([np.sin(6 * at**1.15), 0 * at], axis=1)
-    sizes = np.array([24])
-    stiff, pliant = (
-        costs_of(bump[None], slower[None], sizes, sizes, band=band, penalty=1e-6, floor=1e-6)[0, 0]
-        for band in (0.0, 0.15)
-    )
-    assert pliant < stiff / 5
-
-
 def test_it_learns_to_smooth():
     # White noise of half a metre in slow walks: twice the usual width does better.
     habits = {"noise_m": 0.5, "sway": 0.6, "turn_rad_s": 0.15, "shift_s": 0.5}

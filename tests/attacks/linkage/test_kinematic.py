@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filterpy.common import Q_continuous_white_noise
-from filterpy.kalman import KalmanFilter
+from helpers import kernel_oracles as oracle
 from helpers.walks import Person, context, release_of
 
 from attacks.linkage.kinematic import Kinematic, backwards, continuations, rivals
@@ -45,24 +44,11 @@ def scene(train=None):
 
 
 def filtered(t, xy, variance_m2):
-    """filterpy's state (x, vx, y, vy) after the last sample."""
-    kf = KalmanFilter(dim_x=4, dim_z=2)
-    kf.x = np.array([xy[0, 0], 0, xy[0, 1], 0])
-    kf.P = np.diag([100.0, 1.4, 100.0, 1.4]) ** 2
-    kf.H = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0]])
-    kf.R = np.eye(2) * variance_m2
-    for k, z in enumerate(xy):
-        if k:
-            step(kf, t[k] - t[k - 1])
-        kf.update(z)
-    return kf
-
-
-def step(kf, dt):
-    one = np.array([[1.0, dt], [0, 1]])
-    kf.F = np.kron(np.eye(2), one)
-    kf.Q = Q_continuous_white_noise(dim=2, dt=dt, spectral_density=Q, block_size=2)
-    kf.predict()
+    """filterpy's state (x, vx, y, vy) after the last sample, and its covariance."""
+    mean, cov = np.stack([xy[0], np.zeros(2)], axis=1), np.diag([100.0, 1.4]) ** 2
+    variance = np.full(len(t), variance_m2)
+    found = oracle.filterpy_track(t=t, xy=xy, variance=variance, q=Q, mean=mean, cov=cov)
+    return found["mean"][-1], found["cov"][-1]
 
 
 def test_it_is_filterpy_across_the_gap():
@@ -74,12 +60,12 @@ def test_it_is_filterpy_across_the_gap():
     ]
     for i, before in enumerate(probe):
         for j, after in enumerate(gallery):
-            past = filtered(before.t, before.xy, noise[0][i])
-            future = filtered(-after.t[::-1], after.xy[::-1], noise[1][j])
+            past, spread = filtered(before.t, before.xy, noise[0][i])
+            future, more = filtered(-after.t[::-1], after.xy[::-1], noise[1][j])
             turn = np.diag([1.0, -1, 1, -1])
-            step(past, after.t[0] - before.t[-1])
-            cov = past.P + turn @ future.P @ turn
-            off = past.x - turn @ future.x
+            f, grown = oracle.motion(after.t[0] - before.t[-1], Q)
+            cov = f @ spread @ f.T + grown + turn @ more @ turn
+            off = f @ past - turn @ future
             square = off @ np.linalg.solve(cov, off)
             by_hand = -0.5 * np.linalg.slogdet(cov)[1] - 4.5 * np.log1p(square / 5)
             assert scores[i, j] == pytest.approx(by_hand, rel=1e-6)

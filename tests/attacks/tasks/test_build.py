@@ -183,10 +183,6 @@ class TestHandover:
         assert (found.mate < 0).any()
         assert np.setdiff1d(np.arange(len(found.gallery)), found.mate).size
 
-    def test_the_instants_are_the_same_for_all_gaps(self, name):
-        ours, first = sessions(name), sessions("handover-1s")
-        assert set(ours.searches) <= set(first.searches)
-
 
 class TestNewTraversal:
     def test_company_of_either_day_is_one_cluster(self):

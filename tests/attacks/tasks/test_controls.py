@@ -114,18 +114,12 @@ def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
     assert (p_value_of("handover-1s", by_person) < ALPHA).any()
 
 
-def test_where_all_noise_is_alike_the_place_is_not_seen_through_rounding():
-    level = np.full(N, 0.0)
+def test_noise_that_is_alike_or_not_declared_shows_nothing_not_even_through_rounding():
     rng = np.random.default_rng(3)
-    probe = release(rng, level=level, place=rng.uniform(-50, 50, (N, 2)))
-    scores = CONTROLS["noise_level"].scorer(TASKS["handover-1s"])(probe, probe, rng)
-    assert not scores.any()
-
-
-def test_without_a_declared_level_there_is_nothing_to_see():
-    rng = np.random.default_rng(0)
-    one = replace(release(rng), sigma=None)
-    assert not CONTROLS["noise_level"].score(one, one, rng).any()
+    alike = release(rng, level=np.full(N, 0.0))
+    assert not CONTROLS["noise_level"].scorer(TASKS["handover-1s"])(alike, alike, rng).any()
+    silent = replace(release(rng), sigma=None)
+    assert not CONTROLS["noise_level"].score(silent, silent, rng).any()
 
 
 @pytest.mark.parametrize("name", [name for name in LEAKS if name != "sampling_times"])

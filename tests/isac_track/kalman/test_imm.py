@@ -1,9 +1,10 @@
-"""IMM filter and smoother against filterpy, an independent textbook cycle and every mode path."""
+"""IMM filter and smoother against an independent textbook cycle and every mode path.
+
+Against filterpy the filter is tested as a predictor, in `tests/predictors/test_kalman.py`.
+"""
 
 import numpy as np
 import pytest
-from filterpy.common import Q_continuous_white_noise
-from filterpy.kalman import IMMEstimator, KalmanFilter
 from helpers import kernel_oracles as oracle
 from helpers.kalman_cases import close, hard_tracks, one_by_one, prefixes, sound
 from helpers.strategies import reproducible
@@ -54,51 +55,12 @@ def one_model(case, q):
     return filtered, *(np.concatenate(values) for values in zip(*smoothed, strict=True))
 
 
-def filterpy_imm(track):
-    """filterpy's IMM, with an M that belongs to the step that it is used in."""
-    filters = []
-    for _ in track["q"]:
-        kf = KalmanFilter(dim_x=4, dim_z=2)
-        kf.H = oracle.POSITIONS
-        kf.x = track["mean"].ravel().copy()
-        kf.P = np.kron(np.eye(2), track["cov"])
-        filters.append(kf)
-    # The identity: filterpy moves the probabilities by M before the first measurement.
-    imm = IMMEstimator(filters, track["probability"].copy(), np.eye(len(filters)))
-    rows = []
-    for k in range(len(track["t"])):
-        if k > 0:
-            step = track["t"][k] - track["t"][k - 1]
-            imm.M = oracle.chances(step, track["rates"])
-            imm._compute_mixing_probabilities()
-            for kf, q in zip(filters, track["q"], strict=True):
-                kf.F = np.kron(np.eye(2), [[1.0, step], [0.0, 1.0]])
-                kf.Q = np.kron(np.eye(2), Q_continuous_white_noise(2, step, q))
-            imm.predict()
-        for kf in filters:
-            kf.R = np.eye(2) * track["variance"][k]
-        imm.update(track["xy"][k])
-        mode = [(kf.x.copy(), kf.P.copy()) for kf in filters]
-        rows.append((*map(np.array, zip(*mode, strict=True)), imm.mu, imm.x.copy(), imm.P.copy()))
-    names = ("mean", "cov", "probability", "mixed_mean", "mixed_cov")
-    return dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
-
-
 @pytest.fixture(params=["two modes", "three modes"])
 def case(request):
     return batch(chain=TWO if request.param == "two modes" else THREE)
 
 
-class TestAgainstFilterpy:
-    def test_equal_where_mixing_is_done_with_the_step_s_own_chances(self, case):
-        result = kalman.imm_filter(**case)
-        for rows, track in one_by_one(case):
-            theirs = filterpy_imm(track)
-            close(result.mean[rows].reshape(theirs["mean"].shape), theirs["mean"])
-            close(result.mixed_mean[rows].reshape(-1, 4), theirs["mixed_mean"])
-            for name in ("cov", "probability", "mixed_cov"):
-                close(getattr(result, name)[rows], theirs[name])
-
+class TestAgainstTheTextbook:
     def test_a_far_outlier_still_tells_the_modes_apart(self):
         case = batch(sizes=(12,))
         case["xy"] = case["xy"].copy()
@@ -107,12 +69,8 @@ class TestAgainstFilterpy:
         _, track = next(one_by_one(case))
         expected = oracle.imm_track(**track)["probability"]
         assert expected[6, 1] > 0.999999  # only the restless mode can have done that
-        close(result.probability, expected)
-        # Both likelihoods underflow to one floor: filterpy keeps the odds as they were.
-        assert filterpy_imm(track)["probability"][6, 1] < 0.9
+        close(result.probability, expected)  # filterpy's likelihoods underflow to one floor
 
-
-class TestAgainstTheTextbook:
     @pytest.mark.parametrize("gate", [np.inf, 8.0])
     def test_filter(self, case, gate):
         result = kalman.imm_filter(**case, gate=gate)
@@ -124,6 +82,11 @@ class TestAgainstTheTextbook:
             close(result.probability[rows], slow["probability"])
             close(result.log_likelihood[i], slow["log_likelihood"])
             used.extend(slow["accepted"])
+            for k, row in enumerate(range(*rows.indices(len(case["t"])))):
+                states = (slow["probability"][k], slow["mean"][k], slow["cov"][k])
+                mean, cov = oracle.collapse(*states)
+                close(result.mixed_mean[row].ravel(), mean)
+                close(result.mixed_cov[row], cov)
         assert all(used) == (gate == np.inf)
 
     @pytest.mark.parametrize("gate", [np.inf, 8.0])

@@ -94,7 +94,7 @@ SCORES = arrays(np.int64, st.integers(1, 12), elements=st.integers(-4, 4))
 
 
 @given(mated=SCORES, non_mated=SCORES)
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 def test_rising_maps_leave_auc_eer_and_cllr_min_alone(mated, non_mated):
     def risen(x):
         return np.exp(x / 3) + x**3
