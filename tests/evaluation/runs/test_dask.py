@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from helpers.processes import ROOT
+from helpers.processes import ROOT, TESTS
 
 import evaluation
 from evaluation import matrix
@@ -81,7 +81,7 @@ class Cluster:
 
 def path_of(folder):
     """Where a process finds its plug-ins, and this very project."""
-    return os.pathsep.join([str(folder), str(ROOT)])
+    return os.pathsep.join([str(folder), str(ROOT), str(TESTS)])
 
 
 @contextlib.contextmanager
