@@ -1,21 +1,12 @@
-"""The command that chooses a level: exit codes and messages, and a real run."""
+"""The command that chooses a level: exit codes and messages."""
 
 import json
-import shlex
 from functools import partial
 
-import pandas as pd
 import pytest
-from helpers.small_runs import write_tracks
-from helpers.summaries import FID, FIXED, USUAL, asked, edit_manifest, edited, scheme, write_run
+from helpers.summaries import FID, FIXED, USUAL, edit_manifest, edited, write_run
 
-import evaluation
-from evaluation import matrix
-from evaluation.__main__ import main as isac_track
 from evaluation.design import main
-from evaluation.experiment.axes import axes
-from evaluation.experiment.settings import Settings
-from evaluation.reporting.design_words import closer, sentence
 
 
 @pytest.fixture
@@ -78,16 +69,23 @@ class TestExitCode:
         assert "--max-missed" in capsys.readouterr().err
 
     @pytest.mark.parametrize(
-        ("name", "options", "message"),
+        ("name", "content", "options", "message"),
         [
-            ("manifest.json", [], "holds no run"),
-            ("summary.csv", [], "python -m evaluation.report"),
-            ("linkability.csv", ["--max-rank1", "0.5"], "--max-rank1: "),
+            ("manifest.json", None, [], "holds no run"),
+            ("summary.csv", None, [], "python -m evaluation.report"),
+            ("linkability.csv", None, ["--max-rank1", "0.5"], "--max-rank1: "),
+            ("summary.csv", "", [], "summary.csv cannot be read"),
+            ("summary.csv", "a,b\n1,2\n", [], "summary.csv cannot be read"),
+            ("summary.csv", "\0\0", [], "summary.csv cannot be read"),
         ],
     )
-    def test_is_2_without_a_file_that_is_needed(self, made, capsys, name, options, message):
+    def test_is_2_without_a_file_that_is_needed(
+        self, made, capsys, name, content, options, message
+    ):
         out = made()
         (out / name).unlink()
+        if content is not None:
+            (out / name).write_text(content)
         assert main([*self.ARGUMENTS, *options, str(out)]) == 2
         assert message in capsys.readouterr().err
 
@@ -114,13 +112,6 @@ class TestExitCode:
         assert main([*self.ARGUMENTS, str(out)]) == 2
         assert "--predictor least_squares" in capsys.readouterr().err
 
-    @pytest.mark.parametrize("content", ["", "a,b\n1,2\n", "\0\0"])
-    def test_is_2_for_a_broken_table(self, made, capsys, content):
-        out = made()
-        (out / "summary.csv").write_text(content)
-        assert main([*self.ARGUMENTS, str(out)]) == 2
-        assert "summary.csv cannot be read" in capsys.readouterr().err
-
     def test_json_is_one_object_and_nothing_else(self, made, capsys):
         out = made(simulated=True, notice="nobody walked here")
         assert main([*self.ARGUMENTS, "--max-plr", "0.1", "--json", str(out)]) == 1
@@ -129,55 +120,3 @@ class TestExitCode:
         assert said.err == ""
         assert not found["met"]
         assert "nobody walked here" in found["notes"]
-
-    def test_is_the_same_by_the_console_script(self, made, capsys):
-        assert isac_track(["design", "--max-missed", "0.1", str(made())]) == 1
-        assert capsys.readouterr().out.startswith("No:")
-
-
-@pytest.fixture(scope="module")
-def real_run(tmp_path_factory, tracks):
-    folder = tmp_path_factory.mktemp("design")
-    recording = write_tracks(folder / "walks.csv", tracks)
-    evaluation.run(
-        Settings(
-            dataset=str(recording),
-            scenes=20,
-            mechanisms=("raw", "fid:100", "fid:1e6", "fixed:0.5"),
-            predictors=("least_squares",),
-            attacks=("kalman_rts",),
-            tasks=(),
-            jobs=1,
-            out=folder / "run",
-        ),
-        pictures=False,
-    )
-    return folder / "run"
-
-
-class TestRealRun:
-    def test_gives_the_numbers_of_its_summary(self, real_run):
-        answer = asked(real_run, missed=1.0, adding=("linear",))
-        assert answer.met
-        chosen = scheme(answer).chosen
-        assert chosen.level == 100.0
-        frame = pd.read_csv(real_run / "summary.csv").query("mechanism == 'fid' and level == 100")
-        frame = frame.set_index(["consumer", "knowledge", "metric"])["value"]
-        plain = {key[0::2]: value for key, value in frame.items() if not isinstance(key[1], str)}
-        assert chosen.numbers["missed"].value == plain["least_squares", "missed_conflict_rate"]
-        assert chosen.numbers["plr"].value == plain["shared", "plr"]
-        assert chosen.after_attack.attack == "kalman_rts"
-        assert chosen.after_attack.numbers["plr"].value == frame["kalman_rts", "informed", "plr"]
-        assert sentence(answer).startswith("Yes: with fid eta = 100 (linear)")
-
-    def test_continues_by_the_command_for_a_closer_look(self, real_run, capsys):
-        answer = asked(real_run, missed=1.0, adding=("linear",))
-        words = shlex.split(closer(answer))[3:]
-        assert matrix.main([*words, "--dry-run"]) == 0
-        # Finished are the ends of the new sweeps.
-        ends = {"fid:100", "fixed:0.5"}
-        said = capsys.readouterr().err
-        levels = axes(matrix.settings_from(matrix.parser().parse_args(words))).mechanisms
-        assert ends < {one.spec for one in levels}
-        per_level = 1 + 1 + 3  # shared, the predictor, and the attack of three adversaries
-        assert f"{per_level * len(levels)} cells, {per_level * len(ends)} of them finished" in said

@@ -5,30 +5,15 @@ import numpy as np
 from isac_track.rng import stream
 
 
-def write_csv(path, rows):
-    """Write rows of (t, id, x, y) as a recording of one's own; return its path."""
-    lines = [f"{t:.2f},{name},{x:.4f},{y:.4f}" for t, name, x, y in rows]
-    path.write_text("\n".join(["t,id,x,y", *lines]) + "\n", encoding="utf-8")
-    return path
-
-
-def write_tracks(path, tracks):
-    """Write tracks."""
-    named = zip(tracks.source, tracks, strict=True)
-    rows = [
-        (t, name, *xy) for name, track in named for t, xy in zip(track.t, track.xy, strict=True)
-    ]
-    return write_csv(path, rows)
-
-
 def write_walks(path, *, n_people=30, seed=0):
     """Write smooth walks, everybody at a pace of their own; a third lasts but 26 s."""
-    rows = []
+    lines = ["t,id,x,y"]
     for person in range(n_people):
         t = np.arange(0.0, 26.0 if person % 3 == 0 else 32.0, 0.4)
         rng = stream(seed, "test", "walk", person)
         turn = 0.08 * rng.standard_normal(t.size).cumsum() + rng.uniform(0, 2 * np.pi)
         steps = 0.4 * rng.uniform(0.4, 1.4) * np.column_stack([np.cos(turn), np.sin(turn)])
         xy = rng.uniform(-3, 3, 2) + steps.cumsum(axis=0)
-        rows += [(a, f"w{person}", *b) for a, b in zip(t, xy, strict=True)]
-    return write_csv(path, rows)
+        lines += [f"{at:.2f},w{person},{x:.4f},{y:.4f}" for at, (x, y) in zip(t, xy, strict=True)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
