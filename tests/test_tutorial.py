@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from helpers.processes import ROOT
 
-from evaluation.reporting.figures import draw
+from evaluation.reporting.figures import draw_all
 from evaluation.results import build
 
 EXAMPLE = ROOT / "examples" / "tutorial"
@@ -36,12 +36,15 @@ def finished(tmp_path_factory):
     folder, said = tmp_path_factory.mktemp("tutorial"), io.StringIO()
     for path in EXAMPLE.glob("*.py"):
         shutil.copy(path, folder)
-    figures = draw._figures
+    figures = draw_all.figures_of
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.chdir(folder)
         patch.syspath_prepend(folder)
-        one = "after_attack"
-        patch.setattr(draw, "_figures", lambda **results: {one: figures(**results)[one]})
+        patch.setattr(
+            draw_all,
+            "figures_of",
+            lambda run: [one for one in figures(run) if one.name == "after_attack"],
+        )
         runpy.run_path("tutorial.py")
     del sys.modules["geometric_median"]  # the name is free again
     return folder, said.getvalue()
