@@ -274,6 +274,14 @@ def make_run(out=Path(), dataset="students03", *, at=None, **changes):
     return Results(out=out, **(parts | changes))
 
 
+def rows_where(frame, **values):
+    """Which rows of a frame hold these values."""
+    of = pd.Series(True, index=frame.index)
+    for name, value in values.items():
+        of &= frame[name] == value
+    return of
+
+
 def emptied(run):
     """All frames of a run without rows."""
     names = ("summary", "paper_table", "claims", "matched", "decisions", "curves", "flags",

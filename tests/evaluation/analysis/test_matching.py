@@ -26,27 +26,34 @@ def frame(found):
     return matched(compared, known=families_of(found), dataset="students03")
 
 
-def test_equal_mechanisms_do_not_differ_under_any_criterion():
-    table = frame(run())
+@pytest.fixture(scope="module")
+def table():
+    return frame(run())
+
+
+@pytest.fixture(scope="module")
+def better():
+    """FID shows exp(-0.1) times what fixed noise of the same missed rate shows."""
+    return frame(run(advantage=0.1))
+
+
+def test_equal_mechanisms_do_not_differ_under_any_criterion(table):
     assert set(table["criterion"]) == {MISSED, AT_EQUAL_ALARMS, PLR}
     assert np.allclose(table["difference"], 0.0, atol=2e-4)
     assert list(table.columns) == COLUMNS
 
 
-def test_an_advantage_is_read_at_equal_rate():
-    """FID shows exp(-0.1) times what fixed noise of the same missed rate shows."""
-    table = frame(run(advantage=0.1))
-    part = table[(table["consumer"] == SHARED) & (table["criterion"] != PLR)]
+def test_an_advantage_is_read_at_equal_rate(better):
+    part = better[(better["consumer"] == SHARED) & (better["criterion"] != PLR)]
     # Towards raw both end in the same point.
     inner = part[(part["at"] > 0.03) & (part["defined"] >= 0.975)]
     assert np.allclose(np.log(inner["fid"] / inner["fixed"]), -0.1, atol=0.002)
     assert (inner["ci_high"] < 0).all()
 
 
-def test_at_equal_plr_the_linkers_are_compared():
+def test_at_equal_plr_the_linkers_are_compared(better):
     """FID reaches a PLR with 0.1 less noise, and so 0.03 more people are linked."""
-    table = frame(run(advantage=0.1))
-    part = table[(table["criterion"] == PLR) & (table["metric"] == "rank1")]
+    part = better[(better["criterion"] == PLR) & (better["metric"] == "rank1")]
     low = part[part["at"] < np.exp(-0.5 - 0.2)]
     assert len(low) > 10
     assert np.allclose(low["difference"], 0.03, atol=2e-4)
@@ -54,8 +61,7 @@ def test_at_equal_plr_the_linkers_are_compared():
     assert np.isnan(part["missed_conflict_rate"]).all()
 
 
-def test_every_predictor_as_shared_and_the_first_for_attacks():
-    table = frame(run())
+def test_every_predictor_as_shared_and_the_first_for_attacks(table):
     rates = table[table["criterion"] == MISSED]
     shared = rates["consumer"] == SHARED
     assert set(rates[shared]["predictor"]) == set(PREDICTORS)
@@ -63,17 +69,15 @@ def test_every_predictor_as_shared_and_the_first_for_attacks():
     assert set(table[table["criterion"] == PLR]["predictor"]) == {""}
 
 
-def test_controls_are_not_compared_and_simulated_tasks_keep_their_data_set():
-    table = frame(run())
+def test_controls_are_not_compared_and_simulated_tasks_keep_their_data_set(table):
     assert not table["consumer"].str.contains("control-").any()
     simulated = table["consumer"].str.startswith("new_traversal/")
     assert set(table[simulated]["dataset"]) == {"plaza-two-sessions"}
     assert set(table[~simulated]["dataset"]) == {"students03"}
 
 
-def test_nothing_is_extrapolated():
+def test_nothing_is_extrapolated(table):
     """FID reaches a noise of 0.8, fixed of 1: rises end at 0.8 times 0.2."""
-    table = frame(run())
     rates = table[(table["criterion"] == MISSED) & (table["predictor"] == PREDICTORS[0])]
     assert rates["at"].max() == pytest.approx(0.16)
     alarms = table[(table["criterion"] == AT_EQUAL_ALARMS) & (table["consumer"] == SHARED)]
@@ -95,8 +99,7 @@ def test_a_point_that_few_replicates_reach_has_no_interval():
     assert np.isfinite(last["difference"]).all()
 
 
-def test_points_of_a_curve():
-    table = frame(run())
+def test_points_of_a_curve(table):
     sizes = table.groupby(["criterion", "adding", "predictor", "consumer", "metric"]).size()
     shared = sizes.index.get_level_values("consumer") == SHARED
     assert set(sizes[shared]) == {N_POINTS}
@@ -144,7 +147,7 @@ def test_without_fid_raw_or_the_predictor_nothing_is_matched():
     assert not list(comparisons(sweeps_of({}), predictors=["another"]))
 
 
-def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_rules():
+def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_rules(better):
     """It shows exp(-0.2) times what fixed noise of the same missed rate shows."""
     table = frame(run(advantage=0.1, stranger=0.2))
     assert set(zip(table["mechanism"], table["family"], table["adding"], strict=True)) == {
@@ -156,5 +159,4 @@ def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_ru
     mine = table[(table["family"] == "mine:Ou") & (table["consumer"] == SHARED)]
     inner = mine[(mine["criterion"] == MISSED) & (mine["at"] > 0.03) & (mine["defined"] >= 0.975)]
     assert np.allclose(np.log(inner["fid"] / inner["fixed"]), -0.2, atol=0.002)
-    alone = frame(run(advantage=0.1))
-    assert table[table["family"] == "fid"].reset_index(drop=True).equals(alone)
+    assert table[table["family"] == "fid"].reset_index(drop=True).equals(better)

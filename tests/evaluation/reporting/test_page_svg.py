@@ -19,8 +19,10 @@ class TestTheInlineFigure:
         b'<clipPath id="clip"/></svg>'
     )
 
-    def test_what_is_not_the_figure_goes(self):
+    def test_what_is_not_the_figure_goes_and_the_path_is_the_same_in_short(self):
         content, box = page_svg.inline(self.SVG, name="f1", styles=page_svg.Styles())
+        assert 'd="M1.23 2L3 4z"' in content
+        assert 'x="1.99"' in content
         assert box == "0 0 10 20"
         for gone in ("metadata", "secret", "style", "xlink", "unused", "empty", "http"):
             assert gone not in content
@@ -36,23 +38,14 @@ class TestTheInlineFigure:
             ("", ids[1]),
         }
 
-    def test_numbers_are_short_and_the_path_is_the_same(self):
-        content, _ = page_svg.inline(self.SVG, name="f1", styles=page_svg.Styles())
-        assert 'd="M1.23 2L3 4z"' in content
-        assert 'x="1.99"' in content
-
     def test_black_and_white_can_change_and_other_colours_stay(self):
         styles = page_svg.Styles()
         content, _ = page_svg.inline(self.SVG, name="f1", styles=styles)
         (name,) = re.findall(r'class="(\w+)"', content)
         assert styles.css() == (f".{name}{{fill:var(--f-ffffff,#ffffff);stroke:#123456}}")
         assert "--f-ffffff:#17191c;" in page_svg.dark_css()
-
-    def test_a_style_is_written_once_for_all_figures(self):
-        styles = page_svg.Styles()
-        for name in ("f1", "f2"):
-            page_svg.inline(self.SVG, name=name, styles=styles)
-        assert styles.css().count("{") == 1
+        page_svg.inline(self.SVG, name="f2", styles=styles)
+        assert styles.css().count("{") == 1  # written once for all figures
 
     @pytest.mark.parametrize("broken", [b"", b"<p>no</p>", b"<svg width='3'></svg>"])
     def test_what_is_no_figure_is_refused_by_name(self, broken):

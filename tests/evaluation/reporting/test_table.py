@@ -3,10 +3,10 @@
 import csv
 import io
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from helpers.pages import Tags
 from rich.console import Console
 
 from evaluation.reporting.markup import escape, html, latex, markdown, to_csv
@@ -221,32 +221,18 @@ class TestLatex:
         assert text.count(" & linear & ") > 0
 
 
-class Tags(HTMLParser):
-    def __init__(self, text):
-        super().__init__()
-        self.names, self.text = [], []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.names.append((tag, dict(attrs)))
-
-    def handle_data(self, data):
-        self.text.append(data)
-
-
 class TestHtmlMarkdownAndCsv:
     @pytest.mark.parametrize("name", ODD)
     def test_a_name_is_a_word_on_a_page(self, name):
         tags = Tags(html(make_table(names=(name,))))
-        assert {tag for tag, _ in tags.names} == {
+        assert {tag for tag, _ in tags.found} == {
             "div", "table", "caption", "thead", "tr", "th", "button", "tbody", "td",
         }  # fmt: skip
         assert name in tags.text
 
     def test_cells_hold_what_they_are_sorted_by(self):
         tags = Tags(html(make_table(n_columns=1, n_rows=1, names=("fid",))))
-        assert [a.get("data-value") for tag, a in tags.names if tag == "td"] == [None, "1", "1"]
+        assert [one.get("data-value") for one in tags.of("td")] == [None, "1", "1"]
 
     def test_decisions_are_a_sign_a_word_and_a_colour(self):
         text = html(table("x", "x", words("decision"), [[decision("does not track")]]))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from helpers.planted_worlds import KINDS, TASK, World, run, said_of, simulated
 
-from evaluation.reporting.markup import latex
 from evaluation.reporting.verdict_tables import short_tables
 from evaluation.verdict import rules
 from evaluation.verdict.sections import to_bytes
@@ -109,7 +108,6 @@ class TestVerdict:
         tables = short_tables(strangers)
         cells = [cell.text for one in tables for row in one.rows for cell in row[2:]]
         assert len([cell for cell in cells if cell]) == len(strangers["items"])
-        assert latex(tables).count(r"\toprule") == len(tables)
 
     def test_a_mechanism_of_somebody_elses_is_judged_like_fid(self, strangers):
         items = [one for one in strangers["items"] if one.get("mechanism") == "mine:Ou"]

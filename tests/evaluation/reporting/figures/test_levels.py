@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.drawn import assert_is_readable, named
 from helpers.finished_runs import (
     INDEPENDENT,
     STRONGEST,
@@ -17,8 +18,8 @@ from helpers.finished_runs import (
     make_matched,
     make_run,
     make_summary,
+    rows_where,
 )
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from evaluation.analysis import matching
 from evaluation.reporting.figures import style as figure_style
@@ -90,10 +91,6 @@ def lines_of(ax, linestyle=None):
     ]
 
 
-def named(figure):
-    return [text.get_text() for text in figure.legends[0].get_texts()]
-
-
 class TestEveryFigure:
     def test_axes_have_labels_with_a_unit_that_say_whose_positions_it_is_of(self, drawn):
         for figure in drawn:
@@ -104,27 +101,11 @@ class TestEveryFigure:
             assert private
             assert all("shared" in label for label in private)
 
-    def test_text_lies_within_it_is_readable_and_the_legend_below_the_panels(
-        self, drawn, strangers
-    ):
+    def test_text_is_readable(self, drawn, strangers):
         for figure in [*drawn, *strangers]:
-            renderer = FigureCanvasAgg(figure).get_renderer()
-            room = figure.bbox
-            legend = figure.legends[0].get_window_extent(renderer)
-            title = figure._suptitle.get_window_extent(renderer)
-            assert room.x0 <= legend.x0 <= legend.x1 <= room.x1
-            assert room.x0 <= title.x0 <= title.x1 <= room.x1
-            for ax in figure.axes:
-                panel = ax.get_tightbbox(renderer)
-                assert panel.y0 >= legend.y1
-                assert panel.y1 <= title.y0
-            assert figure.get_figwidth() in (3.5, 7.16)
-            assert all(
-                text.get_fontsize() >= 7
-                for text in figure.findobj(lambda a: hasattr(a, "get_fontsize"))
-            )
+            assert_is_readable(figure)
 
-    @pytest.mark.slow  # test_page.py compares two whole reports
+    @pytest.mark.slow  # test_untrusted_names.py compares two whole pages
     def test_drawn_twice_the_files_are_the_same_bytes(self, tmp_path):
         first = draw_all(make_run(at=LINEAR), folder=tmp_path / "a")
         code = (
@@ -329,12 +310,8 @@ class TestAfterAttack:
             hollow = [line.get_markerfacecolor() == "white" for line in lines]
             assert hollow == [False] * 5 + [True]
             assert len({(line.get_color(), line.get_marker()) for line in lines}) == 6
-            kalman = frame[
-                (frame["mechanism"] == mechanism)
-                & (frame["consumer"] == "kalman_rts")
-                & (frame["knowledge"] == "informed")
-                & (frame["metric"] == "plr")
-            ]
+            attack = {"consumer": "kalman_rts", "knowledge": "informed"}
+            kalman = frame[rows_where(frame, mechanism=mechanism, metric="plr", **attack)]
             np.testing.assert_allclose(lines[3].get_ydata(), 100 * kalman["value"])
             raws = lines_of(ax, ":")
             assert len(raws) == 6
@@ -382,19 +359,18 @@ class TestTheHeadline:
         ]
         shared, after, linked = [one for one in lines_of(figure.axes[0])
                                  if one.get_linestyle() != ":"]  # fmt: skip
-        plr = run.ours[(run.ours["mechanism"] == "fid") & (run.ours["metric"] == "plr")]
-        of = plr[plr["consumer"] == "shared"]
-        np.testing.assert_allclose(shared.get_ydata(), 100 * of["value"])
-        of = plr[(plr["consumer"] == "radial_rts") & (plr["knowledge"] == "informed")]
-        np.testing.assert_allclose(after.get_ydata(), 100 * of["value"])
+        for line, source in ((shared, ("shared", "")), (after, ("radial_rts", "informed"))):
+            of = rows_where(run.ours, mechanism="fid", metric="plr", consumer=source[0])
+            of &= run.ours["knowledge"] == source[1]
+            np.testing.assert_allclose(line.get_ydata(), 100 * run.ours[of]["value"])
         block = run.tasks[0].cells["fid", 1.0][STRONGEST["rerelease"]]
         assert linked.get_ydata()[0] == pytest.approx(100 * block["rank1"])
 
     def test_it_is_told_in_numbers(self):
         run = make_run(at=LINEAR, strongest={"": STRONGEST[""]})
         (said,) = [one.words() for one in figures_of(run) if one.name == "headline"]
-        plr = run.ours[(run.ours["consumer"] == "radial_rts") & (run.ours["metric"] == "plr")]
-        plr = plr[(plr["knowledge"] == "informed") & (plr["mechanism"] == "fid")]["value"]
+        of = {"consumer": "radial_rts", "knowledge": "informed", "mechanism": "fid"}
+        plr = run.ours[rows_where(run.ours, metric="plr", **of)]["value"]
         told = f"{100 * plr.iloc[0]:.1f} % at η = 1 to {100 * plr.iloc[-1]:.1f} % at η = 100000"
         assert f"PLR after radial_rts (informed) {told}" in said
         assert "mine 1" not in said
