@@ -59,7 +59,7 @@ END_TO_END = (
 HANGS_S: Final = 60.0
 """A test that takes this much, and 20 times what it took, hangs: the fault is noticed."""
 _HEAVY = ("scipy.stats", "pandas", "numba", "sklearn.base", "matplotlib.figure")
-_NOT_COPIED = shutil.ignore_patterns(".git", "*.pyc", ".*_cache", ".hypothesis", "runs", "mutants")
+_NOT_COPIED = shutil.ignore_patterns(".git", "*.pyc", ".*_cache", ".hypothesis", "mutants")
 _PROSE = frozenset({"help", "description", "epilog", "metavar"})
 _WORD = re.compile(r"[A-Za-z0-9_.-]+")
 _SWAPPED: dict[type[ast.AST], type[ast.AST]] = {}
@@ -625,7 +625,14 @@ def reached(options: argparse.Namespace, plan: dict[str, Any], *, scratch: Path)
 def measure(options: argparse.Namespace, *, scratch: Path) -> tuple[Reach, list[Fault]]:
     """Plant the faults in a copy of the tree; return what became of them."""
     root = scratch / "tree"
-    shutil.copytree(options.tree, root, ignore=_NOT_COPIED)
+    shutil.copytree(
+        options.tree,
+        root,
+        # Results of runs lie beside the packages; evaluation/runs is one of them.
+        ignore=lambda folder, names: (
+            _NOT_COPIED(folder, names) | ({"runs"} if Path(folder) == Path(options.tree) else set())
+        ),
+    )
     plan: dict[str, Any] = {
         "root": str(root),
         "python": own_python(scratch, root=root),
