@@ -39,7 +39,7 @@ def test_a_command_gives_its_modules_exit_code(words, code, capsys):
     assert capsys.readouterr()
 
 
-@pytest.mark.parametrize("name", ["matrix", "report", "calibrate", "datasets"])
+@pytest.mark.parametrize("name", command.COMMANDS)
 def test_every_command_has_help(name, capsys):
     with pytest.raises(SystemExit) as stop:
         command.main([name, "--help"])
