@@ -64,11 +64,6 @@ def test_the_command_shows_the_fit_and_its_predictions(csv_recording, capsys):
     assert re.search(r"raw plr\W+52\.6\W+52\.\d", shown)
 
 
-def test_a_missing_recording_is_one_line(capsys):
-    assert calibrate.main(["--dataset", "nowhere.csv"]) == 2
-    assert "no such file" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_the_committed_constants_are_its_output(students03, capsys):
     assert students03.name == "students03"

@@ -29,13 +29,9 @@ def test_few_scores_are_sklearns_curve_and_area():
     alarm, hit, _ = roc_curve(conflict, score, drop_intermediate=False)
     assert np.allclose(found.false_alarm[0], alarm)
     assert np.allclose(found.missed[0], 1 - hit)
-    assert found.areas()[0] == pytest.approx(1 - roc_auc_score(conflict, score))
-
-
-def test_a_replicate_is_the_weighted_curve():
-    score, conflict, cluster = cases(90)
-    areas = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS).areas()
-    for row in range(5):
+    areas = found.areas()
+    assert areas[0] == pytest.approx(1 - roc_auc_score(conflict, score))
+    for row in range(5):  # a replicate is the weighted curve
         weight = WEIGHTS[row][cluster]
         expected = 1 - roc_auc_score(conflict, score, sample_weight=weight)
         assert areas[1 + row] == pytest.approx(expected)

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.small_runs import write_walks
 
 import evaluation
 from evaluation.analysis import weak_attacks as flags
@@ -277,16 +278,8 @@ def results(tmp_path_factory):
     """24 people, each seen about three times: a slow attack gets a third of the releases."""
     folder = tmp_path_factory.mktemp("flags")
     (folder / "broken_for_flags.py").write_text(BROKEN, encoding="utf-8")
-    rng = np.random.default_rng(1)
-    t = 0.4 * np.arange(60)
-    walks = [
-        pd.DataFrame({"t": t, "id": n, "x": xy[:, 0], "y": xy[:, 1]})
-        for n in range(24)
-        for xy in [rng.uniform(-3, 3, 2) + rng.normal(0.2, 0.1, (60, 2)).cumsum(axis=0)]
-    ]
-    pd.concat(walks).to_csv(folder / "walks.csv", index=False)
     settings = evaluation.Settings(
-        dataset=str(folder / "walks.csv"),
+        dataset=str(write_walks(folder / "walks.csv", n_people=24)),
         scenes=18,
         mechanisms=("clean", "raw", "fixed:1"),
         predictors=(),
@@ -335,5 +328,5 @@ def test_redrawn_the_flags_are_the_same_and_fresh_removes_them(results, tmp_path
     assert (copy / "flags.json").read_bytes() == expected
     assert (copy / "tables" / "attacks.tex").is_file()
     assert (copy / "figures" / "after_attack.svg").is_file()
-    store._remove_run(copy, results.manifest)
+    store._remove_run(copy, store.read_manifest(copy))
     assert not any(copy.iterdir())
