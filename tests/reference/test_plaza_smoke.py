@@ -1,0 +1,39 @@
+"""The numbers of the smoke preset on the bundled crowd, held against those that are published."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import evaluation
+from evaluation.reporting.docs_tables import filled
+
+ROOT = Path(evaluation.__file__).parent.parent
+RESULTS = ROOT / "docs" / "results"
+KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
+
+
+def test_a_fresh_run_gives_the_published_numbers(tmp_path):
+    settings = evaluation.Settings(preset="smoke", dataset="plaza", out=tmp_path / "run")
+    evaluation.run(settings, pictures=False)
+    published, fresh = (
+        pd.read_csv(path / name).fillna({"knowledge": "", "family": "", "adding": ""})
+        for path, name in ((RESULTS, "plaza-smoke-0.csv"), (tmp_path / "run", "summary.csv"))
+    )
+    assert list(fresh.columns) == list(published.columns)
+    both = published.merge(fresh, on=KEY, suffixes=("", "_fresh"), how="outer", indicator=True)
+    assert (both["_merge"] == "both").all()
+    for name in ("value", "ci_low", "ci_high", "n"):
+        found, known = both[f"{name}_fresh"].to_numpy(), both[name].to_numpy()
+        np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-9, err_msg=name)
+    for name in ("unit", "family", "adding"):
+        assert (both[f"{name}_fresh"] == both[name]).all()
+
+
+@pytest.mark.parametrize(
+    "page", ["README.md", *(f"docs/{one.name}" for one in ROOT.glob("docs/*.md"))]
+)
+def test_every_result_table_is_what_its_file_gives(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert filled(text, results=RESULTS) == text
