@@ -23,6 +23,8 @@ from evaluation import matrix, report
 from evaluation.analysis import linkability, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.experiment.plan import plan
+from evaluation.reporting.announcements import plan_lines
+from evaluation.results import build
 from evaluation.runs import checksums
 from evaluation.runs import folder as store
 from evaluation.runs.lock import locked
@@ -116,7 +118,7 @@ class TestWhereTheFolderCannotBeUsed:
         ready = plan(replace(TINY, out=out))
         try:
             with without_rights():
-                for look in (lambda: matrix._announce(ready), lambda: evaluation.run(ready=ready)):
+                for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
                     with pytest.raises(SettingsError, match="Permission denied; choose another"):
                         look()
                 with pytest.raises(DataError, match=f"{out}.*Permission denied"):
@@ -132,7 +134,7 @@ class TestWhereTheFolderCannotBeUsed:
         ready = plan(replace(TINY, out=out))
         try:
             with without_rights():
-                for look in (lambda: matrix._announce(ready), lambda: evaluation.run(ready=ready)):
+                for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
                     with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
                         look()
         finally:
@@ -400,7 +402,7 @@ class TestAnyDamageOfAManifest:
             holder[last] = "abc"
             (run / "manifest.json").write_text(json.dumps(manifest))
             try:
-                report.build(run, pictures=False)
+                build(run, pictures=False)
                 reported += 1
             except IsacTrackError:
                 refused += 1
