@@ -19,7 +19,8 @@ class TestExitCode:
 
     def test_is_0_if_fid_meets_everything_under_both_rules(self, made, capsys):
         assert main([*self.ARGUMENTS, str(made())]) == 0
-        assert capsys.readouterr().out.startswith(
+        said = capsys.readouterr().out.replace("\n", " ")
+        assert said.startswith(
             "Yes: with fid eta = 100 (linear) and fid eta = 100 (independent) at most 23 % of the"
         )
 
