@@ -42,7 +42,12 @@ CRITERIA = {
 """By what operating points are matched."""
 _POINT = ("criterion", "adding", "predictor", "consumer", "knowledge", "metric")
 _AS_SHARED = {SHARED: "as shared"}
-_EFFECTS = {"fraction": (100.0, 1, "points"), "s": (1.0, 3, "s"), "m": (1.0, 3, "m")}
+_EFFECTS = {
+    "fraction": (100.0, 1, "points"),
+    "s": (1.0, 3, "s"),
+    "m": (1.0, 3, "m"),
+    "correlation": (1.0, 2, ""),
+}
 
 
 def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
