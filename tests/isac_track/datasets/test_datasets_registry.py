@@ -186,7 +186,7 @@ TRUNCATED = (len(WALK), WALK[:10], None)
 def test_a_failed_download_is_one_line_and_leaves_nothing(
     mirror, empty_machine, monkeypatch, answer, message
 ):
-    monkeypatch.setattr(download, "READ_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(download, "READ_TIMEOUT_S", 1.0)
     mirror.files["/base/small/obsmat.txt"] = answer
     mirror.over = threading.Event()
     began = time.monotonic()
