@@ -141,7 +141,10 @@ def _closed(
         source=source,
         group=group,
         alone=alone(tracks, rows) & alone(later, rows_later),
-        moving=~(summarise(tracks).frozen[rows] | summarise(later).frozen[rows_later]),
+        moving=~(
+            summarise(tracks).frozen.to_numpy()[rows]
+            | summarise(later).frozen.to_numpy()[rows_later]
+        ),
         probe=probe,
         gallery=gallery,
         mate=np.argsort(order),

@@ -71,7 +71,7 @@ def handover(draft: Draft) -> Sessions:
         source=tuple(tracks.source[row] for row in rows),
         group=group,
         alone=alone(tracks, rows),
-        moving=~summarise(tracks).frozen[rows],
+        moving=~summarise(tracks).frozen.to_numpy()[rows],
         probe=probe,
         gallery=gallery,
         mate=_mates(probe, gallery),

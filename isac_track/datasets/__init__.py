@@ -13,27 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from isac_track.datasets.registry import (
-    DEFAULT,
-    FALLBACK,
-    GROUPS_FILE,
-    KNOWN,
-    MAIN_FILE,
-    Known,
-    checked_bytes,
-    complete,
-    known,
-    locate,
-    read_bytes,
-    searched,
-    shown,
-)
-from isac_track.datasets.rows import Repair
+from isac_track.datasets import crowd, formats, registry
+from isac_track.datasets.recording import Repair
+from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, Known, shown
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from isac_track.types import Tracks
 
 __all__ = ["Dataset", "Repair", "load"]
@@ -94,104 +79,80 @@ def load(
         If there is no such data set, it cannot be had, or it cannot be read; the message
         names file and line, or the way out.
     """
-    chosen, notice = _chosen(name)
-    if chosen is None:
-        return _load_file(Path(str(name)), format=format, fps=fps)
+    if name is not None and _is_path(name):
+        path = Path(name)
+        data = registry.read_bytes(path)  # a missing file is told before a missing --format
+        format_name = formats.format_of(path, format=format)
+        # Rows of another recording must never pass for those of a known one.
+        title = path.name if path.stem in KNOWN else path.stem
+        return _read(Known(shown(title), format=format_name, fps=fps), data, path)
+    if name is None:
+        source = KNOWN[DEFAULT if registry.locate(KNOWN[DEFAULT]) else FALLBACK]
+    else:
+        source = registry.known(str(name))
     if format is not None or fps is not None:
         raise DataError(
-            f"{'the default data set' if name is None else chosen.name} is known by name: "
+            f"{'the default data set' if name is None else source.name} is known by name: "
             "leave --format and --fps out (they describe a file of your own)"
         )
-    if chosen.session is not None:
-        return _load_bundled(chosen, session=chosen.session, notice=notice)
-    files = locate(chosen)
-    if not complete(chosen, files):
+    if source.session is not None:
+        return _bundled(source, is_second_best=name is None)
+    files = registry.locate(source)
+    if absent := registry.missing(source, files):
         if name is None or not download:
-            raise _missing(chosen, files=files)
+            here = "".join(f"; {shown(path)} is" for path in files.values())
+            raise DataError(
+                f"{source.name}: {' and '.join(absent)} not found{here} ({registry.searched()}). "
+                f"To get it: python -m isac_track.datasets fetch {source.name}"
+            )
         from isac_track.datasets.download import fetch  # noqa: PLC0415 - seldom needed
 
-        files, _ = fetch(chosen)
-    return _load_files(chosen, files=files)
-
-
-def _chosen(name: str | Path | None) -> tuple[Known | None, str | None]:
-    """Return the known data set or None for a path, and what to say if it is second best."""
-    if name is None:
-        if locate(KNOWN[DEFAULT]):
-            return KNOWN[DEFAULT], None
-        notice = (
-            f"{DEFAULT} is not here ({searched()}): using the bundled simulated crowd {FALLBACK}. "
-            f"To get it: python -m isac_track.datasets fetch {DEFAULT}"
-        )
-        return KNOWN[FALLBACK], notice
-    if isinstance(name, Path):
-        return None, None
-    # A mistyped name is a better guess than a missing file if nothing in it looks like a path.
-    is_path = os.sep in name or "." in name or os.path.exists(name)  # noqa: PTH110 - never raises
-    return None if is_path and name not in KNOWN else known(name), None
-
-
-def _missing(data_set: Known, *, files: Mapping[str, Path]) -> DataError:
-    absent = [name for name in data_set.sha256 if name not in files]
-    here = "".join(f"; {shown(path)} is" for path in files.values())
-    return DataError(
-        f"{data_set.name}: {' and '.join(absent)} not found{here} ({searched()}). "
-        f"To get it: python -m isac_track.datasets fetch {data_set.name}"
-    )
-
-
-def _load_files(data_set: Known, *, files: Mapping[str, Path]) -> Dataset:
-    path = files[MAIN_FILE]
-    data = checked_bytes(path, data_set=data_set)
-    groups: list[tuple[str, str]] = []
+        files, _ = fetch(source)
+    data = registry.read_bytes(files[registry.MAIN_FILE], data_set=source)
+    groups = []
     if GROUPS_FILE in files:
-        text = checked_bytes(files[GROUPS_FILE], data_set=data_set).decode()
-        for members in (line.split() for line in text.splitlines()):
-            groups += [(member, members[0]) for member in members]
-    return _read(data_set, path=path, data=data, groups=groups)
+        for line in registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines():
+            groups += [(member, line.split()[0]) for member in line.split()]
+    return _read(source, data, files[registry.MAIN_FILE], groups)
 
 
-def _load_file(path: Path, *, format: str | None, fps: float | None) -> Dataset:  # noqa: A002
-    from isac_track.datasets import formats  # noqa: PLC0415 - a plain import stays quick
-
-    # A missing file is told before a missing --format.
-    data = read_bytes(path)
-    format_name = formats.format_of(path, format=format)
-    # Rows of another recording must never pass for those of a known one.
-    name = path.name if path.stem in KNOWN else path.stem
-    own = Known(name=shown(Path(name)), format=format_name, fps=fps)
-    return _read(own, path=path, data=data)
+def _is_path(name: str | Path) -> bool:
+    """Whether no known name is meant: a mistyped one is, if nothing in it looks like a path."""
+    if isinstance(name, Path):
+        return True
+    is_path = os.sep in name or "." in name or os.path.exists(name)  # noqa: PTH110 - never raises
+    return is_path and name not in KNOWN
 
 
 def _read(
-    source: Known, *, path: Path, data: bytes, groups: Sequence[tuple[str, str]] = ()
+    source: Known, data: bytes, path: Path, groups: list[tuple[str, str]] | None = None
 ) -> Dataset:
-    from isac_track.datasets import formats  # noqa: PLC0415 - a plain import stays quick
-
     tracks, repairs = formats.read(
-        data=data, path=shown(path), format=source.format, fps=source.fps, groups=groups
+        data=data, path=shown(path), format=source.format, fps=source.fps, groups=groups or ()
     )
-    return _dataset(source, path=shown(path), data=data, tracks=tracks, repairs=repairs)
+    return _dataset(source, data, shown(path), tracks, repairs)
 
 
-def _load_bundled(data_set: Known, *, session: int, notice: str | None) -> Dataset:
-    from isac_track.datasets import crowd  # noqa: PLC0415 - a plain import stays quick
-
-    path = crowd.bundled_path(session)
+def _bundled(source: Known, *, is_second_best: bool) -> Dataset:
+    assert source.session is not None
+    path = crowd.bundled_path(source.session)
+    notice = (
+        f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated crowd "
+        f"{FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
+    )
     return _dataset(
-        data_set,
-        path=f"isac_track/datasets/{path.name}",
-        data=read_bytes(path),
-        tracks=crowd.bundled(session),
-        notice=notice,
+        source,
+        registry.read_bytes(path),
+        f"isac_track/datasets/{path.name}",
+        crowd.bundled(source.session),
+        notice=notice if is_second_best else None,
     )
 
 
 def _dataset(
     source: Known,
-    *,
-    path: str,
     data: bytes,
+    path: str,
     tracks: Tracks,
     repairs: tuple[Repair, ...] = (),
     notice: str | None = None,

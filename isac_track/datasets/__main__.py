@@ -9,9 +9,15 @@ import numpy as np
 
 from isac_track.command_line import DONE, WRONG, Parser, exit_code
 from isac_track.datasets import load
-from isac_track.datasets.registry import KNOWN, complete, known, locate, searched, shown
-from isac_track.datasets.rows import listed
-from isac_track.datasets.summary import FROZEN_SHARE, LONG_S, SLOW_MPS, summarise
+from isac_track.datasets.recording import listed
+from isac_track.datasets.registry import KNOWN, known, locate, missing, searched, shown
+from isac_track.datasets.summary import (
+    FROZEN_SHARE,
+    SLOW_MPS,
+    n_lasting,
+    summarise,
+    total_still_share,
+)
 from isac_track.errors import IsacTrackError
 
 if TYPE_CHECKING:
@@ -22,7 +28,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from isac_track.datasets import Dataset
-    from isac_track.datasets.summary import Summary
+
+_LONG_S = (12.0, 21.6)
+"""Durations of interest: 21.6 s are the tracks that scenes are made of."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -32,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.command == "show":
-        _show(arguments.name, format_name=arguments.format, fps=arguments.fps)
+        _show(load(arguments.name, format=arguments.format, fps=arguments.fps))
     elif arguments.command == "fetch":
         for name in arguments.name:
             _fetch(name)
@@ -60,8 +68,8 @@ def _parser() -> argparse.ArgumentParser:
 def _console() -> Console:
     from rich.console import Console  # noqa: PLC0415 - `--help` stays quick
 
-    # No guessing at numbers and paths: the text is data, not markup.
-    return Console(highlight=False, markup=False, emoji=False)
+    # No guessing at numbers and paths, whole lines to be copied: the text is data, not markup.
+    return Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 
 def _table(label: str, *columns: str) -> Table:
@@ -77,91 +85,82 @@ def _table(label: str, *columns: str) -> Table:
 
 def _list() -> int:
     table = _table(
-        "data set", "tracks", *(f">={s:g} s" for s in LONG_S), "median s", "m/s", "zero", "frozen"
+        "data set", "tracks", *(f">={s:g} s" for s in _LONG_S), "median s", "m/s", "zero", "frozen"
     )
     notes = []
     status = DONE
     for data_set in KNOWN.values():
-        found: Dataset | None = None
+        cells = ["-"] * 7
         where = f"not here; `python -m isac_track.datasets fetch {data_set.name}`"
         try:
-            if data_set.simulated or complete(data_set, locate(data_set)):
+            if not missing(data_set, locate(data_set)):
                 found = load(data_set.name, download=False)
+                summary = summarise(found.tracks)
                 where = found.path
+                cells = [
+                    f"{len(summary)}",
+                    *(f"{n_lasting(summary, duration_s)}" for duration_s in _LONG_S),
+                    f"{summary.duration_s.median():.1f}",
+                    f"{summary.speed_mean_mps.median():.2f}",
+                    f"{total_still_share(summary):.1%}",
+                    f"{summary.frozen.sum()}",
+                ]
         except IsacTrackError as error:
             where = f"error: {error}"
             status = WRONG
-        table.add_row(data_set.name, *(_cells(found) if found else ["-"] * 7))
+        table.add_row(data_set.name, *cells)
         notes.append(f"{data_set.name}: {data_set.about}; {where}")
     console = _console()
-    console.print(table)
-    console.print()
-    for note in (*notes, searched()):
-        console.print(note, soft_wrap=True)  # whole, to be copied
+    console.print(table, soft_wrap=False)
+    console.print("", *notes, searched(), sep="\n")
     console.print(
         f"m/s: median of the tracks' mean speeds. zero: share of steps of exactly no "
-        f"length. frozen: tracks with at least {FROZEN_SHARE:.0%} such steps."
+        f"length. frozen: tracks with at least {FROZEN_SHARE:.0%} such steps.",
+        soft_wrap=False,
     )
     return status
 
 
-def _cells(found: Dataset) -> list[str]:
-    summary = summarise(found.tracks)
-    return [
-        f"{len(summary)}",
-        *(f"{summary.n_lasting(duration_s)}" for duration_s in LONG_S),
-        f"{np.median(summary.duration_s):.1f}",
-        f"{np.nanmedian(summary.speed_mean_mps):.2f}",
-        f"{summary.total_still_share:.1%}",
-        f"{summary.frozen.sum()}",
-    ]
-
-
-def _show(name: str, *, format_name: str | None, fps: float | None) -> None:
-    found = load(name, format=format_name, fps=fps)
-    summary = summarise(found.tracks)
+def _show(found: Dataset) -> None:
+    tracks, summary = found.tracks, summarise(found.tracks)
+    frozen = [tracks.source[row] for row in np.flatnonzero(summary.frozen)]
     facts = {
         "name": found.name + (" (simulated)" if found.simulated else ""),
         "path": found.path,
         "format": found.format,
         "sha256": found.sha256,
-        "tracks": f"{len(summary)} in {summary.n_groups} groups, {summary.samples.sum()} samples",
+        "tracks": f"{len(tracks)} in {len(set(tracks.group))} groups, {tracks.t.size} samples",
         "long tracks": ", ".join(
-            f"{summary.n_lasting(duration_s)} of at least {duration_s:g} s" for duration_s in LONG_S
+            f"{n_lasting(summary, duration_s)} of at least {duration_s:g} s"
+            for duration_s in _LONG_S
         ),
-        "zero steps": f"{summary.total_still_share:.1%} of all steps have exactly no length",
-        "frozen": _frozen(found, summary),
+        "zero steps": f"{total_still_share(summary):.1%} of all steps have exactly no length",
+        "frozen": f"{len(frozen)} tracks with at least {FROZEN_SHARE:.0%} steps of no length"
+        + (f": {listed(frozen)}" if frozen else ""),
         "repairs": f"{len(found.repairs)} kind(s), see below" if found.repairs else "none",
         "credit": found.citation,
         "licence": found.licence,
     }
     table = _table("per track", "min", "5%", "median", "95%", "max")
-    for label, values in (
-        ("duration, s", summary.duration_s),
-        ("mean speed, m/s", summary.speed_mean_mps),
-        ("sd of step speed, m/s", summary.speed_sd_mps),
-        (f"steps below {SLOW_MPS:g} m/s", summary.slow_share),
-        ("steps of no length", summary.still_share),
+    for label, column, form in (
+        ("duration, s", "duration_s", ".2f"),
+        ("mean speed, m/s", "speed_mean_mps", ".2f"),
+        ("sd of step speed, m/s", "speed_sd_mps", ".2f"),
+        (f"steps below {SLOW_MPS:g} m/s", "slow_share", ".1%"),
+        ("steps of no length", "still_share", ".1%"),
     ):
-        quantiles = np.nanquantile(values, [0.0, 0.05, 0.5, 0.95, 1.0])
-        is_share = "steps" in label.split()[0]
-        table.add_row(label, *(f"{q:.1%}" if is_share else f"{q:.2f}" for q in quantiles))
+        quantiles = summary[column].quantile([0.0, 0.05, 0.5, 0.95, 1.0])
+        table.add_row(label, *(format(one, form) for one in quantiles))
     console = _console()
     for label, fact in facts.items():
         if fact:
-            console.print(f"{label:<12} {fact}", soft_wrap=True)
+            console.print(f"{label:<12} {fact}")
     console.print()
-    console.print(table)
+    console.print(table, soft_wrap=False)
     if found.repairs:
         console.print()
     for repair in found.repairs:
-        console.print(f"{repair.count:>6} {repair.kind:<14} {repair.detail}", soft_wrap=True)
-
-
-def _frozen(found: Dataset, summary: Summary) -> str:
-    names = [found.tracks.source[row] for row in np.flatnonzero(summary.frozen)]
-    which = f": {listed(names)}" if names else ""
-    return f"{len(names)} tracks with at least {FROZEN_SHARE:.0%} steps of no length{which}"
+        console.print(f"{repair.count:>6} {repair.kind:<14} {repair.detail}")
 
 
 def _fetch(name: str) -> None:
@@ -170,12 +169,12 @@ def _fetch(name: str) -> None:
     data_set = known(name)
     console = _console()
     if data_set.simulated:
-        console.print(f"{name} is bundled: nothing to fetch", soft_wrap=True)
+        console.print(f"{name} is bundled: nothing to fetch")
         return
     files, downloaded = fetch(data_set)
     done = "fetched" if downloaded else "already here"
     for path in files.values():
-        console.print(f"{name}: {done}: {shown(path)}", soft_wrap=True)
+        console.print(f"{name}: {done}: {shown(path)}")
 
 
 if __name__ == "__main__":

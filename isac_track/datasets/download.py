@@ -7,7 +7,14 @@ import hashlib
 import os
 from typing import TYPE_CHECKING
 
-from isac_track.datasets.registry import DATA_VARIABLE, cache_folder, checked_bytes, locate, shown
+from isac_track.datasets.registry import (
+    DATA_VARIABLE,
+    cache_folder,
+    locate,
+    missing,
+    read_bytes,
+    shown,
+)
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -46,71 +53,70 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
         If a file cannot be had, with the way out, or one in the user's data folder is not the
         right one.
     """
+    import requests  # noqa: PLC0415 - a plain import of the package stays quick
+
+    folder = cache_folder() / data_set.name
     files = {}
     for file_name, path in locate(data_set).items():
         try:
-            checked_bytes(path, data_set=data_set)
+            read_bytes(path, data_set=data_set)
         except DataError:
-            if path != cache_folder() / data_set.name / file_name:
+            if path != folder / file_name:
                 raise
         else:
             files[file_name] = path
-    missing = [file_name for file_name in data_set.sha256 if file_name not in files]
-    for file_name in missing:
-        files[file_name] = cache_folder() / data_set.name / file_name
-        _download(data_set, file_name=file_name, target=files[file_name])
-    return files, bool(missing)
-
-
-def _download(data_set: Known, *, file_name: str, target: Path) -> None:
-    import requests  # noqa: PLC0415 - a plain import of the package stays quick
-
-    url = url_of(data_set, file_name)
-    way_out = (
-        f"Way out: get {' and '.join(data_set.sha256)} of that folder by any means, save in "
-        f"DIR/{data_set.name} and set {DATA_VARIABLE}=DIR"
-    )
-    unchecked = target.with_name(f".{file_name}.{os.getpid()}")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        title = f"{data_set.name}/{file_name}"
-        _stream(url, unchecked, title=title, sha256=data_set.sha256[file_name])
-        unchecked.replace(target)
-    except requests.RequestException as error:
-        raise DataError(f"{url}: {_reason(error)}. {way_out}") from None
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise DataError(f"{shown(target)}: cannot be written ({reason})") from None
-    except ValueError as error:
-        raise DataError(f"{url}: not the expected file: {error}. {way_out}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            unchecked.unlink()
+    absent = missing(data_set, files)
+    for file_name in absent:
+        url, target = url_of(data_set, file_name), folder / file_name
+        way_out = (
+            f"Way out: get {' and '.join(data_set.sha256)} of that folder by any means, save in "
+            f"DIR/{data_set.name} and set {DATA_VARIABLE}=DIR"
+        )
+        unchecked = folder / f".{file_name}.{os.getpid()}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            actual = _download(url, unchecked, title=f"{data_set.name}/{file_name}")
+            if actual != data_set.sha256[file_name]:
+                raise ValueError(f"sha256 is {actual}, expected {data_set.sha256[file_name]}")  # noqa: TRY301 - told below
+            unchecked.replace(target)
+        except requests.RequestException as error:
+            raise DataError(f"{url}: {_reason(error)}. {way_out}") from None
+        except OSError as error:
+            reason = error.strerror or type(error).__name__
+            raise DataError(f"{shown(target)}: cannot be written ({reason})") from None
+        except ValueError as error:
+            raise DataError(f"{url}: not the expected file: {error}. {way_out}") from None
+        finally:
+            with contextlib.suppress(OSError):
+                unchecked.unlink()
+        files[file_name] = target
+    return files, bool(absent)
 
 
 def _reason(error: Exception) -> str:
     """Return in words why requests got nothing."""
-    from requests import exceptions  # noqa: PLC0415 - a plain import of the package stays quick
+    from requests import exceptions  # noqa: PLC0415 - as above
 
     if isinstance(error, exceptions.HTTPError):
         return f"the server answered {getattr(error.response, 'status_code', '')}"
     # A server that falls silent in the middle is no Timeout to requests.
-    silent = "timed out" in str(error)
+    silent = "no answer in time"
+    broken = silent if "timed out" in str(error) else "no connection, or it broke off (offline?)"
     for kind, reason in (
         (exceptions.ProxyError, "the proxy refuses the connection"),
         (exceptions.SSLError, "no trusted connection (a proxy that opens TLS?)"),
         (exceptions.ChunkedEncodingError, "the connection broke off"),
-        (exceptions.Timeout, "no answer in time"),
-        (exceptions.ConnectionError, "no connection, or it broke off (offline?)"),
+        (exceptions.Timeout, silent),
+        (exceptions.ConnectionError, broken),
     ):
         if isinstance(error, kind):
-            return "no answer in time" if silent and kind is exceptions.ConnectionError else reason
+            return reason
     return f"cannot be downloaded ({type(error).__name__})"
 
 
-def _stream(url: str, into: Path, *, title: str, sha256: str) -> None:
-    """Write what `url` gives to a file, with a progress bar; ValueError if it is wrong."""
-    import requests  # noqa: PLC0415 - a plain import of the package stays quick
+def _download(url: str, into: Path, *, title: str) -> str:
+    """Write what `url` gives to a file, with a progress bar; return its sha256."""
+    import requests  # noqa: PLC0415 - as above
     from rich import progress  # noqa: PLC0415
     from rich.console import Console  # noqa: PLC0415
 
@@ -138,5 +144,4 @@ def _stream(url: str, into: Path, *, title: str, sha256: str) -> None:
                 if file.tell() > _MOST_BYTES:
                     raise ValueError(f"over {_MOST_BYTES} bytes")
                 bar.advance(task, len(chunk))
-    if digest.hexdigest() != sha256:
-        raise ValueError(f"sha256 is {digest.hexdigest()}, expected {sha256}")
+    return digest.hexdigest()

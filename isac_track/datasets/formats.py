@@ -3,35 +3,34 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-from isac_track.datasets.read_frames import OBSMAT, PEDPY, SOCIAL_GAN, read_columns, read_trajnet
-from isac_track.datasets.read_table import read_csv, read_parquet
+from isac_track.datasets import read_frames, read_table
+from isac_track.datasets.recording import checked_fps
 from isac_track.datasets.registry import did_you_mean, shown
 from isac_track.datasets.repair import to_tracks
-from isac_track.datasets.rows import checked_fps
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from isac_track.datasets.rows import Repair, Rows
+    from isac_track.datasets.recording import Repair, Rows
     from isac_track.types import Tracks
 
-
-class Reader(Protocol):
-    """Turns the bytes of a file into rows; lets no error but `DataError` out."""
-
-    def __call__(self, *, data: bytes, path: str, fps: float | None) -> Rows: ...  # noqa: D102
-
-
-FORMATS: Mapping[str, Reader] = {
-    **{layout.name: partial(read_columns, layout=layout) for layout in (OBSMAT, SOCIAL_GAN, PEDPY)},
-    "trajnet": read_trajnet,
-    "csv": read_csv,
-    "parquet": read_parquet,
+_WITH_CLOCK: Mapping[str, Callable[..., Rows]] = {
+    "csv": read_table.read_csv,
+    "parquet": read_table.read_parquet,
 }
+FORMATS: Mapping[str, Callable[..., Rows]] = {
+    **{
+        layout.name: partial(read_frames.read_columns, layout=layout)
+        for layout in read_frames.LAYOUTS
+    },
+    "trajnet": read_frames.read_trajnet,
+    **_WITH_CLOCK,
+}
+"""Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
 
 
@@ -85,5 +84,10 @@ def read(
     """
     if fps is not None:
         checked_fps(fps, where="--fps")
+        if format in _WITH_CLOCK:
+            raise DataError(
+                f"{path}: format {format} has times in seconds (column t); leave --fps out"
+            )
+    clock = {} if format in _WITH_CLOCK else {"fps": fps}
     # The rows have no name here: they are let go as soon as they are sorted.
-    return to_tracks(FORMATS[format](data=data, path=path, fps=fps), groups=groups)
+    return to_tracks(FORMATS[format](data=data, path=path, **clock), groups=groups)

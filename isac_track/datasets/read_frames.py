@@ -11,22 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isac_track.datasets.rows import (
-    Place,
-    Repair,
-    Rows,
-    check_text,
-    checked_fps,
-    framed,
-    lines_of,
-    listed,
-    noted,
-)
+from isac_track.datasets import recording
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from isac_track.datasets.recording import Repair, Rows
     from isac_track.types import Floats
 
 
@@ -42,12 +33,14 @@ class Layout:
     """Whether comments may tell frame rate and unit of length."""
 
 
-OBSMAT = Layout("obsmat", ("frame", "id", "x", "z", "y", "vx", "vz", "vy"))
-"""Of OpenTraj; height and velocities are not used."""
-SOCIAL_GAN = Layout("social-gan", ("frame", "id", "x", "y"))
-"""Of Social-GAN and its successors."""
-PEDPY = Layout("pedpy", ("id", "frame", "x", "y"), may_have_more=True, has_header=True)
-"""Of PedPy and JuPedSim: ``# framerate: 25`` and ``x/m`` or ``x/cm`` before the first row."""
+LAYOUTS = (
+    # Of OpenTraj; height and velocities are not used.
+    Layout("obsmat", ("frame", "id", "x", "z", "y", "vx", "vz", "vy")),
+    # Of Social-GAN and its successors.
+    Layout("social-gan", ("frame", "id", "x", "y")),
+    # Of PedPy and JuPedSim: `# framerate: 25` and `x/m` or `x/cm` before the first row.
+    Layout("pedpy", ("id", "frame", "x", "y"), may_have_more=True, has_header=True),
+)
 _HEADER_CHARACTERS = 1000
 _METRES = {"m": 1.0, "cm": 0.01}
 _TRACK_FIELDS = ("f", "p", "x", "y")
@@ -64,7 +57,7 @@ def read_columns(*, data: bytes, path: str, fps: float | None, layout: Layout) -
         For anything that is not this format, naming file and line, or if `fps` is missing or
         contradicts the frame rate in the file.
     """
-    check_text(data=data, path=path)
+    recording.check_text(data=data, path=path)
     declared, metres = _header(data=data, path=path) if layout.has_header else (None, 1.0)
     if fps is not None and declared is not None and fps != declared:
         raise DataError(f"{path}: --fps {fps:g} contradicts the file's framerate {declared:g}")
@@ -76,16 +69,13 @@ def read_columns(*, data: bytes, path: str, fps: float | None, layout: Layout) -
             "give frames per second with --fps (25 for UCY)"
         )
     table = _table(data=data, path=path, layout=layout)
-    place = Place(
-        path=path,
-        lines=lambda: np.fromiter((number for number, _ in _split(data)), dtype=np.int64),
-    )
+    place = recording.Place(path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64))
     columns = [table[:, layout.columns.index(name)] for name in ("frame", "id", "x", "y")]
-    rows = framed(columns, place=place)
+    rows = recording.framed(columns, place=place)
     if metres == 1.0:
         return replace(rows, t=rows.t / rate)
     detail = f"{path}: positions in cm, as the header says; converted to m"
-    notes = (Repair("unit", rows.t.size, detail),)
+    notes = (recording.Repair("unit", rows.t.size, detail),)
     return replace(rows, t=rows.t / rate, xy=rows.xy * metres, notes=notes)
 
 
@@ -93,24 +83,24 @@ def _header(*, data: bytes, path: str) -> tuple[float | None, float]:
     """Return the declared frame rate and the metres per unit of length."""
     fps: float | None = None
     units: dict[str, int] = {}
-    for number, line in enumerate(lines_of(data), start=1):
+    for number, line in enumerate(recording.lines_of(data), start=1):
         text = line.strip()[:_HEADER_CHARACTERS]  # the search is quadratic in the worst case
-        if not text:
-            continue
-        if not text.startswith("#"):
+        if text and not text.startswith("#"):
             break
         found = re.search(r"frame\s*rate[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)", text, re.IGNORECASE)
         if found and fps is None:
             where = f"{path}, line {number}"
             try:
-                fps = checked_fps(float(found[1]), where=where)
+                fps = recording.checked_fps(float(found[1]), where=where)
             except ValueError:
                 reason = f"the framerate {found[1][:40]!r} is not a number"
                 raise DataError(f"{where}: {reason}") from None
         for unit in re.findall(r"\bx\s*[/\[(]\s*([a-z]+)|\bin\s+(c?m)\b", text.lower()):
             units.setdefault((unit[0] or unit[1])[:40], number)
     if len(units) > 1:
-        raise DataError(f"{path}: the header names two units of length: {listed(list(units))}")
+        raise DataError(
+            f"{path}: the header names two units of length: {recording.listed(list(units))}"
+        )
     for unit, number in units.items():
         if unit not in _METRES:
             way_out = "convert them to m (x/m) or cm (x/cm)"
@@ -120,67 +110,67 @@ def _header(*, data: bytes, path: str) -> tuple[float | None, float]:
 
 def _table(*, data: bytes, path: str, layout: Layout) -> Floats:
     """Return (M, columns): in one go if all is well, else the first bad line is looked for."""
+    fault: Exception | None = None
+    table = np.zeros((0, len(layout.columns)))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of an empty table: an error below
-            table = np.loadtxt(lines_of(data), dtype=np.float64, ndmin=2)
+            table = np.loadtxt(recording.lines_of(data), dtype=np.float64, ndmin=2)
     except (ValueError, OverflowError, MemoryError) as error:
-        _raise_first_fault(data=data, path=path, layout=layout)
-        raise DataError(f"{path}: cannot be read as {layout.name}: {error}") from None
-    if not table.size:
-        raise DataError(f"{path}: the file holds no rows")
-    if _count_fault(table.shape[1], layout):
-        _raise_first_fault(data=data, path=path, layout=layout)
-    return np.asarray(table, dtype=np.float64)
+        fault = error
+    else:
+        if not table.size:
+            raise DataError(f"{path}: the file holds no rows")
+    if fault or not _fits(table.shape[1], layout):
+        n_first = 0
+        for number, fields in _split(data):
+            if message := _fault(fields, layout, n_first):
+                raise DataError(f"{path}, line {number}: {message}") from None
+            n_first = len(fields)
+        raise DataError(f"{path}: cannot be read as {layout.name}: {fault}") from None
+    return table
 
 
 def _split(data: bytes) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and fields of every row, as loadtxt counts rows."""
-    for number, line in enumerate(lines_of(data), start=1):
+    for number, line in enumerate(recording.lines_of(data), start=1):
         if fields := line.split("#", 1)[0].split():
             yield number, fields
 
 
-def _raise_first_fault(*, data: bytes, path: str, layout: Layout) -> None:
-    n_first = 0
-    for number, fields in _split(data):
-        message = _separator_fault(fields) or _count_fault(len(fields), layout)
-        if not message and n_first not in {0, len(fields)}:
-            message = f"{len(fields)} columns where the rows before have {n_first}"
-        message = message or next(filter(None, map(_number_fault, fields)), "")
-        if message:
-            raise DataError(f"{path}, line {number}: {message}")
-        n_first = len(fields)
+def _fits(n_fields: int, layout: Layout) -> bool:
+    needed = len(layout.columns)
+    return n_fields == needed or (layout.may_have_more and n_fields > needed)
 
 
-def _separator_fault(fields: list[str]) -> str:
+def _fault(fields: list[str], layout: Layout, n_first: int) -> str:
+    """Return what is wrong with a row behind rows of `n_first` fields; empty if nothing is."""
     for separator, name in ((";", "semicolons"), (",", "commas")):
         found = [field for field in fields if separator in field]
-        if not found:
-            continue
         is_decimal = any(re.fullmatch(r"[-+]?\d*,\d+", field) for field in found)
         if is_decimal and separator == "," and len(fields) > 1:
             return f"{found[0][:40]!r} has a decimal comma; write a decimal point"
-        return f"{name} between the numbers; this format has spaces or tabs (or use --format csv)"
+        if found:
+            way_out = "this format has spaces or tabs (or use --format csv)"
+            return f"{name} between the numbers; {way_out}"
+    if not _fits(len(fields), layout):
+        least = "at least " if layout.may_have_more else ""
+        needed = f"{least}{len(layout.columns)} ({' '.join(layout.columns)})"
+        return f"{len(fields)} column(s) where {layout.name} has {needed}"
+    if n_first not in {0, len(fields)}:
+        return f"{len(fields)} columns where the rows before have {n_first}"
+    for field in fields:
+        kind = "a number"
+        try:
+            float(field)
+        except ValueError:
+            pass
+        else:  # float() takes what loadtxt does not
+            if field.isascii() and "_" not in field:
+                continue
+            kind = "a plain number"
+        return f"{field[:40]!r} is not {kind}"
     return ""
-
-
-def _count_fault(n_fields: int, layout: Layout) -> str:
-    needed = len(layout.columns)
-    if n_fields == needed or (layout.may_have_more and n_fields > needed):
-        return ""
-    least = "at least " if layout.may_have_more else ""
-    columns = " ".join(layout.columns)
-    return f"{n_fields} column(s) where {layout.name} has {least}{needed} ({columns})"
-
-
-def _number_fault(field: str) -> str:
-    try:
-        float(field)
-    except ValueError:
-        return f"{field[:40]!r} is not a number"
-    # float() takes what loadtxt does not.
-    return f"{field[:40]!r} is not a plain number" if "_" in field or not field.isascii() else ""
 
 
 def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
@@ -199,8 +189,8 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     values: array[float] = array("d")
     lines, scene_lines = array("q"), array("q")
     row_rates: dict[float, int] = {}
-    check_text(data=data, path=path)
-    for number, line in enumerate(lines_of(data), start=1):
+    recording.check_text(data=data, path=path)
+    for number, line in enumerate(recording.lines_of(data), start=1):
         if not line.strip():
             continue
         try:
@@ -217,16 +207,21 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
             raise DataError(f"{path}, line {number}: {reason}") from None
     if not lines:
         raise DataError(f"{path}: the file holds no track rows")
-    place = Place(path=path, lines=lambda: np.array(lines, dtype=np.int64))
-    rows = framed([*np.frombuffer(values).reshape(-1, 4).T], names=_TRACK_FIELDS, place=place)
-    fps, clock = _frame_rate(row_rates=row_rates, step=_frame_step(rows), fps=fps, path=path)
-    scenes = noted(
-        "scene-lines",
-        np.arange(len(scene_lines)),
-        "scene lines; whole tracks are used",
-        place=Place(path=path, lines=lambda: np.array(scene_lines, dtype=np.int64)),
+    place = recording.Place(path, lambda: np.array(lines, dtype=np.int64))
+    rows = recording.framed(
+        [*np.frombuffer(values).reshape(-1, 4).T], names=_TRACK_FIELDS, place=place
     )
-    return replace(rows, t=rows.t / fps, notes=(*scenes, *clock))
+    # The commonest step in frames between rows of one person; 1 if there is none.
+    order = np.lexsort((rows.t, rows.person))
+    steps = np.diff(rows.t[order])[np.diff(rows.person[order]) == 0]
+    commonest, counts = np.unique(steps[steps > 0], return_counts=True)
+    step = float(commonest[counts.argmax()]) if commonest.size else 1.0
+    fps, clock = _frame_rate(row_rates=row_rates, step=step, fps=fps, path=path)
+    scenes = recording.Place(path, lambda: np.array(scene_lines, dtype=np.int64))
+    ignored = scenes.noted(
+        "scene-lines", np.arange(len(scene_lines)), "scene lines; whole tracks are used"
+    )
+    return replace(rows, t=rows.t / fps, notes=(*ignored, *clock))
 
 
 def _parse(line: str) -> tuple[str, dict[str, Any]]:
@@ -259,14 +254,6 @@ def _number(content: dict[str, Any], name: str) -> float:
         raise ValueError(f"{name} is out of range") from None
 
 
-def _frame_step(rows: Rows) -> float:
-    """Return the commonest positive step in frames between rows of one person; 1 if none."""
-    order = np.lexsort((rows.t, rows.person))
-    steps = np.diff(rows.t[order])[np.diff(rows.person[order]) == 0]
-    values, counts = np.unique(steps[steps > 0], return_counts=True)
-    return float(values[counts.argmax()]) if values.size else 1.0
-
-
 def _frame_rate(
     *, row_rates: dict[float, int], step: float, fps: float | None, path: str
 ) -> tuple[float, list[Repair]]:
@@ -282,15 +269,15 @@ def _frame_rate(
             )
         return fps, []
     ((row_rate, line),) = row_rates.items()
-    declared = checked_fps(row_rate, where=f"{path}, line {line}") * step
+    declared = recording.checked_fps(row_rate, where=f"{path}, line {line}") * step
     clock = f"{row_rate:g} rows a second, {step:g} frames apart"
     if fps is not None and not np.isclose(fps, declared, rtol=1e-6):
         raise DataError(
             f"{path}: --fps {fps:g} contradicts the scene lines: {clock}, "
             f"are {declared:g} frames a second; leave --fps out"
         )
-    checked_fps(declared, where=f"{path}, line {line}")
+    recording.checked_fps(declared, where=f"{path}, line {line}")
     if step == 1.0:
         return declared, []
     detail = f"{path}: line {line}: {clock}; times are frames at {declared:g} a second"
-    return declared, [Repair("frame-clock", 1, detail)]
+    return declared, [recording.Repair("frame-clock", 1, detail)]

@@ -4,37 +4,29 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isac_track.datasets.rows import (
-    POSITION_LIMIT_M,
-    TIME_LIMIT_S,
-    Place,
-    Repair,
-    Rows,
-    brief,
-    check_numbers,
-    check_text,
-    checked_name,
-    clean_id,
-    lines_of,
-    listed,
-    printable,
-    sort_ids,
-)
+from isac_track.datasets import recording
+from isac_track.datasets.recording import POSITION_LIMIT_M, TIME_LIMIT_S, brief
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
+    from isac_track.datasets.recording import Place, Rows
     from isac_track.types import Floats, Ints
 
 _NEEDED = ("t", "id", "x", "y")
 _USED = (*_NEEDED, "group")
 _UNITS = {"t": "seconds", "x": "metres", "y": "metres"}
+_LIMITS = (TIME_LIMIT_S, POSITION_LIMIT_M, POSITION_LIMIT_M)
+_DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
+_LONGEST_NAME = 200
+"""Characters: ids stand in messages, tables and figures, and a split track repeats its own."""
 _BLOCK_BYTES = 1 << 18
 _MOST_COLUMNS = 10_000
 """Of csv: pyarrow takes memory for each, also for those that are not used."""
@@ -45,20 +37,19 @@ _MOST_UNPACKING = 100
 """A parquet file above `_FREE_BYTES` when unpacked may be this many times its size."""
 
 
-def read_csv(*, data: bytes, path: str, fps: float | None) -> Rows:
+def read_csv(*, data: bytes, path: str) -> Rows:
     """Read comma-separated values with a header line.
 
     Raises
     ------
     DataError
-        For anything that is not this format, naming file and line, or if `fps` is given.
+        For anything that is not this format, naming file and line.
     """
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import csv as arrow_csv  # noqa: PLC0415
 
-    _refuse_fps(fps=fps, path=path, format_name="csv")
-    check_text(data=data, path=path)
-    names = _csv_header(header=next(lines_of(data), ""), path=path)
+    recording.check_text(data=data, path=path)
+    names = _csv_header(header=next(recording.lines_of(data), ""), path=path)
     _, _, body = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").partition(b"\n")
     if not body.strip():
         raise DataError(f"{path}: the file holds no rows")
@@ -81,26 +72,27 @@ def read_csv(*, data: bytes, path: str, fps: float | None) -> Rows:
         if table.num_rows != n_rows:  # pyarrow lets quoted fields go on in the next line
             raise pa.ArrowInvalid(f"{table.num_rows} rows in {n_rows} lines")
     except (pa.ArrowException, MemoryError, UnicodeError) as error:
-        _raise_first_csv_fault(body=body, names=names, path=path)
+        for number, line in enumerate(recording.lines_of(body), start=2):
+            if message := _csv_fault(line, names) if line else "":
+                raise DataError(f"{path}, line {number}: {message}") from None
         raise DataError(f"{path}: cannot be read as csv ({brief(error)})") from None
     columns = {name: table[column] for column, name in used.items()}
     del table
-    place = Place(path=path, lines=lambda: np.fromiter(_csv_lines(body), dtype=np.int64))
+    place = recording.Place(path, lambda: np.fromiter(_csv_lines(body), dtype=np.int64))
     return _rows(columns, names=names, place=place)
 
 
-def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
+def read_parquet(*, data: bytes, path: str) -> Rows:
     """Read a parquet file.
 
     Raises
     ------
     DataError
-        For anything that is not this format, naming file and row, or if `fps` is given.
+        For anything that is not this format, naming file and row.
     """
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import parquet  # noqa: PLC0415
 
-    _refuse_fps(fps=fps, path=path, format_name="parquet")
     if not data:
         raise DataError(f"{path}: the file is empty")
     try:
@@ -136,15 +128,8 @@ def read_parquet(*, data: bytes, path: str, fps: float | None) -> Rows:
     lost = [name for name in used if name not in columns]
     if lost:  # pyarrow passes over what its parts call differently
         raise DataError(f"{path}: the parquet file is damaged (column {lost[0]} is not in it)")
-    place = Place(path=path, lines=lambda: np.arange(1, n_rows + 1), unit="row")
+    place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
     return _rows(columns, names=names, place=place)
-
-
-def _refuse_fps(*, fps: float | None, path: str, format_name: str) -> None:
-    if fps is not None:
-        raise DataError(
-            f"{path}: format {format_name} has times in seconds (column t); leave --fps out"
-        )
 
 
 def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
@@ -185,13 +170,6 @@ def _csv_lines(body: bytes) -> Iterator[int]:
     return (number for number, line in enumerate(io.BytesIO(body), start=2) if line != b"\n")
 
 
-def _raise_first_csv_fault(*, body: bytes, names: tuple[str, ...], path: str) -> None:
-    for number, line in enumerate(lines_of(body), start=2):
-        message = _csv_fault(line, names) if line else ""
-        if message:
-            raise DataError(f"{path}, line {number}: {message}")
-
-
 def _csv_fault(line: str, names: tuple[str, ...]) -> str:
     try:
         fields = next(csv.reader([line], strict=True))
@@ -217,22 +195,20 @@ def _rows(columns: dict[str, Any], *, names: Sequence[str], place: Place) -> Row
     t, x, y = (_numbers(columns.pop(name), name=name, path=place.path) for name in _UNITS)
     if not t.size:
         raise DataError(f"{place.path}: the file holds no rows")
-    limits = [TIME_LIMIT_S, POSITION_LIMIT_M, POSITION_LIMIT_M]
-    check_numbers([t, x, y], names=tuple(_UNITS), limits=limits, place=place)
+    recording.check_numbers([t, x, y], names=tuple(_UNITS), limits=_LIMITS, place=place)
     xy = np.column_stack([x, y])
     del x, y
-    person, ids = _index(columns["id"], clean=clean_id, place=place)
+    person, ids = _index(columns["id"], is_group=False, place=place)
     groups: tuple[tuple[str, str], ...] = ()
     if "group" in columns:  # an empty cell is no group
-        group, labels = _index(columns["group"], clean=_clean_label, place=place)
+        group, labels = _index(columns["group"], is_group=True, place=place)
         pairs = np.unique(np.column_stack([person, group]), axis=0)
         groups = tuple((ids[who], labels[label]) for who, label in pairs if labels[label])
-    notes: tuple[Repair, ...] = ()
-    if others := [printable(name[:40]) for name in names if name not in _USED]:
-        detail = f"{place.path}: column(s) {listed(others)}: not used, {t.size} rows each"
-        notes = (Repair("ignored-column", len(others), detail),)
-    t = t - t.min()
-    return Rows(person=person, ids=ids, t=t, xy=xy, place=place, groups=groups, notes=notes)
+    notes: tuple[recording.Repair, ...] = ()
+    if others := [recording.printable(name[:40]) for name in names if name not in _USED]:
+        unused = f"column(s) {recording.listed(others)}: not used, {t.size} rows each"
+        notes = (recording.Repair("ignored-column", len(others), f"{place.path}: {unused}"),)
+    return recording.Rows(person, ids, t - t.min(), xy, place, groups, notes)
 
 
 def _numbers(column: Any, *, name: str, path: str) -> Floats:  # noqa: ANN401 - pyarrow has no types
@@ -250,7 +226,7 @@ def _numbers(column: Any, *, name: str, path: str) -> Floats:  # noqa: ANN401 - 
 def _index(
     column: Any,  # noqa: ANN401 - pyarrow has no types
     *,
-    clean: Callable[[str], str],
+    is_group: bool,
     place: Place,
 ) -> tuple[Ints, tuple[str, ...]]:
     """Return (M,) index into the cleaned values of an arrow column, and these in order."""
@@ -269,17 +245,36 @@ def _index(
     cleaned = []
     for code, value in enumerate(distinct):
         try:
-            cleaned.append(clean(str(value)))  # null is "None" or "nan", which is no name
+            # Null is "None" or "nan", which is no name.
+            cleaned.append(_cleaned(str(value).strip(), is_group=is_group))
         except ValueError as error:
             raise DataError(f"{place.at(int((codes == code).argmax()))}: {error}") from None
-    names = sort_ids(set(cleaned))
+    # As numbers if all of them are, else as text.
+    are_numbers = all(re.fullmatch(r"-?[0-9]{1,18}", name) for name in cleaned)
+    names = sorted(set(cleaned), key=lambda name: (int(name) if are_numbers else 0, name))
     position = {name: index for index, name in enumerate(names)}
-    return np.array([position[name] for name in cleaned], dtype=np.int64)[codes], names
+    return np.array([position[name] for name in cleaned], dtype=np.int64)[codes], tuple(names)
 
 
-def _clean_label(text: str) -> str:
-    label = checked_name(text)
-    try:
-        return clean_id(label)  # 3.0 is group 3, as a column with empty cells writes it
-    except ValueError:
-        return "" if label.lower() in {"nan", "none", "null"} else label
+def _cleaned(name: str, *, is_group: bool) -> str:
+    """Return the id or group that a cell stands for: ``1.0`` is ``1``, names stay as they are.
+
+    A group may be empty, or a number that is not whole; other faults are a ValueError.
+    """
+    if len(name) > _LONGEST_NAME:
+        shown = f"{name[:20]!r}... has {len(name)} characters"
+        raise ValueError(f"the name {shown}, over {_LONGEST_NAME}")
+    if recording.printable(name) != name:
+        raise ValueError(f"the name {name!r} has a control character")
+    if name.lower() in {"", "nan", "none", "null"}:
+        if is_group:
+            return ""
+        raise ValueError("the id is missing")
+    if not _DECIMAL.fullmatch(name):
+        return name
+    number = float(name)
+    if abs(number) < recording.WHOLE_LIMIT and number == int(number):
+        return str(int(number))
+    if is_group:
+        return name
+    raise ValueError(f"id {name} is not a whole number")

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from isac_track.datasets.rows import printable
+from isac_track.datasets.recording import printable
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -132,67 +132,55 @@ def locate(data_set: Known) -> dict[str, Path]:
 
     The data folder comes before the cache. Hashes are checked when the files are read.
     """
-    found: dict[str, Path] = {}
-    for folder in filter(None, (_folder(DATA_VARIABLE), cache_folder())):
-        for file_name in data_set.sha256:
-            path = folder / data_set.name / file_name
-            if os.path.isfile(path):  # noqa: PTH113 - never raises
-                found.setdefault(file_name, path)
-    return found
+    folders = [folder for folder in (cache_folder(), _folder(DATA_VARIABLE)) if folder]
+    return {
+        file_name: folder / data_set.name / file_name
+        for folder in folders
+        for file_name in data_set.sha256
+        if os.path.isfile(folder / data_set.name / file_name)  # noqa: PTH113 - never raises
+    }
 
 
-def complete(data_set: Known, files: Mapping[str, Path]) -> bool:
-    """Tell whether `files` are all that `data_set` consists of."""
-    return data_set.sha256.keys() <= files.keys()
+def missing(data_set: Known, files: Mapping[str, Path]) -> list[str]:
+    """Return the names of the files of `data_set` that are not among `files`."""
+    return [file_name for file_name in data_set.sha256 if file_name not in files]
 
 
 def searched() -> str:
     """Return in words where a data set was looked for."""
     folder = _folder(DATA_VARIABLE)
-    if folder is None:
-        first = f"{DATA_VARIABLE} is not set"
-    elif os.path.isdir(folder):  # noqa: PTH112 - never raises
-        first = f"{DATA_VARIABLE} is {shown(folder)}"
-    else:
-        first = f"{DATA_VARIABLE} is {shown(folder)}, which is no folder"
+    first = f"{DATA_VARIABLE} is not set"
+    if folder is not None:
+        lacks = "" if os.path.isdir(folder) else ", which is no folder"  # noqa: PTH112 - never raises
+        first = f"{DATA_VARIABLE} is {shown(folder)}{lacks}"
     return f"{first}; cache is {shown(cache_folder())}"
 
 
-def shown(path: Path) -> str:
+def shown(path: Path | str) -> str:
     """Return a path as one line that can be printed whatever bytes its name has."""
     return printable(str(path).encode("utf-8", "replace").decode())
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return what a file holds.
+def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
+    """Return what a file holds, of a known data set if one is given.
 
     Raises
     ------
     DataError
-        If it cannot be had.
+        If it cannot be had, or is not the file of the data set that the registry means.
     """
     try:
         if not path.is_file():
             reason = "this is a folder, not a file" if path.is_dir() else "no such file"
             raise DataError(f"{shown(path)}: {reason}")
-        return path.read_bytes()
+        data = path.read_bytes()
     except OSError as error:
         raise DataError(f"{shown(path)}: cannot be read ({error.strerror})") from None
     except MemoryError:
         raise DataError(f"{shown(path)}: the file is too large for the memory") from None
-
-
-def checked_bytes(path: Path, *, data_set: Known) -> bytes:
-    """Return what a file of a known data set holds.
-
-    Raises
-    ------
-    DataError
-        If it cannot be read or is not the file that the registry means.
-    """
-    data = read_bytes(path)
-    expected = data_set.sha256[path.name]
-    actual = hashlib.sha256(data).hexdigest()
+    if data_set is None:
+        return data
+    actual, expected = hashlib.sha256(data).hexdigest(), data_set.sha256[path.name]
     if actual != expected:
         raise DataError(
             f"{shown(path)} is not the {path.name} of {data_set.name}: sha256 is {actual}, "

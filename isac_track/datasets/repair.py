@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets.rows import listed, noted, steps_within
+from isac_track.datasets.recording import listed, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Tracks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from isac_track.datasets.rows import Place, Repair, Rows
+    from isac_track.datasets.recording import Place, Repair, Rows
     from isac_track.types import Bools, Floats, Ints
 
 SAME_TIME_S = 1e-7
@@ -49,9 +49,9 @@ def to_tracks(
         speeds show that units, frame rate or columns are wrong.
     """
     place, ids, members = rows.place, rows.ids, (*rows.groups, *groups)
-    notes = [*rows.notes, *_late(rows)]
     # One column after the other, each in the place of the one before: files may be large.
     person, t, xy = rows.person, rows.t, rows.xy
+    notes = [*rows.notes, *_late(person, t, place)]
     del rows
     order = np.lexsort((t, person))  # stable
     person = person[order]
@@ -59,7 +59,7 @@ def to_tracks(
     xy = xy[order]
     again = _copies(person=person, t=t, xy=xy, order=order, ids=ids, place=place)
     text = "the same id, time and position again; dropped"
-    notes += noted("duplicate", order[1:][again], text, place=place)
+    notes += place.noted("duplicate", order[1:][again], text)
     if again.any():
         keep = np.concatenate([[True], ~again])
         person, t, xy, order = (column[keep] for column in (person, t, xy, order))
@@ -72,7 +72,7 @@ def to_tracks(
     del person
     single = lengths == 1
     text = f"a single sample (id {listed([ids[index] for index in owner[single]])}); dropped"
-    notes += noted("one-point", order[offsets[:-1][single]], text, place=place)
+    notes += place.noted("one-point", order[offsets[:-1][single]], text)
     if single.any():
         keep = np.repeat(~single, lengths)
         t, xy, order = (column[keep] for column in (t, xy, order))
@@ -89,11 +89,19 @@ def to_tracks(
         )
 
     cluster = walking_groups(ids=ids, members=members)
+    # The source id of a track is the person's, numbered where it was split.
+    longest = max((len(run) for name in ids for run in re.findall("#+", name)), default=0)
+    mark = "#" * (longest + 1)
+    pieces = np.bincount(owner, minlength=len(ids))
+    first = np.cumsum(pieces) - pieces  # the tracks of a person follow each other
     tracks = Tracks(
         t=t,
         xy=xy,
         offsets=offsets,
-        source=_names(owner=owner, ids=ids),
+        source=tuple(
+            f"{ids[index]}{mark}{track - first[index] + 1}" if pieces[index] > 1 else ids[index]
+            for track, index in enumerate(owner)
+        ),
         group=tuple(cluster[index] for index in owner),
     )
     return tracks, tuple(notes)
@@ -112,36 +120,32 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
     members : iterable of (id, label)
         Who belongs to which group; an id may belong to several, which then are one.
     """
-    labels_of: dict[str, list[str]] = {}
+    label_of: dict[str, str] = {}
     parent: dict[str, str] = {}
 
     def root(label: str) -> str:
-        while parent[label] != label:
+        while parent.setdefault(label, label) != label:
             parent[label] = parent[parent[label]]
             label = parent[label]
         return label
 
     for name, label in members:
-        parent.setdefault(label, label)
-        own = labels_of.setdefault(name, [])
-        own.append(label)
         # The lesser label names the cluster, whatever the order of the members.
-        first, second = sorted((root(own[0]), root(label)))
+        first, second = sorted((root(label_of.setdefault(name, label)), root(label)))
         parent[second] = first
-
     prefix = "group:"
     while any(name.startswith(prefix) for name in ids):
         prefix = f"group{prefix}"
-    return tuple(prefix + root(labels_of[name][0]) if name in labels_of else name for name in ids)
+    return tuple(prefix + root(label_of[name]) if name in label_of else name for name in ids)
 
 
-def _late(rows: Rows) -> list[Repair]:
+def _late(person: Ints, t: Floats, place: Place) -> list[Repair]:
     """Return how many rows are earlier than the row before of the same person."""
-    by_person = np.argsort(rows.person, kind="stable")
-    back = np.diff(rows.t[by_person]) < 0
-    back &= np.diff(rows.person[by_person]) == 0
+    by_person = np.argsort(person, kind="stable")
+    back = np.diff(t[by_person]) < 0
+    back &= np.diff(person[by_person]) == 0
     text = "earlier than the row before of the same id; sorted"
-    return noted("unsorted", by_person[1:][back], text, place=rows.place)
+    return place.noted("unsorted", by_person[1:][back], text)
 
 
 def _copies(
@@ -149,16 +153,13 @@ def _copies(
 ) -> Bools:
     """Return (M - 1,) which of the sorted rows say again what the one before them says."""
     again: Bools = (np.diff(t) < SAME_TIME_S) & (person[1:] == person[:-1])
-    if not again.any():
-        return again
     other = again & (xy[1:] != xy[:-1]).any(axis=1)
     if other.any():
         at = int(other.argmax())
         first, second = sorted((int(order[at]), int(order[at + 1])))
-        line = int(place.lines()[first])
         raise DataError(
             f"{place.at(second)}: id {ids[person[at]]} is somewhere else at the same "
-            f"time in {place.unit} {line}"
+            f"time in {place.unit} {int(place.lines()[first])}"
         )
     return again
 
@@ -177,24 +178,10 @@ def _cuts(*, person: Ints, t: Floats, order: Ints, place: Place) -> tuple[Bools,
         (gap & ~long, "gap", "kept, to be interpolated"),
         (long, "split", "too long to interpolate; two tracks of one group"),
     ):
-        text = (
-            f"behind a gap (longest {steps[where].max(initial=0):.3g} s, "
-            f"usual step {nominal:.3g} s); {done}"
-        )
-        notes += noted(kind, order[1:][where], text, place=place)
+        longest = steps[where].max(initial=0)
+        text = f"behind a gap (longest {longest:.3g} s, usual step {nominal:.3g} s); {done}"
+        notes += place.noted(kind, order[1:][where], text)
     return new | long, notes
-
-
-def _names(*, owner: Ints, ids: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the source id of every track: the person's, numbered where a track was split."""
-    longest = max((len(run) for name in ids for run in re.findall("#+", name)), default=0)
-    mark = "#" * (longest + 1)
-    pieces = np.bincount(owner, minlength=len(ids))
-    first = np.cumsum(pieces) - pieces  # the tracks of a person follow each other
-    return tuple(
-        f"{ids[index]}{mark}{track - first[index] + 1}" if pieces[index] > 1 else ids[index]
-        for track, index in enumerate(owner)
-    )
 
 
 def _check_speeds(
@@ -225,4 +212,4 @@ def _check_speeds(
     # Multiplied out: a step of a denormal time would overflow the quotient.
     fast = distance > FAST_STEP_MPS * duration
     text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
-    return noted("fast-step", order[1:][within][fast], text, place=place)
+    return place.noted("fast-step", order[1:][within][fast], text)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from isac_track.datasets.recording import brief, steps_within
 from isac_track.datasets.registry import shown
-from isac_track.datasets.rows import brief, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Tracks
 

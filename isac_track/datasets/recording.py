@@ -24,8 +24,6 @@ WHOLE_LIMIT = 2.0**53
 """Frames and ids are read as float64, which holds every whole number below this."""
 FPS_LIMITS = (1e-3, 1e6)
 """Frames per second outside are a mistake, and would overflow the clock."""
-LONGEST_ID = 200
-"""Characters: ids stand in messages, tables and figures, and a split track repeats its own."""
 _SHOWN = 5
 
 
@@ -54,12 +52,14 @@ class Place:
         """Return ``FILE, line N`` of one row."""
         return f"{self.path}, {self.unit} {int(self.lines()[row])}"
 
-    def first(self, rows: Ints) -> str:
-        """Return ``FILE: lines N, N, ...`` of the first of `rows`, in the order of the file."""
-        numbers = self.lines()[rows]
-        numbers.sort()
+    def noted(self, kind: str, rows: Ints, text: str) -> list[Repair]:
+        """Return the repair that concerns `rows`, with the first of them; none if they are none."""
+        if not rows.size:
+            return []
+        numbers = np.sort(self.lines()[rows])
         plural = "s" if numbers.size > 1 else ""
-        return f"{self.path}: {self.unit}{plural} {listed(numbers)}"
+        where = f"{self.path}: {self.unit}{plural} {listed(numbers)}"
+        return [Repair(kind, rows.size, f"{where}: {text}")]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,11 +113,6 @@ def framed(
     )
 
 
-def noted(kind: str, rows: Ints, text: str, *, place: Place) -> list[Repair]:
-    """Return the repair that concerns `rows`, or none if there are none."""
-    return [Repair(kind, rows.size, f"{place.first(rows)}: {text}")] if rows.size else []
-
-
 def steps_within(offsets: Ints) -> Bools:
     """Return (M - 1,) which steps lead from a sample to the next one of the same track."""
     within = np.ones(max(offsets[-1] - 1, 0), dtype=bool)
@@ -156,24 +151,16 @@ def lines_of(data: bytes) -> Iterator[str]:
 
 
 def check_text(*, data: bytes, path: str) -> None:
-    """Check that a file is text.
-
-    Raises
-    ------
-    DataError
-        If the file is empty, compressed, binary, or not UTF-8.
-    """
-    if not data:
-        raise DataError(f"{path}: the file is empty")
-    for beginnings, message in (
-        (b"\x1f\x8b", "the file is compressed (gzip); unpack it first"),
-        (b"PAR1", "this is a parquet file; read it with --format parquet"),
-        ((b"\xff\xfe", b"\xfe\xff"), "the file is UTF-16 text; save it as UTF-8"),
+    """Raise DataError if a file is empty, compressed, binary, or not UTF-8."""
+    for is_so, message in (
+        (not data, "the file is empty"),
+        (data.startswith(b"\x1f\x8b"), "the file is compressed (gzip); unpack it first"),
+        (data.startswith(b"PAR1"), "this is a parquet file; read it with --format parquet"),
+        (data.startswith((b"\xff\xfe", b"\xfe\xff")), "the file is UTF-16 text; save it as UTF-8"),
+        (b"\0" in data, f"the file is binary, not text (zero byte at {data.find(0)})"),
     ):
-        if data.startswith(beginnings):
+        if is_so:
             raise DataError(f"{path}: {message}")
-    if b"\0" in data:
-        raise DataError(f"{path}: the file is binary, not text (zero byte at {data.index(0)})")
     try:
         data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -186,13 +173,7 @@ def check_text(*, data: bytes, path: str) -> None:
 
 
 def checked_fps(fps: float, *, where: str) -> float:
-    """Return `fps` if it is a frame rate.
-
-    Raises
-    ------
-    DataError
-        If it is not a finite number within `FPS_LIMITS`; `where` opens the message.
-    """
+    """Return `fps` if it lies within `FPS_LIMITS`, else raise DataError; `where` opens it."""
     low, high = FPS_LIMITS
     if not low <= fps <= high:  # NaN fails both
         raise DataError(f"{where}: {fps:g} frames per second is not a frame rate above 0")
@@ -209,10 +190,7 @@ def check_numbers(
 ) -> None:
     """Check that all numbers are finite and below their limit, and the first `n_whole` whole.
 
-    Raises
-    ------
-    DataError
-        For the first offending row, with its line.
+    The DataError of the first row that offends names its line.
     """
     bad = np.zeros((columns[0].size, len(columns)), dtype=bool)
     for index, (column, limit) in enumerate(zip(columns, limits, strict=True)):
@@ -230,49 +208,3 @@ def check_numbers(
     else:
         reason = f"{name} {value:g} is not a whole number"
     raise DataError(f"{place.at(row)}: {reason}")
-
-
-def checked_name(text: str) -> str:
-    """Return an id or a label without the space around it.
-
-    Raises
-    ------
-    ValueError
-        If it is too long, or would not stand on one line of a terminal.
-    """
-    name = text.strip()
-    if len(name) > LONGEST_ID:
-        raise ValueError(f"the name {name[:20]!r}... has {len(name)} characters, over {LONGEST_ID}")
-    if _CONTROL.search(name):
-        raise ValueError(f"the name {name!r} has a control character")
-    return name
-
-
-_DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
-
-
-def clean_id(text: str) -> str:
-    """Return the id that `text` stands for: ``1.0`` is ``1``, names stay as they are.
-
-    Raises
-    ------
-    ValueError
-        If it is empty, too long, not printable, or a number that is not whole; the message
-        says so.
-    """
-    name = checked_name(text)
-    if name.lower() in {"", "nan", "none", "null"}:
-        raise ValueError("the id is missing")
-    if _DECIMAL.fullmatch(name):
-        number = float(name)
-        if not abs(number) < WHOLE_LIMIT or number != int(number):
-            raise ValueError(f"id {name} is not a whole number")
-        return str(int(number))
-    return name
-
-
-def sort_ids(names: set[str]) -> tuple[str, ...]:
-    """Return ids in ascending order: as numbers if all of them are, else as text."""
-    if all(re.fullmatch(r"-?[0-9]{1,18}", name) for name in names):
-        return tuple(sorted(names, key=lambda name: (int(name), name)))
-    return tuple(sorted(names))
