@@ -10,18 +10,17 @@ Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10047 (2010): wal
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets.crowd.plan import Party, Plan, person_id
+from isac_track.datasets.crowd.plan import person_id
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from isac_track.datasets.crowd.plan import CrowdSettings, Traits
+    from isac_track.datasets.crowd.plan import CrowdSettings, Plan, Traits
     from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6
@@ -63,42 +62,27 @@ GRID_DIGITS = 6
 functions of two machines are then forgotten instead of amplified by the crowd's chaos."""
 
 
-@dataclass(eq=False, slots=True)
-class _Crowd:
-    """State of all N people; only those on the plaza are up to date."""
-
-    xy: Floats
-    """(N, 2) m, without sway"""
-    v: Floats
-    """(N, 2) m/s"""
-    heading: Floats
-    """(N, 2) unit vector"""
-    pace: Floats
-    """(N,) Ornstein-Uhlenbeck noise of unit variance, as are `wander` and both parts of `sway`"""
-    wander: Floats
-    """(N,)"""
-    sway: NDArray[np.complex128]
-    """(N,)"""
-    here: Bools
-    """(N,) on the plaza now"""
-    party: Ints
-    """(N,) number of the party"""
-    slot: Floats
-    """(N, 2) m, place in its formation: ahead, left"""
-
-
-@dataclass(eq=False, slots=True)
-class _Progress:
-    """How far each of G parties has come."""
-
-    target: Ints
-    """(G,) current waypoint"""
-    walked_m: Floats
-    """(G,) mean over those of its members who are here"""
-    next_stop: Ints
-    """(G,)"""
-    stand_until_s: Floats
-    """(G,) standing before this time"""
+_PERSON = np.dtype(
+    [
+        ("xy", float, 2),  # m, without sway
+        ("v", float, 2),  # m/s
+        ("heading", float, 2),  # unit vector
+        ("pace", float),  # Ornstein-Uhlenbeck noise of unit variance, as are the next two
+        ("wander", float),
+        ("sway", complex),  # in both parts
+        ("here", bool),  # on the plaza now; who is not is not up to date
+        ("party", int),  # its number
+        ("slot", float, 2),  # m, place in its formation: ahead, left
+    ]
+)
+_PARTY = np.dtype(
+    [
+        ("target", int),  # current waypoint
+        ("walked_m", float),  # mean over those of its members who are here
+        ("next_stop", int),
+        ("stand_until_s", float),  # standing before this time
+    ]
+)
 
 
 def simulate(
@@ -115,35 +99,20 @@ def simulate(
     xy : (M, 2) floats
         Recorded position in m: the body's, with its sway.
     """
-    n_people, n_parties = settings.n_people, len(plan.parties)
-    crowd = _Crowd(
-        xy=np.zeros((n_people, 2)),
-        v=np.zeros((n_people, 2)),
-        heading=np.zeros((n_people, 2)),
-        pace=np.zeros(n_people),
-        wander=np.zeros(n_people),
-        sway=np.zeros(n_people, dtype=np.complex128),
-        here=np.zeros(n_people, dtype=bool),
-        party=np.zeros(n_people, dtype=np.int64),
-        slot=np.zeros((n_people, 2)),
-    )
-    progress = _Progress(
-        target=np.zeros(n_parties, dtype=np.int64),
-        walked_m=np.zeros(n_parties),
-        next_stop=np.zeros(n_parties, dtype=np.int64),
-        stand_until_s=np.full(n_parties, -np.inf),
-    )
-    noise = [stream(seed, "crowd", "noise", session, person_id(row)) for row in range(n_people)]
+    crowd = np.zeros(settings.n_people, dtype=_PERSON)
+    progress = np.zeros(len(plan.parties), dtype=_PARTY)
+    progress["stand_until_s"] = -np.inf
+    noise = [stream(seed, "crowd", "noise", session, person_id(row)) for row in range(crowd.size)]
     for number, party in enumerate(plan.parties):
-        crowd.party[party.members] = number
-        crowd.slot[party.members] = party.slots_m
+        crowd["party"][party.members] = number
+        crowd["slot"][party.members] = party.slots_m
     arrival_s = np.array([party.arrival_s for party in plan.parties])
     arrival_frame = np.maximum(0, np.ceil(arrival_s / settings.frame_s))
     frames, people, places = [], [], []
     for frame in range(settings.n_frames):
         for arrived in np.flatnonzero(arrival_frame == frame):
             _enter(crowd, plan, int(arrived), noise)
-        rows = np.flatnonzero(crowd.here)
+        rows = np.flatnonzero(crowd["here"])
         frames.append(np.full(rows.size, frame))
         people.append(rows)
         places.append(_body_xy(crowd, rows, traits))
@@ -152,7 +121,9 @@ def simulate(
     return np.concatenate(frames), np.concatenate(people), np.concatenate(places)
 
 
-def _enter(crowd: _Crowd, plan: Plan, number: int, noise: list[np.random.Generator]) -> None:
+def _enter(
+    crowd: NDArray[np.void], plan: Plan, number: int, noise: list[np.random.Generator]
+) -> None:
     """Put a party at the clearest of its entries, or part-way if it came before the start."""
     party = plan.parties[number]
     first = party.targets_m[0]
@@ -160,7 +131,7 @@ def _enter(crowd: _Crowd, plan: Plan, number: int, noise: list[np.random.Generat
     if party.arrival_s < 0:
         gone = np.linspace(0.05, 0.85, len(entries))[:, None]
         entries = entries + gone * (first - entries)
-    others = crowd.xy[crowd.here]
+    others = crowd["xy"][crowd["here"]]
     if len(others):
         gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(axis=1)
         entry = entries[int(np.argmax(np.minimum(gap, 2.0)))]
@@ -169,18 +140,18 @@ def _enter(crowd: _Crowd, plan: Plan, number: int, noise: list[np.random.Generat
     ahead = (first - entry) / np.hypot(*(first - entry))
     for row in party.members:
         draw = noise[row].standard_normal(4)
-        crowd.pace[row], crowd.wander[row] = draw[:2]
-        crowd.sway[row] = complex(draw[2], draw[3])
-        crowd.xy[row] = entry + _turned(party.slots_m[party.members == row][0], ahead)
-        crowd.heading[row] = ahead
-        crowd.v[row] = ahead * plan.speed_mps[row]
-        crowd.here[row] = True
+        crowd["pace"][row], crowd["wander"][row] = draw[:2]
+        crowd["sway"][row] = complex(draw[2], draw[3])
+        crowd["xy"][row] = entry + _turned(party.slots_m[party.members == row][0], ahead)
+        crowd["heading"][row] = ahead
+        crowd["v"][row] = ahead * plan.speed_mps[row]
+        crowd["here"][row] = True
 
 
 def _advance(
     settings: CrowdSettings,
-    crowd: _Crowd,
-    progress: _Progress,
+    crowd: NDArray[np.void],
+    progress: NDArray[np.void],
     traits: Traits,
     plan: Plan,
     rows: Ints,
@@ -190,9 +161,9 @@ def _advance(
     """Move the people in `rows` on by one frame, and let those who have arrived leave."""
     dt = settings.frame_s / settings.substeps
     draws = np.stack([noise[row].standard_normal((settings.substeps, 4)) for row in rows], axis=1)
-    parties, local = np.unique(crowd.party[rows], return_inverse=True)
+    parties, local = np.unique(crowd["party"][rows], return_inverse=True)
     head_count = np.bincount(local)
-    slot = crowd.slot[rows]
+    slot = crowd["slot"][rows]
     slot = slot - (_sum_by(local, slot) / head_count[:, None])[local]
     speed = plan.speed_mps[rows]
     keep_pace, keep_wander = np.exp(-dt / PACE_S), np.exp(-dt / WANDER_S)
@@ -200,18 +171,20 @@ def _advance(
     kick_sway = np.sqrt(1.0 - np.abs(keep_sway) ** 2)
     for step in range(settings.substeps):
         now_s = frame * settings.frame_s + step * dt
-        x, v, heading = crowd.xy[rows], crowd.v[rows], crowd.heading[rows]
+        x, v, heading = crowd["xy"][rows], crowd["v"][rows], crowd["heading"][rows]
         centre = _sum_by(local, x) / head_count[:, None]
         target = _steer(progress, plan, parties, centre, now_s=now_s)
-        standing = (progress.stand_until_s[parties] > now_s)[local]
+        standing = (progress["stand_until_s"][parties] > now_s)[local]
 
         xi = draws[step]
-        pace = keep_pace * crowd.pace[rows] + np.sqrt(1.0 - keep_pace**2) * xi[:, 0]
-        wander = keep_wander * crowd.wander[rows] + np.sqrt(1.0 - keep_wander**2) * xi[:, 1]
-        sway = keep_sway * crowd.sway[rows] + kick_sway * (xi[:, 2] + 1j * xi[:, 3])
+        pace = keep_pace * crowd["pace"][rows] + np.sqrt(1.0 - keep_pace**2) * xi[:, 0]
+        wander = keep_wander * crowd["wander"][rows] + np.sqrt(1.0 - keep_wander**2) * xi[:, 1]
+        sway = keep_sway * crowd["sway"][rows] + kick_sway * (xi[:, 2] + 1j * xi[:, 3])
 
         ahead = _unit(target[local] - centre[local])
-        angle = traits.turn_rad[rows] * wander * _unsteadiness(v)
+        # The slower, the more does a heading wander than by the trait alone.
+        unsteady = np.minimum(STEADY_MPS / (np.hypot(*v.T) + 0.1), 3.0)
+        angle = traits.turn_rad[rows] * wander * unsteady
         course = _turned(np.stack([np.cos(angle), np.sin(angle)], axis=1), ahead)
         wanted = np.where(standing, STANDING * PACE_MPS * pace, speed + PACE_MPS * pace)
         force = (np.maximum(wanted, -BACKWARD_MPS)[:, None] * course - v) / RELAXATION_S
@@ -223,35 +196,39 @@ def _advance(
         v = _capped(v + dt * force, TOP_SPEED_MPS)
         heading = _unit(heading + (dt / HEADING_S) * v)
         moved = dt * v
-        crowd.xy[rows] = np.round(x + moved, GRID_DIGITS)
-        crowd.v[rows] = np.round(v, GRID_DIGITS)
-        crowd.heading[rows] = np.round(heading, GRID_DIGITS)
-        crowd.pace[rows] = np.round(pace, GRID_DIGITS)
-        crowd.wander[rows] = np.round(wander, GRID_DIGITS)
-        crowd.sway[rows] = np.round(sway, GRID_DIGITS)
-        progress.walked_m[parties] += np.bincount(local, np.hypot(*moved.T)) / head_count
-        progress.walked_m[parties] = np.round(progress.walked_m[parties], GRID_DIGITS)
-    _leave(settings, crowd, plan, rows)
+        now = {"xy": x + moved, "v": v, "heading": heading}
+        now |= {"pace": pace, "wander": wander, "sway": sway}
+        for name, value in now.items():
+            crowd[name][rows] = np.round(value, GRID_DIGITS)
+        progress["walked_m"][parties] += np.bincount(local, np.hypot(*moved.T)) / head_count
+        progress["walked_m"][parties] = np.round(progress["walked_m"][parties], GRID_DIGITS)
+    # Those who have passed their gate's side of the plaza, or got lost, leave.
+    x_min, y_min, x_max, y_max = settings.area_m
+    px, py = crowd["xy"][rows].T
+    beyond = np.stack([x_min - px, y_min - py, px - x_max, py - y_max])
+    sides = np.array([plan.parties[number].exit_side for number in crowd["party"][rows]])
+    gone = (beyond[sides, np.arange(rows.size)] > 0) | (beyond.max(axis=0) > LOST_M)
+    crowd["here"][rows[gone]] = False
 
 
 def _steer(
-    progress: _Progress, plan: Plan, parties: Ints, centre: Floats, *, now_s: float
+    progress: NDArray[np.void], plan: Plan, parties: Ints, centre: Floats, *, now_s: float
 ) -> Floats:
     """Return each party's current waypoint (G, 2); begin and end its stops."""
     target = np.empty((parties.size, 2))
     for place, number in enumerate(parties):
-        party: Party = plan.parties[number]
-        aim = party.targets_m[progress.target[number]]
-        on_the_way = progress.target[number] < len(party.targets_m) - 1
+        party = plan.parties[number]
+        aim = party.targets_m[progress["target"][number]]
+        on_the_way = progress["target"][number] < len(party.targets_m) - 1
         if on_the_way and np.hypot(*(aim - centre[place])) < REACHED_M:
-            progress.target[number] += 1
-            aim = party.targets_m[progress.target[number]]
-            progress.stand_until_s[number] = now_s + party.chat_s
-        stop = progress.next_stop[number]
-        if stop < party.stop_at_m.size and progress.walked_m[number] >= party.stop_at_m[stop]:
-            progress.next_stop[number] += 1
+            progress["target"][number] += 1
+            aim = party.targets_m[progress["target"][number]]
+            progress["stand_until_s"][number] = now_s + party.chat_s
+        stop = progress["next_stop"][number]
+        if stop < party.stop_at_m.size and progress["walked_m"][number] >= party.stop_at_m[stop]:
+            progress["next_stop"][number] += 1
             until_s = now_s + party.stop_s[stop]
-            progress.stand_until_s[number] = max(progress.stand_until_s[number], until_s)
+            progress["stand_until_s"][number] = max(progress["stand_until_s"][number], until_s)
         target[place] = aim
     return target
 
@@ -288,28 +265,13 @@ def _avoidance(x: Floats, v: Floats, *, together: Bools) -> Floats:
     return np.asarray(total + _sum_by(i, push, n=len(x)))
 
 
-def _leave(settings: CrowdSettings, crowd: _Crowd, plan: Plan, rows: Ints) -> None:
-    """Let go of those who have passed their gate's side of the plaza, or got lost."""
-    x_min, y_min, x_max, y_max = settings.area_m
-    x, y = crowd.xy[rows].T
-    beyond = np.stack([x_min - x, y_min - y, x - x_max, y - y_max])
-    sides = np.array([plan.parties[number].exit_side for number in crowd.party[rows]])
-    gone = (beyond[sides, np.arange(rows.size)] > 0) | (beyond.max(axis=0) > LOST_M)
-    crowd.here[rows[gone]] = False
-
-
-def _body_xy(crowd: _Crowd, rows: Ints, traits: Traits) -> Floats:
+def _body_xy(crowd: NDArray[np.void], rows: Ints, traits: Traits) -> Floats:
     """Return where people are seen (P, 2): the walk and the sway to its side."""
-    heading, v = crowd.heading[rows], crowd.v[rows]
+    heading, v = crowd["heading"][rows], crowd["v"][rows]
     side = np.stack([-heading[:, 1], heading[:, 0]], axis=1)
     awake = STANDING + (1 - STANDING) * np.minimum(np.hypot(*v.T) / FULL_SWAY_MPS, 1.0)
-    offset = traits.sway_m[rows] * awake * crowd.sway[rows].real
-    return np.asarray(crowd.xy[rows] + offset[:, None] * side)
-
-
-def _unsteadiness(v: Floats) -> Floats:
-    """Return how much more than by the trait a heading wanders, (P,), at each speed."""
-    return np.asarray(np.minimum(STEADY_MPS / (np.hypot(*v.T) + 0.1), 3.0))
+    offset = traits.sway_m[rows] * awake * crowd["sway"][rows].real
+    return np.asarray(crowd["xy"][rows] + offset[:, None] * side)
 
 
 def _turned(vector: Floats, ahead: Floats) -> Floats:

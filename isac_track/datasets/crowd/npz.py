@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from isac_track.types import Ints
-
 FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}
 """Name of each bundled session's file, in the package `isac_track.datasets`."""
 SESSIONS = tuple(FILES)
@@ -38,13 +36,7 @@ def bundled(session: int) -> Tracks:
 
 
 def bundled_path(session: int) -> Path:
-    """Return the file of a bundled session, 1 or 2.
-
-    Raises
-    ------
-    ValueError
-        If there is no such session.
-    """
+    """Return the file of a bundled session, 1 or 2; ValueError if there is no such session."""
     if session not in FILES:
         raise ValueError(f"the bundled plaza has sessions 1 and 2, not {session}")
     return Path(__file__).parents[1] / FILES[session]
@@ -122,29 +114,24 @@ def _unpacked(file: Mapping[str, NDArray[Any]]) -> Tracks:
     version = file["format"].item()
     if version != _FORMAT:
         raise ValueError(f"format {version} is not known")
-    first_frame, samples, steps_mm = (
-        _whole(file[name], name=name, n_dimensions=n_dimensions)
-        for name, n_dimensions in (("first_frame", 1), ("samples", 1), ("steps_mm", 2))
-    )
+    whole = {}
+    for name, n_dimensions in (("first_frame", 1), ("samples", 1), ("steps_mm", 2)):
+        if file[name].dtype.kind != "i" or file[name].ndim != n_dimensions:
+            raise ValueError(f"{name} must hold whole numbers in {n_dimensions} dimension(s)")
+        whole[name] = file[name].astype(np.int64)
     frame_s = float(file["frame_s"].item())
     if not 0 < frame_s < _LONGEST_FRAME_S:
         raise ValueError(f"frame_s is {frame_s:g}")
+    samples = whole["samples"]
     offsets = np.concatenate([[0], np.cumsum(samples)])
     # Before anything of that length is made: the numbers in a damaged file may claim any.
-    if (samples < 1).any() or steps_mm.shape != (2, offsets[-1]):
+    if (samples < 1).any() or whole["steps_mm"].shape != (2, offsets[-1]):
         raise ValueError("samples and steps_mm do not fit together")
-    xy_mm = np.cumsum(steps_mm, axis=1, dtype=np.int16).T
-    frame = np.arange(offsets[-1]) + np.repeat(first_frame - offsets[:-1], samples)
+    frame = np.arange(offsets[-1]) + np.repeat(whole["first_frame"] - offsets[:-1], samples)
     return Tracks(
         t=frame * frame_s,
-        xy=xy_mm / 1e3,
+        xy=np.cumsum(whole["steps_mm"], axis=1, dtype=np.int16).T / 1e3,
         offsets=offsets,
         source=tuple(map(str, file["source"].tolist())),
         group=tuple(map(str, file["group"].tolist())),
     )
-
-
-def _whole(values: NDArray[Any], *, name: str, n_dimensions: int) -> Ints:
-    if values.dtype.kind != "i" or values.ndim != n_dimensions:
-        raise ValueError(f"{name} must hold whole numbers in {n_dimensions} dimension(s)")
-    return values.astype(np.int64)
