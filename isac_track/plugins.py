@@ -7,6 +7,7 @@ Parameters that differ from their default stay in the name: ``fid:adding=indepen
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
 import math
@@ -31,7 +32,7 @@ from isac_track.command_line import may_be_ctrl_c
 from isac_track.errors import IsacTrackError, PluginError, SettingsError, told
 
 if TYPE_CHECKING:
-    from isac_track.types import Knowledge
+    from collections.abc import Iterator
 
 Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 
@@ -61,18 +62,25 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
 }
 _MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls")
 """Modules with a table ``MECHANISMS``: one that is added there is known here."""
-_METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
+_SINGULAR_AND_METHOD: dict[Kind, tuple[str, str]] = {
+    "mechanisms": ("mechanism", "share"),
+    "predictors": ("predictor", "predict"),
+    "attacks": ("attack", "fit"),
+}
 _MOST_LEVELS = 1000
 _MOST_SHOWN = 100
 """Characters of what a user typed."""
 _WHOLE_LIMIT = 10**18
 _LEVEL_LIMIT = 10**12
 """Of a level that is a whole number: names show 12 digits."""
-_SINGULAR: dict[Kind, str] = {
-    "mechanisms": "mechanism",
-    "predictors": "predictor",
-    "attacks": "attack",
-}
+
+
+class _FaultError(Exception):
+    """What is wrong with a SPEC; `_naming` says with which."""
+
+    def __init__(self, message: str, told_as: type[IsacTrackError] = SettingsError) -> None:
+        super().__init__(message)
+        self.told_as = told_as
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +129,10 @@ def broken(kind: Kind) -> dict[str, str]:
     return wrong
 
 
+def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(entry_points(group=f"isac_track.{kind}"), key=lambda point: point.name))
+
+
 def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     """Return the plug-ins that a SPEC names: one, or one per level of a sweep.
 
@@ -131,43 +143,28 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     PluginError
         If the plug-in cannot be imported or is not what its kind must be.
     """
-    name, value, options = _split(kind, spec)
-    cls, origin = _load(kind, name)
-    hints = _hints(cls, origin)
-    items = [item for item in dataclasses.fields(cls) if item.init]
-    given: dict[str, Any] = {}
-    for key, text in options.items():
-        if key not in hints or key not in {item.name for item in items}:
-            raise SettingsError(
-                f"{_shown(spec)}: {name} has no parameter {_shown(key)}"
-                + _nearest(key, [item.name for item in items])
-            )
-        given[key] = _read(text, hints[key], where=f"{_shown(spec)}: {key}")
-    first = items[0].name if items else None
-    if value is None:
-        values: list[Any] = [] if first is None or first not in given else [given.pop(first)]
-    elif first is None:
-        raise SettingsError(f"{_shown(spec)}: {name} takes no value")
-    elif first in given:
-        raise SettingsError(f"{_shown(spec)}: {first} is given twice")
-    elif ".." in value:
-        values = _sweep(value, spec=spec, spacing=getattr(cls, "sweep", "linear"))
-        values = [
-            _read(f"{level:.12g}", hints[first], where=f"{_shown(spec)}: {first}")
-            for level in values
-        ]
-    else:
-        values = [_read(value, hints[first], where=f"{_shown(spec)}: {first}")]
-    changes = [{first: one, **given} for one in values] if first and values else [given]
-    return tuple(
-        _plugin(kind, name=name, cls=cls, origin=origin, changes=change, spec=spec)
-        for change in changes
-    )
-
-
-def is_own_class(kind: Kind, spec: str) -> bool:
-    """Whether a SPEC names a class by its module, ``package.module:Class``; imports nothing."""
-    return ":" in _split(kind, spec)[0]
+    with _naming(spec):
+        name, value, options = _split(kind, spec)
+        cls, origin = _load(kind, name)
+        hints = _hints(cls, origin)
+        given: dict[str, Any] = {}
+        for key, text in options.items():
+            if key not in hints:
+                near = _nearest(key, list(hints))
+                raise _FaultError(f"{name} has no parameter {_shown(key)}{near}")
+            given[key] = _read(text, hints[key], key)
+        changes = [given]
+        if value is not None:
+            if not hints:
+                raise _FaultError(f"{name} takes no value")
+            first = next(iter(hints))
+            if first in given:
+                raise _FaultError(f"{first} is given twice")
+            levels = [value]
+            if ".." in value:
+                levels = _sweep(value, is_log=getattr(cls, "sweep", "linear") == "log")
+            changes = [{first: _read(level, hints[first], first), **given} for level in levels]
+        return tuple(_plugin(kind, name, cls, origin, change) for change in changes)
 
 
 def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
@@ -176,173 +173,54 @@ def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
     return tuple(unique.values())
 
 
-def _plugin(
-    kind: Kind, *, name: str, cls: type, origin: str, changes: dict[str, Any], spec: str
-) -> Plugin:
-    instance = _made(cls, changes, name=name, origin=origin, spec=spec)
-    if kind == "predictors":
-        requires = _knowledge(instance, "requires", kind=kind, name=name, origin=origin)
-        _check_granted(requires, name=name)
-    elif kind == "attacks":
-        _check_attack(instance, name=name, origin=origin)
-    level: float | None = None
-    parameters: list[str] = []
-    for position, item in enumerate(item for item in dataclasses.fields(cls) if item.init):
-        value = getattr(instance, item.name)
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if position == 0 and kind == "mechanisms" and is_number:
-            if isinstance(value, int) and abs(value) >= _LEVEL_LIMIT:
-                raise SettingsError(
-                    f"{_shown(spec)}: the level {item.name} must have at most 12 digits"
-                )
-            level = float(value)
-            if not math.isfinite(level):
-                raise SettingsError(f"{_shown(spec)}: the level {item.name} must be finite")
-        elif not _same(value, item):
-            parameters.append(f"{item.name}={_text(value)}")
-    column = ":".join([name, *([",".join(parameters)] if parameters else [])])
-    canonical = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
-    return Plugin(
-        name=column,
-        level=level,
-        spec=canonical,
-        origin=origin,
-        instance=instance,
-        family=name,
-        adding=_adding(instance, name=name, origin=origin) if kind == "mechanisms" else "",
-    )
+def is_own_class(kind: Kind, spec: str) -> bool:
+    """Whether a SPEC names a class by its module, ``package.module:Class``; imports nothing."""
+    with _naming(spec):
+        return ":" in _split(kind, spec)[0]
 
 
-def _made(cls: type, changes: dict[str, Any], *, name: str, origin: str, spec: str) -> Any:  # noqa: ANN401 - whatever class it is
+@contextlib.contextmanager
+def _naming(spec: str) -> Iterator[None]:
     try:
-        return cls(**changes)
-    except IsacTrackError:
-        raise
-    except ValueError as error:
-        why = told(error).removeprefix("ValueError: ")
-        raise SettingsError(f"{_shown(spec)}: {why}") from None
-    except BaseException as error:
-        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
-            raise
-        needed = [
-            item.name
-            for item in dataclasses.fields(cls)
-            if item.init
-            and item.name not in changes
-            and item.default is dataclasses.MISSING
-            and item.default_factory is dataclasses.MISSING
-        ]
-        if needed and isinstance(error, TypeError):
-            raise SettingsError(
-                f"{_shown(spec)}: {name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
-            ) from None
-        raise PluginError(
-            f"{_shown(spec)}: {origin} cannot be made: {told(error)}; a plug-in refuses a value by "
-            "a ValueError"
-        ) from error
-
-
-def _same(value: object, item: dataclasses.Field[Any]) -> bool:
-    default = item.default
-    if item.default_factory is not dataclasses.MISSING:
-        default = item.default_factory()
-    try:
-        return bool(value == default)
-    except ValueError:  # arrays compare element by element
-        return value is default
-
-
-def _knowledge(
-    instance: object, attribute: str, *, kind: Kind, name: str, origin: str
-) -> frozenset[Knowledge]:
-    from isac_track.types import Knowledge  # noqa: PLC0415 - a list of names needs no numpy
-
-    try:
-        declared = getattr(instance, attribute, None)
-    except Exception as error:  # it may be a property
-        raise PluginError(
-            f"{_SINGULAR[kind]} {name!r}: {origin}.{attribute}: {told(error)}"
-        ) from error
-    if not isinstance(declared, frozenset) or not all(
-        isinstance(one, Knowledge) for one in declared
-    ):
-        raise PluginError(
-            f"{_SINGULAR[kind]} {name!r}: {origin}.{attribute} must be a frozenset of Knowledge"
-        )
-    return declared
-
-
-def _adding(instance: object, *, name: str, origin: str) -> str:
-    from isac_track.types import Adding  # noqa: PLC0415 - a list of names needs no numpy
-
-    try:
-        # A rule for an error that is not there is none.
-        declared = getattr(instance, "adding", "") if getattr(instance, "adds_error", True) else ""
-    except Exception as error:  # it may be a property
-        raise PluginError(f"mechanism {name!r}: {origin}.adding: {told(error)}") from error
-    is_rule = isinstance(declared, str) and declared in get_args(Adding)
-    return declared if is_rule else ""
-
-
-def _check_attack(instance: object, *, name: str, origin: str) -> None:
-    from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
-
-    for attribute in ("requires", "uses"):
-        _knowledge(instance, attribute, kind="attacks", name=name, origin=origin)
-    try:
-        kind_of(instance)
-    except ValueError as error:
-        raise PluginError(f"attack {name!r}: {origin}: {error}") from None
-
-
-def _check_granted(requires: frozenset[Knowledge], *, name: str) -> None:
-    denied = sorted(one.name for one in requires if one.name != "SIGMA")
-    if denied:
-        raise PluginError(
-            f"predictor {name!r} requires {', '.join(denied)}, which a robot is never granted"
-        )
+        yield
+    except _FaultError as fault:
+        raise fault.told_as(f"{_shown(spec)}: {fault}") from fault.__cause__
 
 
 def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
+    """Return name, VALUE and parameters of a SPEC, as text."""
     name, _, rest = spec.strip().partition(":")
-    if "." in name or _is_own_module(kind, name, rest):
-        cls, _, rest = rest.partition(":")
-        name = f"{name}:{cls}"
-        if not cls.isidentifier():
-            raise SettingsError(
-                f"{_shown(spec)}: expected package.module:Class[:VALUE][,key=value...]"
-            )
+    attribute = rest.partition(":")[0]
+    may_be_module = name.isidentifier() and attribute.isidentifier() and name not in names(kind)
+    # A module without a package is a file of one's own.
+    if "." in name or (may_be_module and find_spec(name) is not None):
+        name, rest = f"{name}:{attribute}", rest.partition(":")[2]
+        if not attribute.isidentifier():
+            raise _FaultError("expected package.module:Class[:VALUE][,key=value...]")
     if not name:
-        raise SettingsError(f"{_shown(spec)}: a SPEC begins with a name")
+        raise _FaultError("a SPEC begins with a name")
     value: str | None = None
     options: dict[str, str] = {}
     for position, part in enumerate(rest.split(",") if rest else []):
-        key, equals, text = part.partition("=")
-        if equals and key.strip() and text.strip():
-            if key.strip() in options:
-                raise SettingsError(f"{_shown(spec)}: {key.strip()} is given twice")
-            options[key.strip()] = text.strip()
-        elif not equals and position == 0 and part.strip():
-            value = part.strip()
+        key, equals, text = (one.strip() for one in part.partition("="))
+        if equals and key and text:
+            if key in options:
+                raise _FaultError(f"{key} is given twice")
+            options[key] = text
+        elif not equals and position == 0 and key:
+            value = key
         else:
-            raise SettingsError(f"{_shown(spec)}: {_shown(part)} is not key=value")
+            raise _FaultError(f"{_shown(part)} is not key=value")
     return name, value, options
 
 
-def _is_own_module(kind: Kind, name: str, rest: str) -> bool:
-    """Whether ``name:Class`` means a module without a package, such as a file of one's own."""
-    attribute = rest.partition(":")[0]
-    if name in names(kind) or not (name.isidentifier() and attribute.isidentifier()):
-        return False
-    return find_spec(name) is not None
-
-
 def _load(kind: Kind, name: str) -> tuple[type, str]:
+    """Return the class that a name means and its ``module:Class``, or what is wrong with it."""
     known = names(kind)
     origin = name if ":" in name else known.get(name)
-    singular = _SINGULAR[kind]
+    singular, method = _SINGULAR_AND_METHOD[kind]
     if origin is None:
-        raise SettingsError(f"unknown {singular} {_shown(name)}" + _nearest(name, list(known)))
+        raise SettingsError(f"unknown {singular} {_shown(name)}{_nearest(name, list(known))}")
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
@@ -352,7 +230,6 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
         raise PluginError(
             f"{singular} {name!r} cannot be loaded from {origin}: {told(error)}"
         ) from error
-    method = _METHOD[kind]
     if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
         raise PluginError(f"{singular} {name!r}: {origin} must be a frozen dataclass")
     if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]  # set by the decorator
@@ -366,7 +243,7 @@ def _hints(cls: type, origin: str) -> dict[str, Any]:
     """Return the type of every parameter; of one that is inherited, as its own module reads it."""
     hints: dict[str, Any] = {}
     # Only the parameters: a ClassVar may well name a type that is not there at run time.
-    for item in (item for item in dataclasses.fields(cls) if item.init):
+    for item in _parameters(cls):
         # An inherited field is the very object of the class that declares it.
         owner = next(
             one
@@ -386,80 +263,157 @@ def _hints(cls: type, origin: str) -> dict[str, Any]:
     return hints
 
 
-def _read(text: str, annotation: Any, *, where: str) -> Any:  # noqa: ANN401 - as annotated
-    origin = get_origin(annotation)
-    if origin in (Union, types.UnionType):
-        return _read_union(text, get_args(annotation), where=where)
-    choices = (True, False) if annotation is bool else get_args(annotation)
-    if annotation is bool or origin is Literal:
+def _parameters(cls: type) -> list[dataclasses.Field[Any]]:
+    return [item for item in dataclasses.fields(cls) if item.init]
+
+
+def _read(text: str, annotation: Any, key: str) -> Any:  # noqa: ANN401 - as annotated
+    """Return what text stands for as a parameter of this type."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        kinds = [kind for kind in get_args(annotation) if kind is not type(None)]
+        if text.lower() == "none" and type(None) in get_args(annotation):
+            return None
+        for kind in kinds[:-1]:
+            with contextlib.suppress(_FaultError):
+                return _read(text, kind, key)
+        return _read(text, kinds[-1], key)
+    if annotation is bool or get_origin(annotation) is Literal:
+        choices = (True, False) if annotation is bool else get_args(annotation)
         for choice in choices:
             if text.lower() == str(choice).lower():
                 return choice
-        raise SettingsError(
-            f"{where} must be one of {', '.join(map(str, choices)).lower()}, got {_shown(text)}"
-        )
+        known = ", ".join(map(str, choices)).lower()
+        raise _FaultError(f"{key} must be one of {known}, got {_shown(text)}")
     if annotation is str:
         return text
     if annotation in (int, float):
-        return _read_number(text, annotation, where=where)
-    raise PluginError(f"{where}: parameters of type {annotation} cannot be given as text")
+        return _read_number(text, annotation, key)
+    raise _FaultError(
+        f"{key}: parameters of type {annotation} cannot be given as text", PluginError
+    )
 
 
-def _read_union(text: str, options: tuple[Any, ...], *, where: str) -> Any:  # noqa: ANN401
-    if text.lower() == "none" and type(None) in options:
-        return None
-    kinds = [option for option in options if option is not type(None)]
-    for kind in kinds[:-1]:
-        try:
-            return _read(text, kind, where=where)
-        except SettingsError:
-            continue
-    return _read(text, kinds[-1], where=where)
-
-
-def _read_number(text: str, kind: type[int | float], *, where: str) -> float:
+def _read_number(text: str, kind: type[int | float], key: str) -> float:
     try:
         number = kind(text)
     except ValueError:
         noun = "a whole number" if kind is int else "a number"
-        raise SettingsError(f"{where} must be {noun}, got {_shown(text)}") from None
-    if kind is int:
-        if abs(number) >= _WHOLE_LIMIT:
-            raise SettingsError(f"{where} must have at most 18 digits, got {_shown(text)}")
-        return number
+        raise _FaultError(f"{key} must be {noun}, got {_shown(text)}") from None
+    if kind is int and abs(number) >= _WHOLE_LIMIT:
+        raise _FaultError(f"{key} must have at most 18 digits, got {_shown(text)}")
     if not math.isfinite(number):
-        raise SettingsError(f"{where} must be finite, got {_shown(text)}")
+        raise _FaultError(f"{key} must be finite, got {_shown(text)}")
     # The 12 digits that names show: what two spellings share is one level, not two.
-    return float(f"{number:.12g}")
+    return number if kind is int else float(f"{number:.12g}")
 
 
-def _sweep(value: str, *, spec: str, spacing: str) -> list[float]:
+def _sweep(value: str, *, is_log: bool) -> list[str]:
+    """Return the levels of LOW..HIGH/COUNT, as text."""
     try:
         bounds, _, count_text = value.partition("/")
         low, high = (float(bound) for bound in bounds.split(".."))
         count = int(count_text)
     except ValueError:
-        raise SettingsError(
-            f"{_shown(spec)}: a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10, got {_shown(value)}"
-        ) from None
+        usage = "a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10"
+        raise _FaultError(f"{usage}, got {_shown(value)}") from None
     if count > _MOST_LEVELS:
-        raise SettingsError(
-            f"{_shown(spec)}: a sweep has at most {_MOST_LEVELS} levels, got {count}"
-        )
+        raise _FaultError(f"a sweep has at most {_MOST_LEVELS} levels, got {count}")
     if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004
-        raise SettingsError(
-            f"{_shown(spec)}: a sweep needs two finite ends that differ and COUNT >= 2"
-        )
-    share = [step / (count - 1) for step in range(count)]
-    if spacing == "log":
-        if low <= 0 or high <= 0:
-            raise SettingsError(
-                f"{_shown(spec)}: this sweep is logarithmic; both ends must be positive"
-            )
-        levels = [low * (high / low) ** part for part in share]
-    else:
-        levels = [low + (high - low) * part for part in share]
-    return [float(f"{level:.12g}") for level in levels]
+        raise _FaultError("a sweep needs two finite ends that differ and COUNT >= 2")
+    if is_log and (low <= 0 or high <= 0):
+        raise _FaultError("this sweep is logarithmic; both ends must be positive")
+    levels = [
+        low * (high / low) ** share if is_log else low + (high - low) * share
+        for share in (step / (count - 1) for step in range(count))
+    ]
+    return [f"{level:.12g}" for level in levels]
+
+
+def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
+    """Return the plug-in of a class and its parameters, checked, with the names that it has."""
+    instance = _made(name, cls, origin, changes)
+    adding = _check_declared(kind, name, instance, origin)
+    level: float | None = None
+    parameters: list[str] = []
+    for position, item in enumerate(_parameters(cls)):
+        value = getattr(instance, item.name)
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if position == 0 and kind == "mechanisms" and is_number:
+            if isinstance(value, int) and abs(value) >= _LEVEL_LIMIT:
+                raise _FaultError(f"the level {item.name} must have at most 12 digits")
+            level = float(value)
+            if not math.isfinite(level):
+                raise _FaultError(f"the level {item.name} must be finite")
+        elif not _is_default(value, item):
+            parameters.append(f"{item.name}={_text(value)}")
+    column = ":".join([name, *([",".join(parameters)] if parameters else [])])
+    spec = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
+    return Plugin(column, level, spec, origin, instance, family=name, adding=adding)
+
+
+def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  # noqa: ANN401 - whatever class it is
+    try:
+        return cls(**changes)
+    except IsacTrackError:
+        raise
+    except ValueError as error:
+        raise _FaultError(told(error).removeprefix("ValueError: ")) from None
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
+            raise
+        needed = [
+            item.name
+            for item in _parameters(cls)
+            if item.name not in changes
+            and item.default is item.default_factory is dataclasses.MISSING
+        ]
+        if needed and isinstance(error, TypeError):
+            example = f"as in {name}:VALUE"
+            raise _FaultError(f"{name} needs a value for {', '.join(needed)}, {example}") from None
+        why = f"{told(error)}; a plug-in refuses a value by a ValueError"
+        raise _FaultError(f"{origin} cannot be made: {why}", PluginError) from error
+
+
+def _check_declared(kind: Kind, name: str, instance: object, origin: str) -> str:
+    """Return the adding rule of a mechanism, else nothing; check the rest of what is declared."""
+    from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
+    from isac_track.types import Adding, Knowledge  # noqa: PLC0415
+
+    who = f"{_SINGULAR_AND_METHOD[kind][0]} {name!r}"
+
+    def declared(attribute: str, default: object = None) -> Any:  # noqa: ANN401 - a stranger's
+        try:
+            return getattr(instance, attribute, default)
+        except Exception as error:  # it may be a property
+            raise PluginError(f"{who}: {origin}.{attribute}: {told(error)}") from error
+
+    if kind == "mechanisms":
+        # A rule for an error that is not there is none.
+        adding = declared("adding") if declared("adds_error", default=True) else ""
+        return adding if isinstance(adding, str) and adding in get_args(Adding) else ""
+    for attribute in ("requires", "uses") if kind == "attacks" else ("requires",):
+        needs = declared(attribute)
+        if not isinstance(needs, frozenset) or not all(isinstance(one, Knowledge) for one in needs):
+            raise PluginError(f"{who}: {origin}.{attribute} must be a frozenset of Knowledge")
+        denied = sorted(one.name for one in needs if one is not Knowledge.SIGMA)
+        if kind == "predictors" and denied:
+            which = ", ".join(denied)
+            raise PluginError(f"{who} requires {which}, which a robot is never granted")
+    if kind == "attacks":
+        try:
+            kind_of(instance)
+        except ValueError as error:
+            raise PluginError(f"{who}: {origin}: {error}") from None
+    return ""
+
+
+def _is_default(value: object, item: dataclasses.Field[Any]) -> bool:
+    has_factory = item.default_factory is not dataclasses.MISSING
+    default = item.default_factory() if has_factory else item.default
+    try:
+        return bool(value == default)
+    except ValueError:  # arrays compare element by element
+        return value is default
 
 
 def _shown(text: str) -> str:
@@ -476,7 +430,3 @@ def _nearest(name: str, known: list[str]) -> str:
     if near:
         return f"; did you mean {near[0]!r}?"
     return f"; known: {', '.join(sorted(known))}" if known else "; it has none"
-
-
-def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
-    return tuple(sorted(entry_points(group=f"isac_track.{kind}"), key=lambda point: point.name))
