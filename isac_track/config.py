@@ -2,14 +2,15 @@
 
 A field marked *paper* is a value of the paper's table or text, *reading* settles what the
 paper leaves open (``docs/reproduction.md``), *fitted* is output of ``python -m
-evaluation.calibrate``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file change them,
-within `RANGES`.
+evaluation.calibrate``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file change them.
+The range of a number ends far beyond what is physical or of use, but within what the arithmetic
+and the memory of a computer can take.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from functools import cache
 from numbers import Integral, Real
@@ -24,8 +25,45 @@ _MOST_SHOWN = 60
 
 
 def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
-    """Declare a number and its range, which has neither end if it is open."""
+    """Declare a number and its range, which holds neither of its ends if it is open."""
     return field(default=default, metadata={"range": (low, high), "open": is_open})
+
+
+def _check_fields(settings: Any) -> None:  # noqa: ANN401 - of any stage
+    """Check the type and the range of every field, however the settings were made."""
+    stage = next(
+        name for name, kind in get_type_hints(StageSettings).items() if type(settings) is kind
+    )
+    for item in fields(settings):
+        name, value = f"{stage}.{item.name}", getattr(settings, item.name)
+        annotation = setting_types()[name]
+        if choices := get_args(annotation):
+            if value not in choices:
+                known = ", ".join(choices)
+                raise SettingsError(f"{name} must be one of {known}, got {_shown(value)}")
+            continue
+        kind, noun = (Integral, "whole number") if annotation is int else (Real, "number")
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise SettingsError(f"{name} must be a {noun}, got {_shown(value)}")
+        (low, high), is_open = item.metadata["range"], item.metadata["open"]
+        if not (low < value < high if is_open else low <= value <= high):  # False for NaN
+            bounds = f"{low:g} to {high:g}"
+            wanted = f"lie within {bounds}"
+            if is_open:
+                wanted = f"lie between {low:g} and {high:g}"
+            elif low > 0 >= value:
+                wanted = f"be positive ({bounds})"
+            elif low == 0 > value:
+                wanted = f"not be negative ({bounds})"
+            raise SettingsError(f"{name} must {wanted}, got {_shown(value)}")
+
+
+def _shown(value: object) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to write very long whole numbers
+        return "a number with thousands of digits"
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +80,7 @@ class ResampleSettings:
     """reading: shorter tracks are left out (gives the paper's 366 history points)"""
 
     def __post_init__(self) -> None:
-        _check(self, "resample")
+        _check_fields(self)
         if self.rate_max_hz < self.rate_min_hz:
             raise SettingsError(
                 f"resample.rate_max_hz ({self.rate_max_hz:g}) is below "
@@ -76,7 +114,7 @@ class SceneSettings:
     """reading: draws of a place before the last one is kept and counted"""
 
     def __post_init__(self) -> None:
-        _check(self, "scenes")
+        _check_fields(self)
         if self.ring_max_m < self.ring_min_m:
             raise SettingsError("scenes.ring_max_m is below scenes.ring_min_m")
 
@@ -120,8 +158,7 @@ class SensingSettings:
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
 
-    def __post_init__(self) -> None:
-        _check(self, "sensing")
+    __post_init__ = _check_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +179,7 @@ class ConflictSettings:
     probability_threshold: float = _number(0.5, 0, 1, is_open=True)
     """with `probability`: a conflict is declared at or above it"""
 
-    def __post_init__(self) -> None:
-        _check(self, "conflict")
+    __post_init__ = _check_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +189,7 @@ class PrivacySettings:
     epsilon_m: float = _number(0.3, 1e-6, 1e4)
     """paper: a sample leaks when it lies closer than this to the truth"""
 
-    def __post_init__(self) -> None:
-        _check(self, "privacy")
+    __post_init__ = _check_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +218,7 @@ class LinkageSettings:
     """spread of the crowd's planted traits; 1 is the bundled one, another is simulated anew"""
 
     def __post_init__(self) -> None:
-        _check(self, "linkage")
+        _check_fields(self)
         if self.handover_least_s > self.handover_window_s:
             raise SettingsError("linkage.handover_least_s is above linkage.handover_window_s")
 
@@ -200,12 +235,10 @@ class StageSettings:
     linkage: LinkageSettings = field(default_factory=LinkageSettings)
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            wanted, given = get_type_hints(StageSettings)[item.name], getattr(self, item.name)
-            if not isinstance(given, wanted):
-                raise SettingsError(
-                    f"{item.name} must be {wanted.__name__}, got {type(given).__name__}"
-                )
+        for name, wanted in get_type_hints(StageSettings).items():
+            given = type(getattr(self, name))
+            if not issubclass(given, wanted):
+                raise SettingsError(f"{name} must be {wanted.__name__}, got {given.__name__}")
         if self.scenes.near_miss_max_m <= self.conflict.safety_radius_m:
             raise SettingsError(
                 f"scenes.near_miss_max_m ({self.scenes.near_miss_max_m:g}) must exceed "
@@ -250,23 +283,12 @@ def setting_types() -> Mapping[str, Any]:
     return {
         f"{stage}.{key}": annotation
         for stage, kind in get_type_hints(StageSettings).items()
-        if is_dataclass(kind)
         for key, annotation in get_type_hints(kind).items()
     }
 
 
-RANGES: Mapping[str, tuple[float, float]] = {
-    f"{stage}.{item.name}": item.metadata["range"]
-    for stage, kind in get_type_hints(StageSettings).items()
-    for item in fields(kind)
-    if "range" in item.metadata
-}
-"""Smallest and largest value of every number: far beyond what is physical or of use, but within
-what the arithmetic and the memory of a computer can take."""
-
-
 def _parse(name: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
-    """Return what text or another type of number stands for; `_check` looks at the rest."""
+    """Return what text or another type of number stands for; `_check_fields` looks at the rest."""
     if get_args(annotation):
         return value
     try:
@@ -282,41 +304,3 @@ def _parse(name: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - tex
             raise SettingsError(f"{name} must be a whole number, got {_shown(value)}")
         return int(number)
     return number
-
-
-def _check(settings: object, stage: str) -> None:
-    """Check the type and the range of every field, however the settings were made."""
-    for item in fields(settings):  # type: ignore[arg-type]  # all are dataclasses
-        name, value = f"{stage}.{item.name}", getattr(settings, item.name)
-        annotation = setting_types()[name]
-        choices = get_args(annotation)
-        if choices:
-            if value not in choices:
-                raise SettingsError(
-                    f"{name} must be one of {', '.join(choices)}, got {_shown(value)}"
-                )
-            continue
-        kind, noun = (Integral, "whole number") if annotation is int else (Real, "number")
-        fits = isinstance(value, kind) and not isinstance(value, bool)
-        if not fits:
-            raise SettingsError(f"{name} must be a {noun}, got {_shown(value)}")
-        (low, high), is_open = item.metadata["range"], item.metadata["open"]
-        inside = low < value < high if is_open else low <= value <= high  # False for NaN
-        if not inside:
-            bounds = f"{low:g} to {high:g}"
-            wanted = f"lie within {bounds}"
-            if is_open:
-                wanted = f"lie between {low:g} and {high:g}"
-            elif low > 0 >= value:
-                wanted = f"be positive ({bounds})"
-            elif low == 0 > value:
-                wanted = f"not be negative ({bounds})"
-            raise SettingsError(f"{name} must {wanted}, got {_shown(value)}")
-
-
-def _shown(value: object) -> str:
-    try:
-        text = repr(value)
-    except ValueError:  # Python refuses to write very long whole numbers
-        return "a number with thousands of digits"
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -137,10 +137,9 @@ class Scenes:
     """(S,) agents whose placement ran out of redraws and kept the last draw."""
 
     def __post_init__(self) -> None:
-        _freeze(self, {"t": 1, "xy": 2, "t_future": 2, "xy_future": 3, "robot_start": 2})
-        _freeze(self, {"robot_destination": 2, "separation": 1})
-        for name in ("offsets", "track", "index", "exhausted"):
-            object.__setattr__(self, name, _frozen_ints(getattr(self, name), name=name))
+        _freeze(self, t="M", xy=("M", 2), t_future="NH", xy_future=("N", "H", 2))
+        _freeze(self, robot_start=("S", 2), robot_destination=("S", 2), separation="S")
+        _freeze_ints(self, "offsets", "track", "index", "exhausted")
         object.__setattr__(self, "conflict", read_only(np.asarray(self.conflict, dtype=bool)))
         check_offsets(self.offsets, self.t.size)
         check_times(self.t, self.offsets)
@@ -225,14 +224,10 @@ class Prediction:
     """(N, H, 2, 2) m^2, symmetric positive semidefinite; None where the predictor has none."""
 
     def __post_init__(self) -> None:
-        _freeze(self, {"mean": 3})
-        if self.mean.shape[2] != 2:  # noqa: PLR2004 - the plane has two axes
-            raise ValueError(f"mean must have shape (N, H, 2), got {self.mean.shape}")
+        _freeze(self, mean=("N", "H", 2))
         _check_estimate(self.mean, what="a predicted position")
         if self.cov is not None:
-            _freeze(self, {"cov": 4})
-            if self.cov.shape != (*self.mean.shape, 2):
-                raise ValueError(f"cov must have shape (N, H, 2, 2), got {self.cov.shape}")
+            _freeze(self, cov=(*self.mean.shape, 2))
             _check_covariances(self.cov)
 
 
@@ -246,37 +241,28 @@ class Reconstruction:
     """(M,) m, standard deviation per axis that the attack claims, or None."""
 
     def __post_init__(self) -> None:
-        _freeze(self, {"xy": 2})
-        if self.xy.shape[1] != 2:  # noqa: PLR2004 - the plane has two axes
-            raise ValueError(f"xy must have shape (M, 2), got {self.xy.shape}")
+        _freeze(self, xy=("M", 2))
         _check_estimate(self.xy, what="a reconstructed position")
         if self.std is not None:
-            _freeze(self, {"std": 1})
-            if self.std.shape != self.xy.shape[:1]:
-                raise ValueError(f"std must have shape (M,), got {self.std.shape}")
+            _freeze(self, std=self.xy.shape[:1])
             if not within(self.std, 0.0, ESTIMATE_LIMIT_M):
-                raise ValueError(
-                    f"std must be finite and not negative, and at most {ESTIMATE_LIMIT_M:g} m"
-                )
+                limit = f"at most {ESTIMATE_LIMIT_M:g} m"
+                raise ValueError(f"std must be finite and not negative, and {limit}")
 
 
 def _check_batch(batch: _Batch) -> None:
     """Freeze the arrays of a ragged batch and check shapes, times and finiteness."""
-    object.__setattr__(batch, "offsets", _frozen_ints(batch.offsets, name="offsets"))
-    _freeze(batch, {"t": 1})
+    _freeze_ints(batch, "offsets")
+    _freeze(batch, t="M")
     check_offsets(batch.offsets, batch.t.size)
+    n_samples, n_tracks = batch.t.size, _n_tracks(batch)
     for item in fields(batch):
         value = getattr(batch, item.name)
         if item.metadata.get("per") == "sample" and value is not None:
-            two_columns = item.name in {"xy", "unit_error"}
-            _freeze(batch, {item.name: 2 if two_columns else 1})
-            shape = (batch.t.size, 2) if two_columns else (batch.t.size,)
-            if np.shape(value) != shape:
-                raise ValueError(f"{item.name} must have shape {shape}, got {np.shape(value)}")
-        elif item.metadata.get("per") == "track" and len(value) != batch.offsets.size - 1:
-            raise ValueError(
-                f"{item.name} must name {batch.offsets.size - 1} tracks, got {len(value)}"
-            )
+            is_planar = item.name in {"xy", "unit_error"}
+            _freeze(batch, **{item.name: (n_samples, 2) if is_planar else (n_samples,)})
+        elif item.metadata.get("per") == "track" and len(value) != n_tracks:
+            raise ValueError(f"{item.name} must name {n_tracks} tracks, got {len(value)}")
     check_times(batch.t, batch.offsets)
     if not np.isfinite(batch.xy).all():
         raise ValueError("a position is not finite")
@@ -289,46 +275,49 @@ def within(values: Floats, low: float, high: float) -> bool:
 
 
 def _check_estimate(xy: Floats, *, what: str) -> None:
-    if within(xy, -ESTIMATE_LIMIT_M, ESTIMATE_LIMIT_M):
-        return
-    if not np.isfinite(xy).all():
-        raise ValueError(f"{what} is not finite")
-    raise ValueError(f"{what} lies beyond {ESTIMATE_LIMIT_M:g} m")
+    if not within(xy, -ESTIMATE_LIMIT_M, ESTIMATE_LIMIT_M):
+        is_far = np.isfinite(xy).all()
+        fault = f"lies beyond {ESTIMATE_LIMIT_M:g} m" if is_far else "is not finite"
+        raise ValueError(f"{what} {fault}")
 
 
 def _check_covariances(cov: Floats) -> None:
     """Check that (..., 2, 2) could be covariances: what rounding does to them is let pass."""
-    if not within(cov, -(ESTIMATE_LIMIT_M**2), ESTIMATE_LIMIT_M**2):
-        raise ValueError(
-            f"a predicted covariance is not finite or beyond {ESTIMATE_LIMIT_M**2:g} m^2"
-        )
+    limit_m2 = ESTIMATE_LIMIT_M**2
+    if not within(cov, -limit_m2, limit_m2):
+        raise ValueError(f"a predicted covariance is not finite or beyond {limit_m2:g} m^2")
     xx, xy, yx, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 0], cov[..., 1, 1]
     largest = np.maximum(np.abs(xx), np.abs(yy))
     if not (np.abs(xy - yx) <= _ROUNDING * largest).all():
         raise ValueError("a predicted covariance is not symmetric")
     # No eigenvalue of a symmetric 2 x 2 matrix is negative if neither diagonal nor determinant is.
-    is_sound = (np.minimum(xx, yy) >= -_ROUNDING * largest) & (
-        xx * yy - xy * yx >= -_ROUNDING * largest**2
-    )
+    is_sound = np.minimum(xx, yy) >= -_ROUNDING * largest
+    is_sound &= xx * yy - xy * yx >= -_ROUNDING * largest**2
     if not is_sound.all():
         raise ValueError("a predicted covariance is not positive semidefinite")
 
 
-def _freeze(container: object, dimensions: Mapping[str, int]) -> None:
-    for name, ndim in dimensions.items():
+def _freeze(container: object, **shapes: Sequence[int | str]) -> None:
+    """Make fields read-only arrays of floats; a letter in a shape is any length."""
+    for name, shape in shapes.items():
         array = np.asarray(getattr(container, name), dtype=np.float64)
-        if array.ndim != ndim:
-            raise ValueError(f"{name} must have {ndim} dimension(s), got shape {array.shape}")
+        if array.ndim != len(shape):
+            raise ValueError(f"{name} must have {len(shape)} dimension(s), got shape {array.shape}")
+        for want, got in zip(shape, array.shape, strict=True):
+            if want != got and not isinstance(want, str):
+                wanted = str(tuple(shape)).replace("'", "")
+                raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
         object.__setattr__(container, name, read_only(array))
 
 
-def _frozen_ints(value: object, *, name: str) -> Ints:
-    array = np.asarray(value)
-    if array.ndim != 1:
-        raise ValueError(f"{name} must have 1 dimension, got shape {array.shape}")
-    if array.dtype.kind not in "iu":
-        raise ValueError(f"{name} must hold integers, got {array.dtype}")
-    return read_only(array.astype(np.int64, copy=False))
+def _freeze_ints(container: object, *names: str) -> None:
+    for name in names:
+        array = np.asarray(getattr(container, name))
+        if array.ndim != 1:
+            raise ValueError(f"{name} must have 1 dimension, got shape {array.shape}")
+        if array.dtype.kind not in "iu":
+            raise ValueError(f"{name} must hold integers, got {array.dtype}")
+        object.__setattr__(container, name, read_only(array.astype(np.int64, copy=False)))
 
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)

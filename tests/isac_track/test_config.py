@@ -1,12 +1,12 @@
 """Settings: every parameter of the paper's table exists, is checked, and changes results."""
 
 import re
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
 from isac_track.config import (
-    RANGES,
     ConflictSettings,
     PrivacySettings,
     SceneSettings,
@@ -41,6 +41,14 @@ def test_the_papers_table_is_the_default():
     }
     settings = StageSettings().flat()
     assert {name: settings[name] for name in paper} == paper
+
+
+RANGES = {
+    f"{stage.name}.{item.name}": item.metadata["range"]
+    for stage in fields(StageSettings())
+    for item in fields(getattr(StageSettings(), stage.name))
+    if item.metadata
+}
 
 
 def test_flat_names_every_setting():

@@ -251,7 +251,7 @@ def test_a_prediction_needs_no_covariance():
         (np.zeros((2, 3, 3)), None, r"\(N, H, 2\)"),
         (np.zeros((3, 2)), None, "3 dimension"),
         (np.full((2, 3, 2), np.nan), None, "not finite"),
-        (np.zeros((2, 3, 2)), np.zeros((2, 4, 2, 2)), r"\(N, H, 2, 2\)"),
+        (np.zeros((2, 3, 2)), np.zeros((2, 4, 2, 2)), r"\(2, 3, 2, 2\)"),
         (np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), "4 dimension"),
     ],
 )
@@ -357,7 +357,7 @@ def test_a_reconstruction_is_read_only_and_needs_no_claim():
         (np.zeros(4), None, r"xy must have 2 dimension\(s\), got shape \(4,\)"),
         (np.zeros((4, 3)), None, r"xy must have shape \(M, 2\), got \(4, 3\)"),
         (np.array([[0.0, np.nan]]), None, "position is not finite"),
-        (np.zeros((4, 2)), np.zeros(3), r"std must have shape \(M,\), got \(3,\)"),
+        (np.zeros((4, 2)), np.zeros(3), r"std must have shape \(4,\), got \(3,\)"),
         (np.zeros((4, 2)), np.zeros((4, 2)), "std must have 1 dimension"),
         (np.zeros((2, 2)), np.array([0.1, -0.1]), "finite and not negative"),
         (np.zeros((2, 2)), np.array([0.1, np.inf]), "finite and not negative"),
