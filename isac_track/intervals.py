@@ -40,14 +40,9 @@ class Estimate:
 
 
 def estimate_of(values: Floats, *, n: int) -> Estimate:
-    """Return the estimate that a number and its replicates, (1 + B,), make.
+    """Return the estimate that a number and its replicates, (1 + B,), of `n` clusters make.
 
-    Parameters
-    ----------
-    values : (1 + B,)
-        Replicates that are not finite are left out of the interval.
-    n : int
-        Clusters.
+    Replicates that are not finite are left out of the interval.
     """
     drawn = values[1:]
     return Estimate(float(values[0]), *percentile_interval(drawn[np.isfinite(drawn)]), n, drawn)
@@ -60,7 +55,7 @@ def difference(a: Estimate, b: Estimate) -> Estimate:
     return Estimate(a.value - b.value, *percentile_interval(drawn), min(a.n, b.n), drawn)
 
 
-def wilson(*, hits: float, n: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
+def wilson(*, hits: float, n: float) -> tuple[float, float]:
     """Return the Wilson score interval of a share (Wilson, JASA 1927).
 
     Raises
@@ -70,7 +65,7 @@ def wilson(*, hits: float, n: float, confidence: float = CONFIDENCE) -> tuple[fl
     """
     if not (n > 0 and 0 <= hits <= n):
         raise ValueError(f"a share needs 0 <= hits <= n and n > 0, got {hits} of {n}")
-    z2 = ndtri(0.5 + confidence / 2) ** 2
+    z2 = ndtri(0.5 + CONFIDENCE / 2) ** 2
     share = hits / n
     centre = (share + z2 / (2 * n)) / (1 + z2 / n)
     half = np.sqrt(share * (1 - share) * z2 / n + (z2 / (2 * n)) ** 2) / (1 + z2 / n)
@@ -97,12 +92,7 @@ def cluster_sums(*, values: Floats, cluster: Ints, n_clusters: int) -> Floats:
 
 
 def ratio_estimate(
-    *,
-    numerator: Floats,
-    denominator: Floats,
-    weights: Floats,
-    confidence: float = CONFIDENCE,
-    is_share: bool = False,
+    *, numerator: Floats, denominator: Floats, weights: Floats, is_share: bool = False
 ) -> Estimate:
     """Return sum(numerator) / sum(denominator) with its clustered percentile interval.
 
@@ -116,7 +106,6 @@ def ratio_estimate(
         Sums within each cluster: hits and trials, or a sum and a count.
     weights : (B, C)
         From `cluster_weights`.
-    confidence : float
     is_share : bool
         Whether the ratio is a share of trials, 0..1.
 
@@ -126,29 +115,23 @@ def ratio_estimate(
         All NaN where the denominator is 0 over all clusters.
     """
     n = int((denominator > 0).sum())
-    total = float(denominator.sum())
     drawn = weights @ denominator
     replicates: Floats = np.full(weights.shape[0], np.nan)
     np.divide(weights @ numerator, drawn, out=replicates, where=drawn > 0)
-    if n == 0:
-        return Estimate(np.nan, np.nan, np.nan, 0, replicates)
-    value = float(numerator.sum()) / total
-    if n == 1:
-        return Estimate(value, np.nan, np.nan, 1, replicates)
-    if is_share and value in (0.0, 1.0):
-        low, high = wilson(hits=value * n, n=n, confidence=confidence)
-    else:
-        low, high = percentile_interval(replicates, confidence=confidence)
+    value = float(numerator.sum()) / float(denominator.sum()) if n else np.nan
+    low, high = np.nan, np.nan
+    if n > 1 and is_share and value in (0.0, 1.0):
+        low, high = wilson(hits=value * n, n=n)
+    elif n > 1:
+        low, high = percentile_interval(replicates)
     return Estimate(value, low, high, n, replicates)
 
 
-def percentile_interval(
-    replicates: Floats, *, confidence: float = CONFIDENCE
-) -> tuple[float, float]:
+def percentile_interval(replicates: Floats) -> tuple[float, float]:
     """Return the percentile interval of bootstrap replicates; empty ones (NaN) are left out."""
-    tail = (1.0 - confidence) / 2.0
     there = replicates[~np.isnan(replicates)]
     if not there.size:
-        return float("nan"), float("nan")
+        return np.nan, np.nan
+    tail = (1.0 - CONFIDENCE) / 2.0
     low, high = np.quantile(there, [tail, 1.0 - tail])
     return float(low), float(high)

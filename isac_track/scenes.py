@@ -67,36 +67,34 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     except ValueError as error:
         raise DataError(f"{error}; lower resample.min_duration_s or use longer tracks") from None
     row_of = {source: row for row, source in enumerate(recorded.source)}
+    conflict = settings.conflict
     parts: list[tuple[Floats, Floats, Floats, Floats]] = []
     kept: list[int] = []
     for row, track in enumerate(sampled):
         n_history = history_samples(n_samples=track.t.size, ratio=settings.scenes.history_ratio)
         if n_history < 2:  # noqa: PLR2004 - the grid needs an interval
             continue
-        t = track.t[:n_history]
-        t_future = prediction_grid(
-            t=t,
-            offsets=np.array([0, n_history]),
-            window=settings.conflict.window,
-            horizon_steps=settings.conflict.horizon_steps,
-        )[0]
+        t, alone = track.t[:n_history], np.array([0, n_history])
+        (t_future,) = prediction_grid(
+            t=t, offsets=alone, window=conflict.window, horizon_steps=conflict.horizon_steps
+        )
         whole = recorded[row_of[track.source[0]]]
-        if t_future[-1] > whole.t[-1]:
-            continue
-        parts.append((t, track.xy[:n_history], t_future, walk(whole)(t_future)))
-        kept.append(row)
+        if t_future[-1] <= whole.t[-1]:
+            parts.append((t, track.xy[:n_history], t_future, walk(whole)(t_future)))
+            kept.append(row)
     if len(kept) < settings.scenes.agents:
         raise DataError(
             f"{len(kept)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
             f"and cover the horizon, but a scene needs {settings.scenes.agents}; lower "
             "resample.min_duration_s or use longer tracks"
         )
+    t_parts, xy_parts, t_future_parts, xy_future_parts = zip(*parts, strict=True)
     return Cut(
-        t=np.concatenate([part[0] for part in parts]),
-        xy=np.concatenate([part[1] for part in parts]),
-        offsets=np.concatenate([[0], np.cumsum([part[0].size for part in parts])]),
-        t_future=np.stack([part[2] for part in parts]),
-        xy_future=np.stack([part[3] for part in parts]),
+        t=np.concatenate(t_parts),
+        xy=np.concatenate(xy_parts),
+        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
+        t_future=np.stack(t_future_parts),
+        xy_future=np.stack(xy_future_parts),
         source=tuple(sampled.source[row] for row in kept),
         group=tuple(sampled.group[row] for row in kept),
         too_short=len(recorded) - len(sampled),
@@ -155,53 +153,36 @@ def make_scenes(
     seed : int
     """
     n_scenes, n_agents = order.shape
-    conflict = settings.conflict
     elapsed_s = (tracks.t_future - tracks.t_future[:, :1])[order]  # (S, A, H)
     futures = tracks.xy_future[order]  # (S, A, H, 2), unshifted
-    start = np.empty((n_scenes, 2))
-    destination = np.empty((n_scenes, 2))
+    speed_mps = settings.conflict.robot_speed_mps
+    rngs = [stream(seed, "scenes", "scene", first + scene) for scene in range(n_scenes)]
+    start, destination = np.empty((n_scenes, 2)), np.empty((n_scenes, 2))
+    for scene, rng in enumerate(rngs):
+        reach_m = speed_mps * float(elapsed_s[scene].max())
+        start[scene], destination[scene] = _place_robot(reach_m, settings, rng)
+    robot = robot_path(
+        start=start, destination=destination, speed_mps=speed_mps, elapsed_s=elapsed_s
+    )
     shift = np.empty((n_scenes, n_agents, 2))
     exhausted = np.zeros(n_scenes, dtype=np.int64)
-    for scene in range(n_scenes):
-        rng = stream(seed, "scenes", "scene", first + scene)
-        start[scene], destination[scene] = _place_robot(
-            reach_m=conflict.robot_speed_mps * float(elapsed_s[scene].max()),
-            settings=settings,
-            rng=rng,
-        )
-        robot = robot_path(
-            start=start[scene : scene + 1],
-            destination=destination[scene : scene + 1],
-            speed_mps=conflict.robot_speed_mps,
-            elapsed_s=elapsed_s[scene : scene + 1],
-        )[0]
+    for scene, rng in enumerate(rngs):
         place_first = _onto_the_path if (first + scene) % 2 == 0 else _past_the_robot
-        shift[scene, 0] = place_first(
-            robot=robot[0], future=futures[scene, 0], settings=settings, rng=rng
-        )
+        shift[scene, 0] = place_first(robot[scene, 0], futures[scene, 0], settings, rng)
         for agent in range(1, n_agents):
+            # A stream of its own: how often one is redrawn must not move the next one.
+            own = stream(seed, "scenes", "scene", first + scene, "agent", agent)
             shift[scene, agent], found = _around_the_robot(
-                robot=robot[agent],
-                future=futures[scene, agent],
-                settings=settings,
-                # A stream of its own: how often one is redrawn must not move the next one.
-                rng=stream(seed, "scenes", "scene", first + scene, "agent", agent),
+                robot[scene, agent], futures[scene, agent], settings, own
             )
             exhausted[scene] += not found
     futures = futures + shift[:, :, None, :]
-    separation = minimum_separation(
-        robot=robot_path(
-            start=start,
-            destination=destination,
-            speed_mps=conflict.robot_speed_mps,
-            elapsed_s=elapsed_s,
-        ),
-        agents=futures,
-    )
+    separation = minimum_separation(robot=robot, agents=futures)
     rows = order.reshape(-1)
     sizes = np.diff(tracks.offsets)[rows]
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     samples = np.repeat(tracks.offsets[rows] - offsets[:-1], sizes) + np.arange(offsets[-1])
+    safety_radius_m = settings.conflict.safety_radius_m
     return Scenes(
         t=tracks.t[samples],
         xy=tracks.xy[samples] + np.repeat(shift.reshape(-1, 2), sizes, axis=0),
@@ -213,7 +194,7 @@ def make_scenes(
         robot_start=start,
         robot_destination=destination,
         separation=separation,
-        conflict=is_conflict(separation_m=separation, safety_radius_m=conflict.safety_radius_m),
+        conflict=is_conflict(separation_m=separation, safety_radius_m=safety_radius_m),
         exhausted=exhausted,
     )
 
@@ -221,12 +202,7 @@ def make_scenes(
 def predicted_separation(scenes: Scenes, *, mean: Floats, settings: ConflictSettings) -> Floats:
     """Return the minimum separation of each scene that a robot foresees, (S,) m.
 
-    Parameters
-    ----------
-    scenes : Scenes
-    mean : (S * A, H, 2) m
-        Predicted positions on the grid.
-    settings : ConflictSettings
+    `mean` are the predicted positions on the grid, (S * A, H, 2) m.
     """
     robot = robot_positions(scenes, settings=settings)
     return minimum_separation(robot=robot, agents=mean.reshape(robot.shape))
@@ -234,19 +210,16 @@ def predicted_separation(scenes: Scenes, *, mean: Floats, settings: ConflictSett
 
 def robot_positions(scenes: Scenes, *, settings: ConflictSettings) -> Floats:
     """Return the robot's nominal positions on each agent's grid, (S, A, H, 2) m."""
-    n_scenes, n_agents = len(scenes), scenes.n_agents
-    elapsed_s = (scenes.t_future - scenes.t_future[:, :1]).reshape(n_scenes, n_agents, -1)
+    elapsed_s = scenes.t_future - scenes.t_future[:, :1]
     return robot_path(
         start=scenes.robot_start,
         destination=scenes.robot_destination,
         speed_mps=settings.robot_speed_mps,
-        elapsed_s=elapsed_s,
+        elapsed_s=elapsed_s.reshape(len(scenes), scenes.n_agents, -1),
     )
 
 
-def _place_robot(
-    *, reach_m: float, settings: StageSettings, rng: Generator
-) -> tuple[Floats, Floats]:
+def _place_robot(reach_m: float, settings: StageSettings, rng: Generator) -> tuple[Floats, Floats]:
     """Return start and destination; the destination lies beyond the horizon."""
     place = settings.scenes
     centre = np.array([place.robot_x_m, place.robot_y_m])
@@ -256,7 +229,7 @@ def _place_robot(
 
 
 def _onto_the_path(
-    *, robot: Floats, future: Floats, settings: StageSettings, rng: Generator
+    robot: Floats, future: Floats, settings: StageSettings, rng: Generator
 ) -> Floats:
     """Return the shift that puts the agent on the robot's point at a random step."""
     step = int(rng.integers(settings.conflict.horizon_steps))
@@ -265,7 +238,7 @@ def _onto_the_path(
 
 
 def _past_the_robot(
-    *, robot: Floats, future: Floats, settings: StageSettings, rng: Generator
+    robot: Floats, future: Floats, settings: StageSettings, rng: Generator
 ) -> Floats:
     """Return the shift of a near miss: the smallest separation is a drawn distance, exactly.
 
@@ -288,7 +261,7 @@ def _past_the_robot(
 
 
 def _around_the_robot(
-    *, robot: Floats, future: Floats, settings: StageSettings, rng: Generator
+    robot: Floats, future: Floats, settings: StageSettings, rng: Generator
 ) -> tuple[Floats, bool]:
     """Return the shift of a background agent, and whether a place with clearance was found."""
     place = settings.scenes

@@ -39,39 +39,6 @@ class Channel:
     """(M, 2) standardised raw error."""
 
 
-def fisher_information(
-    *, beta: Floats, resource: Floats | float, steering: Floats, covariance: Floats
-) -> Floats:
-    """Return the Fisher information of a sensing update (eq. swarm_fi), 1/m^2.
-
-    ``I = beta * m_s * a^H Q a``, literally; leading axes broadcast.
-
-    Parameters
-    ----------
-    beta : (...,) 1/(m^2 W)
-        Propagation and target gain.
-    resource : (...,) or float
-        m_s, sensing resource allocation.
-    steering : (..., n) complex
-        a, steering vector of n antennas.
-    covariance : (..., n, n) complex W
-        Q, sensing transmit covariance, Hermitian and positive semidefinite.
-
-    Raises
-    ------
-    ValueError
-        If the sizes of `steering` and `covariance` disagree.
-    """
-    n_antennas = steering.shape[-1]
-    if covariance.shape[-2:] != (n_antennas, n_antennas):
-        raise ValueError(
-            f"covariance {covariance.shape} does not fit {n_antennas} antennas of the steering"
-        )
-    power_w = np.einsum("...i,...ij,...j->...", np.conj(steering), covariance, steering).real
-    information: Floats = beta * resource * power_w
-    return information
-
-
 def fisher_information_density(*, information: Floats, t: Floats, offsets: Ints) -> Floats:
     """Return the Fisher information density J of every sample (eq. swarm_fid), 1/(m^2 s).
 
@@ -92,17 +59,11 @@ def fisher_information_density(*, information: Floats, t: Floats, offsets: Ints)
 
 
 def intervals_before(*, t: Floats, offsets: Ints) -> Floats:
-    """Return the time since the sample before, (M,) s.
+    """Return the time since the sample before, (M,) s, for times `t`, (M,) s.
 
     The first sample of a track takes the interval after it; a track of one sample has none: 0.
-
-    Parameters
-    ----------
-    t : (M,) s
-    offsets : (N + 1,) int
     """
-    interval_s = np.empty_like(t)
-    interval_s[1:] = np.diff(t)
+    interval_s = np.diff(t, prepend=0.0)
     first = offsets[:-1]
     single = np.diff(offsets) == 1
     interval_s[first[~single]] = interval_s[first[~single] + 1]
@@ -130,13 +91,12 @@ def link_gain(
     """
     wavelength_m = SPEED_OF_LIGHT_MPS / (settings.carrier_ghz * 1e9)
     at_1m = wavelength_m**2 * settings.rcs_m2 / (4.0 * np.pi) ** 3
-    exponent = 2.0 * settings.path_loss_exponent
     excess_m = 0.5 * SPEED_OF_LIGHT_MPS * settings.delay_spread_s * channel.path_delay
     n_paths = channel.path_power.shape[1]
     paths = np.zeros_like(distance_m)
     for path in range(n_paths):  # a (M, N_p) array would be the largest of a block
         way_m = distance_m + excess_m[owner, path]
-        paths += channel.path_power[owner, path] * way_m**-exponent
+        paths += channel.path_power[owner, path] * way_m ** -(2.0 * settings.path_loss_exponent)
     fluctuation_db = (
         settings.large_scale_db * channel.large_scale[owner]
         + settings.beam_fluctuation_db * channel.beam
@@ -159,22 +119,18 @@ def range_information_per_snr(*, bandwidth_mhz: float) -> float:
 def information(*, gain: Floats, settings: SensingSettings) -> Floats:
     """Return the Fisher information of every sample from its two-way gain, (M,) 1/m^2.
 
-    The beam follows the pedestrian, so that a^H Q a is the table's effective power. Below the
-    SNR at which sigma_raw would exceed its cap a target is not detected at all: the
-    information has a floor there, and information and sigma_raw stay tied to each other.
+    ``I = beta * m_s * a^H Q a`` (eq. swarm_fi), with beta in 1/(m^2 W). The beam follows the
+    pedestrian, so that a^H Q a is the table's effective power. Below the SNR at which sigma_raw
+    would exceed its cap a target is not detected at all: the information has a floor there, and
+    information and sigma_raw stay tied to each other.
     """
     noise_w = 10.0 ** ((settings.noise_dbm - 30.0) / 10.0)
     power_w = 10.0 ** ((settings.power_dbm - 30.0) / 10.0)
     processing = 10.0 ** (settings.processing_gain_db / 10.0)
     per_snr = range_information_per_snr(bandwidth_mhz=settings.bandwidth_mhz)
-    received = fisher_information(
-        beta=per_snr * processing * gain / noise_w,
-        resource=settings.resource_share,
-        steering=np.ones(1),
-        covariance=np.full((1, 1), power_w),
-    )
+    beta = per_snr * processing * gain / noise_w
     floor = (_gap(settings) / settings.sigma_cap_m) ** 2
-    detected: Floats = np.maximum(received, floor)
+    detected: Floats = np.maximum(beta * settings.resource_share * power_w, floor)
     return detected
 
 
@@ -196,17 +152,8 @@ def unit_errors(
     `radial`: the norm is |N(0, 1)| and the direction uniform (variance 1/2 per axis); the
     reading that fits the paper's PLR. `isotropic`: N(0, 1) per axis. `fixed_direction`: as
     `radial` with the direction of the track's first sample throughout, so that a track's errors
-    lie on a line through the truth. All use the same draws, sample by sample, so that a shorter
-    batch is a prefix of a longer one.
-
-    Parameters
-    ----------
-    n_samples : int
-        M.
-    law : {"radial", "isotropic", "fixed_direction"}
-    rng : Generator
-    offsets : (N + 1,) int, optional
-        Tracks of the samples; `fixed_direction` needs them.
+    lie on a line through the truth; it needs the (N + 1,) offsets of the tracks. All use the same
+    draws, sample by sample, so that a shorter batch is a prefix of a longer one.
 
     Raises
     ------
@@ -227,13 +174,7 @@ def unit_errors(
 
 
 def track_directions(draws: Floats, *, offsets: Ints) -> Floats:
-    """Return a unit vector a track, repeated for its samples, (M, 2): that of its first draw.
-
-    Parameters
-    ----------
-    draws : (M, 2) standard normal
-    offsets : (N + 1,) int
-    """
+    """Return a unit vector a track, repeated for its samples, (M, 2): that of its first draw."""
     first = draws[offsets[:-1]]
     direction: Floats = first / np.hypot(first[:, 0], first[:, 1])[:, None]
     return np.repeat(direction, np.diff(offsets), axis=0)
@@ -256,22 +197,20 @@ def draw_channel(
     settings : SensingSettings
     seed : int
     """
-    n_tracks = int(n_samples.shape[1])
+    size = (n_samples.shape[1], settings.n_paths)
     batches = []
     for sizes, key in zip(n_samples, keys, strict=True):
         offsets = np.concatenate([[0], np.cumsum(sizes)])
         total = int(offsets[-1])
-        of = {
-            name: stream(seed, "sensing", name, *key)
-            for name in ("large scale", "paths", "beam", "error")
-        }
+        paths = stream(seed, "sensing", "paths", *key)
+        error = stream(seed, "sensing", "error", *key)
         batches.append(
             (
-                of["large scale"].standard_normal(n_tracks),
-                of["paths"].standard_exponential((n_tracks, settings.n_paths)),
-                of["paths"].random((n_tracks, settings.n_paths)),
-                of["beam"].standard_normal(total),
-                unit_errors(n_samples=total, law=settings.law, rng=of["error"], offsets=offsets),
+                stream(seed, "sensing", "large scale", *key).standard_normal(size[0]),
+                paths.standard_exponential(size),
+                paths.random(size),
+                stream(seed, "sensing", "beam", *key).standard_normal(total),
+                unit_errors(n_samples=total, law=settings.law, rng=error, offsets=offsets),
             )
         )
     channel = Channel(*map(np.concatenate, zip(*batches, strict=True)))
@@ -322,13 +261,7 @@ def sense_scenes(
 ) -> Sensed:
     """Return what the network senses of the histories; every scene draws from its own stream.
 
-    Parameters
-    ----------
-    scenes : Scenes
-    settings : SensingSettings
-    seed : int
-    names : tuple of str or int
-        Further names of the streams: other ones sense the same walks anew.
+    Other `names` of the streams sense the same walks anew.
     """
     channel = draw_channel(
         n_samples=np.diff(scenes.offsets).reshape(len(scenes), -1),

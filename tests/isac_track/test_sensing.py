@@ -12,7 +12,6 @@ from isac_track.rng import stream
 from isac_track.sensing import (
     Channel,
     draw_channel,
-    fisher_information,
     fisher_information_density,
     information,
     link_gain,
@@ -42,35 +41,6 @@ def gain_db(distance_m, **changes):
         settings=replace(SensingSettings(), **changes),
     )
     return 10 * np.log10(gain[0])
-
-
-def test_fisher_information_is_the_written_out_sum():
-    rng = stream(0, "test", "fi")
-    n = 3
-    a = rng.standard_normal(n) + 1j * rng.standard_normal(n)
-    root = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
-    q = root @ root.conj().T  # Hermitian, positive semidefinite
-    total = sum(a[i].conjugate() * q[i, j] * a[j] for i in range(n) for j in range(n))
-    found = fisher_information(beta=np.array(2.0), resource=0.5, steering=a, covariance=q)
-    assert found == pytest.approx(2.0 * 0.5 * total.real)
-    assert abs(total.imag) < 1e-9
-
-
-def test_fisher_information_broadcasts_over_updates():
-    found = fisher_information(
-        beta=np.array([1.0, 2.0, 3.0]),
-        resource=np.array([1.0, 1.0, 0.5]),
-        steering=np.ones(1),
-        covariance=np.full((1, 1), 10.0),
-    )
-    assert found.tolist() == [10.0, 20.0, 15.0]
-
-
-def test_antennas_must_agree():
-    with pytest.raises(ValueError, match="does not fit 2 antennas"):
-        fisher_information(
-            beta=np.array(1.0), resource=1.0, steering=np.ones(2), covariance=np.ones((3, 3))
-        )
 
 
 def test_density_by_hand():
