@@ -37,12 +37,7 @@ class Parser(argparse.ArgumentParser):
 def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -> int:
     """Run a command and return its exit code, its errors told in one line.
 
-    Parameters
-    ----------
-    command : callable
-        Returns the exit code if all goes well.
-    interrupted : str
-        What is said after Ctrl-C.
+    `interrupted` is what is said after Ctrl-C.
     """
     try:
         with _heard():

@@ -249,10 +249,8 @@ class StageSettings:
     def changed(self, values: Mapping[str, Any]) -> StageSettings:
         """Return settings with ``{"stage.key": value}`` applied; text is read as the field's type.
 
-        Raises
-        ------
-        SettingsError
-            For an unknown stage or key (with the nearest known one) or a value out of range.
+        It is a SettingsError if a stage or key is unknown (with the nearest known one) or a value
+        out of range.
         """
         per_stage: dict[str, dict[str, Any]] = {}
         known = setting_types()

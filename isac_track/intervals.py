@@ -58,10 +58,7 @@ def difference(a: Estimate, b: Estimate) -> Estimate:
 def wilson(*, hits: float, n: float) -> tuple[float, float]:
     """Return the Wilson score interval of a share (Wilson, JASA 1927).
 
-    Raises
-    ------
-    ValueError
-        Unless ``0 <= hits <= n`` and n is positive.
+    ValueError unless ``0 <= hits <= n`` and n is positive.
     """
     if not (n > 0 and 0 <= hits <= n):
         raise ValueError(f"a share needs 0 <= hits <= n and n > 0, got {hits} of {n}")

@@ -59,12 +59,7 @@ def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -
 
 
 def distance_m(*, shared_xy: Floats, true_xy: Floats) -> Floats:
-    """Return how far each shared position lies from the truth, (M,) m.
-
-    Parameters
-    ----------
-    shared_xy, true_xy : (M, 2) m
-    """
+    """Return how far each shared position (M, 2) m lies from the truth, (M,) m."""
     x = shared_xy[:, 0] - true_xy[:, 0]
     y = shared_xy[:, 1] - true_xy[:, 1]
     # Not np.hypot: its guard against overflow costs three times as much, and a scene is no 1e154 m.

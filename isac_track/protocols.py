@@ -99,13 +99,9 @@ class LinkageAttack(Adversary, Protocol):
 def kind_of(attack: object) -> Literal["reconstruction", "linkage"]:
     """Return which of the two kinds an attack is.
 
-    A class attribute ``kind`` says so; without it the annotation of what ``fit`` returns does
-    (two releases in: linkage), and without either it is a reconstruction attack.
-
-    Raises
-    ------
-    ValueError
-        If ``kind`` is neither.
+    A class attribute ``kind`` says so (ValueError if it says anything else); without it the
+    annotation of what ``fit`` returns does (two releases in: linkage), and without either it is a
+    reconstruction attack.
     """
     said = getattr(attack, "kind", None)
     if said is None:
@@ -128,10 +124,9 @@ class TrainingSet:
     """(M, 2) m, in the frame of the release."""
 
     def __post_init__(self) -> None:
-        if self.truth.shape != self.release.xy.shape:
-            raise ValueError(
-                f"truth must have shape {self.release.xy.shape}, got {self.truth.shape}"
-            )
+        shape = self.release.xy.shape
+        if self.truth.shape != shape:
+            raise ValueError(f"truth must have shape {shape}, got {self.truth.shape}")
         object.__setattr__(self, "truth", read_only(self.truth))
 
 
@@ -215,10 +210,7 @@ class AttackContext:
 
     @property
     def train(self) -> Any:  # noqa: ANN401 - of one of two kinds
-        """Other people, perturbed by the same mechanism.
-
-        A `TrainingSet` for a reconstruction attack, a `LinkageTrainingSet` for a linkage attack.
-        """
+        """A `TrainingSet`, or a `LinkageTrainingSet` for a linkage attack."""
         return self._get(Knowledge.TRAIN)
 
     @property
@@ -245,14 +237,8 @@ def grants(
     """Return ``{adversary: what it is granted}`` of every row that an attack makes.
 
     An attack runs once for each adversary that grants all of its `requires`; of those that
-    grant it the same, the weakest names the row.
-
-    Parameters
-    ----------
-    attack : Adversary
-        An attack of either kind.
-    everyone, nobody : frozenset of Knowledge
-        What a task grants to every adversary, and what it withholds from all.
+    grant it the same, the weakest names the row. A task may grant some knowledge to `everyone`,
+    and withhold some from all (`nobody`).
     """
     rows: dict[str, frozenset[Knowledge]] = {}
     for name, always in ADVERSARIES.items():

@@ -22,12 +22,8 @@ if TYPE_CHECKING:
 def walk(track: Tracks) -> Callable[[Floats], Floats]:
     """Return the continuous walk of one recorded track: times (K,) s -> positions (K, 2) m.
 
-    A cubic spline through the recorded samples (not-a-knot); exact at the samples.
-
-    Raises
-    ------
-    ValueError
-        If `track` is not a single track or has fewer than two samples.
+    A cubic spline through the recorded samples (not-a-knot); exact at the samples. ValueError
+    unless `track` is a single track of two samples or more.
     """
     if len(track) != 1 or track.t.size < 2:  # noqa: PLR2004 - a walk needs two points
         raise ValueError("a walk needs one track of at least two samples")
@@ -62,12 +58,8 @@ def sampling_times(
 def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks:
     """Return the tracks of at least `min_duration_s`, interpolated and adaptively sampled.
 
-    Every track draws from its own stream, so that leaving one out changes no other.
-
-    Raises
-    ------
-    ValueError
-        If no track is long enough.
+    Every track draws from its own stream, so that leaving one out changes no other. ValueError if
+    no track is long enough.
     """
     t_parts: list[Floats] = []
     xy_parts: list[Floats] = []

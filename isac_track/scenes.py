@@ -114,12 +114,8 @@ def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints
     """Return which track plays which agent, (S, A): cyclic, reshuffled at every pass.
 
     A fixed cycle would let only every n-th track ever be the first agent. Where two passes
-    meet inside a scene no track appears twice in it.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer tracks than agents.
+    meet inside a scene no track appears twice in it; ValueError if there are fewer tracks than
+    agents.
     """
     if n_tracks < agents:
         raise ValueError(f"{n_tracks} tracks cannot fill scenes of {agents} agents")
@@ -142,15 +138,7 @@ def make_scenes(
 ) -> Scenes:
     """Build the scenes ``first .. first + S - 1``; every scene draws from its own stream.
 
-    Parameters
-    ----------
-    tracks : Cut
-    order : (S, A) int
-        Their rows of `track_order`.
-    first : int
-        Number of the first scene in the run.
-    settings : StageSettings
-    seed : int
+    `order`, (S, A) int, are their rows of `track_order`.
     """
     n_scenes, n_agents = order.shape
     elapsed_s = (tracks.t_future - tracks.t_future[:, :1])[order]  # (S, A, H)

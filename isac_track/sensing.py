@@ -78,16 +78,8 @@ def link_gain(
 
     The radar equation at 1 m, lambda^2 rcs / (4 pi)^3, path loss with the table's exponent
     each way, one log-normal large-scale gain per track, N_p Rayleigh paths whose excess delay
-    lengthens the way there and back, and the beam's fluctuation per sample.
-
-    Parameters
-    ----------
-    distance_m : (M,) m
-        From the base station to the pedestrian, positive.
-    owner : (M,) int
-        Track of each sample.
-    channel : Channel
-    settings : SensingSettings
+    lengthens the way there and back, and the beam's fluctuation per sample. `distance_m`, (M,) m,
+    is that from the base station, positive; `owner`, (M,), the track of each sample.
     """
     wavelength_m = SPEED_OF_LIGHT_MPS / (settings.carrier_ghz * 1e9)
     at_1m = wavelength_m**2 * settings.rcs_m2 / (4.0 * np.pi) ** 3
@@ -194,8 +186,6 @@ def draw_channel(
         Samples of the A tracks of each of K batches (a scene, or one track).
     keys : list of K names
         Name of each batch's stream under ``("sensing",)``.
-    settings : SensingSettings
-    seed : int
     """
     size = (n_samples.shape[1], settings.n_paths)
     batches = []
@@ -229,8 +219,6 @@ def sense(
     xy : (M, 2) m
         True positions in the frame of the base station.
     offsets : (N + 1,) int
-    channel : Channel
-    settings : SensingSettings
 
     Raises
     ------

@@ -12,11 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from isac_track.sensing import unit_errors
-from isac_track.types import (
-    Adding,
-    ErrorLaw,
-    Release,
-)
+from isac_track.types import Adding, ErrorLaw, Release
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -74,25 +70,17 @@ def perturb(
             raise ValueError("linear adding scales the raw error and so keeps its law")
         if unit_error is not None:
             raise ValueError("linear adding scales the raw error and takes no other")
-        error = sensed.unit_error * extra[:, None]
-        sigma = sensed.sigma_raw + extra
+        unit_error, sigma = sensed.unit_error, sensed.sigma_raw + extra
     elif adding == "independent":
-        unit = unit_error
-        if unit is None:
-            unit = unit_errors(
+        if unit_error is None:
+            unit_error = unit_errors(
                 n_samples=sensed.t.size, law=law or sensed.law, rng=rng, offsets=sensed.offsets
             )
-        error = unit * extra[:, None]
         sigma = np.hypot(sensed.sigma_raw, extra)
     else:
         raise ValueError(f"unknown adding rule {adding!r}; known: linear, independent")
-    return Release(
-        t=sensed.t,
-        xy=sensed.xy + error,
-        sigma=sigma,
-        offsets=sensed.offsets,
-        pseudonym=pseudonym,
-    )
+    xy = sensed.xy + unit_error * extra[:, None]
+    return Release(t=sensed.t, xy=xy, sigma=sigma, offsets=sensed.offsets, pseudonym=pseudonym)
 
 
 def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floats:
@@ -118,23 +106,16 @@ def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floa
     return np.where(above, extra, 0.0)
 
 
-def check_d_sigma(d_sigma: float) -> None:
-    """Check the parameter of a mechanism.
-
-    Raises
-    ------
-    ValueError
-        If it is negative or not finite.
-    """
-    if not (np.isfinite(d_sigma) and d_sigma >= 0):
-        raise ValueError(f"d_sigma must be 0 m or more, got {d_sigma}")
+def check_at_least(name: str, value: float, least: float, unit: str = "") -> None:
+    """Raise ValueError if a mechanism's parameter is below `least` or not finite."""
+    if not (np.isfinite(value) and value >= least):
+        raise ValueError(f"{name} must be {least}{unit} or more, got {value}")
 
 
 @dataclass(frozen=True, slots=True)
 class Raw:
     """Share the raw sensing estimates."""
 
-    family: ClassVar[str] = "raw"
     adds_error: ClassVar[bool] = False
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
@@ -152,11 +133,10 @@ class Fixed:
     law: ErrorLaw | None = None
     """Law of the added error; None: that of the raw error."""
 
-    family: ClassVar[str] = "fixed"
     sweep: ClassVar[str] = "linear"
 
     def __post_init__(self) -> None:
-        check_d_sigma(self.d_sigma)
+        check_at_least("d_sigma", self.d_sigma, 0, " m")
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the estimates with `d_sigma` more error."""
@@ -176,16 +156,13 @@ class Fid:
     law: ErrorLaw | None = None
     """Law of the added error; None: that of the raw error."""
 
-    family: ClassVar[str] = "fid"
     sweep: ClassVar[str] = "log"
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.eta) and self.eta > 0):
             raise ValueError(f"eta must be positive, got {self.eta}")
-        if not (np.isfinite(self.alpha) and self.alpha >= 0):
-            raise ValueError(f"alpha must be 0 m or more, got {self.alpha}")
-        if not (np.isfinite(self.beta) and self.beta >= 1):
-            raise ValueError(f"beta must be 1 or more, got {self.beta}")
+        check_at_least("alpha", self.alpha, 0, " m")
+        check_at_least("beta", self.beta, 1)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the estimates with the rule's additional error."""
@@ -197,7 +174,6 @@ class Fid:
 class Clean:
     """Share the truth: no sensing error, nothing added. The ceiling of every attack."""
 
-    family: ClassVar[str] = "clean"
     adds_error: ClassVar[bool] = False
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:

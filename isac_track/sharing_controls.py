@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, get_args
 import numpy as np
 
 from isac_track.sensing import track_directions
-from isac_track.sharing import check_d_sigma, perturb
+from isac_track.sharing import check_at_least, perturb
 from isac_track.types import Adding, ErrorLaw, Release
 
 if TYPE_CHECKING:
@@ -56,7 +56,10 @@ def correlated_errors(
     draws = rng.standard_normal((t.size, 3))
     first = offsets[:-1]
     dt_s = np.diff(t, prepend=t[:1])
-    decay, noise = _ornstein_uhlenbeck(dt_s / (2.0 * tau_s if law == "radial" else tau_s), first)
+    # Stationary from the first sample on: nothing is known from before it.
+    elapsed = dt_s / (2.0 * tau_s if law == "radial" else tau_s)
+    elapsed[first] = np.inf
+    decay, noise = np.exp(-elapsed), np.sqrt(-np.expm1(-2.0 * elapsed))
     if law == "isotropic":
         return _recursion(decay, noise[:, None] * draws[:, 1:], offsets)
     amplitude = _recursion(decay, noise * draws[:, 0], offsets)[:, None]
@@ -69,15 +72,6 @@ def correlated_errors(
     angle = _recursion(remembers, turn, offsets)
     direction: Floats = np.column_stack([np.cos(angle), np.sin(angle)])
     return amplitude * direction
-
-
-def _ornstein_uhlenbeck(elapsed: Floats, first: Ints) -> tuple[Floats, Floats]:
-    """Return decay and noise of every step, (M,) each: stationary from the first sample on."""
-    elapsed = elapsed.copy()
-    elapsed[first] = np.inf
-    decay: Floats = np.exp(-elapsed)
-    noise: Floats = np.sqrt(-np.expm1(-2.0 * elapsed))
-    return decay, noise
 
 
 def _recursion(decay: Floats, step: Floats, offsets: Ints) -> Floats:
@@ -110,13 +104,12 @@ class Correlated:
     """Time over which the error's correlation falls to 1/e, s."""
     adding: Adding = "linear"
 
-    family: ClassVar[str] = "correlated"
     sweep: ClassVar[str] = "linear"
     errors_are_independent: ClassVar[bool] = False
     """From sample to sample: without that the linear benchmark does not hold."""
 
     def __post_init__(self) -> None:
-        check_d_sigma(self.d_sigma)
+        check_at_least("d_sigma", self.d_sigma, 0, " m")
         if not (np.isfinite(self.tau_s) and self.tau_s > 0):
             raise ValueError(f"tau_s must be positive, got {self.tau_s}")
 
@@ -145,15 +138,13 @@ class Offset:
     distance: float
     """m"""
 
-    family: ClassVar[str] = "offset"
     sweep: ClassVar[str] = "linear"
     adds_error: ClassVar[bool] = False
     errors_are_independent: ClassVar[bool] = False
     """From sample to sample: without that the linear benchmark does not hold."""
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.distance) and self.distance >= 0):
-            raise ValueError(f"distance must be 0 m or more, got {self.distance}")
+        check_at_least("distance", self.distance, 0, " m")
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates, each track displaced."""
@@ -177,13 +168,11 @@ class Thin:
     d_sigma: float = 0.0
     """m"""
 
-    family: ClassVar[str] = "thin"
     sweep: ClassVar[str] = "linear"
 
     def __post_init__(self) -> None:
-        if self.every < 1:
-            raise ValueError(f"every must be 1 or more, got {self.every}")
-        check_d_sigma(self.d_sigma)
+        check_at_least("every", self.every, 1)
+        check_at_least("d_sigma", self.d_sigma, 0, " m")
 
     @property
     def adds_error(self) -> bool:

@@ -8,8 +8,7 @@ import numpy as np
 
 from evaluation.cells.descriptors import descriptors, track_columns
 from evaluation.cells.plugin_calls import copied, guarded
-from isac_track.conflict import is_conflict
-from isac_track.encounter import conflict_probability
+from isac_track.conflict import conflict_probability, is_conflict
 from isac_track.errors import PluginError, SettingsError
 from isac_track.scenes import predicted_separation, robot_positions
 from isac_track.types import Knowledge, Prediction

@@ -45,13 +45,8 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     """Return the path of every file, and whether any was downloaded.
 
     Files go to the cache whole and checked, or not at all. A damaged file in the cache is ours to
-    replace; one in the user's own folder is not. Progress is shown on stderr.
-
-    Raises
-    ------
-    DataError
-        If a file cannot be had, with the way out, or one in the user's data folder is not the
-        right one.
+    replace; one in the user's own folder is not. Progress is shown on stderr. It is a DataError
+    if a file cannot be had, with the way out, or if the user's own is not the right one.
     """
     import requests  # noqa: PLC0415 - a plain import of the package stays quick
 

@@ -37,10 +37,7 @@ _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
 def format_of(path: Path, *, format: str | None) -> str:  # noqa: A002 - the name of the option
     """Return the name of the format: `format`, or what the extension of `path` names.
 
-    Raises
-    ------
-    DataError
-        If the format is unknown, or neither given nor named by the extension.
+    It is a DataError if the format is unknown, or neither given nor named by the extension.
     """
     name = _EXTENSIONS.get(path.suffix.lower()) if format is None else format
     known = ", ".join(FORMATS)

@@ -51,11 +51,7 @@ _LONGEST_LINE = 10_000
 def read_columns(*, data: bytes, path: str, fps: float | None, layout: Layout) -> Rows:
     """Read rows of numbers with spaces or tabs between them; ``#`` begins a comment.
 
-    Raises
-    ------
-    DataError
-        For anything that is not this format, naming file and line, or if `fps` is missing or
-        contradicts the frame rate in the file.
+    A DataError names file and line, or says that `fps` is missing or contradicts the file's.
     """
     recording.check_text(data=data, path=path)
     declared, metres = _header(data=data, path=path) if layout.has_header else (None, 1.0)
@@ -178,13 +174,8 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
 
     A scene's `fps` counts *rows* a second, while `f` keeps the frame numbers of the video
     (2.5 rows a second, 10 frames apart, are 25 frames a second): the frame rate is that
-    `fps` times the commonest frame step. The argument `fps` is frames a second.
-
-    Raises
-    ------
-    DataError
-        For anything that is not this format, naming file and line; for forecasts; without
-        any `fps`, or if two contradict each other.
+    `fps` times the commonest frame step. The argument `fps` is frames a second. A DataError names
+    file and line; forecasts are one, as is no `fps` at all, or two that contradict each other.
     """
     values: array[float] = array("d")
     lines, scene_lines = array("q"), array("q")

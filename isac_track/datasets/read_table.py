@@ -38,13 +38,7 @@ _MOST_UNPACKING = 100
 
 
 def read_csv(*, data: bytes, path: str) -> Rows:
-    """Read comma-separated values with a header line.
-
-    Raises
-    ------
-    DataError
-        For anything that is not this format, naming file and line.
-    """
+    """Read comma-separated values with a header line; DataError names file and line."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import csv as arrow_csv  # noqa: PLC0415
 
@@ -83,13 +77,7 @@ def read_csv(*, data: bytes, path: str) -> Rows:
 
 
 def read_parquet(*, data: bytes, path: str) -> Rows:
-    """Read a parquet file.
-
-    Raises
-    ------
-    DataError
-        For anything that is not this format, naming file and row.
-    """
+    """Read a parquet file; DataError names file and row."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import parquet  # noqa: PLC0415
 

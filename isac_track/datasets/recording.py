@@ -86,19 +86,8 @@ def framed(
 ) -> Rows:
     """Return rows whose `t` still counts frames, from the first one.
 
-    Parameters
-    ----------
-    columns : sequence of (M,) floats
-        Frame, id, x in m and y in m.
-    place : Place
-        Where the rows stand.
-    names : sequence of str
-        What the format calls the columns.
-
-    Raises
-    ------
-    DataError
-        For the first number that cannot be one of a recording, with its line.
+    `columns` are frame, id, x in m and y in m, (M,) each, and `names` what the format calls them.
+    The DataError of the first number that cannot be one of a recording names its line.
     """
     frame, person, x, y = columns
     limits = [WHOLE_LIMIT, WHOLE_LIMIT, POSITION_LIMIT_M, POSITION_LIMIT_M]

@@ -91,13 +91,7 @@ KNOWN: Mapping[str, Known] = {
 
 
 def known(name: str) -> Known:
-    """Return the data set called `name`.
-
-    Raises
-    ------
-    DataError
-        If there is none, with the nearest name and the list.
-    """
+    """Return the data set called `name`; DataError with the nearest name if there is none."""
     if name in KNOWN:
         return KNOWN[name]
     hint = did_you_mean(name.lower(), KNOWN)
@@ -164,10 +158,7 @@ def shown(path: Path | str) -> str:
 def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
     """Return what a file holds, of a known data set if one is given.
 
-    Raises
-    ------
-    DataError
-        If it cannot be had, or is not the file of the data set that the registry means.
+    It is a DataError if it cannot be had, or is not the file of the data set that the registry means.
     """
     try:
         if not path.is_file():

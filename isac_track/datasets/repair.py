@@ -40,13 +40,8 @@ def to_tracks(
     """Return the tracks of a recording and all that was mended or let pass on the way.
 
     The tracks do not depend on the order of the rows. `groups` are (id, label) pairs beside
-    those of the file itself.
-
-    Raises
-    ------
-    DataError
-        If one person is at two places at one time, if no track has two samples, or if steps or
-        speeds show that units, frame rate or columns are wrong.
+    those of the file itself. It is a DataError if one person is at two places at one time, if no
+    track has two samples, or if steps or speeds show that units, frame rate or columns are wrong.
     """
     place, ids, members = rows.place, rows.ids, (*rows.groups, *groups)
     # One column after the other, each in the place of the one before: files may be large.
@@ -111,14 +106,8 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
     """Return the cluster of every id: those who share a label, directly or over others.
 
     An id without a label is a cluster of its own, called like the id. A labelled cluster is
-    ``group:LABEL``, and never called like another id.
-
-    Parameters
-    ----------
-    ids : tuple of str
-        Distinct ids.
-    members : iterable of (id, label)
-        Who belongs to which group; an id may belong to several, which then are one.
+    ``group:LABEL``, and never called like another id. `members` are (id, label) pairs: an id may
+    have several labels, which then are one group.
     """
     label_of: dict[str, str] = {}
     parent: dict[str, str] = {}

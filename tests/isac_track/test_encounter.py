@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import ncx2
 
-from isac_track.encounter import conflict_probability, disc_probability
+from isac_track.conflict import conflict_probability, disc_probability
 from isac_track.rng import stream
 
 

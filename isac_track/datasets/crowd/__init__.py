@@ -52,11 +52,6 @@ def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
         One walk a person, in whole millimetres at multiples of ``settings.frame_s`` seconds.
         `source` is the persistent id of the person (``p0001``), `group` the party that he or
         she walks with in this session (``s1g001``).
-
-    Raises
-    ------
-    ValueError
-        If `session` is below 1 or `seed` negative.
     """
     if session < 1:
         raise ValueError(f"sessions are numbered from 1, got {session}")

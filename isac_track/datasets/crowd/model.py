@@ -92,12 +92,10 @@ def simulate(
 
     Returns
     -------
-    frame : (M,) ints
-        Recorded frame, in order.
-    person : (M,) ints
-        Row of the person.
-    xy : (M, 2) floats
-        Recorded position in m: the body's, with its sway.
+    frame, person : (M,) int
+        Recorded frame, in order, and row of the person.
+    xy : (M, 2) m
+        Recorded position: the body's, with its sway.
     """
     crowd = np.zeros(settings.n_people, dtype=_PERSON)
     progress = np.zeros(len(plan.parties), dtype=_PARTY)

@@ -47,22 +47,9 @@ def write_npz(
 ) -> None:
     """Write tracks as whole millimetres in int16, at whole multiples of `frame_s`.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    tracks : Tracks
-        Sampled at every multiple of `frame_s` from the first to the last sample of a track.
-    frame_s : float
-        Time between samples.
-    about : dict, optional
-        Where the tracks come from; kept in the file as JSON.
-
-    Raises
-    ------
-    DataError
-        If a coordinate does not fit in int16 millimetres (+-32.767 m), or a sample does not
-        lie on the clock.
+    `about`, where the tracks come from, is kept in the file as JSON. It is a DataError if a
+    coordinate does not fit in int16 millimetres (+-32.767 m), or if a track has not a sample at
+    every multiple of `frame_s` from its first to its last.
     """
     frame = np.rint(tracks.t / frame_s).astype(np.int64)
     late_s = np.abs(frame * frame_s - tracks.t).max()
@@ -92,13 +79,7 @@ def write_npz(
 
 
 def read_npz(path: Path) -> Tracks:
-    """Read what `write_npz` wrote.
-
-    Raises
-    ------
-    DataError
-        If the file is missing or not of this format.
-    """
+    """Read what `write_npz` wrote; DataError if the file is missing or not of this format."""
     try:
         with zipfile.ZipFile(path) as archive:
             unpacked_bytes = sum(member.file_size for member in archive.infolist())
