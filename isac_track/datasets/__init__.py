@@ -19,6 +19,8 @@ from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, 
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from isac_track.types import Tracks
 
 __all__ = ["Dataset", "Repair", "load"]
@@ -96,7 +98,18 @@ def load(
             "leave --format and --fps out (they describe a file of your own)"
         )
     if source.session is not None:
-        return _bundled(source, is_second_best=name is None)
+        path = crowd.bundled_path(source.session)
+        notice = (
+            f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated crowd "
+            f"{FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
+        )
+        return _dataset(
+            source,
+            registry.read_bytes(path),
+            f"isac_track/datasets/{path.name}",
+            crowd.bundled(source.session),
+            notice=notice if name is None else None,
+        )
     files = registry.locate(source)
     if absent := registry.missing(source, files):
         if name is None or not download:
@@ -125,28 +138,12 @@ def _is_path(name: str | Path) -> bool:
 
 
 def _read(
-    source: Known, data: bytes, path: Path, groups: list[tuple[str, str]] | None = None
+    source: Known, data: bytes, path: Path, groups: Sequence[tuple[str, str]] = ()
 ) -> Dataset:
     tracks, repairs = formats.read(
-        data=data, path=shown(path), format=source.format, fps=source.fps, groups=groups or ()
+        data=data, path=shown(path), format=source.format, fps=source.fps, groups=groups
     )
-    return _dataset(source, data, shown(path), tracks, repairs)
-
-
-def _bundled(source: Known, *, is_second_best: bool) -> Dataset:
-    assert source.session is not None
-    path = crowd.bundled_path(source.session)
-    notice = (
-        f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated crowd "
-        f"{FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
-    )
-    return _dataset(
-        source,
-        registry.read_bytes(path),
-        f"isac_track/datasets/{path.name}",
-        crowd.bundled(source.session),
-        notice=notice if is_second_best else None,
-    )
+    return _dataset(source, data, shown(path), tracks, repairs=repairs)
 
 
 def _dataset(
@@ -154,6 +151,7 @@ def _dataset(
     data: bytes,
     path: str,
     tracks: Tracks,
+    *,
     repairs: tuple[Repair, ...] = (),
     notice: str | None = None,
 ) -> Dataset:

@@ -66,8 +66,8 @@ def read_columns(*, data: bytes, path: str, fps: float | None, layout: Layout) -
         )
     table = _table(data=data, path=path, layout=layout)
     place = recording.Place(path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64))
-    columns = [table[:, layout.columns.index(name)] for name in ("frame", "id", "x", "y")]
-    rows = recording.framed(columns, place=place)
+    used = ("frame", "id", "x", "y")
+    rows = recording.framed({name: table[:, layout.columns.index(name)] for name in used}, place)
     if metres == 1.0:
         return replace(rows, t=rows.t / rate)
     detail = f"{path}: positions in cm, as the header says; converted to m"
@@ -199,9 +199,8 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     if not lines:
         raise DataError(f"{path}: the file holds no track rows")
     place = recording.Place(path, lambda: np.array(lines, dtype=np.int64))
-    rows = recording.framed(
-        [*np.frombuffer(values).reshape(-1, 4).T], names=_TRACK_FIELDS, place=place
-    )
+    table = np.frombuffer(values).reshape(-1, 4).T
+    rows = recording.framed(dict(zip(_TRACK_FIELDS, table, strict=True)), place)
     # The commonest step in frames between rows of one person; 1 if there is none.
     order = np.lexsort((rows.t, rows.person))
     steps = np.diff(rows.t[order])[np.diff(rows.person[order]) == 0]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isac_track.datasets import recording
-from isac_track.datasets.recording import POSITION_LIMIT_M, TIME_LIMIT_S, brief
+from isac_track.datasets.recording import brief
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 _NEEDED = ("t", "id", "x", "y")
 _USED = (*_NEEDED, "group")
 _UNITS = {"t": "seconds", "x": "metres", "y": "metres"}
-_LIMITS = (TIME_LIMIT_S, POSITION_LIMIT_M, POSITION_LIMIT_M)
 _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
 _LONGEST_NAME = 200
 """Characters: ids stand in messages, tables and figures, and a split track repeats its own."""
@@ -183,7 +182,7 @@ def _rows(columns: dict[str, Any], *, names: Sequence[str], place: Place) -> Row
     t, x, y = (_numbers(columns.pop(name), name=name, path=place.path) for name in _UNITS)
     if not t.size:
         raise DataError(f"{place.path}: the file holds no rows")
-    recording.check_numbers([t, x, y], names=tuple(_UNITS), limits=_LIMITS, place=place)
+    recording.check_numbers({"t": t, "x": x, "y": y}, place)
     xy = np.column_stack([x, y])
     del x, y
     person, ids = _index(columns["id"], is_group=False, place=place)

@@ -12,16 +12,20 @@ import numpy as np
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from isac_track.types import Bools, Floats, Ints
 
-POSITION_LIMIT_M = 1e9
-"""No coordinate on Earth is larger; beyond it differences would overflow or lose the metre."""
-TIME_LIMIT_S = 1e12
-"""About 30,000 years: a larger clock is not in seconds."""
 WHOLE_LIMIT = 2.0**53
 """Frames and ids are read as float64, which holds every whole number below this."""
+_LIMITS = {
+    **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
+    # About 30,000 years: a larger clock is not in seconds.
+    "t": 1e12,
+    # No coordinate on Earth is larger; beyond it differences would overflow or lose the metre.
+    "x": 1e9,
+    "y": 1e9,
+}
 FPS_LIMITS = (1e-3, 1e6)
 """Frames per second outside are a mistake, and would overflow the clock."""
 _SHOWN = 5
@@ -81,17 +85,14 @@ class Rows:
     """What the reader itself mended or left out."""
 
 
-def framed(
-    columns: Sequence[Floats], *, place: Place, names: Sequence[str] = ("frame", "id", "x", "y")
-) -> Rows:
+def framed(columns: Mapping[str, Floats], place: Place) -> Rows:
     """Return rows whose `t` still counts frames, from the first one.
 
-    `columns` are frame, id, x in m and y in m, (M,) each, and `names` what the format calls them.
-    The DataError of the first number that cannot be one of a recording names its line.
+    `columns` are frame, id, x in m and y in m, (M,) each, as the format calls them. The DataError
+    of the first number that cannot be one of a recording names its line.
     """
-    frame, person, x, y = columns
-    limits = [WHOLE_LIMIT, WHOLE_LIMIT, POSITION_LIMIT_M, POSITION_LIMIT_M]
-    check_numbers(columns, names=names, limits=limits, place=place, n_whole=2)
+    check_numbers(columns, place)
+    frame, person, x, y = columns.values()
     ids = np.unique(person)
     return Rows(
         person=np.searchsorted(ids, person),  # np.unique's own takes six times the memory
@@ -100,6 +101,31 @@ def framed(
         xy=np.column_stack([x, y]),
         place=place,
     )
+
+
+def check_numbers(columns: Mapping[str, Floats], place: Place) -> None:
+    """Check that all numbers are finite and below their limit, and whole where they count.
+
+    The DataError of the first row that offends names its line.
+    """
+    names = list(columns)
+    bad = np.zeros((columns[names[0]].size, len(names)), dtype=bool)
+    for index, name in enumerate(names):
+        column = columns[name]
+        bad[:, index] = ~(np.abs(column) < _LIMITS[name])  # True for NaN
+        if _LIMITS[name] == WHOLE_LIMIT:
+            bad[:, index] |= column != np.floor(column)
+    if not bad.any():
+        return
+    row, index = divmod(int(bad.argmax()), len(names))
+    name = names[index]
+    value, limit = float(columns[name][row]), _LIMITS[name]
+    reason = f"{name} {value:g} is not a whole number"
+    if not np.isfinite(value):
+        reason = f"{name} is {value:g}; leave such rows out (a gap is allowed)"
+    elif abs(value) >= limit:
+        reason = f"{name} is {value:g}: out of range (below {limit:g} is expected)"
+    raise DataError(f"{place.at(row)}: {reason}")
 
 
 def steps_within(offsets: Ints) -> Bools:
@@ -167,33 +193,3 @@ def checked_fps(fps: float, *, where: str) -> float:
     if not low <= fps <= high:  # NaN fails both
         raise DataError(f"{where}: {fps:g} frames per second is not a frame rate above 0")
     return fps
-
-
-def check_numbers(
-    columns: Sequence[Floats],
-    *,
-    names: Sequence[str],
-    limits: Sequence[float],
-    place: Place,
-    n_whole: int = 0,
-) -> None:
-    """Check that all numbers are finite and below their limit, and the first `n_whole` whole.
-
-    The DataError of the first row that offends names its line.
-    """
-    bad = np.zeros((columns[0].size, len(columns)), dtype=bool)
-    for index, (column, limit) in enumerate(zip(columns, limits, strict=True)):
-        bad[:, index] = ~(np.abs(column) < limit)  # True for NaN
-        if index < n_whole:
-            bad[:, index] |= column != np.floor(column)
-    if not bad.any():
-        return
-    row, index = divmod(int(bad.argmax()), len(columns))
-    value, name, limit = float(columns[index][row]), names[index], limits[index]
-    if not np.isfinite(value):
-        reason = f"{name} is {value:g}; leave such rows out (a gap is allowed)"
-    elif abs(value) >= limit:
-        reason = f"{name} is {value:g}: out of range (below {limit:g} is expected)"
-    else:
-        reason = f"{name} {value:g} is not a whole number"
-    raise DataError(f"{place.at(row)}: {reason}")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,48 +47,37 @@ class Known:
         return self.session is not None
 
 
-_UCY = Known(
-    name="UCY",
+_UCY = partial(
+    Known,
     citation="A. Lerner, Y. Chrysanthou, D. Lischinski: Crowds by Example. "
     "Computer Graphics Forum 26(3), 655-664, 2007",
     licence="free to use with credit to the authors; in metres by OpenTraj",
     format="obsmat",
     fps=25.0,
 )
-_PLAZA = Known(
-    name="plaza",
-    about="simulated crowd, bundled",
+_PLAZA = partial(
+    Known,
     citation="isac-track: the simulated crowd plaza, made by isac_track.datasets.crowd",
     licence="MIT, as isac-track",
-    session=1,
 )
-KNOWN: Mapping[str, Known] = {
-    known.name: known
-    for known in (
-        replace(
-            _UCY,
-            name="students03",
-            about="UCY students 3, Tel Aviv campus",
-            sha256={
-                MAIN_FILE: "d9fd7048eab7d3d9550d7ac4f59b19d97a87612310e8c8e48cf3aaf59764ff80",
-                GROUPS_FILE: "93f1c1d59e089de38ca9d3a81d1592f8add87fac92130abdedcc3a8267177e02",
-            },
-        ),
-        replace(
-            _UCY,
-            name="zara01",
-            about="UCY zara 1, shopping street",
-            sha256={MAIN_FILE: "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa"},
-        ),
-        _PLAZA,
-        replace(
-            _PLAZA,
-            name="plaza-session2",
-            about="the same simulated people another time, bundled",
-            session=2,
-        ),
-    )
-}
+_KNOWN = (
+    _UCY(
+        "students03",
+        "UCY students 3, Tel Aviv campus",
+        sha256={
+            MAIN_FILE: "d9fd7048eab7d3d9550d7ac4f59b19d97a87612310e8c8e48cf3aaf59764ff80",
+            GROUPS_FILE: "93f1c1d59e089de38ca9d3a81d1592f8add87fac92130abdedcc3a8267177e02",
+        },
+    ),
+    _UCY(
+        "zara01",
+        "UCY zara 1, shopping street",
+        sha256={MAIN_FILE: "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa"},
+    ),
+    _PLAZA("plaza", "simulated crowd, bundled", session=1),
+    _PLAZA("plaza-session2", "the same simulated people another time, bundled", session=2),
+)
+KNOWN: Mapping[str, Known] = {known.name: known for known in _KNOWN}
 
 
 def known(name: str) -> Known:
@@ -158,7 +148,7 @@ def shown(path: Path | str) -> str:
 def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
     """Return what a file holds, of a known data set if one is given.
 
-    It is a DataError if it cannot be had, or is not the file of the data set that the registry means.
+    DataError if it cannot be had, or is not the file that the registry means.
     """
     try:
         if not path.is_file():
