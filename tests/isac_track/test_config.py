@@ -103,17 +103,13 @@ def test_a_wrong_setting_says_what_is_wrong(changes, message):
         StageSettings().changed(changes)
 
 
-def _numbers():
-    return {name: kind for name, kind in setting_types().items() if kind in (int, float)}
-
-
 def test_every_number_has_a_range_around_its_default():
-    assert RANGES.keys() == _numbers().keys()
-    for name, value in StageSettings().flat().items():
-        if name in RANGES:
-            low, high = RANGES[name]
-            assert low <= value <= high, name
-            assert low < high, name
+    numbers = {name for name, kind in setting_types().items() if kind in (int, float)}
+    assert RANGES.keys() == numbers
+    settings = StageSettings().flat()
+    for name, (low, high) in RANGES.items():
+        assert low <= settings[name] <= high, name
+        assert low < high, name
 
 
 @pytest.mark.parametrize("name", RANGES)
@@ -131,13 +127,12 @@ def test_absurd_values_end_in_one_line_that_names_the_setting(name, value):
     assert "\n" not in message
 
 
-@pytest.mark.parametrize("name", _numbers())
+@pytest.mark.parametrize("name", RANGES)
 def test_both_ends_of_a_range_may_be_taken(name):
     if name in {"scenes.history_ratio", "conflict.probability_threshold"}:
         return
     stages = StageSettings()
-    # What else has to fit, fits.
-    around = {
+    around = {  # what else has to fit, fits
         "resample.rate_min_hz": 0.01,
         "resample.rate_max_hz": 1e3,
         "scenes.ring_min_m": 0.0,
@@ -147,42 +142,30 @@ def test_both_ends_of_a_range_may_be_taken(name):
         "linkage.handover_least_s": 0.01,
         "linkage.handover_window_s": 1e6,
     }
-    others = {
-        "scenes.near_miss_max_m": {"conflict.safety_radius_m": 0.001},
-        "conflict.safety_radius_m": {"scenes.near_miss_max_m": 1e4},
-    }
     low, high = RANGES[name]
-    low = 0.0011 if name == "scenes.near_miss_max_m" else low
-    for value in (low, high):
-        changes = {**around, **others.get(name, {}), name: value}
-        assert stages.changed(changes).flat()[name] == value
+    for value in (0.0011 if name == "scenes.near_miss_max_m" else low, high):
+        assert stages.changed(around | {name: value}).flat()[name] == value
 
 
-class TestValuesGivenInPython:
-    @pytest.mark.parametrize(
-        ("make", "message"),
-        [
-            (lambda: PrivacySettings(epsilon_m="0.3"), "privacy.epsilon_m must be a number, got '"),
-            (lambda: PrivacySettings(epsilon_m=True), "privacy.epsilon_m must be a number, got Tr"),
-            (lambda: PrivacySettings(epsilon_m=float("nan")), "must lie within 1e-06 to 10000"),
-            (
-                lambda: PrivacySettings(epsilon_m=10**400),
-                "must lie within 1e-06 to 10000, got 1000",
-            ),
-            (lambda: SceneSettings(agents=4.0), "scenes.agents must be a whole number, got 4.0"),
-            (lambda: SensingSettings(law=["radial"]), "sensing.law must be one of radial, iso"),
-            (lambda: ConflictSettings(window=10**9), "conflict.window must lie within 2 to 100000"),
-            (lambda: StageSettings(privacy="wide"), "privacy must be PrivacySettings, got str"),
-            (
-                lambda: StageSettings(scenes=PrivacySettings()),
-                "scenes must be SceneSettings, got P",
-            ),
-        ],
-    )
-    def test_a_wrong_type_is_an_error_that_names_the_setting(self, make, message):
-        with pytest.raises(SettingsError, match=re.escape(message)):
-            make()
+@pytest.mark.parametrize(
+    ("kind", "values", "message"),
+    [
+        (PrivacySettings, {"epsilon_m": "0.3"}, "privacy.epsilon_m must be a number, got '"),
+        (PrivacySettings, {"epsilon_m": True}, "privacy.epsilon_m must be a number, got Tr"),
+        (PrivacySettings, {"epsilon_m": float("nan")}, "must lie within 1e-06 to 10000"),
+        (PrivacySettings, {"epsilon_m": 10**400}, "must lie within 1e-06 to 10000, got 1000"),
+        (SceneSettings, {"agents": 4.0}, "scenes.agents must be a whole number, got 4.0"),
+        (SensingSettings, {"law": ["radial"]}, "sensing.law must be one of radial, iso"),
+        (ConflictSettings, {"window": 10**9}, "conflict.window must lie within 2 to 100000"),
+        (StageSettings, {"privacy": "wide"}, "privacy must be PrivacySettings, got str"),
+        (StageSettings, {"scenes": PrivacySettings()}, "scenes must be SceneSettings, got P"),
+    ],
+)
+def test_a_wrong_type_given_in_python_is_an_error_that_names_the_setting(kind, values, message):
+    with pytest.raises(SettingsError, match=re.escape(message)):
+        kind(**values)
 
-    def test_numbers_of_numpy_are_numbers(self):
-        assert SceneSettings(agents=np.int64(3)).agents == 3
-        assert PrivacySettings(epsilon_m=np.float64(0.5)).epsilon_m == 0.5
+
+def test_numbers_of_numpy_are_numbers():
+    assert SceneSettings(agents=np.int64(3)).agents == 3
+    assert PrivacySettings(epsilon_m=np.float64(0.5)).epsilon_m == 0.5

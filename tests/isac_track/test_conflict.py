@@ -1,4 +1,4 @@
-"""What the metric suite does not see of the robot's task: refusals, and batches of several."""
+"""What the metric suite does not see of the robot's task: refusals, batches, probabilities."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import re
 
 import numpy as np
 import pytest
+from scipy.stats import ncx2
 
 from isac_track.conflict import (
+    conflict_probability,
+    disc_probability,
     distance_mae_m,
     false_alarm_rate,
     minimum_separation,
@@ -15,6 +18,7 @@ from isac_track.conflict import (
     prediction_grid,
     robot_path,
 )
+from isac_track.rng import stream
 
 
 def raises(message):
@@ -95,3 +99,48 @@ def test_the_distance_error_is_a_plain_number_of_scenes_that_match():
     assert (found, type(found)) == (0.75, float)
     with raises("true and predicted separations must have one shape"):
         distance_mae_m(true_separation_m=np.ones(3), predicted_separation_m=np.ones(1))
+
+
+class TestProbabilityOfAConflict:
+    def test_isotropic_is_the_noncentral_chi_square(self):
+        rng = stream(0, "test", "disc")
+        mean = rng.uniform(-3, 3, (4000, 2))
+        std = 10 ** rng.uniform(-1.5, 1, 4000)
+        cov = np.eye(2) * std[:, None, None] ** 2
+        found = disc_probability(mean=mean, cov=cov, radius_m=0.9)
+        expected = ncx2.cdf(0.81 / std**2, 2, (mean**2).sum(axis=1) / std**2)
+        # The nodes miss most where a Gaussian of a few centimetres straddles the edge.
+        assert np.abs(found - expected).max() < 0.03
+        assert np.abs(found - expected)[std > 0.1].max() < 1e-3
+
+    @pytest.mark.parametrize("angle", [0.0, 0.4, 2.1])
+    def test_an_oblong_one_is_monte_carlo(self, angle):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        cov = turn @ np.diag([0.8, 0.05]) @ turn.T
+        mean = np.array([0.7, -0.4])
+        draws = stream(0, "test", "oblong").multivariate_normal(mean, cov, 400_000)
+        share = (np.hypot(*draws.T) < 0.9).mean()
+        found = disc_probability(mean=mean, cov=cov, radius_m=0.9)
+        assert found == pytest.approx(share, abs=4 * 0.5 / np.sqrt(400_000))
+
+    @pytest.mark.parametrize(
+        ("mean", "variance", "expected"),
+        [([0.5, 0.0], 0.0, 1.0), ([1.5, 0.0], 0.0, 0.0), ([0.0, 0.0], 1e6, 0.0)],
+    )
+    def test_certainty_and_its_opposite(self, mean, variance, expected):
+        cov = variance * np.eye(2)
+        found = disc_probability(mean=np.array(mean), cov=cov, radius_m=0.9)
+        assert found == pytest.approx(expected, abs=1e-6)
+
+    def test_a_scene_takes_its_likeliest_step_and_its_agents_together(self):
+        rng = stream(0, "test", "scene")
+        shape = (40, 3, 12)
+        robot = rng.normal(0, 0.5, (40, 3, 1, 2)) + np.zeros((*shape, 2))
+        velocity = rng.normal(0, 1.2, (40, 3, 1, 2))
+        mean = rng.normal(0, 1.5, (40, 3, 1, 2)) + velocity * 0.083 * np.arange(12)[:, None]
+        std = 0.2 + 0.05 * np.arange(12)
+        cov = np.broadcast_to(np.eye(2) * std[:, None, None] ** 2, (*shape, 2, 2))
+        found = conflict_probability(robot=robot, mean=mean, cov=cov, radius_m=0.9)
+        every_step = disc_probability(mean=mean - robot, cov=cov, radius_m=0.9)
+        expected = 1 - np.prod(1 - every_step.max(axis=2), axis=1)
+        assert np.allclose(found, expected, atol=1e-8)

@@ -18,29 +18,21 @@ def ragged(*sizes, noise_m=0.4, seed=0):
         t.append(clock)
         line = rng.normal(0, 5, 2) + clock[:, None] * rng.normal(0, 1, 2)
         xy.append(line + noise_m * rng.standard_normal((size, 2)))
-    return {
-        "t": np.concatenate(t),
-        "xy": np.concatenate(xy),
-        "offsets": np.concatenate([[0], np.cumsum(sizes)]),
-    }
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    return {"t": np.concatenate(t), "xy": np.concatenate(xy), "offsets": offsets}
 
 
-def by_loop(t, xy):
+def by_loop(t, p):
     """Mean over triples and axes of the squared error of the line's forecast, scaled."""
     if len(t) < 3:
         return UNKNOWN_VARIANCE_M2
     scaled = []
-    for (t0, p0), (t1, p1), (t2, p2) in zip(
-        zip(t, xy, strict=True),
-        zip(t[1:], xy[1:], strict=True),
-        zip(t[2:], xy[2:], strict=False),
-        strict=False,
-    ):
-        forecast = p1 + (p1 - p0) / (t1 - t0) * (t2 - t1)
-        # forecast = w1 p1 + w0 p0; independent errors of variance r leave r (1 + w1^2 + w0^2).
-        w0 = -(t2 - t1) / (t1 - t0)
+    for k in range(2, len(t)):
+        # The forecast is w1 p1 + w0 p0; independent errors of variance r leave r (1 + w1^2 + w0^2).
+        w0 = -(t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
         w1 = 1.0 - w0
-        scaled += [error**2 / (1.0 + w1**2 + w0**2) for error in p2 - forecast]
+        errors = p[k] - (w1 * p[k - 1] + w0 * p[k - 2])
+        scaled += [error**2 / (1.0 + w1**2 + w0**2) for error in errors]
     return max(float(np.mean(scaled)), MIN_VARIANCE_M2)
 
 

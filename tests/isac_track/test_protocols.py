@@ -4,25 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from helpers.walks import flat_release
 
 from isac_track.errors import KnowledgeDenied
-from isac_track.protocols import (
-    ADVERSARIES,
-    AttackContext,
-    TrainingSet,
-    grants,
-)
+from isac_track.protocols import ADVERSARIES, AttackContext, TrainingSet, grants
 from isac_track.rng import stream
 from isac_track.sharing import Fixed
-from isac_track.types import Knowledge, Release
+from isac_track.types import Knowledge
 
-MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = (
-    Knowledge.MECHANISM,
-    Knowledge.SIGMA,
-    Knowledge.TRAIN,
-    Knowledge.SCENE,
-    Knowledge.REPEATS,
-)
+MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = Knowledge
 HELD = {MECHANISM: "mechanism", TRAIN: "train", REPEATS: "repeats"}
 
 
@@ -36,13 +26,7 @@ class Attack:
 
 
 def release():
-    return Release(
-        t=np.array([0.0, 1.0]),
-        xy=np.zeros((2, 2)),
-        sigma=None,
-        offsets=np.array([0, 2]),
-        pseudonym=("p",),
-    )
+    return flat_release(np.array([0.0, 1.0]), np.zeros((2, 2)), np.array([0, 2]))
 
 
 OFFERED = {
@@ -108,13 +92,10 @@ class TestContext:
             hasattr(context(), "train")
 
 
-class TestTrainingSet:
-    def test_truth_is_one_position_a_sample(self):
-        truth = np.arange(4.0).reshape(2, 2)
-        assert TrainingSet(release(), truth).truth.tolist() == [[0.0, 1.0], [2.0, 3.0]]
-
-    @pytest.mark.parametrize("shape", [(1, 2), (3, 2), (2, 3), (2,)])
-    def test_another_shape_is_refused(self, shape):
+def test_the_truth_of_a_training_set_is_one_position_a_sample():
+    truth = np.arange(4.0).reshape(2, 2)
+    assert TrainingSet(release(), truth).truth.tolist() == [[0.0, 1.0], [2.0, 3.0]]
+    for shape in [(1, 2), (3, 2), (2, 3), (2,)]:
         with pytest.raises(ValueError, match=r"truth must have shape \(2, 2\)"):
             TrainingSet(release(), np.zeros(shape))
 

@@ -2,26 +2,18 @@
 
 import numpy as np
 import pytest
+from helpers.recordings import tracks_of
 from scipy.interpolate import BSpline, make_interp_spline
 
 from isac_track.config import ResampleSettings
 from isac_track.resample import resample, sampling_times, walk
 from isac_track.rng import stream
-from isac_track.types import Tracks
 
 
-def some_tracks(*durations_s, step_s=0.4):
+def some_tracks(*durations_s):
     rng = stream(0, "test", "resample")
-    t = [np.arange(0, duration + 1e-9, step_s) for duration in durations_s]
-    xy = [rng.standard_normal((part.size, 2)).cumsum(axis=0) for part in t]
-    names = tuple(f"w{row}" for row in range(len(t)))
-    return Tracks(
-        t=np.concatenate(t),
-        xy=np.concatenate(xy),
-        offsets=np.concatenate([[0], np.cumsum([part.size for part in t])]),
-        source=names,
-        group=names,
-    )
+    sizes = [int(duration_s / 0.4 + 1e-9) + 1 for duration_s in durations_s]
+    return tracks_of(*(rng.standard_normal((size, 2)).cumsum(axis=0) for size in sizes))
 
 
 def test_the_walk_is_the_not_a_knot_cubic_of_another_implementation():
@@ -35,18 +27,14 @@ def test_the_walk_is_the_not_a_knot_cubic_of_another_implementation():
 @pytest.mark.parametrize("n", [2, 3])
 def test_two_or_three_samples_are_joined_by_a_line_or_a_parabola(n):
     t = np.arange(n) * 0.5
-    xy = np.stack([t ** (n - 1), 3 - t], axis=1)
-    track = Tracks(t=t, xy=xy, offsets=np.array([0, n]), source=("a",), group=("a",))
+    track = tracks_of(np.stack([t ** (n - 1), 3 - t], axis=1), frame_s=0.5)
     at = np.linspace(0, t[-1], 7)
     assert np.allclose(walk(track)(at), np.stack([at ** (n - 1), 3 - at], axis=1))
 
 
 def test_one_sample_is_no_walk():
-    track = Tracks(
-        t=np.zeros(1), xy=np.zeros((1, 2)), offsets=np.array([0, 1]), source=("a",), group=("a",)
-    )
     with pytest.raises(ValueError, match="at least two samples"):
-        walk(track)
+        walk(tracks_of([(0, 0)]))
 
 
 def test_the_rate_is_held_for_a_second_and_lies_in_its_range():
