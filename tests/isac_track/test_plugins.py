@@ -148,15 +148,17 @@ def test_levels_are_rounded_to_twelve_digits():
     assert plugin.instance == Fixed(0.3)
 
 
-def test_a_logarithmic_and_a_linear_sweep():
-    levels = [plugin.level for plugin in plugins.parse("mechanisms", "fid:1..1000/4")]
-    assert levels == [1.0, 10.0, 100.0, 1000.0]
-    levels = [plugin.level for plugin in plugins.parse("mechanisms", "fixed:0.1..1/10")]
-    assert levels == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
-    whole = [plugin.level for plugin in plugins.parse("mechanisms", "thin:1..8/8")]
-    assert whole == [1, 2, 3, 4, 5, 6, 7, 8]
-    down = [plugin.level for plugin in plugins.parse("mechanisms", "fid:100..1/3")]
-    assert down == [100.0, 10.0, 1.0]
+@pytest.mark.parametrize(
+    ("spec", "levels"),
+    [
+        ("fid:1..1000/4", [1.0, 10.0, 100.0, 1000.0]),
+        ("fixed:0.1..1/10", [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]),
+        ("thin:1..8/8", [1, 2, 3, 4, 5, 6, 7, 8]),
+        ("fid:100..1/3", [100.0, 10.0, 1.0]),
+    ],
+)
+def test_a_logarithmic_and_a_linear_sweep(spec, levels):
+    assert [plugin.level for plugin in plugins.parse("mechanisms", spec)] == levels
 
 
 def test_what_is_named_twice_is_there_once():

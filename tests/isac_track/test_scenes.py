@@ -3,16 +3,10 @@
 import numpy as np
 import pytest
 
-from isac_track.config import ResampleSettings, StageSettings
+from isac_track.config import StageSettings
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
-from isac_track.scenes import (
-    cut,
-    history_samples,
-    make_scenes,
-    predicted_separation,
-    track_order,
-)
+from isac_track.scenes import cut, history_samples, make_scenes, predicted_separation, track_order
 from isac_track.types import Release
 from predictors.least_squares import LeastSquares
 
@@ -31,35 +25,25 @@ def scenes(known):
     return make_scenes(known, order=order, first=0, settings=SETTINGS, seed=0)
 
 
-def robot_at(scenes, scene, agent, step):
-    """The robot's position by eye: straight on at 1.4 m/s, on the agent's clock."""
+def separations(scenes, scene, agent):
+    """Distances at every step by eye: the robot goes straight on, on the agent's clock."""
     way = scenes.robot_destination[scene] - scenes.robot_start[scene]
     row = scene * 4 + agent
-    elapsed = scenes.t_future[row, step] - scenes.t_future[row, 0]
-    return scenes.robot_start[scene] + 1.4 * elapsed * way / np.linalg.norm(way)
-
-
-def separations(scenes, scene, agent):
-    return [
-        np.linalg.norm(
-            robot_at(scenes, scene, agent, step) - scenes.xy_future[scene * 4 + agent, step]
-        )
-        for step in range(12)
-    ]
+    elapsed = scenes.t_future[row] - scenes.t_future[row, 0]
+    robot = scenes.robot_start[scene] + 1.4 * elapsed[:, None] * way / np.linalg.norm(way)
+    return np.linalg.norm(robot - scenes.xy_future[row], axis=1)
 
 
 def test_the_split_is_at_70_percent_of_the_samples(tracks, known):
-    whole = [np.diff(track.offsets)[0] for track in _resampled(tracks)]
+    whole = [
+        np.diff(track.offsets)[0] for track in resample(tracks, settings=SETTINGS.resample, seed=0)
+    ]
     assert np.diff(known.offsets).tolist() == [7 * n // 10 for n in whole]
 
 
 def test_the_split_does_not_lose_a_sample_to_rounding():
     for n_samples, expected in ((330, 231), (170, 119), (331, 231), (10, 7), (9, 6)):
         assert history_samples(n_samples=n_samples, ratio=0.7) == expected
-
-
-def _resampled(tracks):
-    return resample(tracks, settings=ResampleSettings(), seed=0)
 
 
 def test_the_future_is_the_true_walk_at_the_grid(tracks, known):
@@ -190,22 +174,13 @@ def test_tracks_without_a_future_are_counted(tracks):
         cut(tracks, settings=later, seed=0)
 
 
-def test_students03_has_the_papers_history(students03):
-    known = cut(students03.tracks, settings=SETTINGS, seed=0)
-    n_points = np.diff(known.offsets)
-    interval = [
-        np.diff(known.t[lo:hi]).mean()
-        for lo, hi in zip(known.offsets[:-1], known.offsets[1:], strict=True)
-    ]
-    assert len(known) == 106
-    assert n_points.mean() == pytest.approx(366, abs=4)
-    assert 0.083 <= np.mean(interval) <= 0.084
-
-
-def test_the_sixteen_sample_line_errs_as_far_as_is_known_on_students03(students03):
+def test_students03_has_the_papers_history_and_the_error_of_the_sixteen_sample_line(students03):
     known = cut(students03.tracks, settings=SETTINGS, seed=0)
     names = tuple(f"{row}" for row in range(len(known)))
     release = Release(t=known.t, xy=known.xy, sigma=None, offsets=known.offsets, pseudonym=names)
+    assert len(known) == 106
+    assert np.diff(known.offsets).mean() == pytest.approx(366, abs=4)
+    assert 0.083 <= np.mean([np.diff(one.t).mean() for one in release]) <= 0.084
     mean = LeastSquares().predict(release, known.t_future).mean
     error = np.linalg.norm(mean[:, -1] - known.xy_future[:, -1], axis=1).mean()
     assert error == pytest.approx(0.22, rel=0.2)

@@ -136,59 +136,42 @@ def test_channel_draws_have_their_laws():
     assert ((channel.path_delay >= 0) & (channel.path_delay < 1)).all()
 
 
-def test_a_scene_senses_alike_whatever_other_scenes_there_are():
-    def draw(numbers):
-        return draw_channel(
-            n_samples=np.array([[3, 4]] * len(numbers)),
-            keys=[("scene", number) for number in numbers],
-            settings=SensingSettings(),
-            seed=5,
-        )
+def draw(numbers=(1,), n_samples=(3, 4), seed=5, **changes):
+    """The channel of scenes of two tracks."""
+    return draw_channel(
+        n_samples=np.array([n_samples] * len(numbers)),
+        keys=[("scene", number) for number in numbers],
+        settings=SensingSettings(**changes),
+        seed=seed,
+    )
 
-    both, alone = draw([1, 2]), draw([2])
+
+def test_a_scene_draws_alike_whichever_others_there_are():
+    both, alone = draw((1, 2)), draw((2,))
     assert np.array_equal(both.large_scale[2:], alone.large_scale)
     assert np.array_equal(both.unit_error[7:], alone.unit_error)
     assert not np.array_equal(both.unit_error[:7], alone.unit_error)
 
 
 def test_another_number_of_paths_leaves_the_other_draws_alone():
-    def draw(n_paths):
-        return draw_channel(
-            n_samples=np.array([[3, 4]]),
-            keys=[("scene", 1)],
-            settings=SensingSettings(n_paths=n_paths),
-            seed=5,
-        )
-
-    four, two = draw(4), draw(2)
-    assert np.array_equal(four.large_scale, two.large_scale)
-    assert np.array_equal(four.beam, two.beam)
-    assert np.array_equal(four.unit_error, two.unit_error)
+    four, two = draw(n_paths=4), draw(n_paths=2)
+    for name in ("large_scale", "beam", "unit_error"):
+        assert np.array_equal(getattr(four, name), getattr(two, name))
     assert four.path_power.shape != two.path_power.shape
 
 
 def test_sensing_adds_the_unit_error_scaled():
-    rng = stream(0, "test", "sense")
     t = np.array([0.0, 0.1, 0.2, 0.0, 0.1])
-    xy = rng.standard_normal((5, 2))
-    offsets = np.array([0, 3, 5])
+    xy = stream(0, "test", "sense").standard_normal((5, 2))
     settings = SensingSettings()
-    channel = draw_channel(
-        n_samples=np.array([[3, 2]]), keys=[("scene", 0)], settings=settings, seed=0
-    )
-    sensed = sense(t=t, xy=xy, offsets=offsets, channel=channel, settings=settings)
-    assert np.allclose(sensed.xy - xy, sensed.sigma_raw[:, None] * channel.unit_error)
+    rest = {"offsets": np.array([0, 3, 5]), "channel": draw((0,), (3, 2)), "settings": settings}
+    sensed = sense(t=t, xy=xy, **rest)
+    assert np.allclose(sensed.xy - xy, sensed.sigma_raw[:, None] * rest["channel"].unit_error)
     assert (sensed.sigma_raw > 0).all()
     assert (sensed.sigma_raw <= settings.sigma_cap_m + 1e-12).all()
     assert sensed.law == "radial"
     with pytest.raises(ValueError, match="stands on the base station"):
-        sense(
-            t=t,
-            xy=np.full((5, 2), [settings.bs_x_m, settings.bs_y_m]),
-            offsets=offsets,
-            channel=channel,
-            settings=settings,
-        )
+        sense(t=t, xy=np.full((5, 2), [settings.bs_x_m, settings.bs_y_m]), **rest)
 
 
 def test_errors_of_a_fixed_direction_lie_on_one_line_for_each_track():

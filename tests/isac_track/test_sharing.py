@@ -17,14 +17,17 @@ from isac_track.sharing import Clean, Fid, Fixed, Raw, fid_d_sigma, perturb
 LARGE = 40_000
 
 
+def raises(message):
+    return pytest.raises(ValueError, match=f"^{re.escape(message)}$")
+
+
 def norms(vectors):
     return np.hypot(vectors[:, 0], vectors[:, 1])
 
 
-class TestErrorControl:
-    def test_far_below_the_threshold_nothing_overflows(self):
-        assert fid_d_sigma(fid=np.zeros(1), eta=1e-3, alpha_m=0.5, beta=1.5).tolist() == [0.0]
-        assert fid_d_sigma(fid=np.full(1, -1e9), eta=1.0, alpha_m=1, beta=2).tolist() == [0.0]
+def test_far_below_the_threshold_nothing_overflows():
+    for fid, eta in ((0.0, 1e-3), (-1e9, 1.0)):
+        assert fid_d_sigma(fid=np.full(1, fid), eta=eta, alpha_m=0.5, beta=1.5).tolist() == [0.0]
 
 
 class TestLinearAdding:
@@ -46,8 +49,7 @@ class TestLinearAdding:
     def test_may_name_the_law_of_the_raw_error_but_no_other(self, law):
         other = LAWS[1 - LAWS.index(law)]
         perturb(sensed(law=law), 0.1, rng(), law=law)
-        message = "^linear adding scales the raw error and so keeps its law$"
-        with pytest.raises(ValueError, match=message):
+        with raises("linear adding scales the raw error and so keeps its law"):
             perturb(sensed(law=law), 0.1, rng(), law=other)
 
 
@@ -97,8 +99,7 @@ class TestPerturb:
 
     @pytest.mark.parametrize("wrong", [-0.1, np.nan, inf, np.r_[np.zeros(12), -0.1]])
     def test_d_sigma_is_finite_and_not_negative(self, wrong):
-        message = "^d_sigma must be finite and not negative$"
-        with pytest.raises(ValueError, match=message):
+        with raises("d_sigma must be finite and not negative"):
             perturb(sensed(), wrong, rng())
 
     def test_d_sigma_has_one_value_per_sample(self):
@@ -112,15 +113,12 @@ class TestPerturb:
         np.testing.assert_array_equal(release.xy, perturb(sensed(), levels * 1.0, rng()).xy)
 
     def test_unknown_names(self):
-        message = "^unknown adding rule 'square'; known: linear, independent$"
-        with pytest.raises(ValueError, match=message):
+        with raises("unknown adding rule 'square'; known: linear, independent"):
             perturb(sensed(), 0.1, rng(), adding="square")
         with pytest.raises(ValueError, match="unknown error law 'square'"):
             perturb(sensed(), 0.1, rng(), adding="independent", law="square")
 
-
-class TestAGivenError:
-    def test_is_added_as_it_is(self):
+    def test_an_error_that_is_given_is_added_as_it_is(self):
         batch = sensed(sigma_raw=0.3)
         unit = np.tile([0.6, -0.8], (13, 1))
         d_sigma = np.where(np.arange(13) == 4, 0.4, 0.0)
@@ -128,12 +126,7 @@ class TestAGivenError:
         expected = d_sigma[:, None] * unit
         np.testing.assert_allclose(release.xy - batch.xy, expected, rtol=0, atol=1e-12)
         np.testing.assert_allclose(release.sigma, np.where(d_sigma, 0.5, 0.3), rtol=1e-15)
-
-    def test_linear_adding_takes_none(self):
-        batch = sensed()
-        with pytest.raises(
-            ValueError, match=r"^linear adding scales the raw error and takes no other$"
-        ):
+        with raises("linear adding scales the raw error and takes no other"):
             perturb(batch, 0.4, rng(), unit_error=batch.unit_error)
 
 
@@ -220,21 +213,21 @@ class TestMechanisms:
         assert stats.kstest(norms(added), stats.rayleigh(scale=0.5).cdf).pvalue > 1e-3
 
     @pytest.mark.parametrize(
-        ("make", "message"),
+        ("kind", "values", "message"),
         [
-            (lambda: Fixed(-0.1), "d_sigma must be 0 m or more, got -0.1"),
-            (lambda: Fixed(inf), "d_sigma must be 0 m or more, got inf"),
-            (lambda: Fid(0.0), "eta must be positive, got 0.0"),
-            (lambda: Fid(inf), "eta must be positive, got inf"),
-            (lambda: Fid(1.0, alpha=-0.5), "alpha must be 0 m or more, got -0.5"),
-            (lambda: Fid(1.0, alpha=inf), "alpha must be 0 m or more, got inf"),
-            (lambda: Fid(1.0, beta=0.99), "beta must be 1 or more, got 0.99"),
-            (lambda: Fid(1.0, beta=inf), "beta must be 1 or more, got inf"),
+            (Fixed, {"d_sigma": -0.1}, "d_sigma must be 0 m or more, got -0.1"),
+            (Fixed, {"d_sigma": inf}, "d_sigma must be 0 m or more, got inf"),
+            (Fid, {"eta": 0.0}, "eta must be positive, got 0.0"),
+            (Fid, {"eta": inf}, "eta must be positive, got inf"),
+            (Fid, {"eta": 1.0, "alpha": -0.5}, "alpha must be 0 m or more, got -0.5"),
+            (Fid, {"eta": 1.0, "alpha": inf}, "alpha must be 0 m or more, got inf"),
+            (Fid, {"eta": 1.0, "beta": 0.99}, "beta must be 1 or more, got 0.99"),
+            (Fid, {"eta": 1.0, "beta": inf}, "beta must be 1 or more, got inf"),
         ],
     )
-    def test_parameters_out_of_range(self, make, message):
-        with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
-            make()
+    def test_parameters_out_of_range(self, kind, values, message):
+        with raises(message):
+            kind(**values)
 
     def test_parameters_at_the_edge(self):
         assert Fixed(0.0).d_sigma == 0.0

@@ -1,10 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.recordings import tracks_of
 
 from isac_track.datasets import load
 from isac_track.datasets.summary import n_lasting, summarise, total_still_share
-from isac_track.types import Tracks
 
 
 def along(*xs):
@@ -13,13 +14,7 @@ def along(*xs):
 
 
 def one_walk(t, x):
-    return Tracks(
-        t=np.array(t, dtype=float),
-        xy=np.column_stack([x, np.zeros(len(x))]),
-        offsets=np.array([0, len(t)]),
-        source=("a",),
-        group=("a",),
-    )
+    return replace(tracks_of(along(*x)), t=np.array(t, dtype=float))
 
 
 def test_by_hand():
