@@ -84,21 +84,13 @@ def robot_path(
 
 
 def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
-    """Return the smallest time-aligned distance over all agents and steps of each scene.
+    """Return the smallest time-aligned distance over all agents and steps of each scene, (S,) m.
 
-    Parameters
-    ----------
-    robot, agents : (S, A, H, 2) m
-
-    Returns
-    -------
-    (S,) m
+    `robot` and `agents` are (S, A, H, 2) m; other shapes are a ValueError.
     """
     if robot.shape != agents.shape:
         raise ValueError(f"robot {robot.shape} and agents {agents.shape} must have one shape")
-    gap = robot - agents
-    distance: Floats = np.hypot(gap[..., 0], gap[..., 1])
-    nearest: Floats = distance.min(axis=(1, 2))
+    nearest: Floats = np.hypot(*np.moveaxis(robot - agents, -1, 0)).min(axis=(1, 2))
     return nearest
 
 
@@ -109,7 +101,7 @@ def is_conflict(*, separation_m: Floats, safety_radius_m: float) -> Bools:
 
 
 def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
-    """Return the probability that a planar Gaussian lies within a disc around the origin.
+    """Return the probability (...,) that a planar Gaussian lies in a disc around the origin.
 
     Integrated along one axis with the other in closed form (Gauss-Legendre in the angle, 16
     nodes). Standard deviations below 1 mm count as 1 mm.
@@ -119,10 +111,6 @@ def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
     mean : (..., 2) m
     cov : (..., 2, 2) m^2
     radius_m : float
-
-    Returns
-    -------
-    (...,) in 0..1
     """
     # Integrate along the axis of the smaller spread, where the closed form does the sharp part.
     half_trace = 0.5 * (cov[..., 0, 0] + cov[..., 1, 1])

@@ -98,29 +98,24 @@ def exposure(*, leaked: Bools, t: Floats, offsets: Ints) -> Exposure:
     if offsets[0] != 0 or offsets[-1] != t.size or (n_samples < 1).any():
         raise ValueError("offsets must run from 0 to M without an empty trajectory")
     interval_s = mean_interval_s(t=t, offsets=offsets)
-
-    first = offsets[:-1]
+    first, last = offsets[:-1], offsets[1:] - 1
     previous = np.concatenate([[False], leaked[:-1]])
     previous[first] = False
     following = np.concatenate([leaked[1:], [False]])
-    following[offsets[1:] - 1] = False
+    following[last] = False
     starts = np.flatnonzero(leaked & ~previous)
-    ends = np.flatnonzero(leaked & ~following)
-    run_samples = ends - starts + 1
+    run_samples = np.flatnonzero(leaked & ~following) - starts + 1
     owner = np.searchsorted(offsets, starts, side="right") - 1
 
     n_tracks = n_samples.size
     segments = np.bincount(owner, minlength=n_tracks)
     leaked_samples = np.bincount(owner, weights=run_samples, minlength=n_tracks)
     exposed = segments > 0
-    longest = np.zeros(n_tracks)
+    ael_s, mel_s = np.zeros(n_tracks), np.zeros(n_tracks)
+    ael_s[exposed] = (leaked_samples[exposed] / segments[exposed]) * interval_s[exposed]
     if run_samples.size:
         first_run = np.cumsum(segments)[exposed] - segments[exposed]
-        longest[exposed] = np.maximum.reduceat(run_samples, first_run)
-    ael_s = np.zeros(n_tracks)
-    mel_s = np.zeros(n_tracks)
-    ael_s[exposed] = (leaked_samples[exposed] / segments[exposed]) * interval_s[exposed]
-    mel_s[exposed] = longest[exposed] * interval_s[exposed]
+        mel_s[exposed] = np.maximum.reduceat(run_samples, first_run) * interval_s[exposed]
     return Exposure(plr=leaked_samples / n_samples, ael_s=ael_s, mel_s=mel_s, segments=segments)
 
 

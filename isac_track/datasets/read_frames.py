@@ -247,10 +247,6 @@ def _number(content: dict[str, Any], name: str) -> float:
 def _frame_rate(
     *, row_rates: dict[float, int], step: float, fps: float | None, path: str
 ) -> tuple[float, list[Repair]]:
-    if len(row_rates) > 1:
-        (first, first_line), (other, line) = list(row_rates.items())[:2]
-        reason = f"scene fps {other:g} contradicts the {first:g} of line {first_line}"
-        raise DataError(f"{path}, line {line}: {reason}")
     if not row_rates:
         if fps is None:
             raise DataError(
@@ -258,16 +254,18 @@ def _frame_rate(
                 '(2.5 only if "f" counts rows, not video frames)'
             )
         return fps, []
-    ((row_rate, line),) = row_rates.items()
-    declared = recording.checked_fps(row_rate, where=f"{path}, line {line}") * step
+    (row_rate, line), *others = row_rates.items()
+    for other, other_line in others:
+        reason = f"scene fps {other:g} contradicts the {row_rate:g} of line {line}"
+        raise DataError(f"{path}, line {other_line}: {reason}")
+    where = f"{path}, line {line}"
+    declared = recording.checked_fps(row_rate, where=where) * step
     clock = f"{row_rate:g} rows a second, {step:g} frames apart"
     if fps is not None and not np.isclose(fps, declared, rtol=1e-6):
         raise DataError(
             f"{path}: --fps {fps:g} contradicts the scene lines: {clock}, "
             f"are {declared:g} frames a second; leave --fps out"
         )
-    recording.checked_fps(declared, where=f"{path}, line {line}")
-    if step == 1.0:
-        return declared, []
+    recording.checked_fps(declared, where=where)
     detail = f"{path}: line {line}: {clock}; times are frames at {declared:g} a second"
-    return declared, [recording.Repair("frame-clock", 1, detail)]
+    return declared, [] if step == 1.0 else [recording.Repair("frame-clock", 1, detail)]

@@ -130,11 +130,8 @@ def _enter(
         gone = np.linspace(0.05, 0.85, len(entries))[:, None]
         entries = entries + gone * (first - entries)
     others = crowd["xy"][crowd["here"]]
-    if len(others):
-        gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(axis=1)
-        entry = entries[int(np.argmax(np.minimum(gap, 2.0)))]
-    else:
-        entry = entries[0]
+    gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(axis=1, initial=2.0)
+    entry = entries[int(np.argmax(gap))]
     ahead = (first - entry) / np.hypot(*(first - entry))
     for row in party.members:
         draw = noise[row].standard_normal(4)

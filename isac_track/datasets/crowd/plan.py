@@ -38,16 +38,16 @@ class CrowdSettings:
     """plaza: x_min, y_min, x_max, y_max"""
 
     def __post_init__(self) -> None:
-        if self.n_people < 1 or self.substeps < 1:
-            raise SettingsError("the crowd needs at least one person and one substep")
-        if not (self.frame_s > 0 and self.lead_s >= 0 and self.tail_s >= self.frame_s):
-            raise SettingsError("frame_s must be positive, lead_s >= 0 and tail_s >= frame_s")
-        if not self.duration_s > self.tail_s:
-            raise SettingsError(f"duration_s must exceed tail_s ({self.tail_s:g} s)")
-        if not self.trait_strength >= 0:
-            raise SettingsError(f"trait_strength must not be negative, got {self.trait_strength}")
-        if not (self.area_m[0] < self.area_m[2] and self.area_m[1] < self.area_m[3]):
-            raise SettingsError("area_m must be x_min, y_min, x_max, y_max")
+        x_min, y_min, x_max, y_max = self.area_m
+        for is_so, message in (
+            (self.n_people >= 1 <= self.substeps, "at least one person and one substep"),
+            (self.tail_s >= self.frame_s > 0 <= self.lead_s, "0 < frame_s <= tail_s, lead_s >= 0"),
+            (self.duration_s > self.tail_s, f"a duration_s above tail_s ({self.tail_s:g} s)"),
+            (self.trait_strength >= 0, f"trait_strength >= 0, not {self.trait_strength}"),
+            (x_min < x_max and y_min < y_max, "an area_m of x_min, y_min, x_max, y_max"),
+        ):
+            if not is_so:
+                raise SettingsError(f"the crowd needs {message}")
 
     @property
     def n_frames(self) -> int:
@@ -222,14 +222,12 @@ def _party(settings: CrowdSettings, traits: Traits, members: Ints, rng: Generato
 
 def _gate_point(settings: CrowdSettings, gate: int, share: float, *, beyond_m: float) -> Floats:
     """Return a point (2,) of a gate, `beyond_m` outside the plaza."""
-    x_min, y_min, x_max, y_max = settings.area_m
+    low, high = np.array(settings.area_m[:2]), np.array(settings.area_m[2:])
     side, centre = SIDE_CENTRES[gate]
-    along = centre + GATE_WIDTH * (share - 0.5)
-    if side in {0, 2}:
-        x = x_min - beyond_m if side == 0 else x_max + beyond_m
-        return np.array([x, y_min + along * (y_max - y_min)])
-    y = y_min - beyond_m if side == 1 else y_max + beyond_m
-    return np.array([x_min + along * (x_max - x_min), y])
+    point = low + (centre + GATE_WIDTH * (share - 0.5)) * (high - low)
+    across = side % 2
+    point[across] = low[across] - beyond_m if side in {0, 1} else high[across] + beyond_m
+    return point
 
 
 def _formation(size: int) -> Floats:
