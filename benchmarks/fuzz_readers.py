@@ -86,7 +86,7 @@ def _fuzz(format_name: str, arguments: list[str]) -> None:
     import atheris  # noqa: PLC0415 - not installed with the project
 
     with atheris.instrument_imports(include=["isac_track.datasets"]):
-        from isac_track.datasets import crowd, formats  # noqa: PLC0415 - instrumented here
+        from isac_track import datasets  # noqa: PLC0415 - instrumented here
     from isac_track.errors import IsacTrackError  # noqa: PLC0415
 
     warnings.simplefilter("error")
@@ -94,9 +94,9 @@ def _fuzz(format_name: str, arguments: list[str]) -> None:
 
     def read(data: bytes, fps: float | None) -> Any:  # noqa: ANN401 - thrown away
         if format_name != "npz":
-            return formats.read(data=data, path=str(file), format=format_name, fps=fps)
+            return datasets.read(data=data, path=str(file), format=format_name, fps=fps)
         file.write_bytes(data)
-        return crowd.read_npz(file)
+        return datasets.crowd.read_npz(file)
 
     def one_input(data: bytes) -> None:
         for fps in (None, 25.0):

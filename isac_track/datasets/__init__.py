@@ -1,8 +1,9 @@
 """Pedestrian tracks by name or from a file of one's own.
 
 ``load("students03")``, ``load("plaza")``, ``load("walk.csv")``, and ``load()`` for the best
-that is here. `registry` knows the names and places, `formats` the readers, `repair` what is
-mended on reading, `summary` the statistics; ``docs/data.md`` describes it all.
+that is here. A format is told, or named by the file's extension, never guessed. `registry` knows
+the names and places, `repair` what is mended on reading, `summary` the statistics;
+``docs/data.md`` describes it all.
 """
 
 from __future__ import annotations
@@ -10,20 +11,39 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from isac_track.datasets import crowd, formats, registry
-from isac_track.datasets.recording import Repair
+from isac_track.datasets import crowd, read_frames, read_table, registry
+from isac_track.datasets.recording import Repair, checked_fps
 from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, Known, shown
+from isac_track.datasets.repair import to_tracks
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from isac_track.datasets.recording import Rows
     from isac_track.types import Tracks
 
-__all__ = ["Dataset", "Repair", "load"]
+__all__ = ["FORMATS", "Dataset", "Repair", "load", "read"]
+
+
+_WITH_CLOCK: Mapping[str, Callable[..., Rows]] = {
+    "csv": read_table.read_csv,
+    "parquet": read_table.read_parquet,
+}
+FORMATS: Mapping[str, Callable[..., Rows]] = {
+    **{
+        layout.name: partial(read_frames.read_columns, layout=layout)
+        for layout in read_frames.LAYOUTS
+    },
+    "trajnet": read_frames.read_trajnet,
+    **_WITH_CLOCK,
+}
+"""Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
+_EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -84,7 +104,7 @@ def load(
     if name is not None and _is_path(name):
         path = Path(name)
         data = registry.read_bytes(path)  # a missing file is told before a missing --format
-        format_name = formats.format_of(path, format=format)
+        format_name = format_of(path, format=format)
         # Rows of another recording must never pass for those of a known one.
         title = path.name if path.stem in KNOWN else path.stem
         return _read(Known(shown(title), format=format_name, fps=fps), data, path)
@@ -129,6 +149,62 @@ def load(
     return _read(source, data, files[registry.MAIN_FILE], groups)
 
 
+def format_of(path: Path, *, format: str | None) -> str:  # noqa: A002 - the name of the option
+    """Return the name of the format: `format`, or what the extension of `path` names.
+
+    It is a DataError if the format is unknown, or neither given nor named by the extension.
+    """
+    name = _EXTENSIONS.get(path.suffix.lower()) if format is None else format
+    known = ", ".join(FORMATS)
+    if name is None:
+        raise DataError(
+            f"{shown(path)}: the format is not known from the name; give --format ({known})"
+        )
+    if name not in FORMATS:
+        hint = registry.did_you_mean(name, FORMATS)
+        raise DataError(f"unknown format {name!r}{hint} (known: {known})")
+    return name
+
+
+def read(
+    *,
+    data: bytes,
+    path: str,
+    format: str,  # noqa: A002 - the name of the option
+    fps: float | None = None,
+    groups: Iterable[tuple[str, str]] = (),
+) -> tuple[Tracks, tuple[Repair, ...]]:
+    """Return the tracks in the bytes of one file, and what was mended or left out.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    path : str
+        Its name, for messages.
+    format : str
+        One of `FORMATS`.
+    fps : float, optional
+        Frames per second, for formats that count frames.
+    groups : iterable of (id, label), optional
+        Who walks together, if that is in another file.
+
+    Raises
+    ------
+    DataError
+        For anything that cannot be read as tracks; the message names file and line.
+    """
+    if fps is not None:
+        checked_fps(fps, where="--fps")
+        if format in _WITH_CLOCK:
+            raise DataError(
+                f"{path}: format {format} has times in seconds (column t); leave --fps out"
+            )
+    clock = {} if format in _WITH_CLOCK else {"fps": fps}
+    # The rows have no name here: they are let go as soon as they are sorted.
+    return to_tracks(FORMATS[format](data=data, path=path, **clock), groups=groups)
+
+
 def _is_path(name: str | Path) -> bool:
     """Whether no known name is meant: a mistyped one is, if nothing in it looks like a path."""
     if isinstance(name, Path):
@@ -140,7 +216,7 @@ def _is_path(name: str | Path) -> bool:
 def _read(
     source: Known, data: bytes, path: Path, groups: Sequence[tuple[str, str]] = ()
 ) -> Dataset:
-    tracks, repairs = formats.read(
+    tracks, repairs = read(
         data=data, path=shown(path), format=source.format, fps=source.fps, groups=groups
     )
     return _dataset(source, data, shown(path), tracks, repairs=repairs)

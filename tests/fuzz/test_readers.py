@@ -17,8 +17,7 @@ from helpers.recordings import CORPUS, TEXT, assert_told, packed, read_walk, ref
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from isac_track.datasets import crowd, load
-from isac_track.datasets.formats import FORMATS
+from isac_track.datasets import FORMATS, crowd, load
 from isac_track.datasets.repair import to_tracks
 from isac_track.errors import IsacTrackError
 
@@ -262,7 +261,7 @@ def peak_bytes(data, format_name, fps=25.0):
     tracemalloc.start()
     try:
         with pytest.MonkeyPatch.context() as patch, arrow_pool() as pool:
-            patch.setattr("isac_track.datasets.formats.to_tracks", sorted_out)
+            patch.setattr("isac_track.datasets.to_tracks", sorted_out)
             check(data, format_name, None if format_name == "csv" else fps)
         return max(*up_to_rows, tracemalloc.get_traced_memory()[1] + pool.bytes_allocated())
     finally:

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from isac_track.datasets.formats import FORMATS, read
+from isac_track.datasets import FORMATS, read
 from isac_track.errors import IsacTrackError
 from isac_track.types import Tracks
 

@@ -38,12 +38,9 @@ def test_weights_draw_as_many_clusters_as_there_are_and_depend_on_the_seed_alone
     assert not np.array_equal(weights, cluster_weights(n_clusters=7, n_replicates=50, seed=4))
 
 
-def test_cluster_sums_by_hand():
+def test_sums_and_a_ratio_by_hand():
     sums = cluster_sums(values=np.array([1.0, 2.0, 4.0]), cluster=np.array([2, 0, 2]), n_clusters=4)
     assert sums.tolist() == [2.0, 0.0, 5.0, 0.0]
-
-
-def test_a_ratio_by_hand():
     weights = np.array([[2.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
     estimate = ratio_estimate(
         numerator=np.array([1.0, 3.0]), denominator=np.array([2.0, 4.0]), weights=weights

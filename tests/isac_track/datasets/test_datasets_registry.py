@@ -135,8 +135,7 @@ def test_a_named_data_set_is_downloaded_once(ucy, mirror):
         mirror.files[f"/base/students03/{name}"] = (ucy / "students03" / name).read_bytes()
     first = load("students03")
     assert (len(first.tracks), first.notice) == (428, None)
-    again = load("students03")
-    assert again.path == first.path
+    assert load("students03").path == first.path
     assert load().name == "students03"  # and is the default from now on
     assert mirror.asked == ["/base/students03/obsmat.txt", "/base/students03/groups.txt"]
 
@@ -201,13 +200,11 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(
     assert files_in(empty_machine) == []
 
 
-@pytest.mark.parametrize("answer", [404, OTHER, TRUNCATED, closed])
-def test_what_was_fetched_earlier_stays_when_the_next_file_cannot_be_had(
-    mirror, empty_machine, answer
-):
+def test_what_was_fetched_earlier_stays_when_the_next_file_cannot_be_had(mirror, empty_machine):
     two = replace(SMALL, sha256={**SMALL.sha256, "groups.txt": hashlib.sha256(b"1 2").hexdigest()})
-    mirror.files |= {"/base/small/obsmat.txt": WALK, "/base/small/groups.txt": answer}
-    for _ in range(2):
+    mirror.files["/base/small/obsmat.txt"] = WALK
+    for answer in (404, OTHER, TRUNCATED, closed):
+        mirror.files["/base/small/groups.txt"] = answer
         with pytest.raises(DataError, match=r"small/groups.txt: .*Way out"):
             fetch(two)
         assert files_in(empty_machine) == [empty_machine / "small" / "obsmat.txt"]
@@ -231,20 +228,17 @@ def test_a_damaged_file_in_the_cache_is_replaced_by_a_good_one_alone(mirror, emp
     assert path.read_bytes() == WALK
 
 
+PROXY = {"http_proxy": "http://127.0.0.1:1", "NO_PROXY": "", "no_proxy": ""}
+
+
 @pytest.mark.parametrize(
     ("variables", "message"),
     [
         ({"ISAC_TRACK_MIRROR": "ftp://127.0.0.1"}, "cannot be downloaded"),
         ({"ISAC_TRACK_MIRROR": "nonsense"}, "cannot be downloaded"),
         ({"ISAC_TRACK_MIRROR": "http://"}, "cannot be downloaded"),
-        (
-            {"http_proxy": "http://127.0.0.1:1", "NO_PROXY": "", "no_proxy": ""},
-            "the proxy refuses the connection. Way out",
-        ),
-        (
-            {"ISAC_TRACK_CACHE": __file__},
-            r"small/obsmat.txt: cannot be written \(Not a directory\)",
-        ),
+        (PROXY, "the proxy refuses the connection. Way out"),
+        ({"ISAC_TRACK_CACHE": __file__}, r"obsmat.txt: cannot be written \(Not a directory\)"),
     ],
 )
 def test_a_machine_that_is_not_set_up(mirror, monkeypatch, variables, message):

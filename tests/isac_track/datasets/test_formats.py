@@ -19,8 +19,7 @@ from helpers.recordings import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from isac_track.datasets import load
-from isac_track.datasets.formats import FORMATS
+from isac_track.datasets import FORMATS, load
 from isac_track.errors import DataError
 
 
