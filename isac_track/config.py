@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _MOST_SHOWN = 60
+_types_of = cache(get_type_hints)
 
 
 def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
@@ -31,12 +32,11 @@ def _number(default: float, low: float, high: float, *, is_open: bool = False) -
 
 def _check_fields(settings: Any) -> None:  # noqa: ANN401 - of any stage
     """Check the type and the range of every field, however the settings were made."""
-    stage = next(
-        name for name, kind in get_type_hints(StageSettings).items() if type(settings) is kind
-    )
+    stages, types = _types_of(StageSettings), _types_of(type(settings))
+    (stage,) = (name for name, kind in stages.items() if type(settings) is kind)
     for item in fields(settings):
         name, value = f"{stage}.{item.name}", getattr(settings, item.name)
-        annotation = setting_types()[name]
+        annotation = types[item.name]
         if choices := get_args(annotation):
             if value not in choices:
                 known = ", ".join(choices)
@@ -235,7 +235,7 @@ class StageSettings:
     linkage: LinkageSettings = field(default_factory=LinkageSettings)
 
     def __post_init__(self) -> None:
-        for name, wanted in get_type_hints(StageSettings).items():
+        for name, wanted in _types_of(StageSettings).items():
             given = type(getattr(self, name))
             if not issubclass(given, wanted):
                 raise SettingsError(f"{name} must be {wanted.__name__}, got {given.__name__}")
@@ -253,14 +253,15 @@ class StageSettings:
         out of range.
         """
         per_stage: dict[str, dict[str, Any]] = {}
-        known = setting_types()
+        known = list(self.flat())
         for name, value in values.items():
             if name not in known:
                 near = get_close_matches(name, known, n=1)
                 hint = f"; did you mean {near[0]}?" if near else "; `--list` names all settings"
                 raise SettingsError(f"unknown setting {name!r}{hint}")
             stage, key = name.split(".")
-            per_stage.setdefault(stage, {})[key] = _parse(name, value, known[name])
+            annotation = _types_of(type(getattr(self, stage)))[key]
+            per_stage.setdefault(stage, {})[key] = _parse(name, value, annotation)
         stages = {
             stage: replace(getattr(self, stage), **changes) for stage, changes in per_stage.items()
         }
@@ -273,16 +274,6 @@ class StageSettings:
             for stage in fields(self)
             for item in fields(getattr(self, stage.name))
         }
-
-
-@cache
-def setting_types() -> Mapping[str, Any]:
-    """Return ``{"stage.key": type}`` for every setting."""
-    return {
-        f"{stage}.{key}": annotation
-        for stage, kind in get_type_hints(StageSettings).items()
-        for key, annotation in get_type_hints(kind).items()
-    }
 
 
 def _parse(name: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - text, or TOML's types

@@ -9,7 +9,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from evaluation.experiment.presets import PRESETS
-from isac_track.config import StageSettings, setting_types
+from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -33,7 +33,7 @@ def listing() -> list[str]:
         "data sets": {name: known.about for name, known in KNOWN.items()},
         **{kind: plugins.names(kind) for kind in _KINDS},
         "tasks": {name: task.about for name, task in TASKS.items()},
-        "settings (--set)": {name: f"{defaults[name]}" for name in setting_types()},
+        "settings (--set)": {name: f"{value}" for name, value in defaults.items()},
     }
     width = max(len(name) for entries in sections.values() for name in entries)
     lines = []
