@@ -146,17 +146,25 @@ def make_scenes(
     speed_mps = settings.conflict.robot_speed_mps
     rngs = [stream(seed, "scenes", "scene", first + scene) for scene in range(n_scenes)]
     start, destination = np.empty((n_scenes, 2)), np.empty((n_scenes, 2))
+    place = settings.scenes
     for scene, rng in enumerate(rngs):
-        reach_m = speed_mps * float(elapsed_s[scene].max())
-        start[scene], destination[scene] = _place_robot(reach_m, settings, rng)
+        aside = rng.uniform(-place.robot_spread_m, place.robot_spread_m, 2)
+        start[scene] = np.array([place.robot_x_m, place.robot_y_m]) + aside
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        # Beyond the horizon.
+        way_m = 2.0 * (speed_mps * float(elapsed_s[scene].max())) + 1.0
+        destination[scene] = start[scene] + way_m * np.array([np.cos(angle), np.sin(angle)])
     robot = robot_path(
         start=start, destination=destination, speed_mps=speed_mps, elapsed_s=elapsed_s
     )
     shift = np.empty((n_scenes, n_agents, 2))
     exhausted = np.zeros(n_scenes, dtype=np.int64)
     for scene, rng in enumerate(rngs):
-        place_first = _onto_the_path if (first + scene) % 2 == 0 else _past_the_robot
-        shift[scene, 0] = place_first(robot[scene, 0], futures[scene, 0], settings, rng)
+        if (first + scene) % 2 == 0:  # on the robot's point at a random step
+            step = int(rng.integers(settings.conflict.horizon_steps))
+            shift[scene, 0] = robot[scene, 0, step] - futures[scene, 0, step]
+        else:
+            shift[scene, 0] = _past_the_robot(robot[scene, 0], futures[scene, 0], settings, rng)
         for agent in range(1, n_agents):
             # A stream of its own: how often one is redrawn must not move the next one.
             own = stream(seed, "scenes", "scene", first + scene, "agent", agent)
@@ -205,24 +213,6 @@ def robot_positions(scenes: Scenes, *, settings: ConflictSettings) -> Floats:
         speed_mps=settings.robot_speed_mps,
         elapsed_s=elapsed_s.reshape(len(scenes), scenes.n_agents, -1),
     )
-
-
-def _place_robot(reach_m: float, settings: StageSettings, rng: Generator) -> tuple[Floats, Floats]:
-    """Return start and destination; the destination lies beyond the horizon."""
-    place = settings.scenes
-    centre = np.array([place.robot_x_m, place.robot_y_m])
-    start = centre + rng.uniform(-place.robot_spread_m, place.robot_spread_m, 2)
-    heading = rng.uniform(0.0, 2.0 * np.pi)
-    return start, start + (2.0 * reach_m + 1.0) * np.array([np.cos(heading), np.sin(heading)])
-
-
-def _onto_the_path(
-    robot: Floats, future: Floats, settings: StageSettings, rng: Generator
-) -> Floats:
-    """Return the shift that puts the agent on the robot's point at a random step."""
-    step = int(rng.integers(settings.conflict.horizon_steps))
-    shift: Floats = robot[step] - future[step]
-    return shift
 
 
 def _past_the_robot(

@@ -46,8 +46,12 @@ def to_tracks(
     place, ids, members = rows.place, rows.ids, (*rows.groups, *groups)
     # One column after the other, each in the place of the one before: files may be large.
     person, t, xy = rows.person, rows.t, rows.xy
-    notes = [*rows.notes, *_late(person, t, place)]
+    notes = [*rows.notes]
     del rows
+    order = np.argsort(person, kind="stable")
+    late = (np.diff(t[order]) < 0) & (np.diff(person[order]) == 0)
+    text = "earlier than the row before of the same id; sorted"
+    notes += place.noted("unsorted", order[1:][late], text)
     order = np.lexsort((t, person))  # stable
     person = person[order]
     t = t[order]
@@ -126,15 +130,6 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
     while any(name.startswith(prefix) for name in ids):
         prefix = f"group{prefix}"
     return tuple(prefix + root(label_of[name]) if name in label_of else name for name in ids)
-
-
-def _late(person: Ints, t: Floats, place: Place) -> list[Repair]:
-    """Return how many rows are earlier than the row before of the same person."""
-    by_person = np.argsort(person, kind="stable")
-    back = np.diff(t[by_person]) < 0
-    back &= np.diff(person[by_person]) == 0
-    text = "earlier than the row before of the same id; sorted"
-    return place.noted("unsorted", by_person[1:][back], text)
 
 
 def _copies(

@@ -113,7 +113,12 @@ def simulate(
         rows = np.flatnonzero(crowd["here"])
         frames.append(np.full(rows.size, frame))
         people.append(rows)
-        places.append(_body_xy(crowd, rows, traits))
+        # People are seen where they walk, and aside of it by their sway.
+        heading, v = crowd["heading"][rows], crowd["v"][rows]
+        side = np.stack([-heading[:, 1], heading[:, 0]], axis=1)
+        awake = STANDING + (1 - STANDING) * np.minimum(np.hypot(*v.T) / FULL_SWAY_MPS, 1.0)
+        offset = traits.sway_m[rows] * awake * crowd["sway"][rows].real
+        places.append(crowd["xy"][rows] + offset[:, None] * side)
         if rows.size:
             _advance(settings, crowd, progress, traits, plan, rows, noise, frame)
     return np.concatenate(frames), np.concatenate(people), np.concatenate(places)
@@ -258,15 +263,6 @@ def _avoidance(x: Floats, v: Floats, *, together: Bools) -> Floats:
     sideways = (a[:, None] * dx + b[:, None] * dv) / root[:, None]
     push = _capped(-strength[:, None] * (dv - sideways), AVOID_MAX_MPS2)
     return np.asarray(total + _sum_by(i, push, n=len(x)))
-
-
-def _body_xy(crowd: NDArray[np.void], rows: Ints, traits: Traits) -> Floats:
-    """Return where people are seen (P, 2): the walk and the sway to its side."""
-    heading, v = crowd["heading"][rows], crowd["v"][rows]
-    side = np.stack([-heading[:, 1], heading[:, 0]], axis=1)
-    awake = STANDING + (1 - STANDING) * np.minimum(np.hypot(*v.T) / FULL_SWAY_MPS, 1.0)
-    offset = traits.sway_m[rows] * awake * crowd["sway"][rows].real
-    return np.asarray(crowd["xy"][rows] + offset[:, None] * side)
 
 
 def _turned(vector: Floats, ahead: Floats) -> Floats:
