@@ -22,22 +22,24 @@ from isac_track.sensing import (
 )
 
 
-def flat_channel(n_tracks, n_samples, *, n_paths=1):
-    """No randomness: one direct path of unit power."""
-    return Channel(
-        large_scale=np.zeros(n_tracks),
-        path_power=np.ones((n_tracks, n_paths)),
-        path_delay=np.zeros((n_tracks, n_paths)),
-        beam=np.zeros(n_samples),
-        unit_error=np.zeros((n_samples, 2)),
+def draw(numbers=(1,), n_samples=(3, 4), seed=5, **changes):
+    """The channel of scenes of two tracks."""
+    return draw_channel(
+        n_samples=np.array([n_samples] * len(numbers)),
+        keys=[("scene", number) for number in numbers],
+        settings=SensingSettings(**changes),
+        seed=seed,
     )
 
 
-def gain_db(distance_m, **changes):
+def gain_db(distance_m, *, power=(1.0,), delay=(0.0,), **changes):
+    """Without randomness: paths of this power and delay, by themselves one direct path."""
+    none = np.zeros(1)
+    channel = Channel(none, np.array([power]), np.array([delay]), none, np.zeros((1, 2)))
     gain = link_gain(
         distance_m=np.array([distance_m]),
         owner=np.array([0]),
-        channel=flat_channel(1, 1),
+        channel=channel,
         settings=replace(SensingSettings(), **changes),
     )
     return 10 * np.log10(gain[0])
@@ -63,15 +65,7 @@ def test_path_loss_is_two_way_with_the_tables_exponent():
 
 
 def test_paths_are_averaged_and_a_late_one_has_a_longer_way():
-    settings = SensingSettings()
-    channel = replace(
-        flat_channel(1, 1, n_paths=2),
-        path_power=np.array([[1.0, 3.0]]),
-        path_delay=np.array([[0.0, 0.5]]),
-    )
-    found = link_gain(
-        distance_m=np.array([30.0]), owner=np.array([0]), channel=channel, settings=settings
-    )[0]
+    found = 10 ** (gain_db(30.0, power=[1.0, 3.0], delay=[0.0, 0.5]) / 10)
     # Half of 2e-7 s at light speed is 29.98 m more there and back, half of it each way.
     late_m = 30.0 + 0.5 * 0.5 * 2e-7 * 299_792_458.0
     one = 10 ** (gain_db(1.0) / 10)
@@ -84,13 +78,12 @@ def test_information_follows_the_budget():
     def info(**changes):
         return information(gain=gain, settings=replace(SensingSettings(), **changes))[0]
 
+    more_db = SensingSettings().processing_gain_db + 3
     assert info(power_dbm=45.0) / info() == pytest.approx(10**1.5)  # the +15 dB case
     assert info(noise_dbm=-81.0) / info() == pytest.approx(0.1)
     assert info(bandwidth_mhz=200.0) / info() == pytest.approx(4.0)
     assert info(resource_share=0.25) / info() == pytest.approx(0.25)
-    assert info(processing_gain_db=SensingSettings().processing_gain_db + 3) / info() == (
-        pytest.approx(10**0.3)
-    )
+    assert info(processing_gain_db=more_db) / info() == pytest.approx(10**0.3)
 
 
 def test_information_has_a_floor_where_sigma_meets_its_cap():
@@ -119,12 +112,7 @@ def test_sigma_is_the_bound_times_the_gap():
 
 def test_channel_draws_have_their_laws():
     settings = SensingSettings()
-    channel = draw_channel(
-        n_samples=np.full((400, 4), 5),
-        keys=[("scene", number) for number in range(400)],
-        settings=settings,
-        seed=0,
-    )
+    channel = draw(range(400), (5,) * 4, seed=0)
     assert channel.large_scale.shape == (1600,)
     assert channel.path_power.shape == (1600, settings.n_paths)
     assert channel.unit_error.shape == (8000, 2)
@@ -134,16 +122,6 @@ def test_channel_draws_have_their_laws():
     assert channel.beam.std() == pytest.approx(1, abs=4 / np.sqrt(2 * 8000))
     assert (channel.path_delay[:, 0] == 0).all()
     assert ((channel.path_delay >= 0) & (channel.path_delay < 1)).all()
-
-
-def draw(numbers=(1,), n_samples=(3, 4), seed=5, **changes):
-    """The channel of scenes of two tracks."""
-    return draw_channel(
-        n_samples=np.array([n_samples] * len(numbers)),
-        keys=[("scene", number) for number in numbers],
-        settings=SensingSettings(**changes),
-        seed=seed,
-    )
 
 
 def test_a_scene_draws_alike_whichever_others_there_are():
