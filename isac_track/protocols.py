@@ -40,7 +40,6 @@ class Mechanism(Protocol):
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the release; `rng` starts alike for every mechanism (common random numbers)."""
-        ...
 
 
 @runtime_checkable
@@ -50,11 +49,9 @@ class Predictor(Protocol):
     @property
     def requires(self) -> frozenset[Knowledge]:
         """Knowledge that it cannot run without; a robot has no SIGMA unless this asks for it."""
-        ...
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return positions of the N tracks at `t_future`, (N, H) s on each track's clock."""
-        ...
 
 
 class Adversary(Protocol):
@@ -63,12 +60,10 @@ class Adversary(Protocol):
     @property
     def requires(self) -> frozenset[Knowledge]:
         """Knowledge that it cannot run without."""
-        ...
 
     @property
     def uses(self) -> frozenset[Knowledge]:
         """Knowledge that it takes if granted."""
-        ...
 
 
 @runtime_checkable
@@ -81,7 +76,6 @@ class ReconstructionAttack(Adversary, Protocol):
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return what turns a release into a reconstruction, sample for sample."""
-        ...
 
 
 @runtime_checkable
@@ -93,7 +87,6 @@ class LinkageAttack(Adversary, Protocol):
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
         """Return what scores P probes against G gallery tracks: (P, G), higher = same person."""
-        ...
 
 
 def kind_of(attack: object) -> Literal["reconstruction", "linkage"]:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.recordings import tracks_of, write_csv
 
 from isac_track import datasets
 from isac_track.rng import stream
-from isac_track.types import Tracks
 
 pytest_plugins = ["pytester"]  # for tests that strangers run, in this process
 
@@ -26,14 +26,7 @@ def made_up_tracks(*, n_tracks=12, duration_s=30.0, seed=0):
         rng = stream(seed, "test", "track", row)
         velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal((t.size, 2)).cumsum(axis=0)
         parts.append(rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0))
-    names = tuple(f"w{row}" for row in range(n_tracks))
-    return Tracks(
-        t=np.tile(t, n_tracks),
-        xy=np.concatenate(parts),
-        offsets=np.arange(n_tracks + 1) * t.size,
-        source=names,
-        group=names,
-    )
+    return tracks_of(*parts)
 
 
 @pytest.fixture(scope="session")
@@ -52,13 +45,8 @@ def students03():
 @pytest.fixture
 def csv_recording(tmp_path, tracks):
     """The made-up tracks as a file of one's own."""
-    rows = [
-        f"{t:.2f},{source},{x:.4f},{y:.4f}"
-        for source, track in zip(tracks.source, tracks, strict=True)
-        for t, (x, y) in zip(track.t, track.xy, strict=True)
-    ]
     path = tmp_path / "walks.csv"
-    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    write_csv(path, tracks)
     return path
 
 

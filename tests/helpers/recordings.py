@@ -49,6 +49,16 @@ def tracks_of(*walks, frame_s=0.4):
     )
 
 
+def write_csv(path, tracks):
+    """Write tracks as a recording of one's own."""
+    rows = [
+        f"{t:.2f},{track.source[0]},{x:.4f},{y:.4f}"
+        for track in tracks
+        for t, (x, y) in zip(track.t, track.xy, strict=True)
+    ]
+    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+
+
 def packed(*, compression="snappy", row_group_size=None, **columns):
     """Return columns as a parquet file."""
     buffer = io.BytesIO()

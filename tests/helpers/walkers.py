@@ -1,6 +1,7 @@
 """A made-up recording in which everybody crosses one place: for tasks of linkage."""
 
 import numpy as np
+from helpers.recordings import write_csv
 
 from isac_track.rng import stream
 from isac_track.types import Tracks
@@ -27,9 +28,4 @@ def walkers(n=40, *, n_groups=4):
 
 def write_walkers(path):
     """Write the same people as a recording of one's own."""
-    rows = [
-        f"{t:.2f},{walk.source[0]},{x:.4f},{y:.4f}"
-        for walk in walkers()
-        for t, (x, y) in zip(walk.t, walk.xy, strict=True)
-    ]
-    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    write_csv(path, walkers())

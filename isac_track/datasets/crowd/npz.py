@@ -52,17 +52,13 @@ def write_npz(
     every multiple of `frame_s` from its first to its last.
     """
     frame = np.rint(tracks.t / frame_s).astype(np.int64)
-    late_s = np.abs(frame * frame_s - tracks.t).max()
-    if late_s > _CLOCK_S or (np.diff(frame)[steps_within(tracks.offsets)] != 1).any():
+    is_late = np.abs(frame * frame_s - tracks.t) > _CLOCK_S
+    if is_late.any() or (np.diff(frame)[steps_within(tracks.offsets)] != 1).any():
         raise DataError(f"{path}: every track needs a sample every {frame_s:g} s, without gaps")
     xy_mm = np.rint(tracks.xy * 1e3)
-    outside = np.flatnonzero((np.abs(xy_mm) > _MM.max).any(axis=1))
-    if outside.size:
-        x, y = tracks.xy[outside[0]]
-        raise DataError(
-            f"{path}: ({x:g}, {y:g}) m does not fit in int16 millimetres: coordinates must lie "
-            f"within +-{_MM.max / 1e3:g} m; move the origin"
-        )
+    if (np.abs(xy_mm) > _MM.max).any():
+        way_out = f"coordinates must lie within +-{_MM.max / 1e3:g} m; move the origin"
+        raise DataError(f"{path}: the walks do not fit in int16 millimetres: {way_out}")
     # Steps compress better than positions. They may wrap around: so does the sum in read_npz.
     steps = np.diff(xy_mm.astype(np.int16), axis=0, prepend=np.zeros((1, 2), dtype=np.int16))
     np.savez_compressed(

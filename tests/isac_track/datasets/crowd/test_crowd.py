@@ -260,9 +260,9 @@ def test_a_file_gives_back_the_millimetres(tmp_path):
 @pytest.mark.parametrize(
     ("x", "frame_s", "message"),
     [
-        (32.768, 0.4, "does not fit in int16"),
-        (-32.768, 0.4, "does not fit in int16"),
-        (100.0, 0.4, "does not fit in int16"),
+        (32.768, 0.4, "not fit in int16"),
+        (-32.768, 0.4, "not fit in int16"),
+        (100.0, 0.4, "not fit in int16"),
         (1.0, 0.3, "without gaps"),
         (1.0, 0.8, "without gaps"),
     ],
