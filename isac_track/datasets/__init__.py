@@ -176,23 +176,9 @@ def read(
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks in the bytes of one file, and what was mended or left out.
 
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    path : str
-        Its name, for messages.
-    format : str
-        One of `FORMATS`.
-    fps : float, optional
-        Frames per second, for formats that count frames.
-    groups : iterable of (id, label), optional
-        Who walks together, if that is in another file.
-
-    Raises
-    ------
-    DataError
-        For anything that cannot be read as tracks; the message names file and line.
+    `path` is its name, for messages, and `format` one of `FORMATS`; `fps`, frames a second, is for
+    those that count frames. `groups` are (id, label) pairs of who walks together, if that is in
+    another file. DataError names file and line for anything that cannot be read as tracks.
     """
     if fps is not None:
         checked_fps(fps, where="--fps")
