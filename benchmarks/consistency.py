@@ -11,8 +11,7 @@ import sys
 
 import numpy as np
 
-from isac_track import datasets
-from isac_track import plugins as registry
+from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.errors import DataError
 from isac_track.kalman import kalman_last
@@ -40,7 +39,7 @@ def main() -> int:
         order = track_order(n_tracks=len(tracks), n_scenes=N_SCENES, agents=4, seed=0)
         scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=0)
         sensed = sense_scenes(scenes, settings=stages.sensing, seed=0)
-        for level in registry.parse_all("mechanisms", LEVELS):
+        for level in plugins.parse_all("mechanisms", LEVELS):
             shared = level.instance.share(sensed, stream(0, "consistency")).without_sigma()
             for tracker in (KalmanCV(), KalmanCA(), KalmanIMM()):
                 forecast = tracker.predict(shared, scenes.t_future)

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isac_track import datasets
-from isac_track import plugins as registry
+from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.protocols import AttackContext
 from isac_track.resample import sampling_times, walk
@@ -73,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def fit(name: str) -> Any:  # noqa: ANN401 - from two releases to scores
     """Return a blind linker, ready."""
-    (plugin,) = registry.parse("attacks", name)
+    (plugin,) = plugins.parse("attacks", name)
     granted: frozenset[Knowledge] = plugin.instance.requires
     context = AttackContext(rng=stream(0, "benchmark"), epsilon_m=0.3, granted=granted)
     return plugin.instance.fit(context)
@@ -133,7 +132,7 @@ def released(*, n: int, side: str) -> Release:
         channel=channel,
         settings=stages.sensing,
     )
-    (mechanism,) = registry.parse("mechanisms", LEVEL)
+    (mechanism,) = plugins.parse("mechanisms", LEVEL)
     release: Release = mechanism.instance.share(sensed, rng)
     return release.without_sigma()
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from scipy.optimize import minimize
 
-from isac_track import datasets
-from isac_track import plugins as registry
+from isac_track import datasets, plugins
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
@@ -58,7 +57,7 @@ def releases(dataset: str, *, n_scenes: int, seed: int) -> tuple[Release, ...]:
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
     return tuple(
         mechanism.instance.share(sensed, stream(seed, "tune")).without_sigma()
-        for mechanism in registry.parse_all("mechanisms", LEVELS)
+        for mechanism in plugins.parse_all("mechanisms", LEVELS)
     )
 
 

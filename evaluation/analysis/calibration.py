@@ -24,8 +24,7 @@ from evaluation.cells.tables import ROWS
 from evaluation.cells.work import Block, cells
 from evaluation.experiment.axes import Consumer, n_blocks
 from evaluation.experiment.constants import BLOCK_SCENES
-from isac_track import plugins as registry
-from isac_track import privacy, sensing, sharing
+from isac_track import plugins, privacy, sensing, sharing
 from isac_track.config import SensingSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.scenes import cut, make_scenes, track_order
@@ -250,8 +249,8 @@ def predictions(
     tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
 ) -> dict[tuple[str, str], float]:
     """Return the run's numbers for the paper's levels, ``{(spec, metric): value}``."""
-    levels = registry.parse_all("mechanisms", _LEVELS)
-    (predictor,) = registry.parse("predictors", PREDICTOR)
+    levels = plugins.parse_all("mechanisms", _LEVELS)
+    (predictor,) = plugins.parse("predictors", PREDICTOR)
     consumers = (Consumer("shared"), Consumer("predictor", predictor))
     parts: dict[tuple[str, str], list[Floats]] = {}
     for number, (first, order) in enumerate(

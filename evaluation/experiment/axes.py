@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 from evaluation.experiment.presets import BLOCK_SCENES, PRESETS, SHARED, WINDOWS
-from isac_track import plugins as registry
+from isac_track import plugins
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -187,15 +187,15 @@ def axes(settings: Settings) -> Axes:
     predictors = preset.predictors if settings.predictors is None else settings.predictors
     attacks, links = _attacks(preset.attacks if settings.attacks is None else settings.attacks)
     expanded = Axes(
-        mechanisms=registry.parse_all("mechanisms", mechanisms),
-        predictors=registry.parse_all("predictors", predictors),
+        mechanisms=plugins.parse_all("mechanisms", mechanisms),
+        predictors=plugins.parse_all("predictors", predictors),
         attacks=attacks,
         links=_linked(settings, links=links, tasks=_tasks(settings)),
     )
     if not expanded.mechanisms:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
     if expanded.links:
-        (ceiling,) = registry.parse("mechanisms", "clean")
+        (ceiling,) = plugins.parse("mechanisms", "clean")
         expanded = replace(expanded, ceiling=ceiling)
     return expanded
 
@@ -212,7 +212,7 @@ def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ..
         name, at, behind_spec = spec.partition("@")
         if at and not (name.strip() and behind_spec.strip()):
             raise SettingsError(f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts")
-        for plugin in registry.parse("attacks", name):
+        for plugin in plugins.parse("attacks", name):
             links_people = kind_of(plugin.instance) == "linkage"
             if not at:
                 if links_people:
@@ -220,7 +220,7 @@ def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ..
                 else:
                     attacks[plugin.spec] = plugin
                 continue
-            for behind in registry.parse("attacks", behind_spec):
+            for behind in plugins.parse("attacks", behind_spec):
                 if not links_people or kind_of(behind.instance) == "linkage":
                     raise SettingsError(
                         f"{spec!r}: left of @ stands a linkage attack, right of it the "

@@ -188,12 +188,12 @@ def parse(name: str) -> Variant:
         changed = StageSettings().changed({setting: value}).flat()
         return Variant(f"{key}={value}", {setting: changed[setting]})
     if value and key == _PREDICTOR:
-        from isac_track import plugins as registry  # noqa: PLC0415 - seldom needed
+        from isac_track import plugins  # noqa: PLC0415 - seldom needed
 
-        plugins = registry.parse("predictors", value)
-        if len(plugins) > 1:
+        found = plugins.parse("predictors", value)
+        if len(found) > 1:
             raise SettingsError(f"{name}: a variant takes one predictor, not a sweep")
-        return Variant(f"{key}={value}", predictor=plugins[0].spec)
+        return Variant(f"{key}={value}", predictor=found[0].spec)
     if value and key == _RECORDING:
         if value not in KNOWN and not Path(value).exists():
             known(value)  # says what was meant

@@ -11,7 +11,7 @@ from evaluation import matrix
 from evaluation.experiment.axes import axes
 from evaluation.experiment.presets import DISSOCIATION, PRESETS
 from evaluation.experiment.settings import Settings
-from isac_track import plugins as registry
+from isac_track import plugins
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -150,7 +150,7 @@ def test_list_names_everything_that_can_be_named(capsys):
     assert run("--list") == 0
     shown = capsys.readouterr().out
     for kind in ("mechanisms", "predictors"):
-        assert all(name in shown for name in registry.names(kind))
+        assert all(name in shown for name in plugins.names(kind))
     assert all(name in shown for name in PRESETS)
     assert "students03" in shown
     assert "privacy.epsilon_m" in shown

@@ -8,8 +8,7 @@ from helpers.walks import cv_walks, flat_release, release_of
 from scipy.stats import chi2
 
 from benchmarks.tune import TUNED, releases, tune
-from isac_track import datasets
-from isac_track import plugins as registry
+from isac_track import datasets, plugins
 from isac_track.rng import stream
 from isac_track.types import Knowledge
 from predictors.kalman import GATE, KalmanCA, KalmanCV, KalmanIMM
@@ -134,8 +133,8 @@ def test_recent_keeps_the_last_samples():
 
 
 def test_only_declared_noise_asks_for_sigma():
-    (plain,) = registry.parse("predictors", "kalman_cv")
-    (declared,) = registry.parse("predictors", "kalman_imm:noise=declared")
+    (plain,) = plugins.parse("predictors", "kalman_cv")
+    (declared,) = plugins.parse("predictors", "kalman_imm:noise=declared")
     assert plain.instance.requires == frozenset()
     assert declared.instance.requires == {Knowledge.SIGMA}
     assert declared.name == "kalman_imm:noise=declared"
@@ -157,8 +156,8 @@ def test_the_declared_std_means_what_the_law_says(law, noise_m):
      "kalman_imm:turn_s=0"],
 )  # fmt: skip
 def test_impossible_parameters_are_refused(spec):
-    with pytest.raises(registry.SettingsError, match="must be"):
-        registry.parse("predictors", spec)
+    with pytest.raises(plugins.SettingsError, match="must be"):
+        plugins.parse("predictors", spec)
 
 
 @pytest.mark.slow

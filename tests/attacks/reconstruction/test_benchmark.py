@@ -19,7 +19,7 @@ from helpers import kernel_oracles as oracle
 from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS
-from isac_track import plugins as registry
+from isac_track import plugins
 from isac_track.kalman import smooth_positions
 from isac_track.protocols import TrainingSet, grants
 from isac_track.rng import stream
@@ -102,9 +102,9 @@ def over_benchmark(square, expected):
 
 ROWS = [
     pytest.param(plugin.instance, adversary, granted, id=f"{name}-{adversary}")
-    for name, origin in registry.names("attacks").items()
+    for name, origin in plugins.names("attacks").items()
     if origin.startswith("attacks.reconstruction.")
-    for plugin in registry.parse("attacks", name)
+    for plugin in plugins.parse("attacks", name)
     for adversary, granted in grants(plugin.instance).items()
 ]
 

@@ -21,8 +21,7 @@ from evaluation.experiment.axes import Axes, Consumer, Link, axes
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
 from evaluation.runs.cell_files import read_windows
-from isac_track import plugins as registry
-from isac_track import privacy
+from isac_track import plugins, privacy
 from isac_track.config import StageSettings
 from isac_track.errors import PluginError
 from isac_track.plugins import Plugin
@@ -98,7 +97,7 @@ def plugin(instance, spec="mine"):
 
 
 def mechanism(spec):
-    return registry.parse("mechanisms", spec)[0] if isinstance(spec, str) else plugin(spec)
+    return plugins.parse("mechanisms", spec)[0] if isinstance(spec, str) else plugin(spec)
 
 
 class World:
@@ -236,7 +235,7 @@ class TestScenes:
 
     @pytest.mark.parametrize("name", ["least_squares", "kalman_cv"])
     def test_a_predictor_gets_the_thinned_release_and_the_whole_future(self, world, name):
-        (forecaster,) = registry.parse("predictors", name)
+        (forecaster,) = plugins.parse("predictors", name)
         consumer = Consumer("predictor", forecaster)
         (thinned,), (whole,) = (world.rows(by, consumer) for by in (Sieve(Clean()), Clean()))
         for same in ("scene", "track", "conflict", "separation_m"):
@@ -273,7 +272,7 @@ class TestScenes:
 
     @pytest.mark.parametrize("name", ["identity", "kalman_rts", "radial_rts", "averaging"])
     def test_thinning_to_every_sample_is_fixed(self, world, name):
-        (one,) = registry.parse("attacks", name)
+        (one,) = plugins.parse("attacks", name)
         crossed = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers
         for thinned, fixed in zip(
             world.rows("thin:1,d_sigma=0.7", *crossed),
@@ -292,14 +291,14 @@ class TestScenes:
                 assert np.isin(rows["plr"], [0, 1]).all()
 
     def test_the_smoother_of_what_is_left_has_a_benchmark_of_its_own(self, world):
-        (one,) = registry.parse("attacks", "identity")
+        (one,) = plugins.parse("attacks", "identity")
         consumer = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers[1]
         (few,), (all_of_them,) = (world.rows(f"thin:{n}", consumer) for n in (4, 1))
         assert (few["benchmark_mse_m2"] > all_of_them["benchmark_mse_m2"]).all()
 
     @pytest.mark.parametrize("spec", ["correlated:0.5", "offset:0.3"])
     def test_without_independent_errors_there_is_no_linear_benchmark(self, world, spec):
-        (one,) = registry.parse("attacks", "identity")
+        (one,) = plugins.parse("attacks", "identity")
         consumer = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers[1]
         (rows,) = world.rows(spec, consumer)
         assert np.isnan(rows["benchmark_mse_m2"]).all()
@@ -345,7 +344,7 @@ class TestLinkage:
     def test_who_smooths_first_learns_on_what_was_shared(self, sessions, task):
         watching = Watching(seen=[])
         linker = "shape" if task == "rerelease" else "kinematic"
-        (first,) = registry.parse("attacks", linker)
+        (first,) = plugins.parse("attacks", linker)
         linked(sessions[task], Sieve(Clean()), Link(first, plugin(watching, "watching")))
         assert watching.seen
         for train in watching.seen:
@@ -353,8 +352,8 @@ class TestLinkage:
             np.testing.assert_allclose(train.release.xy, train.truth, rtol=0, atol=1e-6)
 
     def test_thinning_to_every_sample_is_fixed(self, sessions):
-        (shape,) = registry.parse("attacks", "shape")
-        (rts,) = registry.parse("attacks", "kalman_rts")
+        (shape,) = plugins.parse("attacks", "shape")
+        (rts,) = plugins.parse("attacks", "kalman_rts")
         links = (Link(shape), Link(shape, rts))
         (one, _), (other, _) = (
             linked(sessions["rerelease"], by, *links) for by in ("thin:1,d_sigma=0.7", "fixed:0.7")
@@ -366,7 +365,7 @@ class TestLinkage:
                 np.testing.assert_array_equal(first.scores, second.scores)
 
     def test_what_only_times_tell_is_asked_anew(self, sessions):
-        (shape,) = registry.parse("attacks", "shape")
+        (shape,) = plugins.parse("attacks", "shape")
         whole, at_all = linked(sessions["rerelease"], "raw", Link(shape), controls=True)
         few, at_none = linked(sessions["rerelease"], "thin:4", Link(shape), controls=True)
         assert at_none == {}
@@ -376,8 +375,8 @@ class TestLinkage:
 
     @pytest.mark.parametrize("task", ["rerelease", "handover-1s"])
     def test_one_sample_a_window_is_enough(self, sessions, task):
-        (one,) = registry.parse("attacks", "shape" if task == "rerelease" else "kinematic")
-        (rts,) = registry.parse("attacks", "radial_rts")
+        (one,) = plugins.parse("attacks", "shape" if task == "rerelease" else "kinematic")
+        (rts,) = plugins.parse("attacks", "radial_rts")
         found, _ = linked(sessions[task], "thin:100000", Link(one), Link(one, rts), controls=True)
         assert (found[f"{task}/windows", ""]["n_samples"] == 1).all()
 
@@ -527,7 +526,7 @@ def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
 def test_the_presets_but_smoke_hold_the_controls():
     for preset in ("paper", "full"):
         specs = [one.spec for one in axes(Settings(preset=preset)).mechanisms]
-        controls = [one.spec for one in registry.parse_all("mechanisms", DISSOCIATION)]
+        controls = [one.spec for one in plugins.parse_all("mechanisms", DISSOCIATION)]
         assert specs[-len(controls) :] == controls
         assert len(set(specs)) == len(specs)
     names = {one.name for one in axes(Settings(preset="smoke")).mechanisms}

@@ -21,7 +21,7 @@ from evaluation.cells.link_tables import DERIVED, linkage_tables
 from evaluation.experiment.axes import Axes, Consumer, Link, axes
 from evaluation.experiment.settings import Settings
 from evaluation.runs import cell_files
-from isac_track import plugins as registry
+from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.intervals import cluster_weights
@@ -106,7 +106,7 @@ def linked(*links, task="rerelease", mechanism="raw", tracks=None, controls=Fals
         mechanisms=(), predictors=(), attacks=(), links=tuple((TASKS[task], one) for one in links)
     )
     consumers = [one for one in crossed.linkers(TASKS[task]) if controls or one.kind != "control"]
-    (shared_by,) = registry.parse("mechanisms", mechanism)
+    (shared_by,) = plugins.parse("mechanisms", mechanism)
     found, _ = linked_level_of(shared_by, consumers, known=known, epsilon_m=EPSILON_M, seed=seed)
     return found, known
 
@@ -300,7 +300,7 @@ class TestWhatIsReadOff:
         assert (known.weights[:, others].sum(axis=1) == 5).all()
 
     def test_the_clean_ceiling_is_above_what_was_shared(self):
-        shape = registry.parse("attacks", "shape")[0]
+        shape = plugins.parse("attacks", "shape")[0]
         clean, shared = (
             linked(link(shape), mechanism=spec)[0]["rerelease/shape", "blind"]
             for spec in ("clean", "fixed:1")
@@ -308,7 +308,7 @@ class TestWhatIsReadOff:
         assert clean.scored.estimates["rank1"].ci_low > shared.scored.estimates["rank1"].ci_high
 
     def test_who_has_no_mate_is_left_alone_in_a_handover(self):
-        kinematic = registry.parse("attacks", "kinematic")[0]
+        kinematic = plugins.parse("attacks", "kinematic")[0]
         found, known = linked(
             link(kinematic), task="handover-2s", mechanism="clean", tracks=walkers(80)
         )
@@ -329,7 +329,7 @@ class TestControls:
         assert names == CONTROLS.keys() - {"frame", "clock"}
 
     def test_shuffled_mates_are_those_of_a_real_attack(self):
-        shape = registry.parse("attacks", "shape")[0]
+        shape = plugins.parse("attacks", "shape")[0]
         found, _ = linked(link(shape), mechanism="clean", controls=True)
         real = found["rerelease/shape", "blind"]
         shuffled = found["rerelease/control-shuffled", ""]
@@ -360,7 +360,7 @@ class TestControls:
 class TestDeterminism:
     def test_who_else_is_there_changes_nothing(self):
         alone, _ = linked(link(Spy()), mechanism="fid:1")
-        shape = registry.parse("attacks", "shape")[0]
+        shape = plugins.parse("attacks", "shape")[0]
         company, _ = linked(
             link(shape), link(Spy(), Rounds()), link(Spy()), mechanism="fid:1", controls=True
         )
@@ -423,7 +423,7 @@ class TestBreaches:
         class Silent:
             def share(self, sensed, rng):
                 return replace(
-                    registry.parse("mechanisms", "raw")[0].instance.share(sensed, rng), sigma=None
+                    plugins.parse("mechanisms", "raw")[0].instance.share(sensed, rng), sigma=None
                 )
 
         tracks = walkers()

@@ -18,7 +18,7 @@ from evaluation.cells.reconstruction import TRAINING_PEOPLE, attacked_block, ben
 from evaluation.cells.work import Block, cells
 from evaluation.experiment.axes import Axes
 from evaluation.experiment.settings import Settings
-from isac_track import plugins as registry
+from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError
 from isac_track.plugins import Plugin
@@ -102,10 +102,10 @@ def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None
     """Rows of every cell of some scenes by (mechanism, consumer, adversary), blocks in a list."""
     known = cut(tracks, settings=STAGES, seed=seed)
     attacks = tuple(
-        one if isinstance(one, Plugin) else registry.parse("attacks", one)[0] for one in attacks
+        one if isinstance(one, Plugin) else plugins.parse("attacks", one)[0] for one in attacks
     )
     mechanisms = tuple(
-        one if isinstance(one, Plugin) else registry.parse("mechanisms", one)[0]
+        one if isinstance(one, Plugin) else plugins.parse("mechanisms", one)[0]
         for one in mechanisms
     )
     consumers = Axes(mechanisms=mechanisms, predictors=(), attacks=attacks).consumers
@@ -134,7 +134,7 @@ class World:
             self.tracks, order=block.order, first=0, settings=STAGES, seed=seed
         )
         self.sensed = sense_scenes(self.scenes, settings=STAGES.sensing, seed=seed)
-        (plugin,) = registry.parse("mechanisms", mechanism)
+        (plugin,) = plugins.parse("mechanisms", mechanism)
         self.release = plugin.instance.share(self.sensed, stream(seed, "sharing", "block", 0))
         self.half = folds(self.tracks.group, seed=seed)
 
@@ -504,7 +504,7 @@ class TestStrangers:
 
     @pytest.mark.parametrize("name", QUICK)
     def test_the_built_in_attacks_gain_nothing_by_seeing_all_passes_at_once(self, tracks, name):
-        (own,) = registry.parse("attacks", name)
+        (own,) = plugins.parse("attacks", name)
         mechanisms = ("fid:1000,adding=independent",)
         found = computed(tracks, own, plugin(own.instance, "foreign"), mechanisms=mechanisms)
         compared = 0

@@ -8,12 +8,12 @@ from evaluation.cells import sample_tracks
 from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
 from evaluation.runs import gallery as gallery_file
-from isac_track import plugins as registry
+from isac_track import plugins
 from isac_track.errors import DataError
 
 
 def gallery(ready, *specs):
-    mechanisms = [plugin for spec in specs for plugin in registry.parse("mechanisms", spec)]
+    mechanisms = [plugin for spec in specs for plugin in plugins.parse("mechanisms", spec)]
     return sample_tracks.gallery_rows(
         tracks=ready.tracks,
         mechanisms=mechanisms,

@@ -13,7 +13,7 @@ from evaluation.cells.sharing import release_digest, sees_release_alone
 from evaluation.cells.work import Block, LinkWork, cells
 from evaluation.experiment.axes import axes
 from evaluation.experiment.settings import Settings
-from isac_track import plugins as registry
+from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.scenes import cut, track_order
 from isac_track.types import Release
@@ -24,7 +24,7 @@ ALIKE = ("fid:1", "fid:1.001", "fixed:0.75")
 
 
 def levels_of(*, consumers, specs=(*ALIKE, "fixed:0.3")):
-    return tuple((registry.parse("mechanisms", spec)[0], consumers) for spec in specs)
+    return tuple((plugins.parse("mechanisms", spec)[0], consumers) for spec in specs)
 
 
 def block_of(tracks):

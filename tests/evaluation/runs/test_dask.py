@@ -28,7 +28,7 @@ from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster
 from evaluation.runs.execute import FailedCellsWarning
 from evaluation.runs.failures import Failures, cells_of, specs_of
-from isac_track import plugins as registry
+from isac_track import plugins
 from isac_track.errors import SettingsError
 
 distributed = pytest.importorskip("distributed")
@@ -463,8 +463,8 @@ class TestADeathAtAnUnknownPlace:
     """Nobody knows at which cell the worker was: works are split until one cell is left."""
 
     def block(self, *specs):
-        mechanisms = [registry.parse("mechanisms", spec)[0] for spec in specs]
-        (predictor,) = registry.parse("predictors", "least_squares")
+        mechanisms = [plugins.parse("mechanisms", spec)[0] for spec in specs]
+        (predictor,) = plugins.parse("predictors", "least_squares")
         consumers = (Consumer("shared"), Consumer("predictor", predictor))
         levels = tuple((mechanism, consumers) for mechanism in mechanisms)
         return Block(number=3, first_scene=0, order=np.zeros((1, 1), int), levels=levels)

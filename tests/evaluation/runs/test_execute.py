@@ -17,8 +17,7 @@ from evaluation.experiment.settings import Settings
 from evaluation.results import build
 from evaluation.runs import folder
 from evaluation.runs.execute import FailedCellsWarning
-from isac_track import plugins as registry
-from isac_track import sharing
+from isac_track import plugins, sharing
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.rng import stream
@@ -46,8 +45,8 @@ def computed(tracks, *, spec="fid:100", stages=None, seed=0, predictor="least_sq
     stages = stages or StageSettings()
     known = cut(tracks, settings=stages, seed=seed)
     order = track_order(n_tracks=len(known), n_scenes=12, agents=stages.scenes.agents, seed=seed)
-    (mechanism,) = registry.parse("mechanisms", spec)
-    (forecaster,) = registry.parse("predictors", predictor)
+    (mechanism,) = plugins.parse("mechanisms", spec)
+    (forecaster,) = plugins.parse("predictors", predictor)
     consumers = (Consumer("shared"), Consumer("predictor", forecaster))
     block = Block(number=0, first_scene=0, order=order, levels=((mechanism, consumers),))
     found = cells(block, tracks=known, stages=stages, seed=seed)
