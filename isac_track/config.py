@@ -32,8 +32,9 @@ def _number(default: float, low: float, high: float, *, is_open: bool = False) -
 
 def _check_fields(settings: Any) -> None:  # noqa: ANN401 - of any stage
     """Check the type and the range of every field, however the settings were made."""
-    stages, types = _types_of(StageSettings), _types_of(type(settings))
+    stages = _types_of(StageSettings)
     (stage,) = (name for name, kind in stages.items() if type(settings) is kind)
+    types = _types_of(stages[stage])
     for item in fields(settings):
         name, value = f"{stage}.{item.name}", getattr(settings, item.name)
         annotation = types[item.name]
@@ -43,7 +44,8 @@ def _check_fields(settings: Any) -> None:  # noqa: ANN401 - of any stage
                 raise SettingsError(f"{name} must be one of {known}, got {_shown(value)}")
             continue
         kind, noun = (Integral, "whole number") if annotation is int else (Real, "number")
-        if not isinstance(value, kind) or isinstance(value, bool):
+        fits = isinstance(value, kind) and not isinstance(value, bool)
+        if not fits:
             raise SettingsError(f"{name} must be a {noun}, got {_shown(value)}")
         (low, high), is_open = item.metadata["range"], item.metadata["open"]
         if not (low < value < high if is_open else low <= value <= high):  # False for NaN
@@ -158,7 +160,8 @@ class SensingSettings:
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
 
-    __post_init__ = _check_fields
+    def __post_init__(self) -> None:
+        _check_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +182,8 @@ class ConflictSettings:
     probability_threshold: float = _number(0.5, 0, 1, is_open=True)
     """with `probability`: a conflict is declared at or above it"""
 
-    __post_init__ = _check_fields
+    def __post_init__(self) -> None:
+        _check_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +193,8 @@ class PrivacySettings:
     epsilon_m: float = _number(0.3, 1e-6, 1e4)
     """paper: a sample leaks when it lies closer than this to the truth"""
 
-    __post_init__ = _check_fields
+    def __post_init__(self) -> None:
+        _check_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +265,7 @@ class StageSettings:
                 hint = f"; did you mean {near[0]}?" if near else "; `--list` names all settings"
                 raise SettingsError(f"unknown setting {name!r}{hint}")
             stage, key = name.split(".")
-            annotation = _types_of(type(getattr(self, stage)))[key]
+            annotation = _types_of(_types_of(StageSettings)[stage])[key]
             per_stage.setdefault(stage, {})[key] = _parse(name, value, annotation)
         stages = {
             stage: replace(getattr(self, stage), **changes) for stage, changes in per_stage.items()

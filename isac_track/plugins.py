@@ -408,8 +408,9 @@ def _check_declared(kind: Kind, name: str, instance: object, origin: str) -> str
 
 
 def _is_default(value: object, item: dataclasses.Field[Any]) -> bool:
-    has_factory = item.default_factory is not dataclasses.MISSING
-    default = item.default_factory() if has_factory else item.default
+    default = item.default
+    if item.default_factory is not dataclasses.MISSING:
+        default = item.default_factory()
     try:
         return bool(value == default)
     except ValueError:  # arrays compare element by element

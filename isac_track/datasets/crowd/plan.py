@@ -224,7 +224,7 @@ def _gate_point(settings: CrowdSettings, gate: int, share: float, *, beyond_m: f
     """Return a point (2,) of a gate, `beyond_m` outside the plaza."""
     low, high = np.array(settings.area_m[:2]), np.array(settings.area_m[2:])
     side, centre = SIDE_CENTRES[gate]
-    point = low + (centre + GATE_WIDTH * (share - 0.5)) * (high - low)
+    point: Floats = low + (centre + GATE_WIDTH * (share - 0.5)) * (high - low)
     across = side % 2
     point[across] = low[across] - beyond_m if side in {0, 1} else high[across] + beyond_m
     return point
