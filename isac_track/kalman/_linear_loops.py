@@ -14,7 +14,7 @@ that its gain vanishes. A track's result thus does not depend on its neighbours.
 
 # Small matrices are spelled out, and compiled code has neither keywords nor objects to hide
 # arguments in.
-# ruff: noqa: C901, PLR0917
+# ruff: noqa: C901, PLR0912, PLR0917
 from __future__ import annotations
 
 from math import log, pi

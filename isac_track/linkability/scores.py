@@ -50,11 +50,8 @@ def auc(*, mated: Floats, non_mated: Floats) -> float:
     ValueError
         If a class is empty or a score is not finite.
     """
-    _check_classes(mated, non_mated)
-    ordered = np.sort(non_mated)
-    below = np.searchsorted(ordered, mated, side="left")
-    not_above = np.searchsorted(ordered, mated, side="right")
-    return float((below + not_above).sum() / (2.0 * mated.size * non_mated.size))
+    own, other = _counts(mated, non_mated)
+    return float(weighted_auc(own, other, accepted(other))[0])
 
 
 def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
@@ -109,13 +106,9 @@ def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float
         raise ValueError(f"alpha must lie in (0, 1), got {alpha}")
     if is_refused(non_mated.size, alpha):
         return float("nan"), float("nan")
-    thresholds = np.unique(mated)
-    fpr = 1.0 - np.searchsorted(np.sort(non_mated), thresholds, side="left") / non_mated.size
-    allowed = np.flatnonzero(fpr <= alpha + 1e-12)
-    if not allowed.size:
-        return 0.0, 0.0
-    best = allowed[0]
-    return float((mated >= thresholds[best]).mean()), float(fpr[best])
+    own, other = _counts(mated, non_mated)
+    (tpr,), (fpr,) = weighted_tpr(own, accepted(own), accepted(other), alpha)
+    return float(tpr), float(fpr)
 
 
 def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
@@ -258,6 +251,28 @@ def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tup
     return float(linked_share(p, q)), n_bins
 
 
+def accepted(mass: Floats) -> Floats:
+    """Return the mass in each cell and above, (R, K), of a mass in each of K ascending cells."""
+    return np.cumsum(mass[:, ::-1], axis=1)[:, ::-1]
+
+
+def weighted_auc(mated: Floats, non_mated: Floats, false: Floats) -> Floats:
+    """Return `auc`, (R,), of the mass of either class in K cells, and of those `accepted`."""
+    total = false[:, :1]
+    area = np.einsum("rk,rk->r", mated, total - false + non_mated / 2)
+    return area / (mated.sum(axis=1) * total[:, 0])
+
+
+def weighted_tpr(mated: Floats, true: Floats, false: Floats, alpha: float) -> tuple[Floats, Floats]:
+    """Return `tpr_at_fpr` likewise, never refused: TPR and FPR, (R,) each."""
+    # Rounding must not refuse a share that lies exactly at the level.
+    is_allowed = (false <= alpha * (1 + 1e-12) * false[:, :1]) & (mated > 0)
+    lane, lowest = np.arange(len(mated)), np.argmax(is_allowed, axis=1)
+    is_any = is_allowed[lane, lowest]
+    tpr, fpr = (np.where(is_any, mass[lane, lowest] / mass[:, 0], 0.0) for mass in (true, false))
+    return tpr, fpr
+
+
 def linked_share(p: Floats, q: Floats) -> Floats:
     """Return `d_sys` of histograms, (...,): shares of mated and non-mated scores, (..., bins)."""
     excess = np.zeros(p.shape)
@@ -290,12 +305,20 @@ def _check_classes(mated: Floats, non_mated: Floats) -> None:
             raise ValueError(f"{name} scores must be finite")
 
 
-def _hull_steps(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
-    """Return the steps in TPR and in FPR along the hull of the ROC, from the highest score."""
+def _counts(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
+    """Return how many scores of either class have each distinct value, (1, K), ascending."""
     _check_classes(mated, non_mated)
     distinct, place = np.unique(np.concatenate([mated, non_mated]), return_inverse=True)
-    true = np.bincount(place[: mated.size], minlength=distinct.size) / mated.size
-    false = np.bincount(place[mated.size :], minlength=distinct.size) / non_mated.size
+    own, other = (
+        np.bincount(places, minlength=distinct.size)[None].astype(np.float64)
+        for places in (place[: mated.size], place[mated.size :])
+    )
+    return own, other
+
+
+def _hull_steps(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
+    """Return the steps in TPR and in FPR along the hull of the ROC, from the highest score."""
+    true, false = (mass[0] / mass.sum() for mass in _counts(mated, non_mated))
     both = true + false
     starts = isotonic_regression(true / both, weights=both).blocks[:-1]
     return np.add.reduceat(true, starts)[::-1], np.add.reduceat(false, starts)[::-1]
