@@ -128,4 +128,5 @@ def velocity_prior(batch: Batch) -> Floats:
     """Return the prior variances, (2,), of a constant-velocity model, or raise ValueError."""
     if len(batch.prior_std) != 2:  # noqa: PLR2004
         raise ValueError(f"prior_std must have two numbers, got {len(batch.prior_std)}")
-    return np.square(batch.prior_std)
+    variance: Floats = np.square(batch.prior_std)
+    return variance

@@ -260,7 +260,8 @@ def weighted_auc(mated: Floats, non_mated: Floats, false: Floats) -> Floats:
     """Return `auc`, (R,), of the mass of either class in K cells, and of those `accepted`."""
     total = false[:, :1]
     area = np.einsum("rk,rk->r", mated, total - false + non_mated / 2)
-    return area / (mated.sum(axis=1) * total[:, 0])
+    share: Floats = area / (mated.sum(axis=1) * total[:, 0])
+    return share
 
 
 def weighted_tpr(mated: Floats, true: Floats, false: Floats, alpha: float) -> tuple[Floats, Floats]:

@@ -481,13 +481,12 @@ def _over_scales(results: Sequence[_Scale]) -> dict[str, Floats]:
 
     NaN where no scale has both classes, and where a TPR is refused.
     """
-    total = sum(result.mass for result in results)
-    with np.errstate(invalid="ignore"):
-        mean = {
-            name: sum(np.where(one.mass > 0, one.values[name], 0.0) * one.mass for one in results)
-            / total
-            for name in results[0].values
-        }
+    mass = np.stack([one.mass for one in results])
+    mean: dict[str, Floats] = {}
+    for name in results[0].values:
+        of_scale = np.where(mass > 0, [one.values[name] for one in results], 0.0)
+        with np.errstate(invalid="ignore"):
+            mean[name] = (of_scale * mass).sum(axis=0) / mass.sum(axis=0)
     n_non_mated = sum(result.n_non_mated for result in results)
     for name, alpha in _LEVELS.items():
         if is_refused(n_non_mated, alpha):
