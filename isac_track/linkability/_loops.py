@@ -40,14 +40,22 @@ _INTS2 = numba.types.Array(numba.int64, 2, "C", readonly=True)
 _OUT_INTS2 = numba.int64[:, ::1]
 
 
-@compiled(FLOATS2, _INTS2, FLOATS1, _OUT_INTS2, _OUT_INTS2, _OUT_INTS2)
+@compiled(FLOATS2, _INTS2, FLOATS1, FLOATS1, INTS1, OUT_FLOATS2, _OUT_INTS2, _OUT_INTS2)
 def rank_rows(
-    scores: Floats, order: Ints, breaks: Floats, above: Ints, tied: Ints, cell: Ints
+    scores: Floats,
+    order: Ints,
+    breaks: Floats,
+    log_factorial: Floats,
+    mate: Ints,
+    log_rank: Floats,
+    cell: Ints,
+    standing: Ints,
 ) -> None:
-    """Write how many stand above each score of its row, how many as high, and the score's cell.
+    """Write -log(rank / G), expected under ties, and the cell of every score.
 
-    `order` sorts each row, ascending; `breaks` ascends. Cell 2 k + 1 is the k-th break point,
-    cell 2 k the gap below it.
+    `order` sorts each row, ascending; `breaks` ascends. Cell 2 k + 1 is the k-th break point, cell
+    2 k the gap below it. `standing`, (P, 2), gets how many stand above the probe's mate and how
+    many as high.
     """
     n_probes, n_gallery = scores.shape
     for i in range(n_probes):
@@ -59,12 +67,16 @@ def rank_rows(
                 stop += 1
             while k < breaks.size and breaks[k] < score:
                 k += 1
-            is_break = k < breaks.size and breaks[k] == score
+            code = 2 * k + (k < breaks.size and breaks[k] == score)
+            above = n_gallery - stop
+            spread = log_factorial[n_gallery - start] - log_factorial[above]
+            value = np.log(n_gallery) - spread / (stop - start)
             for place in range(start, stop):
                 j = order[i, place]
-                above[i, j] = n_gallery - stop
-                tied[i, j] = stop - start
-                cell[i, j] = 2 * k + is_break
+                log_rank[i, j] = value
+                cell[i, j] = code
+                if j == mate[i]:
+                    standing[i, 0], standing[i, 1] = above, stop - start
             start = stop
 
 
@@ -179,45 +191,72 @@ def _x_log2_x(x: float) -> float:
     return x * np.log2(x) if x > 0 else 0.0
 
 
-@compiled(OUT_FLOATS2, OUT_FLOATS2, OUT_FLOATS1, OUT_FLOATS1)
-def hulls(mated: Floats, non_mated: Floats, eer: Floats, cllr_min: Floats) -> None:
-    """Write EER and Cllr_min from the convex hull of each ROC: pool adjacent violators.
+@part_of_loop
+def _read_thresholds(own: Floats, other: Floats, levels: Floats, out: Floats) -> None:
+    """Write the AUC, and TPR and FPR of the lowest threshold with FPR <= level."""
+    total_own, total_other = own.sum(), other.sum()
+    true, false, area = 0.0, 0.0, 0.0
+    out[3:] = 0.0
+    for k in range(own.size - 1, -1, -1):
+        true += own[k]
+        false += other[k]
+        area += own[k] * (total_other - false + other[k] / 2)
+        for number in range(levels.size):
+            # Rounding must not refuse a share that lies exactly at the level.
+            if own[k] > 0 and false <= levels[number] * (1 + 1e-12) * total_other:
+                out[3 + 2 * number] = true / total_own
+                out[4 + 2 * number] = false / total_other
+    out[0] = area / (total_own * total_other)
 
-    A row, (K,), holds the weights in each cell, from the lowest, and is overwritten.
+
+@part_of_loop
+def _read_hull(own: Floats, other: Floats, stack: Floats, out: Floats) -> None:
+    """Write EER and Cllr_min from the convex hull of the ROC: pool adjacent violators.
+
+    The cells are overwritten.
+    """
+    total_own, total_other = own.sum(), other.sum()
+    # Without mated scores a cell has the least likelihood ratio, and joins the one below.
+    size, waiting = own.size, 0.0
+    for k in range(own.size - 1, -1, -1):
+        m, n = own[k], other[k] + waiting
+        # Written without a branch, which no processor could predict.
+        own[size - 1] = m
+        other[size - 1] = n
+        size -= m > 0
+        waiting = 0.0 if m > 0 else n
+    depth = 0
+    for k in range(own.size - 1, size - 1, -1):
+        m, n = own[k], other[k]
+        # Downwards the likelihood ratio of a block must fall.
+        while depth > 0 and m * stack[depth - 1, 1] >= stack[depth - 1, 0] * n:
+            depth -= 1
+            m += stack[depth, 0]
+            n += stack[depth, 1]
+        stack[depth, 0], stack[depth, 1] = m, n
+        depth += 1
+    if waiting > 0:
+        stack[depth, 0], stack[depth, 1] = 0.0, waiting
+        depth += 1
+    miss, false, cost, eer = 1.0, 0.0, 0.0, -1.0
+    for k in range(depth):
+        m, n = stack[k, 0] / total_own, stack[k, 1] / total_other
+        cost += _x_log2_x(m + n) - _x_log2_x(m) - _x_log2_x(n)
+        if eer < 0 and miss - m <= false + n:
+            eer = false + n * (miss - false) / (m + n)
+        miss -= m
+        false += n
+    out[1], out[2] = eer, cost / 2
+
+
+@compiled(OUT_FLOATS2, OUT_FLOATS2, FLOATS1, OUT_FLOATS2)
+def read_rocs(mated: Floats, non_mated: Floats, levels: Floats, out: Floats) -> None:
+    """Write AUC, EER and Cllr_min, then TPR and FPR at each level, a row for each ROC.
+
+    A row of either class, (K,), holds the weights in each cell, from the lowest, and is
+    overwritten.
     """
     stack = np.empty((mated.shape[1] + 1, 2))
-    for lane in range(mated.shape[0]):
-        own, other = mated[lane], non_mated[lane]
-        total_own, total_other = own.sum(), other.sum()
-        # Without mated scores a cell has the least likelihood ratio, and joins the one below.
-        size, waiting = own.size, 0.0
-        for k in range(own.size - 1, -1, -1):
-            m, n = own[k], other[k] + waiting
-            # Written without a branch, which no processor could predict.
-            own[size - 1] = m
-            other[size - 1] = n
-            size -= m > 0
-            waiting = 0.0 if m > 0 else n
-        depth = 0
-        for k in range(own.size - 1, size - 1, -1):
-            m, n = own[k], other[k]
-            # Downwards the likelihood ratio of a block must fall.
-            while depth > 0 and m * stack[depth - 1, 1] >= stack[depth - 1, 0] * n:
-                depth -= 1
-                m += stack[depth, 0]
-                n += stack[depth, 1]
-            stack[depth, 0], stack[depth, 1] = m, n
-            depth += 1
-        if waiting > 0:
-            stack[depth, 0], stack[depth, 1] = 0.0, waiting
-            depth += 1
-        miss, false, cost = 1.0, 0.0, 0.0
-        eer[lane] = -1.0
-        for k in range(depth):
-            m, n = stack[k, 0] / total_own, stack[k, 1] / total_other
-            cost += _x_log2_x(m + n) - _x_log2_x(m) - _x_log2_x(n)
-            if eer[lane] < 0 and miss - m <= false + n:
-                eer[lane] = false + n * (miss - false) / (m + n)
-            miss -= m
-            false += n
-        cllr_min[lane] = cost / 2
+    for row in range(mated.shape[0]):
+        _read_thresholds(mated[row], non_mated[row], levels, out[row])
+        _read_hull(mated[row], non_mated[row], stack, out[row])

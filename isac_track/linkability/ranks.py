@@ -121,7 +121,10 @@ def log_rank(*, scores: Floats, mate: Ints) -> Floats:
     Parameters and errors are those of `rank1`.
     """
     _check_scores(scores, mate)
-    expected = expected_log_rank(*_standing(scores, mate), scores.shape[1])
+    (above, tied), n_gallery = _standing(scores, mate), scores.shape[1]
+    log_factorial = log_factorials(n_gallery)
+    spread = log_factorial[above + tied] - log_factorial[above]
+    expected: Floats = math.log(n_gallery) - spread / tied
     expected[mate < 0] = np.nan
     return expected
 
@@ -191,8 +194,9 @@ def assign(
 
 def chance(searches: Sequence[Search]) -> float:
     """Return the expected rank-1 rate of guessing: the mean of 1 / G over mated probes."""
-    chances = np.concatenate([chances_of(search) for search in searches])
-    return float(chances.mean()) if chances.size else float("nan")
+    counts = np.array([(search.mate >= 0).sum() for search in searches])
+    sizes = np.array([search.scores.shape[1] for search in searches])
+    return float(np.average(1.0 / sizes, weights=counts)) if counts.any() else float("nan")
 
 
 def residual_risk(*, success: float, control: float) -> float:
@@ -201,11 +205,6 @@ def residual_risk(*, success: float, control: float) -> float:
     Negative where the attack is worse, 1 where it always succeeds, NaN where the control does.
     """
     return (success - control) / (1.0 - control) if control != 1.0 else float("nan")
-
-
-def chances_of(search: Search) -> Floats:
-    """Return 1 / G for every mated probe."""
-    return np.full(int((search.mate >= 0).sum()), 1.0 / search.scores.shape[1])
 
 
 def expected_hit(above: Ints, tied: Ints) -> Floats:
@@ -220,12 +219,9 @@ def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:
     return expected
 
 
-def expected_log_rank(above: Ints, tied: Ints, n_gallery: int) -> Floats:
-    """Return `log_rank` likewise."""
-    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n_gallery + 1)))])
-    spread = log_factorial[above + tied] - log_factorial[above]
-    expected: Floats = math.log(n_gallery) - spread / tied
-    return expected
+def log_factorials(n: int) -> Floats:
+    """Return log k! for 0..n, (n + 1,)."""
+    return np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
 
 
 def _standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:

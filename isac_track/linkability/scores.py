@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import isotonic_regression
-from scipy.special import expit, xlogy
+from scipy.special import expit
+
+from isac_track.linkability.significance import import_loops
 
 if TYPE_CHECKING:
     from isac_track.types import Floats
@@ -50,8 +52,7 @@ def auc(*, mated: Floats, non_mated: Floats) -> float:
     ValueError
         If a class is empty or a score is not finite.
     """
-    own, other = _counts(mated, non_mated)
-    return float(weighted_auc(own, other, accepted(other))[0])
+    return float(_read(mated, non_mated)[0])
 
 
 def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
@@ -59,11 +60,14 @@ def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
 
     Parameters and errors are those of `auc`.
     """
-    true, false = _hull_steps(mated, non_mated)
-    return (
-        np.concatenate([[0.0], np.cumsum(false)]),
-        np.concatenate([[0.0], np.cumsum(true)]),
+    true, false = (mass[0] / mass.sum() for mass in _counts(mated, non_mated))
+    both = true + false
+    starts = isotonic_regression(true / both, weights=both).blocks[:-1]
+    fpr, tpr = (
+        np.concatenate([[0.0], np.cumsum(np.add.reduceat(share, starts)[::-1])])
+        for share in (false, true)
     )
+    return fpr, tpr
 
 
 def eer(*, mated: Floats, non_mated: Floats) -> float:
@@ -73,11 +77,7 @@ def eer(*, mated: Floats, non_mated: Floats) -> float:
 
     Parameters and errors are those of `auc`.
     """
-    fpr, tpr = roc_hull(mated=mated, non_mated=non_mated)
-    gap = tpr + fpr - 1.0  # rises from -1 to 1
-    end = int(np.argmax(gap >= 0.0))
-    step = gap[end - 1] / (gap[end - 1] - gap[end])
-    return float(fpr[end - 1] + step * (fpr[end] - fpr[end - 1]))
+    return float(_read(mated, non_mated)[1])
 
 
 def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float, float]:
@@ -106,8 +106,7 @@ def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float
         raise ValueError(f"alpha must lie in (0, 1), got {alpha}")
     if is_refused(non_mated.size, alpha):
         return float("nan"), float("nan")
-    own, other = _counts(mated, non_mated)
-    (tpr,), (fpr,) = weighted_tpr(own, accepted(own), accepted(other), alpha)
+    *_, tpr, fpr = _read(mated, non_mated, alpha)
     return float(tpr), float(fpr)
 
 
@@ -205,11 +204,7 @@ def cllr_min(*, mated: Floats, non_mated: Floats) -> float:
 
     Parameters and errors are those of `auc`. It is optimistic: the calibration has seen the answer.
     """
-    true, false = _hull_steps(mated, non_mated)
-    both = true + false
-    return float((xlogy(both, both) - xlogy(true, true) - xlogy(false, false)).sum()) / (
-        2.0 * math.log(2.0)
-    )
+    return float(_read(mated, non_mated)[2])
 
 
 def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tuple[float, int]:
@@ -249,29 +244,6 @@ def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tup
         for x in (mated, non_mated)
     )
     return float(linked_share(p, q)), n_bins
-
-
-def accepted(mass: Floats) -> Floats:
-    """Return the mass in each cell and above, (R, K), of a mass in each of K ascending cells."""
-    return np.cumsum(mass[:, ::-1], axis=1)[:, ::-1]
-
-
-def weighted_auc(mated: Floats, non_mated: Floats, false: Floats) -> Floats:
-    """Return `auc`, (R,), of the mass of either class in K cells, and of those `accepted`."""
-    total = false[:, :1]
-    area = np.einsum("rk,rk->r", mated, total - false + non_mated / 2)
-    share: Floats = area / (mated.sum(axis=1) * total[:, 0])
-    return share
-
-
-def weighted_tpr(mated: Floats, true: Floats, false: Floats, alpha: float) -> tuple[Floats, Floats]:
-    """Return `tpr_at_fpr` likewise, never refused: TPR and FPR, (R,) each."""
-    # Rounding must not refuse a share that lies exactly at the level.
-    is_allowed = (false <= alpha * (1 + 1e-12) * false[:, :1]) & (mated > 0)
-    lane, lowest = np.arange(len(mated)), np.argmax(is_allowed, axis=1)
-    is_any = is_allowed[lane, lowest]
-    tpr, fpr = (np.where(is_any, mass[lane, lowest] / mass[:, 0], 0.0) for mass in (true, false))
-    return tpr, fpr
 
 
 def linked_share(p: Floats, q: Floats) -> Floats:
@@ -317,9 +289,10 @@ def _counts(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
     return own, other
 
 
-def _hull_steps(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
-    """Return the steps in TPR and in FPR along the hull of the ROC, from the highest score."""
-    true, false = (mass[0] / mass.sum() for mass in _counts(mated, non_mated))
-    both = true + false
-    starts = isotonic_regression(true / both, weights=both).blocks[:-1]
-    return np.add.reduceat(true, starts)[::-1], np.add.reduceat(false, starts)[::-1]
+def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
+    """Return AUC, EER and Cllr_min, then TPR and FPR at each level."""
+    out = np.empty((1, 3 + 2 * len(levels)))
+    own, other = _counts(mated, non_mated)
+    import_loops().read_rocs(own, other, np.array(levels, dtype=np.float64), out)
+    read: Floats = out[0]
+    return read

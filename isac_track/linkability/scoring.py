@@ -26,18 +26,14 @@ from isac_track.intervals import (
 from isac_track.linkability.ranks import (
     assign,
     expected_hit,
-    expected_log_rank,
     expected_reciprocal,
     residual_risk,
 )
 from isac_track.linkability.scores import (
-    accepted,
     default_bins,
     inner_edges,
     is_refused,
     linked_share,
-    weighted_auc,
-    weighted_tpr,
 )
 from isac_track.linkability.significance import (
     add_shuffles,
@@ -65,6 +61,11 @@ deviations of the estimate (0.08 from 1,000)."""
 
 _METRICS = ("auc", "eer", "cllr_min", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct", "d_sys", "cllr")
 _LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
+_COLUMNS = (
+    *("auc", "eer", "cllr_min"),
+    *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
+)
+"""What the loop over the ROCs writes."""
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
 """Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
 _NO_SPREAD = 1e-12
@@ -184,12 +185,12 @@ class _Trial:
     """What one search gives beside its scores."""
 
     search: Search
-    above: Ints
-    """(P,) as in `ProbeRanks`, and the next two."""
-    tied: Ints
-    assigned: Ints
     cell: Ints
     """(P, G) of every score."""
+    standing: Ints
+    """(P, 2) `above` and `tied` of `ProbeRanks`."""
+    assigned: Ints
+    """(P,) as there."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -286,28 +287,30 @@ def scorecard(
         lacks a scale, or if `no_match_score` is not as long as `searches`.
     """
     check_searches(searches, n_shuffles)
-    _check(searches, weights, calibration, no_match_score)
+    scales = sorted({search.scale for search in searches})
+    if calibration is not None and not calibration.keys() >= set(scales):
+        raise ValueError(f"calibration lacks the scales {sorted(set(scales) - set(calibration))}")
+    if no_match_score is not None and len(no_match_score) != len(searches):
+        raise ValueError(
+            f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
+        )
+    last = max(int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches)
+    if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004
+        raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
     cells = {
         scale: _cut([search for search in searches if search.scale == scale], n_shuffles)
-        for scale in sorted({search.scale for search in searches})
+        for scale in scales
     }
     null, observed = np.zeros(n_shuffles), 0.0
     trials = []
-    for search, least in zip(searches, no_match_score or [None] * len(searches), strict=True):
-        cut, rows = cells[search.scale], np.arange(search.mate.size)
-        above, tied, cell = rank_rows(search.scores, cut.breaks)
+    no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
+    for search, least in zip(searches, no_match, strict=True):
+        cut = cells[search.scale]
+        log_rank, cell, standing = rank_rows(search, cut.breaks)
         assigned = assign(scores=search.scores, rng=rng, no_match_score=least)
-        log_rank = expected_log_rank(above, tied, search.scores.shape[1])
         observed += add_shuffles(search, log_rank, cut.bins[cell], rng, null, cut.null_bins)
-        trials.append(
-            _Trial(
-                search,
-                above=np.where(search.mate < 0, -1, above[rows, search.mate]),
-                tied=np.where(search.mate < 0, 0, tied[rows, search.mate]),
-                assigned=np.where(assigned < 0, -1, assigned == search.mate),
-                cell=cell,
-            )
-        )
+        assigned = np.where(assigned < 0, -1, assigned == search.mate)
+        trials.append(_Trial(search, cell, standing, assigned))
     results = [
         _score_scale(
             [trial for trial in trials if trial.search.scale == scale],
@@ -318,9 +321,10 @@ def scorecard(
         for scale, cut in cells.items()
     ]
     sizes = [search.scores.shape[1] for search in searches]
+    above, tied = np.concatenate([trial.standing for trial in trials]).T
     probes = ProbeRanks(
-        above=np.concatenate([trial.above for trial in trials]),
-        tied=np.concatenate([trial.tied for trial in trials]),
+        above=above,
+        tied=tied,
         chance=np.repeat(1.0 / np.array(sizes), [search.mate.size for search in searches]),
         assigned=np.concatenate([trial.assigned for trial in trials]),
         cluster=np.concatenate([search.probe_cluster for search in searches]),
@@ -349,24 +353,6 @@ def scorecard(
             n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
         ),
     )
-
-
-def _check(
-    searches: Sequence[Search],
-    weights: Floats,
-    calibration: Mapping[int, Calibration] | None,
-    no_match_score: Sequence[float] | None,
-) -> None:
-    missing = {search.scale for search in searches}.difference(calibration or ())
-    if calibration is not None and missing:
-        raise ValueError(f"calibration lacks the scales {sorted(missing)}")
-    if no_match_score is not None and len(no_match_score) != len(searches):
-        raise ValueError(
-            f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
-        )
-    last = max(int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches)
-    if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004
-        raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
 
 
 def _cut(searches: Sequence[Search], n_shuffles: int) -> _Cells:
@@ -407,7 +393,7 @@ def _score_scale(
         np.concatenate(second),
         mates=np.flatnonzero(np.concatenate(is_mate)),
         cell=np.concatenate([trial.cell.ravel() for trial in trials]),
-        scores=np.concatenate([s.scores.ravel() for s in searches]).astype(np.float64),
+        scores=np.concatenate([s.scores.ravel() for s in searches], dtype=np.float64),
     )
     # Replicate 0 weighs every cluster once: the data.
     rows = np.ones((clusters.size + 1, 1 + len(weights)))
@@ -421,18 +407,13 @@ def _score_scale(
     n_non_mated = pairs.cell.size - n_mated
     bias = math.nan
     if n_mated and n_non_mated:
-        total_bins = np.bincount(cut.bins[pairs.cell], minlength=n_bins)
+        counts = np.bincount(pairs.cell, minlength=cut.bins.size)
+        total_bins = np.bincount(cut.bins, weights=counts, minlength=n_bins)
         null, others = cut.null_bins / n_mated, (total_bins - cut.null_bins) / n_non_mated
         bias = float(linked_share(null, others).mean())
 
     values = {"cllr": np.full(is_defined.size, np.nan)}
     with np.errstate(divide="ignore", invalid="ignore"):
-        true, false = accepted(mated), accepted(non_mated)
-        values["auc"] = weighted_auc(mated, non_mated, false)
-        for name, alpha in _LEVELS.items():
-            values[name], values[name.replace("tpr_at", "realised")] = weighted_tpr(
-                mated, true, false, alpha
-            )
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
         p, q = (np.add.reduceat(mass, starts, axis=1) for mass in (mated, non_mated))
         values["d_sys"] = linked_share(p / total_mated[:, None], q / total_non_mated[:, None])
@@ -440,8 +421,9 @@ def _score_scale(
             mated_cost, non_mated_cost = _costs(pairs, rows, calibration)
             both = mated_cost / total_mated + non_mated_cost / total_non_mated
             values["cllr"] = both / (2.0 * math.log(2.0))
-    values["eer"], values["cllr_min"] = np.empty((2, is_defined.size))
-    import_loops().hulls(mated, non_mated, values["eer"], values["cllr_min"])
+    columns = np.empty((is_defined.size, 7))
+    import_loops().read_rocs(mated, non_mated, np.array(list(_LEVELS.values())), columns)
+    values |= dict(zip(_COLUMNS, columns.T, strict=True))
     values = {name: np.where(is_defined, of, np.nan) for name, of in values.items()}
     mass = np.where(is_defined, total_mated, 0.0)
     return _Scale(values, mass, bias, n_mated, n_non_mated, n_bins)

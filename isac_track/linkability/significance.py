@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from scipy.special import bdtrc, betaincinv, gammaln, xlog1py, xlogy
 
-from isac_track.linkability.ranks import expected_log_rank
+from isac_track.linkability.ranks import log_factorials
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,8 +73,7 @@ def permutation_p(
     null, nowhere = np.zeros(n_shuffles), np.zeros((n_shuffles, 1))
     observed = 0.0
     for search in searches:
-        above, tied, _ = rank_rows(search.scores, np.empty(0))
-        log_rank = expected_log_rank(above, tied, search.scores.shape[1])
+        log_rank, _, _ = rank_rows(search, np.empty(0))
         one_bin = np.zeros(log_rank.shape, dtype=np.uint8)
         observed += add_shuffles(search, log_rank, one_bin, rng, null, nowhere)
     return p_value_among(observed, null)
@@ -186,15 +185,20 @@ def check_searches(searches: Sequence[Search], n_shuffles: int) -> None:
         raise ValueError(f"n_shuffles must be at least 999, got {n_shuffles}")
 
 
-def rank_rows(scores: Floats, breaks: Floats) -> tuple[Ints, Ints, Ints]:
-    """Return how many score above each candidate, how many as high, and its cell, (P, G) each.
+def rank_rows(search: Search, breaks: Floats) -> tuple[Floats, Ints, Ints]:
+    """Return `log_rank` of every column were it the mate, (P, G), and the cell of its score.
 
-    Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it.
+    Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it. And of each
+    probe, (P, 2), how many stand above its mate and how many as high; -1 and 0 without one.
     """
-    scores = np.ascontiguousarray(scores, dtype=np.float64)
-    above, tied, cell = np.empty((3, *scores.shape), dtype=np.int64)
-    import_loops().rank_rows(scores, np.argsort(scores, axis=1), breaks, above, tied, cell)
-    return above, tied, cell
+    scores = np.ascontiguousarray(search.scores, dtype=np.float64)
+    log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int64)
+    standing = np.tile(np.array([-1, 0]), (len(scores), 1))
+    import_loops().rank_rows(
+        *(scores, np.argsort(scores, axis=1), breaks, log_factorials(scores.shape[1])),
+        *(np.ascontiguousarray(search.mate, dtype=np.int64), log_rank, cell, standing),
+    )
+    return log_rank, cell, standing
 
 
 def add_shuffles(
