@@ -11,15 +11,13 @@ import sys
 
 import numpy as np
 
-from isac_track import datasets, plugins
+from isac_track import datasets, kalman, plugins
 from isac_track.config import StageSettings
 from isac_track.errors import DataError
-from isac_track.kalman import kalman_last
 from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
-from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM, filter_arguments
-from predictors.recent import recent
+from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM
 
 LEVELS = ("raw", "fixed:0.7,adding=independent", "fid:1,adding=independent")
 N_SCENES = 100
@@ -55,26 +53,20 @@ def main() -> int:
 
 def _nis(tracker: KalmanCV, shared: object) -> float:
     """Return the mean NIS behind the start-up of 32 samples."""
-    seen = recent(shared, window=tracker.window)  # type: ignore[arg-type]
-    d, arguments = tracker.states, filter_arguments(seen, tracker) | {"gate": np.inf}
-    sizes = np.diff(seen.offsets)
+    batch, d = tracker.batch(shared), tracker.states  # type: ignore[arg-type]
+    sizes = np.diff(batch.offsets)
     found = []
     for k in range(32, int(sizes.max(initial=0))):
-        long = np.flatnonzero(sizes > k)
-        now = seen.offsets[long] + k
-        rows = (seen.offsets[long][:, None] + np.arange(k)).ravel()
-        last = kalman_last(
-            model=tracker.model,
-            **arguments
-            | {name: arguments[name][rows] for name in ("t", "xy", "variance")}
-            | {name: arguments[name][long] for name in ("initial_mean", "initial_cov")}
-            | {"offsets": k * np.arange(long.size + 1)},
-        )
-        step = seen.t[now] - seen.t[now - 1]
+        now = batch.offsets[:-1][sizes > k] + k
+        rows = (now[:, None] - k + np.arange(k)).ravel()
+        samples = (array[rows] for array in (batch.t, batch.xy, batch.variance))
+        begun = kalman.Batch(*samples, k * np.arange(now.size + 1), batch.prior_std)
+        last = kalman.kalman_last(begun, q=tracker.q)
+        step = batch.t[now] - batch.t[now - 1]
         h = step[:, None] ** np.arange(d) / np.array([1.0, 1.0, 2.0])[:d]
         grown = tracker.q * step ** (2 * d - 1) / (3.0 if d == 2 else 20.0)
-        spread = np.einsum("nd,nde,ne->n", h, last.cov, h) + grown + arguments["variance"][now]
-        gap = seen.xy[now] - np.einsum("nd,nad->na", h, last.mean)
+        spread = np.einsum("nd,nde,ne->n", h, last.cov, h) + grown + batch.variance[now]
+        gap = batch.xy[now] - np.einsum("nd,nad->na", h, last.mean)
         found.append((gap**2).sum(axis=1) / spread)
     return float(np.concatenate(found).mean())
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from dataclasses import dataclass
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -28,7 +28,7 @@ from isac_track.rng import stream
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from isac_track.types import Floats, Ints
+    from isac_track.types import Floats
 
 Q = 0.3
 STEP_S = 0.08
@@ -36,33 +36,22 @@ TOLERANCE = 1e-9
 H = np.kron(np.eye(2), [[1.0, 0.0]])
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Walks:
-    """N tracks that move by the model, all of the same number of samples."""
-
-    t: Floats
-    """(M,) s"""
-    xy: Floats
-    """(M, 2) m"""
-    variance: Floats
-    """(M,) m^2"""
-    offsets: Ints
-    """(N + 1,)"""
-    initial_mean: Floats
-    """(N, 2, 2)"""
-    initial_cov: Floats
-    """(N, 2, 2)"""
-
-    def first(self, n_tracks: int) -> Walks:
-        """Return the first few tracks."""
-        end = self.offsets[n_tracks]
-        return Walks(
-            *(self.t[:end], self.xy[:end], self.variance[:end], self.offsets[: n_tracks + 1]),
-            *(self.initial_mean[:n_tracks], self.initial_cov[:n_tracks]),
-        )
+def first(batch: kalman.Batch, n_tracks: int) -> kalman.Batch:
+    """Return the first few tracks."""
+    end = batch.offsets[n_tracks]
+    return kalman.Batch(
+        *(batch.t[:end], batch.xy[:end], batch.variance[:end]),
+        *(batch.offsets[: n_tracks + 1], batch.prior_std),
+    )
 
 
-def walks(*, n_tracks: int, n_samples: int, constant: bool) -> Walks:
+def prior(batch: kalman.Batch, xy: Floats) -> tuple[Floats, Floats]:
+    """Return mean and covariance of (x, vx, y, vy) before the first sample of a track."""
+    mean = np.array([xy[0, 0], 0.0, xy[0, 1], 0.0])
+    return mean, np.kron(np.eye(2), np.diag(batch.prior_std) ** 2)
+
+
+def walks(*, n_tracks: int, n_samples: int, constant: bool) -> kalman.Batch:
     """Simulate; steps and noise are constant or differ from sample to sample."""
     rng = stream(0, "benchmark", "kernels")
     shape = (n_tracks, n_samples)
@@ -81,13 +70,12 @@ def walks(*, n_tracks: int, n_samples: int, constant: bool) -> Walks:
         xy[:, k] = state[:, [0, 2]] + np.sqrt(variance[:, k, None]) * rng.standard_normal(
             (n_tracks, 2)
         )
-    return Walks(
+    return kalman.Batch(
         t=np.cumsum(steps, axis=1).round(6).ravel(),
         xy=xy.reshape(-1, 2),
         variance=variance.ravel(),
         offsets=np.arange(n_tracks + 1) * n_samples,
-        initial_mean=np.zeros((n_tracks, 2, 2)),
-        initial_cov=np.tile(np.diag([10.0, 2.0]), (n_tracks, 1, 1)),
+        prior_std=(3.0, 1.5),
     )
 
 
@@ -100,35 +88,21 @@ def matrices(steps: Floats) -> tuple[Floats, Floats]:
     return np.kron(np.eye(2), axis), np.kron(np.eye(2), axis_noise)
 
 
-def ours(batch: Walks) -> tuple[Floats, Floats]:
+def ours(batch: kalman.Batch) -> tuple[Floats, Floats]:
     """Filter and smooth; (M, 2) positions and their variance per axis, (M,)."""
-    return kalman.smooth_positions(**settings(batch))
+    return kalman.smooth_positions(batch, q=Q)
 
 
-def settings(batch: Walks) -> dict[str, Any]:
-    """Return the arguments of our filter."""
-    return {
-        "t": batch.t,
-        "xy": batch.xy,
-        "variance": batch.variance,
-        "offsets": batch.offsets,
-        "q": Q,
-        "initial_mean": batch.initial_mean,
-        "initial_cov": batch.initial_cov,
-    }
-
-
-def filterpy(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
+def filterpy(batch: kalman.Batch) -> Callable[[], tuple[Floats, Floats]]:
     """One KalmanFilter a track: predict, update, then its rts_smoother."""
     from filterpy.kalman import KalmanFilter
 
     def run() -> tuple[Floats, Floats]:
         means, covs = [], []
-        for i, (f, q, xy, noise) in enumerate(per_track):
+        for f, q, xy, noise in per_track:
             kf = KalmanFilter(dim_x=4, dim_z=2)
             kf.H = H
-            kf.x = batch.initial_mean[i].ravel()
-            kf.P = np.kron(np.eye(2), batch.initial_cov[i])
+            kf.x, kf.P = prior(batch, xy)
             mean, cov = np.empty((len(xy), 4)), np.empty((len(xy), 4, 4))
             for k in range(len(xy)):
                 kf.predict(F=f[k], Q=q[k])
@@ -147,20 +121,21 @@ def filterpy(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
     return run
 
 
-def pykalman(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
+def pykalman(batch: kalman.Batch) -> Callable[[], tuple[Floats, Floats]]:
     """One KalmanFilter a track, with matrices per step; its smooth does both passes."""
     from pykalman import KalmanFilter
 
     filters = []
-    for i, (t, xy, r) in enumerate(split(batch)):
+    for t, xy, r in split(batch):
         f, q = matrices(np.diff(t))
+        mean, cov = prior(batch, xy)
         kf = KalmanFilter(
             transition_matrices=f,
             observation_matrices=H,
             transition_covariance=q,
             observation_covariance=r[:, None, None] * np.eye(2),
-            initial_state_mean=batch.initial_mean[i].ravel(),
-            initial_state_covariance=np.kron(np.eye(2), batch.initial_cov[i]),
+            initial_state_mean=mean,
+            initial_state_covariance=cov,
         )
         filters.append((kf, xy))
 
@@ -171,7 +146,7 @@ def pykalman(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
     return run
 
 
-def stonesoup(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
+def stonesoup(batch: kalman.Batch) -> Callable[[], tuple[Floats, Floats]]:
     """Predictor, updater and smoother over detections that carry their noise."""
     from stonesoup.models.measurement.linear import LinearGaussian
     from stonesoup.models.transition.linear import (
@@ -204,10 +179,11 @@ def stonesoup(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
 
     def run() -> tuple[Floats, Floats]:
         means, covs = [], []
-        for i, detections in enumerate(tracks):
+        for (_, xy, _), detections in zip(split(batch), tracks, strict=True):
+            mean, cov = prior(batch, xy)
             prediction = GaussianStatePrediction(
-                batch.initial_mean[i].reshape(4, 1),
-                np.kron(np.eye(2), batch.initial_cov[i]),
+                mean[:, None],
+                cov,
                 timestamp=detections[0].timestamp,
                 transition_model=model,
             )
@@ -224,11 +200,11 @@ def stonesoup(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
     return run
 
 
-def simdkalman(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
+def simdkalman(batch: kalman.Batch) -> Callable[[], tuple[Floats, Floats]]:
     """All tracks at once; one step and one noise for all, both axes as series of their own."""
     from simdkalman import KalmanFilter
 
-    n_tracks = batch.offsets.size - 1
+    n_tracks = len(batch)
     f, q = matrices(np.array(STEP_S))
     kf = KalmanFilter(
         state_transition=f[:2, :2],
@@ -236,22 +212,25 @@ def simdkalman(batch: Walks) -> Callable[[], tuple[Floats, Floats]]:
         observation_model=H[:1, :2],
         observation_noise=batch.variance[0],
     )
-    series = batch.xy.reshape(n_tracks, -1, 2).swapaxes(1, 2).reshape(2 * n_tracks, -1)
+    start = batch.xy[batch.offsets[:-1]]
+    from_start = batch.xy.reshape(n_tracks, -1, 2) - start[:, None]
+    series = from_start.swapaxes(1, 2).reshape(2 * n_tracks, -1)
 
     def run() -> tuple[Floats, Floats]:
         states = kf.smooth(
             series,
             initial_value=np.zeros(2),
-            initial_covariance=batch.initial_cov[0],
+            initial_covariance=np.diag(batch.prior_std) ** 2,
             observations=False,
         ).states
-        mean = states.mean.reshape(n_tracks, 2, -1, 2).swapaxes(1, 2).reshape(-1, 4)
-        return mean, states.cov[::2].reshape(-1, 2, 2)
+        mean = states.mean.reshape(n_tracks, 2, -1, 2).swapaxes(1, 2)
+        mean[..., 0] += start[:, None]
+        return mean.reshape(-1, 4), states.cov[::2].reshape(-1, 2, 2)
 
     return run
 
 
-def split(batch: Walks) -> list[tuple[Floats, Floats, Floats]]:
+def split(batch: kalman.Batch) -> list[tuple[Floats, Floats, Floats]]:
     """Return (t, xy, variance) of each track."""
     inner = batch.offsets[1:-1]
     parts = (np.split(array, inner) for array in (batch.t, batch.xy, batch.variance))
@@ -268,7 +247,7 @@ def best(run: Callable[[], object], *, repeats: int) -> float:
     return min(times)
 
 
-def check(name: str, result: tuple[Floats, Floats], batch: Walks) -> float:
+def check(name: str, result: tuple[Floats, Floats], batch: kalman.Batch) -> float:
     """Return the largest difference from ours; stop if it is not a rounding error."""
     mean, cov = result
     positions = (mean[:, ::2], cov[:, 0, 0])
@@ -281,11 +260,11 @@ def check(name: str, result: tuple[Floats, Floats], batch: Walks) -> float:
     return worst
 
 
-def compare(title: str, batch: Walks, peers: dict[str, tuple[Any, int]]) -> None:
+def compare(title: str, batch: kalman.Batch, peers: dict[str, tuple[Any, int]]) -> None:
     """Print a table of times per filtered-and-smoothed sample."""
     # many repeats: ours take milliseconds, and other work on the machine comes in bursts
     mine = best(lambda: ours(batch), repeats=50) / batch.t.size
-    print(f"\n{title}: {batch.offsets.size - 1:,} walks, {batch.t.size:,} samples\n")
+    print(f"\n{title}: {len(batch):,} walks, {batch.t.size:,} samples\n")
     print("| library | us per sample | ratio | largest difference |")
     print("|---|---:|---:|---:|")
     print(f"| isac_track.kalman | {1e6 * mine:.4f} | 1 | |")
@@ -293,7 +272,7 @@ def compare(title: str, batch: Walks, peers: dict[str, tuple[Any, int]]) -> None
         if find_spec(name) is None:
             print(f"| {name} | missing: `pip install {name}` | | |")
             continue
-        part = batch.first(n_tracks)
+        part = first(batch, n_tracks)
         run = build(part)
         worst = check(name, run(), part)
         theirs = best(run, repeats=3) / part.t.size
@@ -301,26 +280,16 @@ def compare(title: str, batch: Walks, peers: dict[str, tuple[Any, int]]) -> None
         print(f"| {label} | {1e6 * theirs:.3g} | {theirs / mine:,.0f} | {worst:.0e} |")
 
 
-def all_models(batch: Walks) -> None:
+def all_models(batch: kalman.Batch) -> None:
     """Print a table of our own times: every model, every function."""
-    n_tracks = batch.offsets.size - 1
-    cv = settings(batch)
-    ca = cv | {
-        "initial_mean": np.zeros((n_tracks, 2, 3)),
-        "initial_cov": np.tile(np.diag([10.0, 2.0, 1.0]), (n_tracks, 1, 1)),
-    }
-    chain = {"q": np.array([0.05, Q]), "rates": np.full((2, 2), 0.2)}
-    imm = cv | chain | {"initial_probability": np.array([0.5, 0.5])}
-    filtered = kalman.imm_filter(**imm)
+    accelerated = replace(batch, prior_std=(3.0, 1.5, 1.0))
+    moods = kalman.Moods((0.05, Q), (4.0, 4.0))
     runs: dict[str, Callable[[], object]] = {
-        "cv, last state": lambda: kalman.kalman_last(model="cv", **cv),
-        "cv, smoothed positions": lambda: kalman.smooth_positions(**cv),
-        "ca, last state": lambda: kalman.kalman_last(model="ca", **ca),
-        "imm of 2 modes, last state": lambda: kalman.imm_last(**imm),
-        "imm of 2 modes, every state": lambda: kalman.imm_filter(**imm),
-        "imm of 2 modes, smoother": lambda: kalman.imm_smoother(
-            t=batch.t, offsets=batch.offsets, filtered=filtered, **chain
-        ),
+        "cv, last state": lambda: kalman.kalman_last(batch, q=Q),
+        "cv, smoothed positions": lambda: kalman.smooth_positions(batch, q=Q),
+        "ca, last state": lambda: kalman.kalman_last(accelerated, q=Q),
+        "imm, last state": lambda: kalman.imm_last(batch, moods),
+        "imm, smoothed positions": lambda: kalman.imm_smoother(batch, moods),
     }
     print("\nEvery model, us per sample\n")
     print("| what | time |")

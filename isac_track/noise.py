@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.kalman.arguments import floats, ragged_times
+from isac_track.kalman.batch import floats, ragged_times
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
@@ -42,9 +41,16 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
         If shapes disagree, a number is not finite or times do not increase.
     """
     t, offsets = ragged_times(t, offsets)
-    variance = np.empty(offsets.size - 1)
-    loops = import_module("isac_track.kalman._linear_loops")
-    loops.innovation_level(t, floats("xy", xy, (t.size, 2)), offsets, variance)
-    variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
+    xy = floats("xy", xy, (t.size, 2))
+    sizes = np.diff(offsets)
+    # Every sample but the first two of each track.
+    k = np.flatnonzero(np.arange(t.size) - np.repeat(offsets[:-1], sizes) >= _LEAST_SAMPLES - 1)
+    ratio = (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
+    error = xy[k] - xy[k - 1] - ratio[:, None] * (xy[k - 1] - xy[k - 2])
+    square = (error**2).sum(axis=1) / (1 + (1 + ratio) ** 2 + ratio**2)
+    track = np.repeat(np.arange(sizes.size), np.maximum(sizes - 2, 0))
+    total = np.bincount(track, weights=square, minlength=sizes.size)
+    variance = total / (2 * np.maximum(sizes - 2, 1))
+    variance[sizes < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
     found: Floats = np.maximum(variance, MIN_VARIANCE_M2)
     return found

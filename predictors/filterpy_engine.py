@@ -14,67 +14,42 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import IMMEstimator, KalmanFilter
-from scipy.linalg import block_diag, expm
+from scipy.linalg import expm
 
 from isac_track.kalman import MAX_REJECTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from isac_track.types import Floats, Ints
+    from isac_track.kalman import Batch, Moods
+    from isac_track.types import Floats
 
 
-def last_states(
-    *,
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    q: float,
-    initial_mean: Floats,
-    initial_cov: Floats,
-    gate: float,
-) -> tuple[Floats, Floats]:
+def last_states(batch: Batch, *, q: float, gate: float) -> tuple[Floats, Floats]:
     """Filter every track and return its last state: mean (N, 2, d) and covariance (N, d, d).
 
-    Parameters are those of `isac_track.kalman.kalman_last`; d = 2 is constant velocity, d = 3
-    constant acceleration.
+    Parameters are those of `isac_track.kalman.kalman_last`.
     """
-    n_tracks, _, d = initial_mean.shape
-    mean = np.empty((n_tracks, 2, d))
-    cov = np.empty((n_tracks, d, d))
-    for track, (times, positions, noise) in enumerate(_tracks(t, xy, variance, offsets)):
-        kf = _filter(initial_mean[track], initial_cov[track])
+    d = len(batch.prior_std)
+    mean, cov = np.empty((len(batch), 2, d)), np.empty((len(batch), d, d))
+    for track, (times, positions, noise) in enumerate(_tracks(batch)):
+        kf = _filter(positions[0], batch.prior_std)
         misses = 0
         for k, z in enumerate(positions):
             if k > 0:
                 dt = times[k] - times[k - 1]
                 kf.predict(F=_motion(dt, d), Q=_process_noise(dt, q, d))
-            innovation = z - kf.H @ kf.x
-            spread = kf.P[0, 0] + noise[k]
-            if innovation @ innovation / spread > gate and misses < MAX_REJECTIONS:
+            kf.R = np.eye(2) * noise[k]
+            if _distance2(kf, z) > gate and misses < MAX_REJECTIONS:
                 misses += 1
                 continue
             misses = 0
-            kf.update(z, R=noise[k])
-        mean[track] = kf.x.reshape(2, d)
-        cov[track] = kf.P[:d, :d]
+            kf.update(z)
+        mean[track], cov[track] = kf.x.reshape(2, d), kf.P[:d, :d]
     return mean, cov
 
 
-def last_modes(
-    *,
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    q: Floats,
-    rates: Floats,
-    initial_mean: Floats,
-    initial_cov: Floats,
-    initial_probability: Floats,
-    gate: float,
-) -> tuple[Floats, Floats, Floats]:
+def last_modes(batch: Batch, moods: Moods, *, gate: float) -> tuple[Floats, Floats, Floats]:
     """Run an interacting-multiple-model filter over every track and return its last modes.
 
     Every mode is a constant-velocity model with its own q; the modes change as a
@@ -84,26 +59,25 @@ def last_modes(
 
     Returns
     -------
-    mean : (N, J, 2, 2)
-        (position, velocity) per axis
-    cov : (N, J, 4, 4)
+    mean : (N, 2, 2, 2)
+        (position, velocity) per mode and axis
+    cov : (N, 2, 4, 4)
         Of (x, vx, y, vy).
-    probability : (N, J)
+    probability : (N, 2)
     """
-    n_tracks, n_modes = initial_mean.shape[0], q.size
-    mean = np.empty((n_tracks, n_modes, 2, 2))
-    cov = np.empty((n_tracks, n_modes, 4, 4))
-    probability = np.empty((n_tracks, n_modes))
-    for track, (times, positions, noise) in enumerate(_tracks(t, xy, variance, offsets)):
-        modes = [_filter(initial_mean[track], initial_cov[track]) for _ in range(n_modes)]
+    n, (leave, come) = len(batch), 1.0 / np.array(moods.stay_s)
+    rates = np.array([[-leave, leave], [come, -come]])
+    mean, cov, probability = np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2))
+    for track, (times, positions, noise) in enumerate(_tracks(batch)):
+        modes = [_filter(positions[0], batch.prior_std) for _ in moods.q]
         steps = np.diff(times, append=times[-1])
         # The mixing for a step is computed with M at the end of the update before it, and the
         # first sample is updated without a step before it: M is the identity there.
-        imm = IMMEstimator(modes, initial_probability.copy(), np.eye(n_modes))
+        imm = IMMEstimator(modes, moods.probability, np.eye(2))
         misses = 0
         for k, z in enumerate(positions):
             if k > 0:
-                for mode, density in zip(modes, q, strict=True):
+                for mode, density in zip(modes, moods.q, strict=True):
                     mode.F = _motion(steps[k - 1], 2)
                     mode.Q = _process_noise(steps[k - 1], density, 2)
                 imm.predict()
@@ -123,31 +97,27 @@ def last_modes(
     return mean, cov, probability
 
 
-def _tracks(
-    t: Floats, xy: Floats, variance: Floats, offsets: Ints
-) -> Iterator[tuple[Floats, Floats, Floats]]:
-    for lo, hi in pairwise(offsets):
-        yield t[lo:hi], xy[lo:hi], variance[lo:hi]
+def _tracks(batch: Batch) -> Iterator[tuple[Floats, Floats, Floats]]:
+    for lo, hi in pairwise(batch.offsets):
+        yield batch.t[lo:hi], batch.xy[lo:hi], batch.variance[lo:hi]
 
 
 def _motion(dt: float, d: int) -> Floats:
     one = np.array([[1.0, dt, 0.5 * dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])[:d, :d]
-    return np.asarray(block_diag(one, one))
+    return np.kron(np.eye(2), one)
 
 
 def _process_noise(dt: float, q: float, d: int) -> Floats:
-    one = Q_continuous_white_noise(dim=d, dt=dt, spectral_density=q)
-    return np.asarray(block_diag(one, one))
+    return np.kron(np.eye(2), Q_continuous_white_noise(dim=d, dt=dt, spectral_density=q))
 
 
-def _filter(mean: Floats, cov: Floats) -> Any:  # noqa: ANN401 - filterpy has no types
-    """Return a filter of (2, d) states of one covariance, (d, d), that measures positions."""
-    d = mean.shape[1]
+def _filter(start: Floats, prior_std: tuple[float, ...]) -> Any:  # noqa: ANN401 - no types
+    """Return a filter of positions, at rest at `start`."""
+    d = len(prior_std)
     kf = KalmanFilter(dim_x=2 * d, dim_z=2)
-    kf.x = mean.reshape(-1).copy()
-    kf.P = block_diag(cov, cov)
-    kf.H = np.zeros((2, 2 * d))
-    kf.H[0, 0] = kf.H[1, d] = 1.0
+    kf.H = np.kron(np.eye(2), np.eye(1, d))
+    kf.x = start @ kf.H
+    kf.P = np.kron(np.eye(2), np.diag(prior_std) ** 2)
     return kf
 
 

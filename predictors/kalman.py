@@ -8,14 +8,13 @@ innovations, since a robot is not told how accurate a sample is, or taken as dec
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from isac_track.kalman import imm_last, kalman_last
+from isac_track.kalman import Batch, Moods, imm_last, kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import ErrorLaw, Knowledge, Prediction
-from predictors.recent import Recent, recent
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Release
@@ -27,9 +26,6 @@ WINDOW = 160
 _PRIOR_STD = (100.0, 10.0, 10.0)
 """m around the first sample, m/s, m/s^2: far more than any walk, so that nothing is tuned."""
 
-Noise = Literal["estimated", "declared"]
-Engine = Literal["kernels", "filterpy"]
-
 
 @dataclass(frozen=True, slots=True)
 class KalmanCV:
@@ -39,38 +35,61 @@ class KalmanCV:
     """m^2/s^3, from ``python -m benchmarks.tune``"""
     gate: float = GATE
     window: int = WINDOW
-    noise: Noise = "estimated"
+    noise: Literal["estimated", "declared"] = "estimated"
     law: ErrorLaw = "radial"
     """With declared noise: a radial error of std sigma has the variance sigma^2 / 2 per axis."""
-    engine: Engine = "kernels"
+    engine: Literal["kernels", "filterpy"] = "kernels"
 
-    model: ClassVar[Literal["cv", "ca"]] = "cv"
     states: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        _check(q=self.q, gate=self.gate, window=self.window)
+        if not (np.isfinite(self.q) and self.q > 0):
+            raise ValueError(f"q must be positive, got {self.q}")
+        if not self.gate > 0:
+            raise ValueError(f"gate must be positive, got {self.gate}")
+        if self.window < 2:  # noqa: PLR2004 - a velocity needs two samples
+            raise ValueError(f"window must be at least 2 samples, got {self.window}")
 
     @property
     def requires(self) -> frozenset[Knowledge]:
         """SIGMA if the noise is taken as declared."""
-        return _requires(self.noise)
+        return frozenset({Knowledge.SIGMA}) if self.noise == "declared" else frozenset()
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return mean and covariance at `t_future`, (N, H) s."""
-        arguments = filter_arguments(recent(release, window=self.window), self)
+        batch = self.batch(release)
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            mean, cov = filterpy_engine.last_states(**arguments)
+            mean, cov = filterpy_engine.last_states(batch, q=self.q, gate=self.gate)
         else:
-            last = kalman_last(model=self.model, **arguments)
+            last = kalman_last(batch, q=self.q, gate=self.gate)
             mean, cov = last.mean, last.cov
-        return _ahead(mean, cov, q=self.q, elapsed_s=_elapsed(release, t_future))
+        planar = np.einsum("ab,nde->nadbe", np.eye(2), cov)
+        elapsed_s = _elapsed(release, t_future)
+        return Prediction(*_ahead(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s))
 
     def log_likelihood(self, release: Release) -> Floats:
         """Return the log density of what was shared, (N,), over the window."""
-        arguments = filter_arguments(recent(release, window=self.window), self)
-        return kalman_last(model=self.model, **arguments).log_likelihood
+        return kalman_last(self.batch(release), q=self.q, gate=self.gate).log_likelihood
+
+    def batch(self, release: Release) -> Batch:
+        """Return the last `window` samples of every track, or all that it has, for the filters.
+
+        The clock of each track is 0 at its last sample, so that late clocks lose no precision.
+        """
+        last = release.offsets[1:]
+        sizes = np.minimum(np.diff(release.offsets), self.window)
+        offsets = np.concatenate([[0], np.cumsum(sizes)])
+        sample = np.repeat(last - sizes - offsets[:-1], sizes) + np.arange(offsets[-1])
+        t, xy = release.t[sample] - np.repeat(release.t[last - 1], sizes), release.xy[sample]
+        if self.noise == "declared":
+            assert release.sigma is not None  # the release was granted with it
+            share = 0.5 if self.law == "radial" else 1.0
+            variance = np.maximum(release.sigma[sample] ** 2 * share, 1e-12)
+        else:
+            variance = np.repeat(innovation_variance_m2(t=t, xy=xy, offsets=offsets), sizes)
+        return Batch(t, xy, variance, offsets, _PRIOR_STD[: self.states])
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +99,11 @@ class KalmanCA(KalmanCV):
     q: float = 0.026
     """m^2/s^5, from ``python -m benchmarks.tune``"""
 
-    model: ClassVar[Literal["cv", "ca"]] = "ca"
     states: ClassVar[int] = 3
 
 
 @dataclass(frozen=True, slots=True)
-class KalmanIMM:
+class KalmanIMM(KalmanCV):
     """Two interacting models: walking on, and stopping or turning."""
 
     q: float = 0.001
@@ -96,21 +114,16 @@ class KalmanIMM:
     """Mean time of walking on; set, not tuned: the likelihood would make modes of whole tracks"""
     turn_s: float = 1.5
     """Mean time of stopping or turning; set, not tuned"""
-    gate: float = GATE
-    window: int = WINDOW
-    noise: Noise = "estimated"
-    law: ErrorLaw = "radial"
-    engine: Engine = "kernels"
 
     def __post_init__(self) -> None:
-        _check(q=self.q, gate=self.gate, window=self.window)
+        KalmanCV.__post_init__(self)
         if not (self.q_turn > 0 and self.walk_s > 0 and self.turn_s > 0):
             raise ValueError("q_turn, walk_s and turn_s must be positive")
 
     @property
-    def requires(self) -> frozenset[Knowledge]:
-        """SIGMA if the noise is taken as declared."""
-        return _requires(self.noise)
+    def moods(self) -> Moods:
+        """The two models."""
+        return Moods((self.q, self.q_turn), (self.walk_s, self.turn_s))
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return mean and covariance at `t_future`, (N, H) s.
@@ -118,84 +131,28 @@ class KalmanIMM:
         Every mode is carried on by itself and the forecasts are mixed: within the horizon of
         a second the walk keeps its mood.
         """
-        seen = recent(release, window=self.window)
-        mean, cov, probability = self._modes(seen)
-        elapsed_s = _elapsed(release, t_future)
-        ahead = [
-            _ahead_planar(mean[:, mode], cov[:, mode], q=q, elapsed_s=elapsed_s)
-            for mode, q in enumerate((self.q, self.q_turn))
-        ]
-        weights = probability.T[:, :, None, None]
-        mixed: Floats = sum(w * m for w, (m, _) in zip(weights, ahead, strict=True))
-        spread = np.zeros((*mixed.shape, 2))
-        for w, (m, c) in zip(weights[..., None], ahead, strict=True):
-            gap = m - mixed
-            spread += w * (c + gap[..., :, None] * gap[..., None, :])
-        return Prediction(mixed, spread)
-
-    def log_likelihood(self, release: Release) -> Floats:
-        """Return the log density of what was shared, (N,), over the window."""
-        return imm_last(**self._arguments(recent(release, window=self.window))).log_likelihood
-
-    def _modes(self, seen: Recent) -> tuple[Floats, Floats, Floats]:
-        arguments = self._arguments(seen)
+        batch = self.batch(release)
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            return filterpy_engine.last_modes(**arguments)
-        last = imm_last(**arguments)
-        return last.mean, last.cov, last.probability
+            mean, cov, probability = filterpy_engine.last_modes(batch, self.moods, gate=self.gate)
+        else:
+            last = imm_last(batch, self.moods, gate=self.gate)
+            mean, cov, probability = last.mean, last.cov, last.probability
+        mean, cov = _ahead(
+            mean,
+            cov.reshape(*cov.shape[:2], 2, 2, 2, 2),
+            q=np.array(self.moods.q)[:, None],
+            elapsed_s=_elapsed(release, t_future)[:, None],
+        )
+        mixed = np.einsum("nj,njha->nha", probability, mean)
+        gap = mean - mixed[:, None]
+        spread = cov + gap[..., :, None] * gap[..., None, :]
+        return Prediction(mixed, np.einsum("nj,njhab->nhab", probability, spread))
 
-    def _arguments(self, seen: Recent) -> dict[str, Any]:
-        initial_mean, initial_cov = _prior(seen, d=2)
-        leave, come = 1.0 / self.walk_s, 1.0 / self.turn_s
-        share = np.array([self.walk_s, self.turn_s]) / (self.walk_s + self.turn_s)
-        return {
-            "t": seen.t,
-            "xy": seen.xy,
-            "variance": _variance(seen, self),
-            "offsets": seen.offsets,
-            "q": np.array([self.q, self.q_turn]),
-            "rates": np.array([[-leave, leave], [come, -come]]),
-            "initial_mean": initial_mean,
-            "initial_cov": initial_cov,
-            "initial_probability": share,
-            "gate": self.gate,
-        }
-
-
-def filter_arguments(seen: Recent, settings: KalmanCV) -> dict[str, Any]:
-    """Return what the filter of a tracker is called with."""
-    initial_mean, initial_cov = _prior(seen, d=settings.states)
-    return {
-        "t": seen.t,
-        "xy": seen.xy,
-        "variance": _variance(seen, settings),
-        "offsets": seen.offsets,
-        "q": settings.q,
-        "initial_mean": initial_mean,
-        "initial_cov": initial_cov,
-        "gate": settings.gate,
-    }
-
-
-def _variance(seen: Recent, settings: KalmanCV | KalmanIMM) -> Floats:
-    """Return the error variance per axis of every sample, (K,) m^2."""
-    if settings.noise == "declared":
-        assert seen.sigma is not None  # the release was granted with it
-        return np.maximum(seen.sigma**2 * (0.5 if settings.law == "radial" else 1.0), 1e-12)
-    sizes = np.diff(seen.offsets)
-    level = innovation_variance_m2(t=seen.t, xy=seen.xy, offsets=seen.offsets)
-    return np.repeat(level, sizes)
-
-
-def _prior(seen: Recent, *, d: int) -> tuple[Floats, Floats]:
-    """Return (N, 2, d) and (N, d, d): at rest at the first sample, and hardly sure of it."""
-    n_tracks = seen.offsets.size - 1
-    mean = np.zeros((n_tracks, 2, d))
-    mean[:, :, 0] = seen.xy[seen.offsets[:-1]]
-    cov = np.diag(_PRIOR_STD[:d]) ** 2
-    return mean, np.broadcast_to(cov, (n_tracks, d, d))
+    def log_likelihood(self, release: Release) -> Floats:
+        """Return the log density of what was shared, (N,), over the window."""
+        return imm_last(self.batch(release), self.moods, gate=self.gate).log_likelihood
 
 
 def _elapsed(release: Release, t_future: Floats) -> Floats:
@@ -203,64 +160,13 @@ def _elapsed(release: Release, t_future: Floats) -> Floats:
     return elapsed
 
 
-def _ahead(mean: Floats, cov: Floats, *, q: float, elapsed_s: Floats) -> Prediction:
-    """Return the forecast of a model with one covariance for both axes.
-
-    Parameters
-    ----------
-    mean : (N, 2, d)
-    cov : (N, d, d)
-    q : float
-    elapsed_s : (N, H) s
-    """
-    d = mean.shape[2]
+def _ahead(mean: Floats, cov: Floats, *, q: Floats, elapsed_s: Floats) -> tuple[Floats, Floats]:
+    """Return the forecasts, (..., H), of states (..., 2, d) with covariance (..., 2, d, 2, d)."""
+    d = mean.shape[-1]
     # Taylor terms of the motion: position after tau is sum_k tau^k / k! times derivative k.
-    factorial = np.array([1.0, 1.0, 2.0])[:d]
-    h = elapsed_s[..., None] ** np.arange(d) / factorial  # (N, H, d)
-    position = np.einsum("nhd,nad->nha", h, mean)
+    h = elapsed_s[..., None] ** np.arange(d) / np.array([1.0, 1.0, 2.0])[:d]
+    position = np.einsum("...hd,...ad->...ha", h, mean)
+    spread = np.einsum("...hd,...adbe,...he->...hab", h, cov, h)
     # White noise on derivative d: its (d - 1)-fold integral has the variance below.
     grown = q * elapsed_s ** (2 * d - 1) / (3.0 if d == 2 else 20.0)  # noqa: PLR2004
-    variance = np.einsum("nhd,nde,nhe->nh", h, cov, h) + grown
-    return Prediction(position, variance[..., None, None] * np.eye(2))
-
-
-def _ahead_planar(
-    mean: Floats, cov: Floats, *, q: float, elapsed_s: Floats
-) -> tuple[Floats, Floats]:
-    """Return (N, H, 2) and (N, H, 2, 2) of a constant-velocity model with coupled axes.
-
-    Parameters
-    ----------
-    mean : (N, 2, 2)
-        (position, velocity) per axis
-    cov : (N, 4, 4)
-        Of (x, vx, y, vy).
-    q : float
-    elapsed_s : (N, H) s
-    """
-    tau = elapsed_s[..., None]
-    position = mean[:, None, :, 0] + tau * mean[:, None, :, 1]
-    tau = tau[..., None]
-    place = cov[:, None, 0::2, 0::2]
-    speed = cov[:, None, 1::2, 1::2]
-    cross = cov[:, None, 0::2, 1::2]
-    spread = (
-        place
-        + tau * (cross + np.swapaxes(cross, -2, -1))
-        + tau**2 * speed
-        + q * tau**3 / 3.0 * np.eye(2)
-    )
-    return position, spread
-
-
-def _requires(noise: Noise) -> frozenset[Knowledge]:
-    return frozenset({Knowledge.SIGMA}) if noise == "declared" else frozenset()
-
-
-def _check(*, q: float, gate: float, window: int) -> None:
-    if not (np.isfinite(q) and q > 0):
-        raise ValueError(f"q must be positive, got {q}")
-    if not gate > 0:
-        raise ValueError(f"gate must be positive, got {gate}")
-    if window < 2:  # noqa: PLR2004 - a velocity needs two samples
-        raise ValueError(f"window must be at least 2 samples, got {window}")
+    return position, spread + grown[..., None, None] * np.eye(2)

@@ -129,7 +129,7 @@ def test_no_module_imports_itself_by_a_detour(tree):
             "isac_track.rng",
             "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from attacks import controls",
         ),
-        ("predictors.recent", "import attacks.tasks.controls"),
+        ("predictors.kalman", "import attacks.tasks.controls"),
     ],
 )
 def test_a_planted_import_against_the_order_is_found(tree, module, line):

@@ -10,7 +10,7 @@ import numpy as np
 
 from attacks.linkage.learning import learn, log_rank, mated, teaches, tried
 from attacks.parameters import positive
-from isac_track.kalman import kalman_last
+from isac_track.kalman import Batch, kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
 
@@ -144,20 +144,8 @@ class Ends:
 
     def states(self, *, q: float, floor_m2: float) -> LastState:
         """Return the filtered state of every track after its last sample."""
-        n_tracks = self.variance_m2.size
-        mean = np.zeros((n_tracks, 2, 2))
-        mean[:, :, 0] = self.xy[self.offsets[:-1]]
-        variance_m2 = np.maximum(self.variance_m2, floor_m2)
-        return kalman_last(
-            model="cv",
-            t=self.t,
-            xy=self.xy,
-            variance=np.repeat(variance_m2, np.diff(self.offsets)),
-            offsets=self.offsets,
-            q=q,
-            initial_mean=mean,
-            initial_cov=np.broadcast_to(np.diag(_PRIOR_STD) ** 2, (n_tracks, 2, 2)),
-        )
+        variance = np.repeat(np.maximum(self.variance_m2, floor_m2), np.diff(self.offsets))
+        return kalman_last(Batch(self.t, self.xy, variance, self.offsets, _PRIOR_STD), q=q)
 
     def densities(self, *, q: float, floor_m2: float) -> Floats:
         """Return the log density of every pair, (P, G), up to a constant."""

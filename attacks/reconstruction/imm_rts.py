@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.parameters import positive
-from attacks.reconstruction.kalman_rts import diffuse_prior
+from attacks.reconstruction.kalman_rts import PRIOR_STD
 from attacks.reconstruction.learning import around, smoother
-from isac_track.kalman import imm_filter, imm_smoother
+from isac_track.kalman import Batch, Moods, imm_smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
@@ -92,25 +92,7 @@ def smooth(
     stay_s : tuple of two floats
         Mean time of walking on and of turning.
     """
-    mean, cov = diffuse_prior(release)
-    stay = np.array(stay_s)
-    leave, come = 1.0 / stay
-    q, rates = np.array(density), np.array([[-leave, leave], [come, -come]])
-    filtered = imm_filter(
-        t=release.t,
-        xy=release.xy,
-        variance=variance,
-        offsets=release.offsets,
-        q=q,
-        rates=rates,
-        initial_mean=mean,
-        initial_cov=cov,
-        initial_probability=stay / stay.sum(),  # what the chain tends to
-    )
-    smoothed = imm_smoother(
-        t=release.t, offsets=release.offsets, q=q, rates=rates, filtered=filtered
-    )
-    spread = smoothed.mixed_cov
+    batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
     # The spread between the modes couples the axes; what is claimed is their mean variance.
-    std = np.sqrt((spread[:, 0, 0] + spread[:, 2, 2]) / 2.0)
-    return Reconstruction(smoothed.mixed_mean[:, :, 0], std)
+    position, spread = imm_smoother(batch, Moods(density, stay_s))
+    return Reconstruction(position, np.sqrt(spread))

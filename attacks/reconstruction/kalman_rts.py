@@ -9,7 +9,7 @@ import numpy as np
 
 from attacks.parameters import positive
 from attacks.reconstruction.learning import around, smoother
-from isac_track.kalman import smooth_positions
+from isac_track.kalman import Batch, smooth_positions
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
@@ -53,24 +53,6 @@ def smooth(
 
     `passes` and `anneal` are those of `isac_track.kalman.smooth_positions`.
     """
-    mean, cov = diffuse_prior(release)
-    position, spread = smooth_positions(
-        t=release.t,
-        xy=release.xy,
-        variance=variance,
-        offsets=release.offsets,
-        q=q,
-        initial_mean=mean,
-        initial_cov=cov,
-        passes=passes,
-        anneal=anneal,
-    )
+    batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
+    position, spread = smooth_positions(batch, q=q, passes=passes, anneal=anneal)
     return Reconstruction(position, np.sqrt(spread))
-
-
-def diffuse_prior(release: Release) -> tuple[Floats, Floats]:
-    """Return mean (N, 2, 2) and covariance (N, 2, 2): at rest at the first sample, hardly sure."""
-    mean = np.zeros((len(release), 2, 2))
-    mean[:, :, 0] = release.xy[release.offsets[:-1]]
-    cov = np.diag(PRIOR_STD) ** 2
-    return mean, np.broadcast_to(cov, (len(release), 2, 2))

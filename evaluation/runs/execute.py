@@ -28,7 +28,7 @@ from evaluation.runs.manifest import (
 )
 from evaluation.runs.missing_work import cut_for_cluster, files_of, missing_of, pieces_of
 from evaluation.runs.workers import spread
-from isac_track import kalman as kernels
+from isac_track import kalman
 from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 
@@ -186,7 +186,7 @@ def _compute(
         return failures.cells
     tell(done, total, "starting")
     if any(_uses_kernels(consumer) for _, consumer in ready.pairs):
-        kernels.prepare()  # before workers start: each would compile for itself
+        kalman.prepare()  # before workers start: each would compile for itself
         import_module("attacks.reconstruction._parabola_loop")
     if any(isinstance(work, LinkWork) for work in works):
         for loops in ("isac_track.linkability._loops", "attacks.linkage._lag_loop"):

@@ -5,7 +5,7 @@ The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covar
 
 # Small matrices are spelled out, and compiled code has neither keywords nor objects to hide
 # arguments in.
-# ruff: noqa: C901, FBT001, PLR0912, PLR0917
+# ruff: noqa: C901, PLR0912, PLR0917
 from __future__ import annotations
 
 from math import exp, inf, log, pi
@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.compiling import (
-    BOOL,
     FLOAT,
     FLOATS1,
     FLOATS2,
     FLOATS3,
-    FLOATS4,
     INT,
     INTS1,
     OUT_FLOATS1,
@@ -35,6 +33,8 @@ if TYPE_CHECKING:
 
 _LOG_2PI = log(2 * pi)
 _STATES = 4
+_BATCH = FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1
+_MOODS = FLOATS1, FLOATS1, FLOATS3
 
 
 @part_of_loop
@@ -97,107 +97,122 @@ def _collapse(weight: Floats, x: Floats, p: Floats, mean: Floats, cov: Floats) -
 
 
 @part_of_loop
-def _copy(mu: Floats, x: Floats, p: Floats, out_mu: Floats, out_x: Floats, out_p: Floats) -> None:
-    """Copy the states of all modes. Assigning slices would double the time to compile."""
-    for n in range(mu.size):
-        out_mu[n] = mu[n]
-        for i in range(_STATES):
-            out_x[n, i] = x[n, i]
-            for j in range(_STATES):
-                out_p[n, i, j] = p[n, i, j]
-
-
-@compiled(
-    *(FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1, FLOATS3, FLOATS2, FLOATS3, FLOATS1),
-    *(FLOAT, INT, BOOL),
-    *(OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS2, OUT_FLOATS3),
-    OUT_FLOATS1,
-)
-def imm_filter(
+def _filter(
     t: Floats,
     xy: Floats,
     variance: Floats,
-    offsets: Ints,
+    prior: Floats,
     q: Floats,
+    probability: Floats,
     chances: Floats,
-    initial_mean: Floats,
-    initial_cov: Floats,
-    initial_probability: Floats,
     gate: float,
     patience: int,
-    every: bool,
-    mean: Floats,
-    cov: Floats,
-    probability: Floats,
-    mixed_mean: Floats,
-    mixed_cov: Floats,
-    log_likelihood: Floats,
-) -> None:
-    """Filter; row k of the outputs is sample k, or row i track i's last one if not `every`.
+    x: Floats,
+    p: Floats,
+    mu: Floats,
+) -> float:
+    """Write the states of one track after each sample, and return the log-likelihood.
 
     ``chances[k, m, n]`` is that of mode n at sample k after mode m at the sample before.
     """
     modes = q.size
-    x, p = np.empty((modes, _STATES)), np.empty((modes, _STATES, _STATES))
-    before_x, before_p = np.empty((modes, _STATES)), np.empty((modes, _STATES, _STATES))
-    mu, before_mu = np.empty(modes), np.empty(modes)
     weight, log_mode = np.empty(modes), np.empty(modes)
-    for i in range(offsets.size - 1):
+    misses, log_likelihood = 0, 0.0
+    for k in range(t.size):
         for n in range(modes):
-            mu[n] = initial_probability[n]
-            for a in range(_STATES):
-                x[n, a] = initial_mean[i, a]
-                for b in range(_STATES):
-                    p[n, a, b] = initial_cov[i, a, b]
+            if k == 0:
+                mu[0, n] = probability[n]
+                # Element by element: to assign slices would double the time to compile.
+                for a in range(_STATES):
+                    x[0, n, a] = xy[0, a // 2] if a % 2 == 0 else 0.0
+                    for b in range(_STATES):
+                        p[0, n, a, b] = prior[a % 2] if a == b else 0.0
+                continue
+            dt = t[k] - t[k - 1]
+            mu[k, n] = 0.0
+            for m in range(modes):
+                mu[k, n] += chances[k, m, n] * mu[k - 1, m]
+            for m in range(modes):
+                same = 1.0 if m == n else 0.0
+                joint = chances[k, m, n] * mu[k - 1, m]
+                weight[m] = joint / mu[k, n] if mu[k, n] > 0 else same
+            _collapse(weight, x[k - 1], p[k - 1], x[k, n], p[k, n])
+            _predict(dt, q[n], x[k, n], p[k, n])
+
+        r = variance[k]
+        smallest = inf
+        for n in range(modes):
+            s00, s01, s11 = p[k, n, 0, 0] + r, p[k, n, 0, 2], p[k, n, 2, 2] + r
+            e0, e1 = xy[k, 0] - x[k, n, 0], xy[k, 1] - x[k, n, 2]
+            det = s00 * s11 - s01 * s01
+            d2 = (s11 * e0 * e0 - 2 * s01 * e0 * e1 + s00 * e1 * e1) / det
+            smallest = min(smallest, d2)
+            log_mode[n] = -(log(det) + d2) / 2 - _LOG_2PI
+        if smallest > gate and misses < patience:
+            misses += 1
+            continue
         misses = 0
-        first = offsets[i]
-        for k in range(first, offsets[i + 1]):
-            if k > first:
-                dt = t[k] - t[k - 1]
-                jump = chances[k]
-                _copy(mu, x, p, before_mu, before_x, before_p)
-                for n in range(modes):
-                    mu[n] = 0.0
-                    for m in range(modes):
-                        mu[n] += jump[m, n] * before_mu[m]
-                    for m in range(modes):
-                        same = 1.0 if m == n else 0.0
-                        weight[m] = jump[m, n] * before_mu[m] / mu[n] if mu[n] > 0 else same
-                    _collapse(weight, before_x, before_p, x[n], p[n])
-                    _predict(dt, q[n], x[n], p[n])
+        # Relative to the best mode: far outliers underflow in all modes otherwise.
+        best = -inf
+        for n in range(modes):
+            if mu[k, n] > 0:
+                best = max(best, log_mode[n])
+        total = 0.0
+        for n in range(modes):
+            mu[k, n] *= exp(min(log_mode[n] - best, 0.0))
+            total += mu[k, n]
+        for n in range(modes):
+            mu[k, n] /= total
+            _update(0, xy[k, 0], r, x[k, n], p[k, n])
+            _update(2, xy[k, 1], r, x[k, n], p[k, n])
+        log_likelihood += best + log(total)
+    return log_likelihood
 
-            r = variance[k]
-            smallest = inf
-            for n in range(modes):
-                s00, s01, s11 = p[n, 0, 0] + r, p[n, 0, 2], p[n, 2, 2] + r
-                e0, e1 = xy[k, 0] - x[n, 0], xy[k, 1] - x[n, 2]
-                det = s00 * s11 - s01 * s01
-                d2 = (s11 * e0 * e0 - 2 * s01 * e0 * e1 + s00 * e1 * e1) / det
-                smallest = min(smallest, d2)
-                log_mode[n] = -(log(det) + d2) / 2 - _LOG_2PI
-            if smallest <= gate or misses >= patience:
-                misses = 0
-                # Relative to the best mode: far outliers underflow in all modes otherwise.
-                best = -inf
-                for n in range(modes):
-                    if mu[n] > 0:
-                        best = max(best, log_mode[n])
-                total = 0.0
-                for n in range(modes):
-                    mu[n] *= exp(min(log_mode[n] - best, 0.0))
-                    total += mu[n]
-                for n in range(modes):
-                    mu[n] /= total
-                    _update(0, xy[k, 0], r, x[n], p[n])
-                    _update(2, xy[k, 1], r, x[n], p[n])
-                log_likelihood[i] += best + log(total)
-            else:
-                misses += 1
 
-            row = k if every else i
-            if every or k == offsets[i + 1] - 1:
-                _copy(mu, x, p, probability[row], mean[row], cov[row])
-                _collapse(mu, x, p, mixed_mean[row], mixed_cov[row])
+@part_of_loop
+def _room(offsets: Ints, modes: int) -> tuple[Floats, Floats, Floats]:
+    """Return memory for the states and probabilities along any one of the tracks."""
+    longest = 0
+    for i in range(offsets.size - 1):
+        longest = max(longest, offsets[i + 1] - offsets[i])
+    return (
+        np.empty((longest, modes, _STATES)),
+        np.empty((longest, modes, _STATES, _STATES)),
+        np.empty((longest, modes)),
+    )
+
+
+@compiled(*_BATCH, *_MOODS, FLOAT, INT, OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS1)
+def imm_last(
+    t: Floats,
+    xy: Floats,
+    variance: Floats,
+    offsets: Ints,
+    prior: Floats,
+    q: Floats,
+    probability: Floats,
+    chances: Floats,
+    gate: float,
+    patience: int,
+    mean: Floats,
+    cov: Floats,
+    last_probability: Floats,
+    log_likelihood: Floats,
+) -> None:
+    """Filter; row i of the outputs is the state after the last sample of track i."""
+    x, p, mu = _room(offsets, q.size)
+    for i in range(offsets.size - 1):
+        own, last = slice(offsets[i], offsets[i + 1]), offsets[i + 1] - offsets[i] - 1
+        log_likelihood[i] = _filter(
+            *(t[own], xy[own], variance[own], prior, q, probability, chances[own]),
+            *(gate, patience, x, p, mu),
+        )
+        for n in range(q.size):
+            last_probability[i, n] = mu[last, n]
+            for a in range(_STATES):
+                mean[i, n, a] = x[last, n, a]
+                for b in range(_STATES):
+                    cov[i, n, a, b] = p[last, n, a, b]
 
 
 @part_of_loop
@@ -325,84 +340,73 @@ def _smooth_pair(
     return log_density
 
 
-@compiled(
-    *(FLOATS1, INTS1, FLOATS1, FLOATS3, FLOATS3, FLOATS4, FLOATS2),
-    *(OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS2, OUT_FLOATS3),
-)
+@compiled(*_BATCH, *_MOODS, OUT_FLOATS2, OUT_FLOATS1)
 def imm_smoother(
     t: Floats,
+    xy: Floats,
+    variance: Floats,
     offsets: Ints,
+    prior: Floats,
     q: Floats,
-    chances: Floats,
-    filtered_mean: Floats,
-    filtered_cov: Floats,
-    filtered_probability: Floats,
-    mean: Floats,
-    cov: Floats,
     probability: Floats,
-    mixed_mean: Floats,
-    mixed_cov: Floats,
+    chances: Floats,
+    position: Floats,
+    spread: Floats,
 ) -> None:
-    """Smooth by expectation correction, one Gaussian per mode, from the last sample back."""
+    """Filter, then smooth by expectation correction, one Gaussian per mode, from the last back."""
     modes = q.size
+    x, p, mu = _room(offsets, modes)
     pair_x, pair_p = np.empty((modes, modes, _STATES)), np.empty((modes, modes, _STATES, _STATES))
     share = np.empty((modes, modes))  # of mode m now and n next
     weight, lower, rows = np.empty(12), np.empty((_STATES, _STATES)), np.empty((_STATES, 8))
     factor, small = np.empty((_STATES, _STATES)), np.empty((4, _STATES, _STATES))
     left_open = np.empty((_STATES, 8))
+    mean, cov = np.empty(_STATES), np.empty((_STATES, _STATES))
     for i in range(offsets.size - 1):
-        last = offsets[i + 1] - 1
-        _copy(
-            *(filtered_probability[last], filtered_mean[last], filtered_cov[last]),
-            *(probability[last], mean[last], cov[last]),
+        first, own = offsets[i], slice(offsets[i], offsets[i + 1])
+        _filter(
+            *(t[own], xy[own], variance[own], prior, q, probability, chances[own]),
+            *(inf, 0, x, p, mu),
         )
-        _collapse(probability[last], mean[last], cov[last], mixed_mean[last], mixed_cov[last])
-        for step in range(1, offsets[i + 1] - offsets[i]):
-            k = last - step
-            dt = t[k + 1] - t[k]
-            jump = chances[k + 1]
-            for m in range(modes):
-                _factorise(filtered_cov[k, m], weight, lower)
-                for n in range(modes):
-                    _orthogonal(dt, q[n], weight, lower, rows, factor)
-                    share[m, n] = _smooth_pair(
-                        dt,
-                        filtered_mean[k, m],
-                        mean[k + 1, n],
-                        cov[k + 1, n],
-                        weight,
-                        lower,
-                        rows,
-                        factor,
-                        small,
-                        left_open,
-                        pair_x[m, n],
-                        pair_p[m, n],
-                    )
-            for n in range(modes):
-                best = -inf
+        # The smoothed states of the next sample take the place of the filtered ones.
+        for k in range(offsets[i + 1] - first - 1, -1, -1):
+            if first + k + 1 < offsets[i + 1]:
+                dt = t[first + k + 1] - t[first + k]
+                jump = chances[first + k + 1]
                 for m in range(modes):
-                    if filtered_probability[k, m] * jump[m, n] > 0:
-                        best = max(best, share[m, n])
+                    _factorise(p[k, m], weight, lower)
+                    for n in range(modes):
+                        _orthogonal(dt, q[n], weight, lower, rows, factor)
+                        share[m, n] = _smooth_pair(
+                            *(dt, x[k, m], x[k + 1, n], p[k + 1, n], weight, lower, rows),
+                            *(factor, small, left_open, pair_x[m, n], pair_p[m, n]),
+                        )
+                for n in range(modes):
+                    best = -inf
+                    for m in range(modes):
+                        if mu[k, m] * jump[m, n] > 0:
+                            best = max(best, share[m, n])
+                    total = 0.0
+                    for m in range(modes):
+                        before = mu[k, m] * jump[m, n]
+                        nearer = exp(min(share[m, n] - best, 0.0))
+                        share[m, n] = before * nearer if before > 0 else 0.0
+                        total += share[m, n]
+                    for m in range(modes):
+                        share[m, n] *= mu[k + 1, n] / total if total > 0 else 0.0
+                for m in range(modes):
+                    mu[k, m] = 0.0
+                    for n in range(modes):
+                        mu[k, m] += share[m, n]
+                    for n in range(modes):
+                        # An impossible mode keeps an estimate, weighted as if it were possible.
+                        share[m, n] = share[m, n] / mu[k, m] if mu[k, m] > 0 else jump[m, n]
+                    _collapse(share[m], pair_x[m], pair_p[m], x[k, m], p[k, m])
                 total = 0.0
                 for m in range(modes):
-                    prior = filtered_probability[k, m] * jump[m, n]
-                    share[m, n] = prior * exp(min(share[m, n] - best, 0.0)) if prior > 0 else 0.0
-                    total += share[m, n]
+                    total += mu[k, m]
                 for m in range(modes):
-                    share[m, n] *= probability[k + 1, n] / total if total > 0 else 0.0
-            for m in range(modes):
-                total = 0.0
-                for n in range(modes):
-                    total += share[m, n]
-                probability[k, m] = total
-                for n in range(modes):
-                    # An impossible mode keeps an estimate, weighted as if it were possible.
-                    share[m, n] = share[m, n] / total if total > 0 else jump[m, n]
-                _collapse(share[m], pair_x[m], pair_p[m], mean[k, m], cov[k, m])
-            total = 0.0
-            for m in range(modes):
-                total += probability[k, m]
-            for m in range(modes):
-                probability[k, m] /= total
-            _collapse(probability[k], mean[k], cov[k], mixed_mean[k], mixed_cov[k])
+                    mu[k, m] /= total
+            _collapse(mu[k], x[k], p[k], mean, cov)
+            position[first + k, 0], position[first + k, 1] = mean[0], mean[2]
+            spread[first + k] = (cov[0, 0] + cov[2, 2]) / 2

@@ -28,7 +28,6 @@ def prepare() -> None:
             )
     try:
         import_module("isac_track.kalman._linear_loops")
-        import_module("isac_track.kalman._lane_loops")
     finally:
         if helper is not None:
             helper.wait()

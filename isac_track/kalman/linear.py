@@ -1,10 +1,10 @@
 """Kalman filter and smoother of many tracks at once: the front of the compiled loops.
 
-Two models, each per axis: constant velocity, ``cv``, with state (position, velocity), and
-constant acceleration, ``ca``, with state (position, velocity, acceleration). What is held
-constant is driven by continuous white noise of spectral density q, so that predictions over
-irregular steps compose. Both axes have the same measurement variance and no correlation;
-they share one covariance. For interacting models see `isac_track.kalman.imm`.
+Two models, each per axis: constant velocity, with state (position, velocity), and constant
+acceleration, with state (position, velocity, acceleration). What is held constant is driven by
+continuous white noise of spectral density q, so that predictions over irregular steps compose.
+Both axes have the same measurement variance and no correlation; they share one covariance. For
+interacting models see `isac_track.kalman.imm`.
 
 Nothing here imports numba before the first call; that call compiles (`kalman.prepare`).
 
@@ -18,22 +18,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.kalman.arguments import covariances, floats, positive, ragged_times, variances
+from isac_track.kalman.batch import MAX_REJECTIONS, positive
 
 if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
+    from isac_track.kalman.batch import Batch
+    from isac_track.types import Floats
 
-Model: TypeAlias = Literal["cv", "ca"]
-
-MAX_REJECTIONS = 3
-"""After so many rejected samples in a row the next is accepted whatever it says: a gate may
-drop outliers, it may not lose a track."""
-
-_STATES = {"cv": 2, "ca": 3}
+_MODELS = {2: "cv_last", 3: "ca_last"}
+"""Loop by the number of states per axis."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,44 +37,23 @@ class LastState:
     """States of N tracks after their last sample; d states per axis."""
 
     mean: Floats
-    """(N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration (``ca``)."""
+    """(N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration."""
     cov: Floats
     """(N, d, d) covariance of either axis; the axes are independent."""
     log_likelihood: Floats
     """(N,) log density of a track's accepted samples, 1/m^2 each."""
 
 
-def kalman_last(
-    *,
-    model: Model,
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    q: float,
-    initial_mean: Floats,
-    initial_cov: Floats,
-    gate: float = np.inf,
-) -> LastState:
+def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     """Return the state of every track after its last sample.
 
     Parameters
     ----------
-    model : {"cv", "ca"}
-    t : (M,) s
-        Strictly increasing within a track.
-    xy : (M, 2) m
-    variance : (M,) m^2
-        Measurement variance per axis, positive.
-    offsets : (N + 1,) int
-        Track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty.
+    batch : Batch
+        With a prior of two states the model is constant velocity, of three constant acceleration.
     q : float
-        Spectral density of the driving white noise, positive: of the acceleration (m^2/s^3) for
-        ``cv``, of the jerk (m^2/s^5) for ``ca``.
-    initial_mean : (N, 2, d)
-    initial_cov : (N, d, d)
-        Prior state at the time of a track's first sample, which is then measured like any
-        other. Symmetric positive definite.
+        Spectral density of the driving white noise, positive: of the acceleration (m^2/s^3) or,
+        for constant acceleration, of the jerk (m^2/s^5).
     gate : float, optional
         A sample whose normalised innovation squared exceeds it is not used, unless
         `MAX_REJECTIONS` samples before it were not. Chi-square with 2 degrees of freedom: 13.8
@@ -87,37 +62,26 @@ def kalman_last(
     Raises
     ------
     ValueError
-        If shapes disagree, a number is not finite, a track is empty, times do not increase or a
-        variance is not positive.
+        If q or the gate is not positive, or for a prior of another number of states.
     """
-    if model not in _STATES:
-        raise ValueError(f"model must be one of {get_args(Model)}, got {model!r}")
-    d = _STATES[model]
-    arrays = _arguments(t, xy, variance, offsets, q, initial_mean, initial_cov, d=d)
-    out = LastState(*(np.empty((arrays[3].size - 1, *size)) for size in ((2, d), (d, d), ())))
-    loops = import_module("isac_track.kalman._linear_loops")
-    getattr(loops, f"{model}_last")(
-        *(*arrays, positive("gate", gate, finite=False), MAX_REJECTIONS),
+    d = len(batch.prior_std)
+    if d not in _MODELS:
+        raise ValueError(f"prior_std must have two or three numbers, got {d}")
+    out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
+    getattr(import_module("isac_track.kalman._linear_loops"), _MODELS[d])(
+        *(batch.t, batch.xy, batch.variance, batch.offsets, np.square(batch.prior_std)),
+        *(positive("q", q), positive("gate", gate, finite=False), MAX_REJECTIONS),
         *(out.mean, out.cov, out.log_likelihood),
     )
     return out
 
 
 def smooth_positions(
-    *,
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    q: float,
-    initial_mean: Floats,
-    initial_cov: Floats,
-    passes: int = 1,
-    anneal: float = 0.0,
+    batch: Batch, *, q: float, passes: int = 1, anneal: float = 0.0
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
-    One pass is a Rauch-Tung-Striebel smoother of the model ``cv``; velocities are left out.
+    One pass is a Rauch-Tung-Striebel smoother of constant velocity; velocities are left out.
     Further passes are for errors of the radial law, whose length is |N(0, sigma)| in any
     direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to a constant, is infinite at
     zero: a sample that lies close to the walk is very likely almost exact. The posterior mode
@@ -129,8 +93,10 @@ def smooth_positions(
 
     Parameters
     ----------
-    t, xy, variance, offsets, q, initial_mean, initial_cov
-        As for `kalman_last`; sigma^2 is twice the variance per axis.
+    batch : Batch
+        With a prior of two states; sigma^2 is twice the variance per axis.
+    q : float
+        Spectral density of the acceleration, m^2/s^3, positive.
     passes : int, optional
         Smoothers, at least 1; the first is that of Gaussian errors.
     anneal : float, optional
@@ -139,7 +105,7 @@ def smooth_positions(
     Raises
     ------
     ValueError
-        As `kalman_last`, and for `passes` or `anneal` out of range.
+        If a number is out of range, or for a prior of another number of states.
 
     References
     ----------
@@ -148,36 +114,19 @@ def smooth_positions(
     """
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
-    t, xy, variance, offsets, q, *prior = _arguments(
-        t, xy, variance, offsets, q, initial_mean, initial_cov, d=2
-    )
-    position, spread = np.empty((t.size, 2)), np.empty(t.size)
-    import_module("isac_track.kalman._lane_loops").smooth_positions(
-        *(t, xy, 2.0 * variance, offsets, np.argsort(np.diff(offsets), kind="stable"), q, *prior),
-        *(passes, float(anneal), position, spread),
+    prior = velocity_prior(batch)
+    position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
+    order = np.argsort(np.diff(batch.offsets), kind="stable")
+    import_module("isac_track.kalman._linear_loops").smooth_positions(
+        *(batch.t, batch.xy, 2.0 * batch.variance, batch.offsets, prior, order),
+        *(positive("q", q), passes, float(anneal), position, spread),
     )
     return position, spread
 
 
-def _arguments(
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    q: float,
-    initial_mean: Floats,
-    initial_cov: Floats,
-    *,
-    d: int,
-) -> tuple[Floats, Floats, Floats, Ints, float, Floats, Floats]:
-    t, offsets = ragged_times(t, offsets)
-    n_tracks = offsets.size - 1
-    return (
-        t,
-        floats("xy", xy, (t.size, 2)),
-        variances(variance, t.size),
-        offsets,
-        positive("q", q),
-        floats("initial_mean", initial_mean, (n_tracks, 2, d)),
-        covariances("initial_cov", initial_cov, (n_tracks, d, d)),
-    )
+def velocity_prior(batch: Batch) -> Floats:
+    """Return the prior variances, (2,), of a constant-velocity model, or raise ValueError."""
+    if len(batch.prior_std) != 2:  # noqa: PLR2004
+        raise ValueError(f"prior_std must have two numbers, got {len(batch.prior_std)}")
+    variance: Floats = np.square(batch.prior_std)
+    return variance

@@ -95,7 +95,9 @@ def rank1(*, scores: Floats, mate: Ints) -> Floats:
         As `Search`.
     """
     _check_scores(scores, mate)
-    return expected_hit(*_standing(scores, mate), mate)
+    hit = expected_hit(*_standing(scores, mate))
+    hit[mate < 0] = np.nan
+    return hit
 
 
 def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
@@ -104,7 +106,9 @@ def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
     Parameters and errors are those of `rank1`.
     """
     _check_scores(scores, mate)
-    return expected_reciprocal(*_standing(scores, mate), mate, scores.shape[1])
+    expected = expected_reciprocal(*_standing(scores, mate), scores.shape[1])
+    expected[mate < 0] = np.nan
+    return expected
 
 
 def log_rank(*, scores: Floats, mate: Ints) -> Floats:
@@ -117,8 +121,7 @@ def log_rank(*, scores: Floats, mate: Ints) -> Floats:
     Parameters and errors are those of `rank1`.
     """
     _check_scores(scores, mate)
-    above, tied = _standing(scores, mate)
-    n_gallery = scores.shape[1]
+    (above, tied), n_gallery = _standing(scores, mate), scores.shape[1]
     log_factorial = log_factorials(n_gallery)
     spread = log_factorial[above + tied] - log_factorial[above]
     expected: Floats = math.log(n_gallery) - spread / tied
@@ -191,8 +194,9 @@ def assign(
 
 def chance(searches: Sequence[Search]) -> float:
     """Return the expected rank-1 rate of guessing: the mean of 1 / G over mated probes."""
-    chances = np.concatenate([chances_of(search) for search in searches])
-    return float(chances.mean()) if chances.size else float("nan")
+    counts = np.array([(search.mate >= 0).sum() for search in searches])
+    sizes = np.array([search.scores.shape[1] for search in searches])
+    return float(np.average(1.0 / sizes, weights=counts)) if counts.any() else float("nan")
 
 
 def residual_risk(*, success: float, control: float) -> float:
@@ -203,32 +207,24 @@ def residual_risk(*, success: float, control: float) -> float:
     return (success - control) / (1.0 - control) if control != 1.0 else float("nan")
 
 
-def chances_of(search: Search) -> Floats:
-    """Return 1 / G for every mated probe."""
-    return np.full(int((search.mate >= 0).sum()), 1.0 / search.scores.shape[1])
+def expected_hit(above: Ints, tied: Ints) -> Floats:
+    """Return `rank1` of who has so many above it, and as many as high, itself included."""
+    return np.where(above == 0, 1.0 / tied, 0.0)
 
 
-def expected_hit(above: Ints, tied: Ints, mate: Ints) -> Floats:
-    """Return `rank1` of mates with so many above and so many as high, themselves included."""
-    hit = np.where(above == 0, 1.0 / tied, 0.0)
-    hit[mate < 0] = np.nan
-    return hit
-
-
-def expected_reciprocal(above: Ints, tied: Ints, mate: Ints, n_gallery: int) -> Floats:
+def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:
     """Return `reciprocal_rank` likewise; `n_gallery` is the largest there is."""
     harmonic = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, n_gallery + 1))])
     expected: Floats = (harmonic[above + tied] - harmonic[above]) / tied
-    expected[mate < 0] = np.nan
     return expected
+
+
+def log_factorials(n: int) -> Floats:
+    """Return log k! for 0..n, (n + 1,)."""
+    return np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
 
 
 def _standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
     """Return how many score above each probe's mate, and how many as high, itself included."""
     own = scores[np.arange(mate.size), mate][:, None]
     return (scores > own).sum(axis=1), (scores == own).sum(axis=1)
-
-
-def log_factorials(n: int) -> Floats:
-    """Return log k! for 0..n, (n + 1,)."""
-    return np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])

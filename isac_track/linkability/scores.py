@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import isotonic_regression
-from scipy.special import expit, xlogy
+from scipy.special import expit
+
+from isac_track.linkability.significance import import_loops
 
 if TYPE_CHECKING:
     from isac_track.types import Floats
@@ -50,11 +52,7 @@ def auc(*, mated: Floats, non_mated: Floats) -> float:
     ValueError
         If a class is empty or a score is not finite.
     """
-    _check_classes(mated, non_mated)
-    ordered = np.sort(non_mated)
-    below = np.searchsorted(ordered, mated, side="left")
-    not_above = np.searchsorted(ordered, mated, side="right")
-    return float((below + not_above).sum() / (2.0 * mated.size * non_mated.size))
+    return float(_read(mated, non_mated)[0])
 
 
 def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
@@ -62,11 +60,14 @@ def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
 
     Parameters and errors are those of `auc`.
     """
-    true, false = _hull_steps(mated, non_mated)
-    return (
-        np.concatenate([[0.0], np.cumsum(false)]),
-        np.concatenate([[0.0], np.cumsum(true)]),
+    true, false = (mass[0] / mass.sum() for mass in _counts(mated, non_mated))
+    both = true + false
+    starts = isotonic_regression(true / both, weights=both).blocks[:-1]
+    fpr, tpr = (
+        np.concatenate([[0.0], np.cumsum(np.add.reduceat(share, starts)[::-1])])
+        for share in (false, true)
     )
+    return fpr, tpr
 
 
 def eer(*, mated: Floats, non_mated: Floats) -> float:
@@ -76,11 +77,7 @@ def eer(*, mated: Floats, non_mated: Floats) -> float:
 
     Parameters and errors are those of `auc`.
     """
-    fpr, tpr = roc_hull(mated=mated, non_mated=non_mated)
-    gap = tpr + fpr - 1.0  # rises from -1 to 1
-    end = int(np.argmax(gap >= 0.0))
-    step = gap[end - 1] / (gap[end - 1] - gap[end])
-    return float(fpr[end - 1] + step * (fpr[end] - fpr[end - 1]))
+    return float(_read(mated, non_mated)[1])
 
 
 def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float, float]:
@@ -109,13 +106,8 @@ def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float
         raise ValueError(f"alpha must lie in (0, 1), got {alpha}")
     if is_refused(non_mated.size, alpha):
         return float("nan"), float("nan")
-    thresholds = np.unique(mated)
-    fpr = 1.0 - np.searchsorted(np.sort(non_mated), thresholds, side="left") / non_mated.size
-    allowed = np.flatnonzero(fpr <= alpha + 1e-12)
-    if not allowed.size:
-        return 0.0, 0.0
-    best = allowed[0]
-    return float((mated >= thresholds[best]).mean()), float(fpr[best])
+    *_, tpr, fpr = _read(mated, non_mated, alpha)
+    return float(tpr), float(fpr)
 
 
 def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
@@ -212,11 +204,7 @@ def cllr_min(*, mated: Floats, non_mated: Floats) -> float:
 
     Parameters and errors are those of `auc`. It is optimistic: the calibration has seen the answer.
     """
-    true, false = _hull_steps(mated, non_mated)
-    both = true + false
-    return float((xlogy(both, both) - xlogy(true, true) - xlogy(false, false)).sum()) / (
-        2.0 * math.log(2.0)
-    )
+    return float(_read(mated, non_mated)[2])
 
 
 def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tuple[float, int]:
@@ -290,12 +278,21 @@ def _check_classes(mated: Floats, non_mated: Floats) -> None:
             raise ValueError(f"{name} scores must be finite")
 
 
-def _hull_steps(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
-    """Return the steps in TPR and in FPR along the hull of the ROC, from the highest score."""
+def _counts(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
+    """Return how many scores of either class have each distinct value, (1, K), ascending."""
     _check_classes(mated, non_mated)
     distinct, place = np.unique(np.concatenate([mated, non_mated]), return_inverse=True)
-    true = np.bincount(place[: mated.size], minlength=distinct.size) / mated.size
-    false = np.bincount(place[mated.size :], minlength=distinct.size) / non_mated.size
-    both = true + false
-    starts = isotonic_regression(true / both, weights=both).blocks[:-1]
-    return np.add.reduceat(true, starts)[::-1], np.add.reduceat(false, starts)[::-1]
+    own, other = (
+        np.bincount(places, minlength=distinct.size)[None].astype(np.float64)
+        for places in (place[: mated.size], place[mated.size :])
+    )
+    return own, other
+
+
+def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
+    """Return AUC, EER and Cllr_min, then TPR and FPR at each level."""
+    out = np.empty((1, 3 + 2 * len(levels)))
+    own, other = _counts(mated, non_mated)
+    import_loops().read_rocs(own, other, np.array(levels, dtype=np.float64), out)
+    read: Floats = out[0]
+    return read

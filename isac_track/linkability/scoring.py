@@ -25,13 +25,16 @@ from isac_track.intervals import (
 )
 from isac_track.linkability.ranks import (
     assign,
-    chances_of,
     expected_hit,
     expected_reciprocal,
-    log_factorials,
     residual_risk,
 )
-from isac_track.linkability.scores import default_bins, inner_edges, is_refused, linked_share
+from isac_track.linkability.scores import (
+    default_bins,
+    inner_edges,
+    is_refused,
+    linked_share,
+)
 from isac_track.linkability.significance import (
     add_shuffles,
     check_searches,
@@ -40,7 +43,6 @@ from isac_track.linkability.significance import (
     p_value_among,
     rank1_p,
     rank_rows,
-    shuffling_room,
 )
 
 if TYPE_CHECKING:
@@ -50,7 +52,6 @@ if TYPE_CHECKING:
 
     from isac_track.linkability.ranks import Search
     from isac_track.linkability.scores import Calibration
-    from isac_track.linkability.significance import RankedScores
     from isac_track.types import Floats, Ints
 
 SCORE_REPLICATES = 200
@@ -58,17 +59,13 @@ SCORE_REPLICATES = 200
 probe. The ends of a 95 % interval from 200 replicates have a standard error of 0.19 standard
 deviations of the estimate (0.08 from 1,000)."""
 
+_METRICS = ("auc", "eer", "cllr_min", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct", "d_sys", "cllr")
 _LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
-_COLUMNS = {
-    "auc": 2,
-    "eer": 3,
-    "cllr_min": 4,
-    "tpr_at_fpr_1pct": 5,
-    "tpr_at_fpr_01pct": 7,
-    "d_sys": 9,
-    "cllr": 10,
-}
-"""Of `_Scale`; behind a TPR is its FPR."""
+_COLUMNS = (
+    *("auc", "eer", "cllr_min"),
+    *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
+)
+"""What the loop over the ROCs writes."""
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
 """Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
 _NO_SPREAD = 1e-12
@@ -98,18 +95,26 @@ class ProbeRanks:
         """
         mated = self.above >= 0
         above, tied, cluster = self.above[mated], self.tied[mated], self.cluster[mated]
-        mate = np.zeros_like(above)
         found = {
-            "rank1": expected_hit(above, tied, mate),
-            "rank1_assigned": (self.assigned[mated] == 1).astype(np.float64),
-            "mrr": expected_reciprocal(above, tied, mate, self.n_gallery),
-            "chance": self.chance[mated],
+            "rank1": (expected_hit(above, tied), cluster),
+            "rank1_assigned": ((self.assigned[mated] == 1).astype(np.float64), cluster),
+            "mrr": (expected_reciprocal(above, tied, self.n_gallery), cluster),
+            "chance": (self.chance[mated], cluster),
         }
-        both = {name: (values, cluster) for name, values in found.items()}
         if not mated.all():
             linked = (self.assigned[~mated] >= 0).astype(np.float64)
-            both["false_link_rate"] = linked, self.cluster[~mated]
-        return both
+            found["false_link_rate"] = linked, self.cluster[~mated]
+        return found
+
+    def sums(self, n_clusters: int) -> dict[str, tuple[Floats, Floats]]:
+        """Return the sum and the number of each metric's values in each cluster, (C,) each."""
+        return {
+            name: (
+                cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
+                np.bincount(cluster, minlength=n_clusters).astype(np.float64),
+            )
+            for name, (values, cluster) in self.values().items()
+        }
 
     def replicates(self, weights: Floats) -> dict[str, Floats]:
         """Return the bootstrap replicates of each metric, (B,), as `scorecard` estimates it.
@@ -120,11 +125,7 @@ class ProbeRanks:
             As there.
         """
         found = {}
-        for name, (values, cluster) in self.values().items():
-            sums = [
-                cluster_sums(values=one, cluster=cluster, n_clusters=weights.shape[1])
-                for one in (values, np.ones(cluster.size))
-            ]
+        for name, sums in self.sums(weights.shape[1]).items():
             drawn = weights @ np.stack(sums, axis=1)
             found[name] = np.full(len(weights), np.nan)
             np.divide(drawn[:, 0], drawn[:, 1], out=found[name], where=drawn[:, 1] > 0)
@@ -164,41 +165,56 @@ class Scorecard:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Trial:
-    """What one search gives beside its scores."""
-
-    scores: Floats
-    """(P, G) contiguous"""
-    mate: Ints
-    scale: int
-    probe_cluster: Ints
-    """Renumbered: 0..C - 1 are the clusters that occur in its scale."""
-    gallery_cluster: Ints
-    ranks: RankedScores
-    probes: Ints
-    """(M,) those with a mate."""
-    assigned: Ints
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class _Cells:
-    """The cells of one scale, as `_loops` has them, and what falls into them."""
+    """The scores of one scale, cut where a metric can tell two apart.
+
+    Break points are the distinct mated scores and the inner edges of the D_sys bins; cell 2 k + 1
+    is the k-th break point, cell 2 k the gap below it. A replicate needs the weight of mated and
+    of non-mated scores in each cell and nothing else.
+    """
 
     breaks: Floats
     bins: NDArray[np.uint8]
     """`d_sys` bin of every cell."""
-    clusters: Ints
-    """(C,) those that occur, ascending."""
     null_bins: Floats
     """(n_shuffles, bins) scores of shuffled mates."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Trial:
+    """What one search gives beside its scores."""
+
+    search: Search
+    cell: Ints
+    """(P, G) of every score."""
+    standing: Ints
+    """(P, 2) `above` and `tied` of `ProbeRanks`."""
+    assigned: Ints
+    """(P,) as there."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Pairs:
+    """All L pairs of a probe and a candidate of one scale, whose clusters are 0..C - 1."""
+
+    first: Ints
+    """(L,) cluster of the probe."""
+    second: Ints
+    """(L,) of the candidate; C, which always weighs 1, where a pair weighs no more than `first`."""
+    mates: Ints
+    """Which of them are a probe and its mate."""
+    cell: Ints
+    scores: Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Scale:
     """Score metrics of one scale."""
 
-    columns: Floats
-    """(R, 11) as the loop writes them, then `cllr`; row 0 is the data, the others replicates."""
+    values: dict[str, Floats]
+    """(R,) by metric, and the FPR of each TPR; first the data, then the replicates."""
+    mass: Floats
+    """(R,) of mated scores; 0 where a class has no weight."""
     bias: float
     """Mean `d_sys` under shuffled mates."""
     n_mated: int
@@ -271,59 +287,9 @@ def scorecard(
         lacks a scale, or if `no_match_score` is not as long as `searches`.
     """
     check_searches(searches, n_shuffles)
-    _check(searches, weights, calibration, no_match_score)
-    cells = {
-        scale: _cut([search for search in searches if search.scale == scale], n_shuffles)
-        for scale in sorted({search.scale for search in searches})
-    }
-    trials, (p_value, p_value_low) = _trials(searches, cells, no_match_score, rng, n_shuffles)
-    results = [
-        _score_scale(
-            [trial for trial in trials if trial.scale == scale],
-            cut,
-            weights[:SCORE_REPLICATES],
-            calibration[scale] if calibration is not None else None,
-        )
-        for scale, cut in cells.items()
-    ]
-    over_scales = _over_scales(results)
-    probes = _probe_ranks(searches, trials)
-    hits, mated_clusters = probes.values()["rank1"]
-    chances = np.concatenate([chances_of(search) for search in searches])
-    sizes = [search.scores.shape[1] for search in searches]
-    n_clusters = int(np.unique(mated_clusters).size)
-    estimates = _rank_estimates(probes, weights)
-    estimates |= _score_estimates(results, over_scales, n_clusters)
-    n_mated = hits.size
-    return Scorecard(
-        estimates=estimates,
-        probes=probes,
-        p_value=p_value,
-        p_value_low=p_value_low,
-        p_rank1=rank1_p(hits=hits, chance=chances),
-        n_probes=probes.above.size,
-        n_mated=n_mated,
-        gallery_sizes=(min(sizes), max(sizes), sum(sizes) / len(sizes)),
-        n_clusters=n_clusters,
-        realised_fpr_1pct=float(over_scales[0, _COLUMNS["tpr_at_fpr_1pct"] + 1]),
-        realised_fpr_01pct=float(over_scales[0, _COLUMNS["tpr_at_fpr_01pct"] + 1]),
-        d_sys_bins=min(result.n_bins for result in results),
-        is_inverted=bool(estimates["auc"].value < 0.5),  # noqa: PLR2004
-        minimum_detectable_rank1=minimum_detectable_rank1(
-            n=n_mated, chance=float(chances.mean()) if n_mated else 1.0
-        ),
-    )
-
-
-def _check(
-    searches: Sequence[Search],
-    weights: Floats,
-    calibration: Mapping[int, Calibration] | None,
-    no_match_score: Sequence[float] | None,
-) -> None:
-    missing = {search.scale for search in searches}.difference(calibration or ())
-    if calibration is not None and missing:
-        raise ValueError(f"calibration lacks the scales {sorted(missing)}")
+    scales = sorted({search.scale for search in searches})
+    if calibration is not None and not calibration.keys() >= set(scales):
+        raise ValueError(f"calibration lacks the scales {sorted(set(scales) - set(calibration))}")
     if no_match_score is not None and len(no_match_score) != len(searches):
         raise ValueError(
             f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
@@ -331,6 +297,62 @@ def _check(
     last = max(int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches)
     if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004
         raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
+    cells = {
+        scale: _cut([search for search in searches if search.scale == scale], n_shuffles)
+        for scale in scales
+    }
+    null, observed = np.zeros(n_shuffles), 0.0
+    trials = []
+    no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
+    for search, least in zip(searches, no_match, strict=True):
+        cut = cells[search.scale]
+        log_rank, cell, standing = rank_rows(search, cut.breaks)
+        assigned = assign(scores=search.scores, rng=rng, no_match_score=least)
+        observed += add_shuffles(search, log_rank, cut.bins[cell], rng, null, cut.null_bins)
+        assigned = np.where(assigned < 0, -1, assigned == search.mate)
+        trials.append(_Trial(search, cell, standing, assigned))
+    results = [
+        _score_scale(
+            [trial for trial in trials if trial.search.scale == scale],
+            cut,
+            weights[:SCORE_REPLICATES],
+            calibration[scale] if calibration is not None else None,
+        )
+        for scale, cut in cells.items()
+    ]
+    sizes = [search.scores.shape[1] for search in searches]
+    above, tied = np.concatenate([trial.standing for trial in trials]).T
+    probes = ProbeRanks(
+        above=above,
+        tied=tied,
+        chance=np.repeat(1.0 / np.array(sizes), [search.mate.size for search in searches]),
+        assigned=np.concatenate([trial.assigned for trial in trials]),
+        cluster=np.concatenate([search.probe_cluster for search in searches]),
+        n_gallery=max(sizes),
+    )
+    hits, mated_clusters = probes.values()["rank1"]
+    chances, _ = probes.values()["chance"]
+    n_clusters = int(np.unique(mated_clusters).size)
+    values = _over_scales(results)
+    estimates = _rank_estimates(probes, weights) | _score_estimates(results, values, n_clusters)
+    return Scorecard(
+        estimates=estimates,
+        probes=probes,
+        p_value=p_value_among(observed, null),
+        p_value_low=p_value_among(-observed, -null),
+        p_rank1=rank1_p(hits=hits, chance=chances),
+        n_probes=probes.above.size,
+        n_mated=hits.size,
+        gallery_sizes=(min(sizes), max(sizes), sum(sizes) / len(sizes)),
+        n_clusters=n_clusters,
+        realised_fpr_1pct=float(values["realised_fpr_1pct"][0]),
+        realised_fpr_01pct=float(values["realised_fpr_01pct"][0]),
+        d_sys_bins=min(result.n_bins for result in results),
+        is_inverted=bool(estimates["auc"].value < 0.5),  # noqa: PLR2004
+        minimum_detectable_rank1=minimum_detectable_rank1(
+            n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
+        ),
+    )
 
 
 def _cut(searches: Sequence[Search], n_shuffles: int) -> _Cells:
@@ -346,213 +368,124 @@ def _cut(searches: Sequence[Search], n_shuffles: int) -> _Cells:
     bins = np.zeros(2 * breaks.size + 1, dtype=np.uint8)
     bins[1::2] = np.searchsorted(edges, breaks, side="right")
     bins[2::2] = bins[1::2]
-    occurring = [c for s in searches for c in (s.probe_cluster, s.gallery_cluster)]
-    return _Cells(
-        breaks, bins, np.unique(np.concatenate(occurring)), np.zeros((n_shuffles, n_bins))
-    )
-
-
-def _trials(
-    searches: Sequence[Search],
-    cells: Mapping[int, _Cells],
-    no_match_score: Sequence[float] | None,
-    rng: np.random.Generator,
-    n_shuffles: int,
-) -> tuple[list[_Trial], tuple[float, float]]:
-    """Return what the searches give, and the p-values of both tails; fill `null_bins`."""
-    log_factorial = log_factorials(max(search.scores.shape[1] for search in searches))
-    room = shuffling_room(searches, n_shuffles)
-    no_match: Sequence[float | None] = (
-        no_match_score if no_match_score is not None else [None] * len(searches)
-    )
-    null, observed = np.zeros(n_shuffles), 0.0
-    trials = []
-    for search, least in zip(searches, no_match, strict=True):
-        cut = cells[search.scale]
-        ranks = rank_rows(search, cut.breaks, log_factorial)
-        assigned = assign(scores=search.scores, rng=rng, no_match_score=least)
-        observed += add_shuffles(search, ranks, cut.bins, rng, room, null, cut.null_bins)
-        trials.append(
-            _Trial(
-                scores=np.ascontiguousarray(search.scores, dtype=np.float64),
-                mate=np.ascontiguousarray(search.mate, dtype=np.int64),
-                scale=search.scale,
-                probe_cluster=np.searchsorted(cut.clusters, search.probe_cluster),
-                gallery_cluster=np.searchsorted(cut.clusters, search.gallery_cluster),
-                ranks=ranks,
-                probes=np.flatnonzero(search.mate >= 0),
-                assigned=assigned,
-            )
-        )
-    return trials, (p_value_among(observed, null), p_value_among(-observed, -null))
-
-
-def _tables(weights: Floats) -> tuple[NDArray[np.float32], Floats]:
-    """Return the weights as the loop wants them, (chunks, C + 1, lanes), and as rows, (C, R).
-
-    Replicate 0 weighs every cluster once: the data. The loop's last cluster always weighs 1. Counts
-    are exact in 32 bits.
-    """
-    lanes = import_loops().LANES
-    n_replicates, n_clusters = 1 + weights.shape[0], weights.shape[1]
-    n_chunks = -(-n_replicates // lanes)
-    padded = np.ones((n_clusters + 1, n_chunks * lanes))
-    padded[:-1, 1:n_replicates] = weights.T
-    tables = padded.reshape(-1, n_chunks, lanes).transpose(1, 0, 2)
-    return np.ascontiguousarray(tables, dtype=np.float32), padded[:-1, :n_replicates]
+    return _Cells(breaks, bins, np.zeros((n_shuffles, n_bins)))
 
 
 def _score_scale(
     trials: Sequence[_Trial], cut: _Cells, weights: Floats, calibration: Calibration | None
 ) -> _Scale:
     """Return the score metrics of one scale."""
-    mated_cell = np.concatenate([t.ranks.standing[t.probes, 2] for t in trials])
-    counts = np.sum([trial.ranks.counts for trial in trials], axis=0)
+    searches = [trial.search for trial in trials]
+    clusters, number = np.unique(
+        np.concatenate([c for s in searches for c in (s.probe_cluster, s.gallery_cluster)]),
+        return_inverse=True,
+    )
+    first, second, is_mate = [], [], []
+    for s in searches:
+        n_probes, n_gallery = s.scores.shape
+        own, other, number = np.split(number, [n_probes, n_probes + n_gallery])
+        mates = s.mate[:, None] == np.arange(n_gallery)
+        first.append(np.repeat(own, n_gallery))
+        second.append(np.where(mates | (own[:, None] == other), clusters.size, other).ravel())
+        is_mate.append(mates.ravel())
+    pairs = _Pairs(
+        np.concatenate(first),
+        np.concatenate(second),
+        mates=np.flatnonzero(np.concatenate(is_mate)),
+        cell=np.concatenate([trial.cell.ravel() for trial in trials]),
+        scores=np.concatenate([s.scores.ravel() for s in searches], dtype=np.float64),
+    )
+    # Replicate 0 weighs every cluster once: the data.
+    rows = np.ones((clusters.size + 1, 1 + len(weights)))
+    rows[:-1, 1:] = weights[:, clusters].T
+    mated, non_mated, bins = _masses(pairs, rows, cut.bins)
+    total_mated, total_non_mated = mated.sum(axis=1), non_mated.sum(axis=1)
+    is_defined = (total_mated > 0) & (total_non_mated > 0)
+
     n_bins = cut.null_bins.shape[1]
-    n_mated, n_non_mated = mated_cell.size, int(counts.sum())
+    n_mated = pairs.mates.size
+    n_non_mated = pairs.cell.size - n_mated
     bias = math.nan
     if n_mated and n_non_mated:
+        counts = np.bincount(pairs.cell, minlength=cut.bins.size)
         total_bins = np.bincount(cut.bins, weights=counts, minlength=n_bins)
-        total_bins += np.bincount(cut.bins[mated_cell], minlength=n_bins)
         null, others = cut.null_bins / n_mated, (total_bins - cut.null_bins) / n_non_mated
         bias = float(linked_share(null, others).mean())
 
-    tables, rows = _tables(weights[:, cut.clusters])
-    columns = _replicates(trials, counts, mated_cell, cut.bins, tables)[: rows.shape[1]]
-    columns[:, _COLUMNS["cllr"]] = _cllr_rows(trials, columns, rows, calibration)
-    return _Scale(columns, bias, n_mated, n_non_mated, n_bins)
+    values = {"cllr": np.full(is_defined.size, np.nan)}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        starts = np.flatnonzero(np.diff(bins, prepend=-1))
+        p, q = (np.add.reduceat(mass, starts, axis=1) for mass in (mated, non_mated))
+        values["d_sys"] = linked_share(p / total_mated[:, None], q / total_non_mated[:, None])
+        if calibration is not None:
+            mated_cost, non_mated_cost = _costs(pairs, rows, calibration)
+            both = mated_cost / total_mated + non_mated_cost / total_non_mated
+            values["cllr"] = both / (2.0 * math.log(2.0))
+    columns = np.empty((is_defined.size, 7))
+    import_loops().read_rocs(mated, non_mated, np.array(list(_LEVELS.values())), columns)
+    values |= dict(zip(_COLUMNS, columns.T, strict=True))
+    values = {name: np.where(is_defined, of, np.nan) for name, of in values.items()}
+    mass = np.where(is_defined, total_mated, 0.0)
+    return _Scale(values, mass, bias, n_mated, n_non_mated, n_bins)
 
 
-def _replicates(
-    trials: Sequence[_Trial],
-    counts: Ints,
-    mated_cell: Ints,
-    bins: NDArray[np.uint8],
-    tables: NDArray[np.float32],
-) -> Floats:
-    """Return what the loop of that name writes, with the chunks' empty rows at the end."""
+def _masses(pairs: _Pairs, rows: Floats, bins: NDArray[np.uint8]) -> tuple[Floats, Floats, Ints]:
+    """Return the weight of either class in each cell that holds a score, (R, K), and its bin."""
     loops = import_loops()
-    stops = np.cumsum(counts)
-    place = stops - counts
-    first = np.empty(stops[-1], dtype=np.int64)
-    second = np.empty_like(first)
-    for trial in trials:
-        loops.fill_cells(
-            trial.ranks.cell,
-            trial.mate,
-            trial.probe_cluster,
-            trial.gallery_cluster,
-            tables.shape[1] - 1,
-            place,
-            first,
-            second,
-        )
-    occupied = counts > 0
-    occupied[mated_cell] = True
-    number = np.cumsum(occupied) - 1
-    columns = np.empty((tables.shape[0] * loops.LANES, loops.COLUMNS))
-    loops.replicates(
-        tables,
-        np.concatenate([[0], stops[occupied]]),
-        first,
-        second,
-        number[mated_cell],
-        np.concatenate([trial.probe_cluster[trial.probes] for trial in trials]),
-        bins[occupied].astype(np.int64),
-        *_LEVELS.values(),
-        columns,
-    )
-    return columns
+    n_lanes = -(-rows.shape[1] // loops.LANES) * loops.LANES
+    padded = np.zeros((len(rows), n_lanes), dtype=np.float32)
+    padded[:, : rows.shape[1]] = rows  # counts, exact in 32 bits
+    tables = padded.reshape(len(rows), -1, loops.LANES).transpose(1, 0, 2)
+    is_occupied = np.bincount(pairs.cell, minlength=bins.size) > 0
+    key = (2 * np.cumsum(is_occupied) - 2)[pairs.cell]
+    key[pairs.mates] += 1
+    out = np.empty((2, n_lanes, int(is_occupied.sum())))
+    loops.weigh(np.ascontiguousarray(tables), key, pairs.first, pairs.second, out)
+    non_mated, mated = out[:, : rows.shape[1]]
+    return mated, non_mated, bins[is_occupied].astype(np.int64)
 
 
-def _cllr_rows(
-    trials: Sequence[_Trial], columns: Floats, rows: Floats, calibration: Calibration | None
-) -> Floats:
-    """Return `cllr` of every replicate, (R,)."""
-    values = np.full(rows.shape[1], np.nan)
-    if calibration is None:
-        return values
-    n_clusters = len(rows)
-    between, mated = np.zeros((n_clusters, n_clusters)), np.zeros(n_clusters)
-    for trial in trials:
-        mate, probes = trial.mate, trial.probes
-        llr = calibration.slope * trial.scores + calibration.intercept
-        # log(1 + LR), in a way that does not overflow and that numpy computes several at a time.
-        costs = np.log1p(np.exp(-np.abs(llr)))
-        costs += np.maximum(llr, 0.0)
-        costs[probes, mate[probes]] = 0.0
-        pair = n_clusters * trial.probe_cluster[:, None] + trial.gallery_cluster
-        sums = np.bincount(pair.ravel(), weights=costs.ravel(), minlength=n_clusters**2)
-        between += sums.reshape(between.shape)
-        mated += np.bincount(
-            trial.probe_cluster[probes],
-            weights=np.logaddexp(0.0, -llr[probes, mate[probes]]),
-            minlength=mated.size,
-        )
-    within = between.diagonal().copy()
-    np.fill_diagonal(between, 0.0)
-    non_mated = np.einsum("cr,cr->r", between @ rows, rows) + within @ rows
-    defined = (columns[:, 0] > 0) & (columns[:, 1] > 0)
-    both = (mated @ rows)[defined] / columns[defined, 0]
-    both += non_mated[defined] / columns[defined, 1]
-    values[defined] = both / (2.0 * math.log(2.0))
-    return values
+def _costs(pairs: _Pairs, rows: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
+    """Return the summed cost of either class as evidence, (R,) each, in nats."""
+    llr = calibration.slope * pairs.scores + calibration.intercept
+    n, own = len(rows), pairs.first[pairs.mates]
+    mated = np.bincount(own, weights=np.logaddexp(0.0, -llr[pairs.mates]), minlength=n)
+    # log(1 + LR), in a way that does not overflow and that numpy computes several at a time.
+    costs = np.log1p(np.exp(-np.abs(llr)))
+    costs += np.maximum(llr, 0.0)
+    costs[pairs.mates] = 0.0
+    between = np.bincount(n * pairs.first + pairs.second, weights=costs, minlength=n**2)
+    return mated @ rows, np.einsum("cr,cr->r", between.reshape(n, n) @ rows, rows)
 
 
-def _over_scales(results: Sequence[_Scale]) -> Floats:
-    """Return columns of `_Scale`: means, weighted by each replicate's mass of mated scores.
+def _over_scales(results: Sequence[_Scale]) -> dict[str, Floats]:
+    """Return the values of `_Scale`: means, weighted by each replicate's mass of mated scores.
 
     NaN where no scale has both classes, and where a TPR is refused.
     """
-    total = np.zeros(results[0].columns.shape)
-    mass = np.zeros((len(total), 1))
-    for result in results:
-        weight = np.where(result.columns[:, 1] > 0, result.columns[:, 0], 0.0)[:, None]
-        total += np.where(weight > 0, result.columns, 0.0) * weight
-        mass += weight
-    mean = np.full(total.shape, np.nan)
-    np.divide(total, mass, out=mean, where=mass > 0)
+    mass = np.stack([one.mass for one in results])
+    mean: dict[str, Floats] = {}
+    for name in results[0].values:
+        of_scale = np.where(mass > 0, [one.values[name] for one in results], 0.0)
+        with np.errstate(invalid="ignore"):
+            mean[name] = (of_scale * mass).sum(axis=0) / mass.sum(axis=0)
     n_non_mated = sum(result.n_non_mated for result in results)
     for name, alpha in _LEVELS.items():
         if is_refused(n_non_mated, alpha):
-            mean[:, _COLUMNS[name] : _COLUMNS[name] + 2] = np.nan
+            mean[name][:] = mean[name.replace("tpr_at", "realised")][:] = np.nan
     return mean
 
 
-def _probe_ranks(searches: Sequence[Search], trials: Sequence[_Trial]) -> ProbeRanks:
-    mate = np.concatenate([search.mate for search in searches])
-    standing = np.concatenate([trial.ranks.standing for trial in trials])
-    assigned = np.concatenate([trial.assigned for trial in trials])
-    sizes = np.array([search.scores.shape[1] for search in searches])
-    return ProbeRanks(
-        above=np.where(mate < 0, -1, standing[:, 0]),
-        tied=np.where(mate < 0, 0, standing[:, 1]),
-        chance=np.repeat(1.0 / sizes, [len(search.mate) for search in searches]),
-        assigned=np.where(assigned < 0, -1, assigned == mate),
-        cluster=np.concatenate([search.probe_cluster for search in searches]),
-        n_gallery=int(sizes.max()),
-    )
-
-
 def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
-    """Return the estimates of rank metrics."""
+    """Return the estimates of rank metrics; all are shares but the chance, which is known."""
     estimates = {
-        # All are shares but the chance, which is known.
-        name: _mean(values, cluster, weights, is_share=name != "chance")
-        for name, (values, cluster) in probes.values().items()
+        name: ratio_estimate(
+            numerator=sums, denominator=counts, weights=weights, is_share=name != "chance"
+        )
+        for name, (sums, counts) in probes.sums(weights.shape[1]).items()
     }
     estimates["residual_risk"] = _residual_risk_estimate(estimates["rank1"], estimates["chance"])
     return estimates
-
-
-def _mean(values: Floats, cluster: Ints, weights: Floats, *, is_share: bool) -> Estimate:
-    numerator, denominator = (
-        cluster_sums(values=of, cluster=cluster, n_clusters=weights.shape[1])
-        for of in (values, np.ones(cluster.size))
-    )
-    return ratio_estimate(
-        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
-    )
 
 
 def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
@@ -578,11 +511,13 @@ def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
     return Estimate(value, low, high, success.n, replicates)
 
 
-def _score_estimates(results: Sequence[_Scale], over_scales: Floats, n: int) -> dict[str, Estimate]:
+def _score_estimates(
+    results: Sequence[_Scale], values: dict[str, Floats], n: int
+) -> dict[str, Estimate]:
     """Return the estimates of score metrics; `n` clusters have a mated probe."""
     estimates = {}
-    for name, column in _COLUMNS.items():
-        value, replicates = float(over_scales[0, column]), over_scales[1:, column].copy()
+    for name in _METRICS:
+        value, replicates = float(values[name][0]), values[name][1:]
         low, high = math.nan, math.nan
         if n > 1 and not math.isnan(value):
             low, high = _interval(name, value, replicates, n)

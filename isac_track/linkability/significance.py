@@ -6,7 +6,6 @@ Numba is imported, and its loops compiled, at the first shuffle, not before.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -72,13 +71,11 @@ def permutation_p(
     """
     check_searches(searches, n_shuffles)
     null, nowhere = np.zeros(n_shuffles), np.zeros((n_shuffles, 1))
-    one_bin = np.zeros(1, dtype=np.uint8)
-    room = shuffling_room(searches, n_shuffles)
-    log_factorial = log_factorials(max(search.scores.shape[1] for search in searches))
     observed = 0.0
     for search in searches:
-        ranks = rank_rows(search, np.empty(0), log_factorial)
-        observed += add_shuffles(search, ranks, one_bin, rng, room, null, nowhere)
+        log_rank, _, _ = rank_rows(search, np.empty(0))
+        one_bin = np.zeros(log_rank.shape, dtype=np.uint8)
+        observed += add_shuffles(search, log_rank, one_bin, rng, null, nowhere)
     return p_value_among(observed, null)
 
 
@@ -115,8 +112,10 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
     if values.size == 1:
         return float(bdtrc(n_hits - 1, hits.size, values[0]))
     law = np.ones(1)
-    for value, count in zip(values, counts, strict=True):
-        law = np.convolve(law, _binomial(int(count), float(value)))
+    for p, n in zip(values, counts, strict=True):
+        k = np.arange(n + 1)
+        log_choose = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
+        law = np.convolve(law, np.exp(log_choose + xlogy(k, p) + xlog1py(n - k, -p)))
     return min(1.0, float(law[n_hits:].sum()))
 
 
@@ -172,13 +171,6 @@ def outcome(*, p_value: float, ceiling_p_value: float, level: float = LEVEL) -> 
     return "attack too weak" if ceiling_p_value > level else "no link detected"
 
 
-def _binomial(n: int, p: float) -> Floats:
-    k = np.arange(n + 1)
-    log_choose = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
-    law: Floats = np.exp(log_choose + xlogy(k, p) + xlog1py(n - k, -p))
-    return law
-
-
 def p_value_among(observed: float, null: Floats) -> float:
     """Return the one-sided p-value of a sum among those of shuffles."""
     # Sums of the same numbers in another order may differ by rounding; they are ties.
@@ -193,60 +185,33 @@ def check_searches(searches: Sequence[Search], n_shuffles: int) -> None:
         raise ValueError(f"n_shuffles must be at least 999, got {n_shuffles}")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class RankedScores:
-    """What the loop over the ranks of a search writes."""
+def rank_rows(search: Search, breaks: Floats) -> tuple[Floats, Ints, Ints]:
+    """Return `log_rank` of every column were it the mate, (P, G), and the cell of its score.
 
-    log_rank: Floats
-    """(P, G) `log_rank` of every column were it the mate."""
-    cell: Ints
-    """(P, G) cell of every score; 2 k + 1 is the k-th break point, 2 k the gap below it."""
-    standing: Ints
-    """(P, 3) how many stand above the mate, how many as high, and its cell; 0, 1, 0 without one."""
-    counts: Ints
-    """Non-mated scores of each cell."""
-
-
-def rank_rows(search: Search, breaks: Floats, log_factorial: Floats) -> RankedScores:
-    """Return ranks and cells of all scores of a search."""
+    Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it. And of each
+    probe, (P, 2), how many stand above its mate and how many as high; -1 and 0 without one.
+    """
     scores = np.ascontiguousarray(search.scores, dtype=np.float64)
-    ranks = RankedScores(
-        log_rank=np.empty(scores.shape),
-        cell=np.empty(scores.shape, dtype=np.int64),
-        standing=np.tile(np.array([0, 1, 0]), (scores.shape[0], 1)),
-        counts=np.zeros(2 * breaks.size + 1, dtype=np.int64),
-    )
+    log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int64)
+    standing = np.tile(np.array([-1, 0]), (len(scores), 1))
     import_loops().rank_rows(
-        scores,
-        np.argsort(scores, axis=1),
-        breaks,
-        log_factorial,
-        np.ascontiguousarray(search.mate, dtype=np.int64),
-        ranks.log_rank,
-        ranks.cell,
-        ranks.standing,
-        ranks.counts,
+        *(scores, np.argsort(scores, axis=1), breaks, log_factorials(scores.shape[1])),
+        *(np.ascontiguousarray(search.mate, dtype=np.int64), log_rank, cell, standing),
     )
-    return ranks
-
-
-def shuffling_room(searches: Sequence[Search], n_shuffles: int) -> Floats:
-    """Return memory for the uniform numbers of any one of the searches."""
-    return np.empty(n_shuffles * max(search.mate.size for search in searches))
+    return log_rank, cell, standing
 
 
 def add_shuffles(
     search: Search,
-    ranks: RankedScores,
-    bins: NDArray[np.uint8],
+    log_rank: Floats,
+    score_bin: NDArray[np.uint8],
     rng: np.random.Generator,
-    room: Floats,
     null: Floats,
     null_bins: Floats,
 ) -> float:
-    """Return the sum of `log_rank` over mated probes; add those of shuffled mates to `null`, (n,).
+    """Return the sum of `log_rank`, (P, G), over mates; add those of shuffled mates to `null`.
 
-    To `null_bins`, (n, bins), are added the shuffles' mated scores; `bins` gives each cell's.
+    To `null_bins`, (n, bins), are added the shuffles' mated scores, whose bins are `score_bin`.
     """
     probes = np.flatnonzero(search.mate >= 0)
     clusters = search.probe_cluster[probes]
@@ -256,16 +221,14 @@ def add_shuffles(
     n_of_size = np.bincount(counts)
     sizes = np.flatnonzero(n_of_size)
     n_alike = n_of_size[sizes]
-
-    n_shuffles, n_drawn = null.size, probes.size - sizes.size
-    uniform = room[: n_shuffles * n_drawn].reshape(n_shuffles, n_drawn)
-    rng.random(out=uniform)
+    uniform = rng.random((null.size, probes.size - sizes.size))
     if sizes.size and sizes[0] == 1:
         # Permuting clusters of one is permuting the members of one cluster, which is faster.
         sizes[0], n_alike[0] = n_alike[0], 1
-    log_rank_of, score_bin = ranks.log_rank[probes], bins[ranks.cell[probes]]
-    import_loops().shuffle(uniform, sizes, n_alike, mate, log_rank_of, score_bin, null, null_bins)
-    return float(log_rank_of[np.arange(mate.size), mate].sum())
+    import_loops().shuffle(
+        *(uniform, sizes, n_alike, mate, log_rank[probes], score_bin[probes], null, null_bins)
+    )
+    return float(log_rank[probes, mate].sum())
 
 
 def import_loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types

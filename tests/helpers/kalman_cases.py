@@ -2,75 +2,66 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from hypothesis import strategies as st
 
+from isac_track.kalman import Batch
 from isac_track.rng import stream
 
 Q = 0.3
+PRIOR_STD = (1.3, 0.8, 0.6)
+VAGUE_STD = (100.0, 10.0, 1.0)
 PER_SAMPLE = ("t", "xy", "variance")
-PER_TRACK = ("initial_mean", "initial_cov")
 
 
-def batch(*, sizes=(40, 1, 7, 2), d=2, seed=0, cov=None, step_s=(0.02, 0.9), variance=(0.01, 0.6)):
-    """Walks with irregular steps and noise, each with a correlated prior of its own, or `cov`."""
+def batch(
+    *,
+    sizes=(40, 1, 7, 2),
+    seed=0,
+    prior_std=PRIOR_STD[:2],
+    step_s=(0.02, 0.9),
+    variance=(0.01, 0.6),
+):
+    """Walks with irregular steps and noise."""
     rng = stream(seed, "test", "kernels")
     t = [rng.uniform(-50, 50) + rng.uniform(*step_s, size).cumsum() for size in sizes]
     xy = [rng.uniform(-5, 5, 2) + rng.normal(0, 0.3, (size, 2)).cumsum(axis=0) for size in sizes]
-    if cov is None:
-        root = rng.normal(0, 1, (len(sizes), d, d))
-        cov = root @ root.swapaxes(1, 2) + 0.5 * np.eye(d)
-    return {
-        "t": np.concatenate(t),
-        "xy": np.concatenate(xy),
-        "variance": rng.uniform(*variance, sum(sizes)),
-        "offsets": np.concatenate([[0], np.cumsum(sizes)]),
-        "q": Q,
-        "initial_mean": rng.normal(0, 2, (len(sizes), 2, d)),
-        "initial_cov": np.broadcast_to(cov, (len(sizes), d, d)),
-    }
+    return Batch(
+        t=np.concatenate(t),
+        xy=np.concatenate(xy),
+        variance=rng.uniform(*variance, sum(sizes)),
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        prior_std=prior_std,
+    )
 
 
-def rows_of(case, order):
-    """Return the samples of some tracks, in that order."""
-    return np.concatenate([np.arange(*case["offsets"][i : i + 2]) for i in order])
+def pieces(case, bounds):
+    """Return a batch whose tracks are the samples between some bounds."""
+    rows = np.concatenate([np.arange(lo, hi) for lo, hi in bounds] or [np.arange(0)])
+    chosen = {name: getattr(case, name)[rows] for name in PER_SAMPLE}
+    return replace(case, **chosen, offsets=np.cumsum([0, *(hi - lo for lo, hi in bounds)]))
 
 
 def some_tracks(case, order):
     """Return a batch of some of the tracks, in that order."""
-    order = list(order)
-    sizes = np.diff(case["offsets"])[order]
-    chosen = {name: case[name][rows_of(case, order)] for name in PER_SAMPLE}
-    chosen |= {name: case[name][order] for name in PER_TRACK}
-    return case | chosen | {"offsets": np.concatenate([[0], np.cumsum(sizes)])}
-
-
-def no_tracks(case):
-    """Return a batch without a track."""
-    empty = {name: case[name][:0] for name in PER_SAMPLE + PER_TRACK}
-    return case | empty | {"offsets": np.array([0])}
+    return pieces(case, [case.offsets[i : i + 2] for i in order])
 
 
 def prefixes(case):
     """Return a batch with a track for each sample: its own track up to it."""
-    bounds = [(lo, k + 1) for lo, hi in pairwise(case["offsets"]) for k in range(lo, hi)]
-    rows = np.concatenate([np.arange(*bound) for bound in bounds])
-    track = np.repeat(np.arange(case["offsets"].size - 1), np.diff(case["offsets"]))
-    chosen = {name: case[name][rows] for name in PER_SAMPLE}
-    chosen |= {name: case[name][track] for name in PER_TRACK}
-    return case | chosen | {"offsets": np.cumsum([0, *(hi - lo for lo, hi in bounds)])}
+    return pieces(case, [(lo, k + 1) for lo, hi in pairwise(case.offsets) for k in range(lo, hi)])
 
 
-def one_by_one(case):
+def one_by_one(case, **model):
     """Yield the samples of each track and its arguments for the oracles."""
-    for i, (lo, hi) in enumerate(pairwise(case["offsets"])):
-        track = {name: case[name][lo:hi] for name in PER_SAMPLE}
-        track |= {"q": case["q"], "mean": case["initial_mean"][i], "cov": case["initial_cov"][i]}
-        if "rates" in case:
-            track |= {"rates": case["rates"], "probability": case["initial_probability"]}
-        yield slice(lo, hi), track
+    rest = np.zeros((2, len(case.prior_std) - 1))
+    for lo, hi in pairwise(case.offsets):
+        track = {name: getattr(case, name)[lo:hi] for name in PER_SAMPLE}
+        track |= {"mean": np.column_stack([case.xy[lo], rest]), "q": Q}
+        yield slice(lo, hi), track | {"cov": np.diag(case.prior_std) ** 2} | model
 
 
 def close(value, expected, tolerance=1e-9):
@@ -97,14 +88,15 @@ def powers(low, high, size):
 
 @st.composite
 def hard_tracks(draw, *, n_tracks, gap=1.0):
-    """Tracks over five decades of noise and four of steps, without a prior."""
+    """Tracks over five decades of noise and four of steps, and a spectral density."""
     sizes = draw(st.lists(st.integers(1, 9), min_size=n_tracks, max_size=n_tracks))
     total = sum(sizes)
     places = st.lists(st.floats(-50, 50), min_size=total, max_size=total)
-    return {
-        "t": (gap * draw(powers(-3, 1, total))).cumsum(),
-        "variance": draw(powers(-3, 2, total)) ** 2,
-        "xy": np.stack([draw(places), draw(places)], axis=1),
-        "offsets": np.concatenate([[0], np.cumsum(sizes)]),
-        "q": draw(powers(-3, 1, 1))[0],
-    }
+    tracks = Batch(
+        t=(gap * draw(powers(-3, 1, total))).cumsum(),
+        variance=draw(powers(-3, 2, total)) ** 2,
+        xy=np.stack([draw(places), draw(places)], axis=1),
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        prior_std=(100.0, 2.0),
+    )
+    return tracks, draw(powers(-3, 1, 1))[0]

@@ -214,16 +214,16 @@ def imm_smooth(*, t, q, rates, mean, cov, probability):
 
 
 def imm_exact(*, t, xy, variance, q, rates, mean, cov, probability):
-    """Every sequence of modes, smoothed alone and weighted: mean (n, 2, 2), probability (n, J)."""
-    n, modes = len(t), range(len(q))
-    log_weights, means, sequences = [], [], list(product(modes, repeat=n))
+    """Every sequence of modes, smoothed alone and weighted: mean positions, (n, 2)."""
+    n = len(t)
+    log_weights, means = [], []
     jumps = [chances(now - before, rates) for before, now in pairwise(t)]
     lift = np.eye(2 * n)
     for k, (before, now) in enumerate(pairwise(t), start=1):
         f = transition(now - before, 2)
         lift[2 * k : 2 * k + 2, : 2 * k] = f @ lift[2 * k - 2 : 2 * k, : 2 * k]
     centre = lift[:, :2] @ mean.T
-    for sequence in sequences:
+    for sequence in product(range(len(q)), repeat=n):
         # Given the modes the axes are independent.
         steps = zip(np.diff(t), sequence[1:], strict=True)
         noises = [cov, *(process_noise(step, q[mode], 2) for step, mode in steps)]
@@ -237,9 +237,6 @@ def imm_exact(*, t, xy, variance, q, rates, mean, cov, probability):
         )
         log_weight -= np.linalg.slogdet(2 * np.pi * s)[1] + (innovation * solved).sum() / 2
         log_weights.append(log_weight)
-        means.append((centre + prior[:, ::2] @ solved).reshape(n, 2, 2).swapaxes(1, 2))
+        means.append((centre + prior[:, ::2] @ solved)[::2])
     weight = np.exp(np.array(log_weights) - max(log_weights))
-    weight /= weight.sum()
-    chosen = np.array(sequences)
-    odds = np.stack([weight @ (chosen == j) for j in modes], axis=1)
-    return np.einsum("s,skij->kij", weight, np.array(means)), odds
+    return np.average(means, axis=0, weights=weight)

@@ -12,7 +12,6 @@ from isac_track import datasets, plugins
 from isac_track.rng import stream
 from isac_track.types import Knowledge
 from predictors.kalman import GATE, KalmanCA, KalmanCV, KalmanIMM
-from predictors.recent import recent
 
 TRACKERS = [KalmanCV(), KalmanCA(), KalmanIMM()]
 by_name = pytest.mark.parametrize("tracker", TRACKERS, ids=lambda one: type(one).__name__)
@@ -123,13 +122,13 @@ def test_the_forecast_covariance_is_consistent():
     assert nees(sigma_off=2.0)[:, 0].mean() < low  # a wrong noise would be seen
 
 
-def test_recent_keeps_the_last_samples():
+def test_the_filters_get_the_last_samples():
     release, _, _ = walks(5, 2, 9)
-    seen = recent(release, window=4)
-    assert np.diff(seen.offsets).tolist() == [4, 2, 4]
-    assert np.allclose(seen.xy[:4], release.xy[1:5])
-    assert np.allclose(seen.t[[3, 5, 9]], 0.0)
-    assert np.allclose(seen.sigma, release.sigma[:10])
+    batch = KalmanCV(window=4, noise="declared").batch(release)
+    assert np.diff(batch.offsets).tolist() == [4, 2, 4]
+    assert np.allclose(batch.xy[:4], release.xy[1:5])
+    assert np.allclose(batch.t[[3, 5, 9]], 0.0)
+    assert np.allclose(batch.variance, release.sigma[:10] ** 2 / 2)
 
 
 def test_only_declared_noise_asks_for_sigma():

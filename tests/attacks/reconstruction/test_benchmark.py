@@ -20,7 +20,7 @@ from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS
 from isac_track import plugins
-from isac_track.kalman import smooth_positions
+from isac_track.kalman import Batch, smooth_positions
 from isac_track.protocols import TrainingSet, grants
 from isac_track.rng import stream
 from isac_track.sharing import Raw
@@ -31,7 +31,7 @@ N_TRACKS = 800
 MANY_TRACKS = 2400
 """Their mean square error is known to 1 % (one standard error)."""
 N_REPEATS = 2
-PRIOR = np.diag([100.0, 10.0]) ** 2
+PRIOR_STD = (100.0, 10.0)
 
 
 @cache
@@ -53,17 +53,8 @@ def release_of(n_tracks=N_TRACKS, seed=0, again=0):
 def posterior(n_releases=1, n_tracks=N_TRACKS):
     """P of every sample, (M,), given so many releases of the walk."""
     truth, t, offsets, std = walks(n_tracks)
-    mean = np.zeros((n_tracks, 2, 2))
-    mean[:, :, 0] = truth[offsets[:-1]]
-    _, variance = smooth_positions(
-        t=t,
-        xy=truth,
-        variance=std**2 / n_releases,
-        offsets=offsets,
-        q=Q,
-        initial_mean=mean,
-        initial_cov=np.broadcast_to(PRIOR, (n_tracks, 2, 2)),
-    )
+    batch = Batch(t, truth, std**2 / n_releases, offsets, PRIOR_STD)
+    _, variance = smooth_positions(batch, q=Q)
     return variance
 
 
@@ -154,7 +145,7 @@ def test_the_posterior_covariance_is_the_dense_one():
         variance=std[lo:hi] ** 2,
         q=Q,
         mean=np.stack([truth[lo], np.zeros(2)], axis=1),
-        cov=PRIOR,
+        cov=np.diag(PRIOR_STD) ** 2,
     )
     np.testing.assert_allclose(variance[lo:hi], cov[:, 0, 0], rtol=1e-6)
 

@@ -1,21 +1,33 @@
 """The Kalman filter's last state against filterpy, a dense posterior, hand examples and chance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import kernel_oracles as oracle
-from helpers.kalman_cases import batch, close, hard_tracks, one_by_one, prefixes, sound
+from helpers.kalman_cases import (
+    PRIOR_STD,
+    VAGUE_STD,
+    Q,
+    batch,
+    close,
+    hard_tracks,
+    one_by_one,
+    prefixes,
+    sound,
+)
 from helpers.strategies import reproducible
 from hypothesis import given
 
 from isac_track import kalman
 from isac_track.rng import stream
 
-MODELS = {"cv": 2, "ca": 3}
+each_model = pytest.mark.parametrize("d", [2, 3], ids=["cv", "ca"])
 
 
-def after_every_sample(case):
+def after_every_sample(case, *, q=Q, gate=np.inf):
     """The last states of all prefixes: row k is the state after sample k."""
-    return kalman.kalman_last(**prefixes(case))
+    return kalman.kalman_last(prefixes(case), q=q, gate=gate)
 
 
 def accepted(result):
@@ -23,16 +35,12 @@ def accepted(result):
     return np.diff(result.log_likelihood, prepend=0.0) != 0
 
 
-@pytest.fixture(params=MODELS)
-def case(request):
-    return batch(d=MODELS[request.param]) | {"model": request.param}
-
-
+@each_model
 @pytest.mark.parametrize("gate", [np.inf, 6.0])
-def test_every_state_is_filterpy_s(case, gate):
-    jumps = stream(0, "test", "jumps").uniform(size=50) < 0.3
-    case["xy"] = case["xy"] + 4.0 * jumps[:, None]
-    result = after_every_sample(case | {"gate": gate})
+def test_every_state_is_filterpy_s(d, gate):
+    case = batch(prior_std=PRIOR_STD[:d])
+    case.xy[stream(0, "test", "jumps").uniform(size=50) < 0.3] += 4.0
+    result = after_every_sample(case, gate=gate)
     used = []
     for rows, track in one_by_one(case):
         theirs = oracle.filterpy_track(**track, gate=gate)
@@ -44,64 +52,54 @@ def test_every_state_is_filterpy_s(case, gate):
     assert any(used)
 
 
-class TestAgainstTheDensePosterior:
-    def test_gated_samples_are_as_if_never_seen(self, case):
-        case["xy"] = case["xy"].copy()
-        case["xy"][[10, 11, 25]] += 100.0
-        last = kalman.kalman_last(**case, gate=50.0)
-        _, track = next(one_by_one(case))
-        used = ~np.isin(np.arange(40), [10, 11, 25])
-        mean, cov, density = oracle.joint_posterior(**track, used=used)
-        close(last.mean[0], mean[-1])
-        close(last.cov[0], cov[-1])
-        close(last.log_likelihood[0], density, 1e-7)  # 40 dense samples of ca: 1e6 m^2
+@each_model
+def test_gated_samples_are_as_if_never_seen_by_the_dense_posterior(d):
+    case = batch(prior_std=PRIOR_STD[:d])
+    case.xy[[10, 11, 25]] += 100.0
+    last = kalman.kalman_last(case, q=Q, gate=50.0)
+    _, track = next(one_by_one(case))
+    used = ~np.isin(np.arange(40), [10, 11, 25])
+    mean, cov, density = oracle.joint_posterior(**track, used=used)
+    close(last.mean[0], mean[-1])
+    close(last.cov[0], cov[-1])
+    close(last.log_likelihood[0], density, 1e-7)  # 40 dense samples of ca: 1e6 m^2
 
 
 class TestGate:
-    """A walk along x at 1 m/s, sampled each second; by hand, with q so small that it is fixed."""
+    """Somebody who stands, sampled each second; by hand, with q so small that nothing moves."""
 
-    def run(self, x, **changes):
-        n = len(x)
-        case = {
-            "model": "cv",
-            "t": np.arange(n, dtype=float),
-            "xy": np.stack([x, np.zeros(n)], axis=1),
-            "variance": np.ones(n),
-            "offsets": np.array([0, n]),
-            "q": 1e-12,
-            "initial_mean": np.array([[[0.0, 1.0], [0.0, 0.0]]]),
-            "initial_cov": np.diag([1.0, 1e-12])[None],
-            "gate": 9.0,
-        }
-        return after_every_sample(case | changes)
+    def run(self, x, *, gate=9.0, q=1e-20, speed_std=1e-9, variance=1.0):
+        case = kalman.Batch(
+            t=np.arange(float(len(x))),
+            xy=np.stack([x, np.zeros(len(x))], axis=1),
+            variance=np.broadcast_to(variance, len(x)),
+            offsets=np.array([0, len(x)]),
+            prior_std=(1.0, speed_std),
+        )
+        return after_every_sample(case, q=q, gate=gate)
 
     def test_by_hand(self):
         # Predicted variance 1, 1/2, 1/2: the sample at 1 s is 10 m off, 100 / 1.5 > 9.
-        result = self.run(np.array([0.0, 11.0, 2.0]))
+        result = self.run([3.0, 13.0, 3.0])
         assert accepted(result).tolist() == [True, False, True]
-        close(result.mean[:, 0, 0], [0.0, 1.0, 2.0], 1e-6)
+        close(result.mean[:, 0, 0], 3.0, 1e-6)
         close(result.cov[:, 0, 0], [1 / 2, 1 / 2, 1 / 3], 1e-6)
         close(result.log_likelihood[-1], -np.log(2 * np.pi * 2) - np.log(2 * np.pi * 1.5), 1e-6)
 
     def test_the_threshold_itself_is_accepted(self):
-        offset = np.array([np.sqrt(18.0)])  # predicted variance 1 + 1
-        exactly = offset[0] ** 2 / 2
-        assert accepted(self.run(offset, gate=exactly)).all()
-        assert not accepted(self.run(offset, gate=np.nextafter(exactly, 0))).any()
+        x = np.array([0.0, np.sqrt(18.0)])
+        exactly = x[1] ** 2 / 2  # predicted variance 1/2 + 3/2
+        told = {"variance": np.array([1.0, 1.5])}
+        assert accepted(self.run(x, gate=exactly, **told)).all()
+        below = self.run(x, gate=np.nextafter(exactly, 0), **told)
+        assert accepted(below).tolist() == [True, False]
 
     def test_a_track_is_never_lost(self):
         # The fourth sample in a row that is far away is believed.
-        x = np.array([0.0, 31.0, 32.0, 33.0, 34.0, 35.0])
-        result = self.run(x, q=1.0, initial_cov=np.diag([1.0, 1.0])[None], gate=1e-3)
+        result = self.run([0.0, 31.0, 32.0, 33.0, 34.0, 35.0], q=1.0, speed_std=1.0, gate=1e-3)
         assert kalman.MAX_REJECTIONS == 3
         assert accepted(result).tolist() == [True, False, False, False, True, False]
         assert result.mean[4, 0, 0] > 25
-
-    def test_rejected_first_samples_leave_the_prior(self):
-        result = self.run(np.full(3, 1e6))
-        assert not accepted(result).any()
-        close(result.mean[:, 0, 0], [0.0, 1.0, 2.0], 1e-6)
-        assert result.log_likelihood[-1] == 0.0
 
 
 def precise_filter(*, t, xy, variance, q, mean, cov):
@@ -132,16 +130,16 @@ def precise_filter(*, t, xy, variance, q, mean, cov):
     return np.array(means), np.array(covs)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@each_model
 class TestNumerics:
     @reproducible
-    @given(track=hard_tracks(n_tracks=3))
-    def test_sound_over_five_decades_of_noise_and_four_of_steps(self, model, track):
-        case = self.case(model, track)
-        result = after_every_sample(case)
+    @given(hard=hard_tracks(n_tracks=3))
+    def test_sound_over_five_decades_of_noise_and_four_of_steps(self, d, hard):
+        case, q = replace(hard[0], prior_std=(100.0, 2.0, 1.0)[:d]), hard[1]
+        result = after_every_sample(case, q=q)
         sound(result.mean, result.cov)
         assert np.isfinite(result.log_likelihood).all()
-        for rows, alone in one_by_one(case):
+        for rows, alone in one_by_one(case, q=q):
             mean, cov = precise_filter(**alone)
             scale = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
             # Errors in units of the standard deviation that goes with them
@@ -149,43 +147,33 @@ class TestNumerics:
             close((result.cov[rows] - cov) / (scale[:, :, None] * scale[:, None]), 0, 1e-6)
 
     @reproducible
-    @given(track=hard_tracks(n_tracks=3, gap=1e4))
-    def test_sound_over_gaps_of_a_day(self, model, track):
-        result = after_every_sample(self.case(model, track))
+    @given(hard=hard_tracks(n_tracks=3, gap=1e4))
+    def test_sound_over_gaps_of_a_day(self, d, hard):
+        result = after_every_sample(replace(hard[0], prior_std=VAGUE_STD[:d]), q=hard[1])
         sound(result.mean, result.cov)
 
-    def case(self, model, track):
-        d = MODELS[model]
-        prior = np.diag([1e4, 4.0, 1.0][:d])
-        return track | {
-            "model": model,
-            "initial_mean": np.zeros((3, 2, d)),
-            "initial_cov": np.tile(prior, (3, 1, 1)),
-        }
-
-    def test_a_thousand_samples_at_a_millisecond_after_one_day(self, model):
-        t = np.concatenate([[0.0], 86400 + np.arange(1000) * 1e-3])
-        track = {"t": t, "xy": np.ones((1001, 2)), "variance": np.full(1001, 1e-6), "q": 0.3}
-        case = track | {"model": model, "offsets": np.array([0, 1001])}
-        case |= {"initial_mean": np.zeros((1, 2, MODELS[model]))}
-        case |= {"initial_cov": np.eye(MODELS[model])[None]}
+    def test_a_thousand_samples_at_a_millisecond_after_one_day(self, d):
+        case = kalman.Batch(
+            t=np.concatenate([[0.0], 86400 + np.arange(1000) * 1e-3]),
+            xy=np.repeat([[0.0, 0.0], [1.0, 1.0]], [1, 1000], axis=0),
+            variance=np.full(1001, 1e-6),
+            offsets=np.array([0, 1001]),
+            prior_std=(1.0, 1.0, 1.0)[:d],
+        )
         result = after_every_sample(case)
         sound(result.mean, result.cov)
         close(result.mean[-1, :, :2], [[1.0, 0.0]] * 2, 0.02)
 
-    def test_a_long_likelihood_neither_overflows_nor_underflows(self, model):
+    def test_a_long_likelihood_neither_overflows_nor_underflows(self, d):
         n = 400  # products of innovation variances: 1e4^200, then 1e-6^200
-        case = {
-            "model": model,
-            "t": np.arange(n) * 0.1,
-            "xy": np.zeros((n, 2)),
-            "variance": np.repeat([1e4, 1e-6], n // 2),
-            "offsets": np.array([0, n]),
-            "q": 1e-3,
-            "initial_mean": np.zeros((1, 2, MODELS[model])),
-            "initial_cov": np.eye(MODELS[model])[None],
-        }
-        result = kalman.kalman_last(**case)
-        track = next(one_by_one(case))[1]
+        case = kalman.Batch(
+            t=np.arange(n) * 0.1,
+            xy=np.zeros((n, 2)),
+            variance=np.repeat([1e4, 1e-6], n // 2),
+            offsets=np.array([0, n]),
+            prior_std=(1.0, 1.0, 1.0)[:d],
+        )
+        result = kalman.kalman_last(case, q=1e-3)
+        ((_, track),) = one_by_one(case, q=1e-3)
         theirs = oracle.filterpy_track(**track)["log_likelihood"]
         assert result.log_likelihood[0] == pytest.approx(theirs, rel=1e-6)

@@ -18,11 +18,10 @@ PACKAGE = Path(isac_track.__file__).parent
 USE = """
 import numpy as np
 from isac_track import kalman
-last = kalman.kalman_last(
-    model="cv", t=np.arange(3.0), xy=np.ones((3, 2)), variance=np.ones(3),
-    offsets=np.array([0, 3]), q=1.0, initial_mean=np.zeros((1, 2, 2)),
-    initial_cov=np.eye(2)[None],
+batch = kalman.Batch(
+    np.arange(3.0), np.ones((3, 2)), np.ones(3), np.array([0, 3]), prior_std=(1.0, 1.0)
 )
+last = kalman.kalman_last(batch, q=1.0)
 print(last.mean[0, 0, 0])
 """
 NOTICE = "isac-track: compiling filters, once, a few seconds\n"

@@ -1,11 +1,12 @@
 """The smoother of positions: against filterpy, fractions, dense solutions, alone."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 from helpers import kernel_oracles as oracle
-from helpers.kalman_cases import batch, one_by_one
+from helpers.kalman_cases import PRIOR_STD, VAGUE_STD, Q, batch, one_by_one
 from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from isac_track import kalman
 
 SIZES = (1, 2, 3, 7, 8, 9, 100)
-VAGUE = np.diag([100.0, 10.0]) ** 2
+VAGUE = VAGUE_STD[:2]
 
 
 def exact(*, t, xy, variance, q, mean, cov):
@@ -75,10 +76,10 @@ def reweighted(*, passes, anneal, **track):
 
 
 class TestOnePass:
-    @pytest.mark.parametrize("cov", [None, VAGUE])
-    def test_is_filterpy_s_method(self, cov):
-        case = batch(sizes=SIZES, cov=cov)
-        position, variance = kalman.smooth_positions(**case)
+    @pytest.mark.parametrize("prior_std", [PRIOR_STD[:2], VAGUE])
+    def test_is_filterpy_s_method(self, prior_std):
+        case = batch(sizes=SIZES, prior_std=prior_std)
+        position, variance = kalman.smooth_positions(case, q=Q)
         for rows, track in one_by_one(case):
             mean, spread = oracle.filterpy_smooth(**track)
             np.testing.assert_allclose(position[rows], mean[:, :, 0], rtol=0, atol=1e-8)
@@ -89,11 +90,11 @@ class TestOnePass:
     def test_keeps_its_digits_after_a_vague_prior(self, sigma_m, step_s):
         case = batch(
             sizes=(6, 5),
-            cov=VAGUE,
+            prior_std=VAGUE,
             step_s=(step_s, 1.5 * step_s),
             variance=(sigma_m**2, 2 * sigma_m**2),
         )
-        position, variance = kalman.smooth_positions(**case)
+        position, variance = kalman.smooth_positions(case, q=Q)
         for rows, track in one_by_one(case):
             for axis in range(2):
                 alone = track | {"xy": track["xy"][:, axis], "mean": track["mean"][axis]}
@@ -109,7 +110,7 @@ class TestSeveralPasses:
     @pytest.mark.parametrize("anneal", [0.0, 0.15, 0.7])
     def test_are_the_documented_iteration(self, passes, anneal):
         case = batch(sizes=(10, 1, 4, 2))
-        position, variance = kalman.smooth_positions(**case, passes=passes, anneal=anneal)
+        position, variance = kalman.smooth_positions(case, q=Q, passes=passes, anneal=anneal)
         for rows, track in one_by_one(case):
             expected, spread = reweighted(**track, passes=passes, anneal=anneal)
             np.testing.assert_allclose(position[rows], expected, rtol=0, atol=1e-9)
@@ -132,28 +133,24 @@ def test_any_noise_and_any_step_give_a_sound_result(
     case = batch(
         sizes=sizes,
         seed=seed,
-        cov=VAGUE,
+        prior_std=VAGUE,
         step_s=(0.1 * step_s, step_s),
         variance=(0.01 * square, square),
     )
-    position, variance = kalman.smooth_positions(**case, passes=passes, anneal=anneal)
+    position, variance = kalman.smooth_positions(case, q=Q, passes=passes, anneal=anneal)
     assert np.isfinite(position).all()
     assert (variance > 0).all()
     # A sample's weight is at least 1 / sigma^2 per axis in every pass, 2 / sigma^2 in the first.
-    bound = case["variance"] * (1.0 if passes == 1 else 2.0)
+    bound = case.variance * (1.0 if passes == 1 else 2.0)
     assert (variance <= bound * (1 + 1e-9)).all()
 
 
 @pytest.mark.parametrize("passes", [1, 5])
 def test_turned_and_shifted_walks_are_turned_and_shifted_alike(passes):
-    case = batch(sizes=SIZES, cov=VAGUE)
-    case["initial_mean"] = np.zeros_like(case["initial_mean"])
-    case["initial_mean"][:, :, 0] = case["xy"][case["offsets"][:-1]]
+    case = batch(sizes=SIZES, prior_std=VAGUE)
     turn = np.array([[np.cos(2.1), -np.sin(2.1)], [np.sin(2.1), np.cos(2.1)]])
-    moved = case | {"xy": case["xy"] @ turn.T + [300.0, -70.0]}
-    moved["initial_mean"] = np.zeros_like(case["initial_mean"])
-    moved["initial_mean"][:, :, 0] = moved["xy"][case["offsets"][:-1]]
-    position, variance = kalman.smooth_positions(**case, passes=passes, anneal=0.15)
-    there, spread = kalman.smooth_positions(**moved, passes=passes, anneal=0.15)
+    moved = replace(case, xy=case.xy @ turn.T + [300.0, -70.0])
+    position, variance = kalman.smooth_positions(case, q=Q, passes=passes, anneal=0.15)
+    there, spread = kalman.smooth_positions(moved, q=Q, passes=passes, anneal=0.15)
     np.testing.assert_allclose(there, position @ turn.T + [300.0, -70.0], rtol=0, atol=1e-9)
     np.testing.assert_allclose(spread, variance, rtol=1e-9)

@@ -347,18 +347,6 @@ def test_intervals_cover_away_from_chance_more_precisely():
         assert share == pytest.approx(MEASURED[name], abs=0.02), name
 
 
-def test_a_share_exactly_at_the_level_is_allowed():
-    # Ten of a thousand are at least as high as 990, eleven as 989.
-    non_mated = np.arange(1_000.0)
-    scores = np.zeros((25, 41))
-    is_mate = np.eye(25, 41, dtype=bool)
-    scores[~is_mate] = non_mated
-    scores[is_mate] = np.repeat([990.0, 989.0], [24, 1])
-    result = card([search(scores)], n_clusters=41)
-    assert result.estimates["tpr_at_fpr_1pct"].value == pytest.approx(24 / 25)
-    assert result.realised_fpr_1pct == pytest.approx(0.01)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
