@@ -16,12 +16,12 @@ from attacks.testing import (
     CHECKS,
     LINKAGE_CHECKS,
     CheckResult,
+    _rows,
     adversaries_of,
     checks_for,
     parametrize_attack_checks,
     run_checks,
 )
-from attacks.testing._rows import rows
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
 from isac_track.types import Knowledge, Reconstruction
@@ -240,7 +240,7 @@ class TestWhatIsFair:
 
         made = linker(both, uses=SCENE)()
         assert failed(made) == {}
-        assert [row.scene for row in rows(made)] == [False, True]
+        assert [row.scene for row in _rows(made)] == [False, True]
         assert adversaries_of(made) == ("blind",)
 
     def test_any_scale(self):
@@ -279,7 +279,7 @@ class TestRunning:
         assert adversaries_of(Continues()) == ("blind",)
         assert adversaries_of(Learns()) == ("blind", "informed", "oracle")
         assert adversaries_of(broken_attacks.one_frame_for_all()) == ("oracle",)
-        granted = [row.granted for row in rows(Learns())]
+        granted = [row.granted for row in _rows(Learns())]
         assert granted[1:] == [Learns.uses - SIGMA, Learns.uses]
 
     @pytest.mark.parametrize("checks", [CHECKS, LINKAGE_CHECKS])

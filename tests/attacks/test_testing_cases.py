@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from helpers.broken_linkers import Base
 
-from attacks.testing import _cases, _linkage_cases
+from attacks.testing import _linkage_checks as linkage
+from attacks.testing import _reconstruction_checks as reconstruction
 from attacks.testing._linkage_checks import hits, log_ranks
 from attacks.testing._releases import RAW_SIGMA_M
 
 
 @pytest.mark.parametrize(
-    "release", [_cases.irregular().release, _linkage_cases.irregular(scene=False).gallery]
+    "release",
+    [reconstruction.irregular().release, linkage.irregular(scene=False).gallery],
 )
 def test_irregular_steps_cover_the_range(release):
     step_s = np.concatenate([np.diff(track.t) for track in release])
@@ -21,7 +23,7 @@ def test_irregular_steps_cover_the_range(release):
 class TestReconstruction:
     def test_noise_is_as_announced(self):
         for sigma_m, law, square in ((0.3, "radial", 1.0), (1.0, "isotropic", 2.0)):
-            case = _cases.noisy(sigma_m, law)
+            case = reconstruction.noisy(sigma_m, law)
             gap = case.release.xy - case.truth
             mean = np.mean((gap**2).sum(axis=1)) / square
             assert np.sqrt(mean) == pytest.approx(sigma_m, rel=0.05)
@@ -29,14 +31,17 @@ class TestReconstruction:
             assert case.mechanism.d_sigma == pytest.approx(sigma_m - RAW_SIGMA_M)
 
     def test_levels_differ_in_the_size_of_the_errors_alone(self):
-        low, high = _cases.noisy(0.3, "isotropic"), _cases.noisy(3.0, "isotropic")
+        low, high = (
+            reconstruction.noisy(0.3, "isotropic"),
+            reconstruction.noisy(3.0, "isotropic"),
+        )
         np.testing.assert_array_equal(low.truth, high.truth)
         np.testing.assert_allclose(
             10.0 * (low.release.xy - low.truth), high.release.xy - high.truth, atol=1e-9
         )
 
     def test_walks_are_those_of_people(self):
-        case = _cases.noisy(0.05, "radial")
+        case = reconstruction.noisy(0.05, "radial")
         sizes = np.diff(case.release.offsets)
         assert (sizes.min(), sizes.max(), len(sizes)) == (60, 198, 24)
         steps, speeds = [], []
@@ -51,15 +56,17 @@ class TestReconstruction:
 
     def test_acceleration_is_as_announced(self):
         # Velocity gains q dt of variance per axis: look at long steps, where it dominates.
-        case = _cases.made_up("test", about="", sizes=(4000,), sigma_m=0.3, sampling="irregular")
+        case = reconstruction.made_up(
+            "test", about="", sizes=(4000,), sigma_m=0.3, sampling="irregular"
+        )
         step_s = np.diff(case.release.t)
         velocity = np.diff(case.truth, axis=0) / step_s[:, None]
         # Mean velocities of two neighbouring steps differ by q (dt1 + dt2) / 3 of variance.
         scaled = np.diff(velocity, axis=0) ** 2 / ((step_s[1:] + step_s[:-1]) / 3)[:, None]
-        assert scaled.mean() == pytest.approx(_cases.ACCELERATION, rel=0.05)
+        assert scaled.mean() == pytest.approx(reconstruction.ACCELERATION, rel=0.05)
 
     def test_other_people_and_repeats_are_what_they_should_be(self):
-        case = _cases.noisy(0.3, "radial")
+        case = reconstruction.noisy(0.3, "radial")
         assert len(case.repeats) == 2
         errors = [case.release.xy - case.truth, *(one.xy - case.truth for one in case.repeats)]
         for one, other in ((0, 1), (0, 2), (1, 2)):
@@ -87,8 +94,7 @@ class TestLinkage:
     def test_noise_is_as_announced(self, scene):
         for sigma_m in (0.3, 10.0):
             less, more = (
-                _linkage_cases.noisy(size, "isotropic", scene=scene)
-                for size in (sigma_m, 2 * sigma_m)
+                linkage.noisy(size, "isotropic", scene=scene) for size in (sigma_m, 2 * sigma_m)
             )
             for side in ("probe", "gallery"):
                 gap = getattr(more, side).xy - getattr(less, side).xy
@@ -98,7 +104,7 @@ class TestLinkage:
             assert less.mechanism.d_sigma == pytest.approx(sigma_m - 0.05)
 
     def test_walks_are_those_of_people(self):
-        case = _linkage_cases.noisy(0.05, "radial", scene=False)
+        case = linkage.noisy(0.05, "radial", scene=False)
         speeds = []
         for track in case.probe:
             steps = np.diff(track.t)
@@ -110,7 +116,7 @@ class TestLinkage:
         assert np.diff(np.sort(speeds)).max() < 0.2
 
     def test_hidden_walks_are_recorded_twice_each_in_a_frame_of_its_own(self):
-        case = _linkage_cases.noisy(0.05, "radial", scene=False)
+        case = linkage.noisy(0.05, "radial", scene=False)
         for track, mate in zip(case.probe, case.mate, strict=True):
             other = case.gallery[mate]
             # The same walk: turned and shifted upon each other they differ by the noise alone.
@@ -124,7 +130,7 @@ class TestLinkage:
             assert np.hypot(*(track.xy[-1] - other.xy[-1])) > 0.1
 
     def test_a_shown_walk_goes_on_after_the_gap(self):
-        case = _linkage_cases.noisy(0.05, "radial", scene=True)
+        case = linkage.noisy(0.05, "radial", scene=True)
         ends = {float(track.t[-1]) for track in case.probe}
         assert len({round(end, 6) for end in ends}) == 1
         for track, mate in zip(case.probe, case.mate, strict=True):
@@ -134,7 +140,7 @@ class TestLinkage:
             assert np.hypot(*(other.xy[0] - track.xy[-1])) / silence_s < 3.0
 
     def test_the_training_set_is_other_people_made_alike(self):
-        case = _linkage_cases.noisy(0.05, "radial", scene=False)
+        case = linkage.noisy(0.05, "radial", scene=False)
         train = case.train
         assert (len(train.probe), len(train.gallery)) == (20, 20)
         assert sorted(train.mate) == list(range(20))
@@ -143,10 +149,10 @@ class TestLinkage:
         assert hits(own, train.mate) > 6
 
     def test_mates_are_not_where_the_probes_are(self):
-        case = _linkage_cases.noisy(0.05, "radial", scene=False)
+        case = linkage.noisy(0.05, "radial", scene=False)
         assert sorted(case.mate) == list(range(24))
         assert np.count_nonzero(case.mate == np.arange(24)) < 5
-        assert _linkage_cases.sized(9, 7, scene=False).mate.tolist().count(-1) == 2
+        assert linkage.sized(9, 7, scene=False).mate.tolist().count(-1) == 2
 
 
 def complexes(t, xy, at):
