@@ -25,20 +25,13 @@ TEMPLATES = {
     "README.md": "README.md.tmpl",
 }
 KINDS = {
-    "reconstruction": {
-        "template": "attack.py.tmpl",
-        "idea": "smooth",
-        "parameter": "tau_s",
-        "another": "0.1",
-    },
-    "linkage": {
-        "template": "linker.py.tmpl",
-        "idea": "describe",
-        "parameter": "bin_s",
-        "another": "0.5",
-    },
+    "reconstruction": (
+        "attack.py.tmpl",
+        {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
+    ),
+    "linkage": ("linker.py.tmpl", {"idea": "describe", "parameter": "bin_s", "another": "0.5"}),
 }
-"""What the packages of the two kinds differ in."""
+"""What the packages of the two kinds differ in: the template of the attack, and words."""
 _IMPORTED = {"ClassVar", "Knowledge", "Reconstruction"}
 """Classes that the generated file imports; its own must be called otherwise."""
 _EPILOG = """\
@@ -55,17 +48,13 @@ examples:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    return exit_code(lambda: _run(parser().parse_args(arguments)))
 
+    def run() -> int:
+        options = vars(parser().parse_args(arguments))
+        work = {"check": _check, "new": _new, "list": _list}[options.pop("command")]
+        return work(**options)
 
-def _run(options: argparse.Namespace) -> int:
-    if options.command == "check":
-        return _check(options.spec)
-    if options.command == "new":
-        _new(options.name, kind=options.kind, into=options.into)
-    else:
-        _list()
-    return DONE
+    return exit_code(run)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -96,7 +85,7 @@ def parser() -> argparse.ArgumentParser:
     return command
 
 
-def _list() -> None:
+def _list() -> int:
     from attacks.testing import adversaries_of  # noqa: PLC0415 - `--help` stays quick
     from isac_track import plugins  # noqa: PLC0415 - as above
     from isac_track.protocols import kind_of  # noqa: PLC0415 - it needs numpy, as above
@@ -120,6 +109,7 @@ def _list() -> None:
         print(f"{shown}  {summary}".rstrip())
     for name, wrong in skipped.items():
         print(f"skipped {name}: {wrong}", file=sys.stderr)
+    return DONE
 
 
 def _summary(attack: Any) -> str:  # noqa: ANN401 - any frozen dataclass
@@ -153,7 +143,7 @@ def _check(spec: str) -> int:
     return DONE if passed else LIMIT_NOT_MET
 
 
-def _new(name: str, *, kind: str, into: Path) -> None:
+def _new(name: str, *, kind: str, into: Path) -> int:
     class_name = "".join(part.capitalize() for part in name.split("_"))
     folder = into / name
     _reject_taken(name, class_name=class_name, folder=folder)
@@ -163,29 +153,24 @@ def _new(name: str, *, kind: str, into: Path) -> None:
         "pytest": f"pytest {shown.removeprefix('./')}",
         "matrix": f"python -m evaluation.matrix --preset smoke --attack {name}",
     }
-    words = commands | KINDS[kind] | {"kind": kind, "name": name, "class_name": class_name}
-    templates = {"{name}.py": KINDS[kind]["template"], **TEMPLATES}
-    sources = files("attacks") / "templates"
+    attack, words = KINDS[kind]
+    words = words | commands | {"kind": kind, "name": name, "class_name": class_name}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for target, source in templates.items():
-            template = Template((sources / source).read_text(encoding="utf-8"))
-            text = template.substitute(words)
+        for target, source in {"{name}.py": attack, **TEMPLATES}.items():
+            template = (files("attacks") / "templates" / source).read_text(encoding="utf-8")
+            text = Template(template).substitute(words)
             (folder / target.format(name=name)).write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
     print(f"wrote {folder}: an attack that works; edit {folder / name}.py, then:")
     for line in commands.values():
         print(f"  {line}")
+    return DONE
 
 
 def _reject_taken(name: str, *, class_name: str, folder: Path) -> None:
-    """Raise for a name that would clash with something or cannot be imported.
-
-    Raises
-    ------
-    SettingsError
-    """
+    """Raise SettingsError for a name that would clash with something or cannot be imported."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         better = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
         hint = f"; did you mean {better!r}?" if better[:1].isalpha() and better != name else ""

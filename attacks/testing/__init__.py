@@ -145,13 +145,7 @@ def adversaries_of(attack: Attack) -> tuple[str, ...]:
 
 
 def run_checks(attack: Attack, *, names: Sequence[str] | None = None) -> tuple[CheckResult, ...]:
-    """Run the checks on an attack; one that fails ends nothing.
-
-    Parameters
-    ----------
-    attack : ReconstructionAttack or LinkageAttack
-    names : sequence of str, optional
-        Only these checks; by default all.
+    """Run all checks on an attack, or those called `names`; one that fails ends nothing.
 
     Raises
     ------
@@ -171,12 +165,8 @@ def parametrize_attack_checks(
     """Return a pytest decorator that runs a test once per attack and check.
 
     The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not
-    apply to an attack is skipped, with the reason.
-
-    Parameters
-    ----------
-    attacks : iterable of ReconstructionAttack or LinkageAttack
-        Instances; one attack may come several times, with different parameters.
+    apply to an attack is skipped, with the reason. `attacks` are instances; one attack may come
+    several times, with different parameters.
 
     Raises
     ------

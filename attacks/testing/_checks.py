@@ -121,7 +121,8 @@ class Row:
         def failing(error: BaseException) -> str:
             hint = ""
             # One release is asked about by reconstruction, two by linkage.
-            if isinstance(error, TypeError) and _n_arguments(fitted) == 3 - len(first.asked):
+            n_releases = len(first.asked)
+            if not _takes(fitted, n_releases) and _takes(fitted, 3 - n_releases):
                 hint = f"; it takes a function {first.gives}: which `kind` is the attack?"
             where = _place(error, self.attack)
             return f"{self}, {first.about}: {doing} raised {told(error)}{where}{hint}"
@@ -162,14 +163,13 @@ def rms(gaps: Floats) -> float:
     return largest * float(np.sqrt(np.mean((gaps / largest) ** 2)))
 
 
-def _n_arguments(fitted: object) -> int | None:
-    """Return how many arguments a function cannot do without, or None if it does not say."""
+def _takes(fitted: Any, n_releases: int) -> bool:  # noqa: ANN401 - whatever came from fit
+    """Whether a function can be called with so many releases, as far as it says."""
     try:
-        parameters = inspect.signature(fitted).parameters  # type: ignore[arg-type]  # or TypeError
+        inspect.signature(fitted).bind(*range(n_releases))
     except (TypeError, ValueError):
-        return None
-    positional = {inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD}
-    return sum(one.kind in positional and one.default is one.empty for one in parameters.values())
+        return False
+    return True
 
 
 def _place(error: BaseException, attack: object) -> str:

@@ -33,14 +33,13 @@ if TYPE_CHECKING:
 
     from attacks.testing._checks import Row
     from attacks.testing._releases import Sampling, Walk
-    from isac_track.types import Bools, ErrorLaw, Floats, Release
+    from isac_track.types import ErrorLaw, Floats, Release
 
 ACCELERATION = 0.04
 """m^2/s^3, spectral density of the walks' acceleration (Bar-Shalom et al., 2001, ch. 6.2)."""
 SPEED_MPS = (1.0, 0.2)
 """Mean and standard deviation at the start."""
 N_TRACKS = 24
-N_REPEATS = 2
 FRAMES = (
     Motion(angle_rad=2.1, shift_m=(35.0, -80.0), clock_s=500.0),
     Motion(angle_rad=-0.7, shift_m=(-60.0, 15.0), clock_s=-20.0),
@@ -50,9 +49,7 @@ FRAMES = (
 """Of the release, the training set and the two repeats: without SCENE, no two are the same."""
 SAME_FRAME_M = 1e-5
 """Room for rounding after a motion by some hundred metres and seconds."""
-SHORT = ((1,), (1, 2, 30, 1, 2, 3), (2,))
-EXTENTS = 3.0
-EXTRA_M = 10.0
+EXTENTS, EXTRA_M = 3.0, 10.0
 """How far an answer may lie from the middle of its track: 3 times its extent and 10 m."""
 EASY_PLR = 0.5
 """The shared positions themselves come to 1.0 there."""
@@ -180,28 +177,15 @@ def irregular() -> Case:
 
 @cache
 def unrelated() -> Case:
-    """Return positions and truths drawn apart from each other, uniformly in one square.
+    """Return walks with a truth that is drawn apart from them, uniformly in one square.
 
     Every true position is drawn by itself. Whatever is said of it, it lies within epsilon with
     probability pi epsilon^2 / `BOX_M`^2 at most, independently of all others.
     """
-
-    def uniform(release: Release, *name: str | int) -> Floats:
-        return draws("unrelated", *name).uniform(-BOX_M / 2, BOX_M / 2, release.xy.shape)
-
-    def scattered(release: Release, *name: str | int) -> Release:
-        return replace(release, xy=uniform(release, *name))
-
-    base = noisy(BOX_M, "isotropic")
-    others = base.train.release
-    return replace(
-        base,
-        about=f"{N_TRACKS} tracks of positions that have nothing to do with the truth",
-        release=scattered(base.release, "released"),
-        truth=uniform(base.release, "truth"),
-        train=TrainingSet(scattered(others, "train"), uniform(others, "train truth")),
-        repeats=tuple(scattered(one, "repeat", row) for row, one in enumerate(base.repeats)),
-    )
+    case = noisy(BOX_M, "isotropic")
+    about = f"{N_TRACKS} tracks of positions that have nothing to do with the truth"
+    rng = draws("unrelated", "truth")
+    return replace(case, about=about, truth=rng.uniform(-BOX_M / 2, BOX_M / 2, case.truth.shape))
 
 
 @cache
@@ -234,9 +218,7 @@ def made_up(
         truth=truth,
         mechanism=mechanism,
         train=TrainingSet(shared(others, (name, "train"), mechanism=mechanism), others_truth),
-        repeats=tuple(
-            shared(mine, (name, "repeat", row), mechanism=mechanism) for row in range(N_REPEATS)
-        ),
+        repeats=tuple(shared(mine, (name, "repeat", row), mechanism=mechanism) for row in range(2)),
     )
 
 
@@ -288,9 +270,9 @@ def frame_and_clock_do_not_matter(row: Row) -> None:
 
 def short_tracks_are_handled(row: Row) -> None:
     """Tracks of one, two or three samples, alone or among others, get a sensible answer."""
-    for sizes in SHORT:
+    hint = "what do a window, a fit or a difference of samples come to with so few?"
+    for sizes in ((1,), (1, 2, 30, 1, 2, 3), (2,)):
         about = f"tracks of {', '.join(map(str, sizes))} samples"
-        hint = "what do a window, a fit or a difference of samples come to with so few?"
         _stay_near(row, made_up("short", about=about, sizes=sizes), hint=hint)
 
 
@@ -308,7 +290,8 @@ def null_stays_at_chance(row: Row) -> None:
     case = unrelated()
     truth = case.truth
     chance = np.pi * EPSILON_M**2 / BOX_M**2
-    leaked = int(_leaked(row.answer(case).xy, truth).sum())
+    found = row.answer(case).xy
+    leaked = int(leakage_indicator(shared_xy=found, true_xy=truth, epsilon_m=EPSILON_M).sum())
     if common.is_surprising(leaked, tries=len(truth), chance=chance):
         row.fail(
             case,
@@ -383,12 +366,8 @@ def _stay_near(row: Row, case: Case, *, hint: str) -> None:
             )
 
 
-def _leaked(xy: Floats, truth: Floats) -> Bools:
-    return leakage_indicator(shared_xy=xy, true_xy=truth, epsilon_m=EPSILON_M)
-
-
 def _plr(xy: Floats, case: Case) -> Floats:
-    leaked = _leaked(xy, case.truth)
+    leaked = leakage_indicator(shared_xy=xy, true_xy=case.truth, epsilon_m=EPSILON_M)
     return exposure(leaked=leaked, t=case.release.t, offsets=case.release.offsets).plr
 
 

@@ -102,7 +102,7 @@ def random_track(rng: Generator, *, size: int) -> Track:
     t: Floats = rng.uniform(-50.0, 50.0) + np.cumsum(rng.uniform(0.03, 0.4, size))
     true_xy = np.cumsum(rng.normal(0.0, 0.1, (size, 2)), axis=0) + rng.uniform(-30.0, 30.0, 2)
     near, far = rng.uniform(0, 0.98, size), rng.uniform(1.02, 4, size)
-    error = _in_directions(epsilon_m * np.where(leaked, near, far), rng)
+    error = _turned(epsilon_m * np.where(leaked, near, far), rng.uniform(0.0, 2.0 * np.pi, size))
     return Track(pattern, t=t, true_xy=true_xy, shared_xy=true_xy + error, epsilon_m=epsilon_m)
 
 
@@ -115,10 +115,8 @@ def random_tracks(name: str, *, count: int = 150, least: int = 1) -> Iterator[Tr
         yield random_track(stream(0, "testing", name, index), size=least + index // 6)
 
 
-def _in_directions(norm: Floats, rng: Generator) -> Floats:
-    angle = rng.uniform(0.0, 2.0 * np.pi, norm.size)
-    error: Floats = norm[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    return error
+def _turned(norm: Floats, angle_rad: Floats) -> Floats:
+    return np.column_stack([norm * np.cos(angle_rad), norm * np.sin(angle_rad)])
 
 
 def moved(track: Track) -> Track:
@@ -370,7 +368,8 @@ def plr_distance_is_euclidean(plr: Function) -> None:
 def plr_radial_gaussian(plr: Function) -> None:
     """PLR of radial errors |N(0, s)| tends to 2 Phi(epsilon / s) - 1."""
     for sigma_m, rng in _sizes("plr_radial_gaussian"):
-        error = _in_directions(rng.normal(0.0, sigma_m, _LARGE), rng)
+        angle_rad = rng.uniform(0.0, 2.0 * np.pi, _LARGE)
+        error = _turned(rng.normal(0.0, sigma_m, _LARGE), angle_rad)
         limit = 2.0 * float(ndtr(EPSILON_M / sigma_m)) - 1.0
         _near_share(plr, error, limit, f"radial, s = {sigma_m} m")
 

@@ -70,6 +70,11 @@ def _of_one(shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float) -> 
     return [float(one[0]) for one in _exposure(shared_xy, true_xy, t, whole, epsilon_m)]
 
 
+def _by_position(function: Function) -> Function:
+    names = inspect.signature(function).parameters
+    return lambda *values: function(**dict(zip(names, values, strict=True)))
+
+
 OWN = Metrics(
     # Any clock: PLR counts samples.
     plr=lambda shared, true, epsilon_m: _of_one(
@@ -93,18 +98,10 @@ OWN = Metrics(
     is_conflict=lambda separation_m, radius_m: bool(
         conflict.is_conflict(separation_m=np.array([separation_m]), safety_radius_m=radius_m)[0]
     ),
-    missed_conflict_rate=lambda truth, predicted: conflict.missed_conflict_rate(
-        conflict=truth, predicted=predicted
-    ),
-    false_alarm_rate=lambda truth, predicted: conflict.false_alarm_rate(
-        conflict=truth, predicted=predicted
-    ),
-    distance_mae_m=lambda true_m, predicted_m: conflict.distance_mae_m(
-        true_separation_m=true_m, predicted_separation_m=predicted_m
-    ),
-    fid_d_sigma=lambda fid, eta, alpha_m, beta: sharing.fid_d_sigma(
-        fid=fid, eta=eta, alpha_m=alpha_m, beta=beta
-    ),
+    missed_conflict_rate=_by_position(conflict.missed_conflict_rate),
+    false_alarm_rate=_by_position(conflict.false_alarm_rate),
+    distance_mae_m=_by_position(conflict.distance_mae_m),
+    fid_d_sigma=_by_position(sharing.fid_d_sigma),
 )
 """The project's own functions, one trajectory or one scene at a time; passes every check."""
 

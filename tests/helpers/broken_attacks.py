@@ -18,6 +18,7 @@ from isac_track.types import Knowledge, Reconstruction
 
 TRAIN, SIGMA = frozenset({Knowledge.TRAIN}), frozenset({Knowledge.SIGMA})
 MECHANISM, REPEATS = frozenset({Knowledge.MECHANISM}), frozenset({Knowledge.REPEATS})
+SCENE = frozenset({Knowledge.SCENE})
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,18 @@ class Base:
 
     def track(self, track):
         return track.xy
+
+
+@dataclass(frozen=True)
+class Jitters(Base):
+    """Honest: it draws, from the stream that it was given."""
+
+    sigma_m: float = 0.05
+
+    def fit(self, context):
+        return lambda release: Reconstruction(
+            release.xy + context.rng.normal(0.0, self.sigma_m, release.xy.shape)
+        )
 
 
 def replacing(base, steps, function, **attributes):
@@ -127,6 +140,13 @@ def takes_sigma(release):
     return release.xy * (release.sigma * 0.0 + 1.0)[:, None]
 
 
+@fails("only_granted_knowledge_is_touched", "half as informed (gr", uses=TRAIN | REPEATS)
+def half(context):
+    """Looks into what it was granted, and touches something else."""
+    if Knowledge.TRAIN in context.granted:
+        assert context.repeats
+
+
 @fails("order_of_tracks_does_not_matter", "tracks in another order")
 def across_tracks(release):
     return halfway_back(release.xy)
@@ -150,6 +170,23 @@ def by_the_clock(track):
     return track.xy + 0.01 * np.column_stack([np.sin(track.t), np.cos(track.t)])
 
 
+@fails("frame_and_clock_do_not_matter", "walls as blind", uses=SCENE)
+def walls(track):
+    """Knows where the walls are, whether it was granted that or not."""
+    return np.round(track.xy, 1)
+
+
+@fails("frame_and_clock_do_not_matter", "two seeds differ by")
+def leans(context):
+    """Draws, as it may, but more on another clock."""
+
+    def reconstruct(release):
+        drawn = context.rng.normal(0.0, 0.05, release.xy.shape)
+        return Reconstruction(release.xy + drawn * (1.0 + 10.0 * (release.t[:1] > 100.0)))
+
+    return reconstruct
+
+
 @fails("frame_and_clock_do_not_matter", "as oracle (granted REPEATS)", requires=REPEATS)
 def one_frame_for_all(context):
     """Averages repeats as if their frames were one, without asking for SCENE."""
@@ -163,6 +200,14 @@ def first_by_name(release):
     first = min(release.pseudonym)
     return np.concatenate(
         [one.xy if one.pseudonym[0] == first else halfway_back(one.xy) for one in release]
+    )
+
+
+@fails("pseudonyms_do_not_matter", "differ by inf m")
+def certain_of_some(context):  # noqa: ARG001
+    """A standard deviation that comes and goes."""
+    return lambda release: Reconstruction(
+        release.xy, np.ones(len(release.t)) if release.pseudonym[0] < "p" else None
     )
 
 
