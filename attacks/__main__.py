@@ -17,7 +17,7 @@ from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 TEMPLATES = {
     "test_{name}.py": "test_attack.py.tmpl",
@@ -25,13 +25,10 @@ TEMPLATES = {
     "README.md": "README.md.tmpl",
 }
 KINDS = {
-    "reconstruction": (
-        "attack.py.tmpl",
-        {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
-    ),
-    "linkage": ("linker.py.tmpl", {"idea": "describe", "parameter": "bin_s", "another": "0.5"}),
+    "reconstruction": {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
+    "linkage": {"idea": "describe", "parameter": "bin_s", "another": "0.5"},
 }
-"""What the packages of the two kinds differ in: the template of the attack, and words."""
+"""What the packages of the two kinds differ in, beside the template of the attack."""
 _IMPORTED = {"ClassVar", "Knowledge", "Reconstruction"}
 """Classes that the generated file imports; its own must be called otherwise."""
 _EPILOG = """\
@@ -51,8 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def run() -> int:
         options = vars(parser().parse_args(arguments))
-        work = {"check": _check, "new": _new, "list": _list}[options.pop("command")]
-        return work(**options)
+        commands: dict[str, Callable[..., int]] = {"check": _check, "new": _new, "list": _list}
+        return commands[options.pop("command")](**options)
 
     return exit_code(run)
 
@@ -153,11 +150,10 @@ def _new(name: str, *, kind: str, into: Path) -> int:
         "pytest": f"pytest {shown.removeprefix('./')}",
         "matrix": f"python -m evaluation.matrix --preset smoke --attack {name}",
     }
-    attack, words = KINDS[kind]
-    words = words | commands | {"kind": kind, "name": name, "class_name": class_name}
+    words = KINDS[kind] | commands | {"kind": kind, "name": name, "class_name": class_name}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for target, source in {"{name}.py": attack, **TEMPLATES}.items():
+        for target, source in {"{name}.py": f"{kind}.py.tmpl", **TEMPLATES}.items():
             template = (files("attacks") / "templates" / source).read_text(encoding="utf-8")
             text = Template(template).substitute(words)
             (folder / target.format(name=name)).write_text(text, encoding="utf-8")

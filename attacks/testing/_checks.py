@@ -273,6 +273,13 @@ def calls_do_not_remember(row: Row) -> None:
 
 # What the checks of one kind share
 
+FIRST = (
+    same_seed_same_result,
+    inputs_are_not_mutated,
+    only_granted_knowledge_is_touched,
+    order_of_tracks_does_not_matter,
+)
+
 
 def frames_do_not_matter(row: Row, *, what: str, hint: str, tolerance: float) -> None:
     """Compare answers in other frames and clocks; skip a row that sees the true ones."""

@@ -179,8 +179,8 @@ def irregular() -> Case:
 def unrelated() -> Case:
     """Return walks with a truth that is drawn apart from them, uniformly in one square.
 
-    Every true position is drawn by itself. Whatever is said of it, it lies within epsilon with
-    probability pi epsilon^2 / `BOX_M`^2 at most, independently of all others.
+    Whatever is said of a true position, it lies within epsilon with a probability of at most
+    pi epsilon^2 / `BOX_M`^2, independently of all others.
     """
     case = noisy(BOX_M, "isotropic")
     about = f"{N_TRACKS} tracks of positions that have nothing to do with the truth"
@@ -256,8 +256,7 @@ def result_is_a_reconstruction(row: Row) -> None:
 def frame_and_clock_do_not_matter(row: Row) -> None:
     """Release, training set and repeats each in another frame: the result moves along.
 
-    Without SCENE that is how an adversary gets them. Whoever is granted SCENE may well know
-    where the walls are: such a row is exempt.
+    Whoever is granted SCENE may well know where the walls are: such a row is exempt.
     """
     common.frames_do_not_matter(
         row,
@@ -282,11 +281,7 @@ def irregular_sampling_is_handled(row: Row) -> None:
 
 
 def null_stays_at_chance(row: Row) -> None:
-    """Where the release says nothing of the truth, no more samples leak than by chance.
-
-    Every true position is drawn by itself, uniformly and apart from the release. Whatever an
-    attack answers, the number that leak is at most binomial with p = pi epsilon^2 / area.
-    """
+    """Where the release says nothing of the truth, no more samples leak than by chance."""
     case = unrelated()
     truth = case.truth
     chance = np.pi * EPSILON_M**2 / BOX_M**2
@@ -335,10 +330,7 @@ def success_falls_with_noise(row: Row) -> None:
 
 ALL = (
     result_is_a_reconstruction,
-    common.same_seed_same_result,
-    common.inputs_are_not_mutated,
-    common.only_granted_knowledge_is_touched,
-    common.order_of_tracks_does_not_matter,
+    *common.FIRST,
     frame_and_clock_do_not_matter,
     common.pseudonyms_do_not_matter,
     short_tracks_are_handled,

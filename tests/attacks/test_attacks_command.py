@@ -8,7 +8,6 @@ from importlib.metadata import EntryPoint
 import pytest
 from helpers.processes import ROOT, run_python
 
-from attacks import __main__ as command
 from attacks.__main__ import main
 from attacks.testing import CHECKS, LINKAGE_CHECKS
 from isac_track import plugins
@@ -131,14 +130,6 @@ class TestCheck:
         assert captured.out == ""
         assert captured.err.startswith("error: ")
         assert message in captured.err
-
-    def test_interrupted(self, monkeypatch, capsys):
-        def interrupt(_spec):
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(command, "_check", interrupt)
-        assert main(["check", "identity"]) == 130
-        assert capsys.readouterr().err == "interrupted\n"
 
 
 @pytest.fixture

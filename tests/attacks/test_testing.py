@@ -32,7 +32,6 @@ BUILT_IN = [
 ]
 HONEST = [Jitters(), *broken_linkers.HONEST]
 BROKEN = [*broken_attacks.BROKEN, *broken_linkers.BROKEN]
-ABOUT_OTHER_THINGS = {"inputs_are_not_mutated", "only_granted_knowledge_is_touched"}
 
 
 @parametrize_attack_checks([*BUILT_IN, *HONEST])
@@ -65,15 +64,20 @@ def failed(made, names=None):
 
 def fitted(function):
     """An attack of which the function from fit is this."""
-    return attack(lambda context: function)  # noqa: ARG005
+    return attack(lambda _context: function)
 
 
-def fails(context):  # noqa: ARG001
+def fails(_context):
     raise RuntimeError("of its own")
 
 
 def hopes(context):
     assert context.repeats
+
+
+NULL, SHORT = "null_stays_at_chance", "short_tracks_are_handled"
+ORDER = "order_of_tracks_does_not_matter"
+MUTATED, GRANTED = "inputs_are_not_mutated", "only_granted_knowledge_is_touched"
 
 
 class TestMistakesWithoutEnd:
@@ -84,7 +88,7 @@ class TestMistakesWithoutEnd:
         [
             (
                 attack(lambda release: release.xy[1:] if len(release.t) > 1 else [[0, 0]] * 2),
-                ABOUT_OTHER_THINGS,
+                {MUTATED, GRANTED},
                 "shape (271, 2), expected (272, 2)",
             ),
             (
@@ -94,7 +98,7 @@ class TestMistakesWithoutEnd:
             ),
             (
                 linker(lambda probe, gallery: np.full((len(probe), len(gallery)), np.nan)),
-                ABOUT_OTHER_THINGS,
+                {MUTATED, GRANTED},
                 "63 of 63 scores are not finite",
             ),
         ],
@@ -107,79 +111,40 @@ class TestMistakesWithoutEnd:
     @pytest.mark.parametrize(
         ("made", "name", "message"),
         [
-            (
-                fitted(lambda release: release.xy * np.nan),
-                "null_stays_at_chance",
-                "3096 of 3096 positions are not finite",
-            ),
+            (fitted(lambda release: release.xy * np.nan), NULL, "3096 of 3096 positions are not f"),
+            (fitted(print), SHORT, "positions of shape (), expected (1, 2)"),
+            (fitted(lambda release: [["a", "b"]] * len(release.t)), SHORT, "struction, got list"),
+            (fitted(3), NULL, "fit must return a function from a release to a rec"),
+            (attack(lambda release: release.xy.fill(0.0)), MUTATED, "read-only (test_testing.py, "),
             (
                 linker(lambda probe, gallery: broken_linkers.BASE.link(probe, gallery).T),
                 "result_is_a_score_matrix",
                 "scores of shape (9, 7), expected (P, G) = (7, 9).*(turned round?)",
             ),
-            (
-                linker(lambda probe, gallery: None),  # noqa: ARG005
-                "order_of_tracks_does_not_matter",
-                "expected real numbers of shape (P, G) = (7, 9), got NoneType",
-            ),
-            (
-                linker(lambda probe, gallery: np.full((7, 9), 1j)),  # noqa: ARG005
-                "order_of_tracks_does_not_matter",
-                "(7, 9), got an array of complex128",
-            ),
-            (
-                fitted(print),
-                "short_tracks_are_handled",
-                "positions of shape (), expected (1, 2)",
-            ),
-            (
-                fitted(lambda release: [["here", "there"]] * len(release.xy)),
-                "short_tracks_are_handled",
-                "Reconstruction, got list",
-            ),
-            (
-                fitted(3),
-                "null_stays_at_chance",
-                "fit must return a function from a release to a rec",
-            ),
-            (
-                linker(lambda context: 3),  # noqa: ARG005
-                "null_stays_at_chance",
-                "function from two releases, probe and gallery, to a matrix",
-            ),
-            (
-                linker(lambda context: sys.exit("enough")),  # noqa: ARG005
-                "null_stays_at_chance",
-                "fit(context) raised SystemExit: enough",
-            ),
-            (
-                attack(lambda release: release.xy.fill(0.0)),
-                "inputs_are_not_mutated",
-                "read-only (test_testing.py, line .*)",
-            ),
+            (linker(lambda _probe, _gallery: None), ORDER, "(P, G) = (7, 9), got NoneType"),
+            (linker(lambda _probe, _gallery: np.full((7, 9), 1j)), ORDER, "array of complex128"),
+            (linker(lambda _context: 3), NULL, "from two releases, probe and gallery, to a matrix"),
+            (linker(lambda _context: sys.exit("no")), NULL, "fit(context) raised SystemExit: no"),
+            (linker(hopes), GRANTED, "REPEATS was not granted"),
             (
                 type("Other", (broken_attacks.Base,), {"kind": "linkage"}),
-                "null_stays_at_chance",
+                NULL,
                 "to a matrix of scores: which `kind` is the attack?",
             ),
             (
                 type("Other", (broken_linkers.Base,), {"kind": "reconstruction"}),
-                "null_stays_at_chance",
+                NULL,
                 "from a release to a reconstruction: which `kind` is the attack?",
-            ),
-            (
-                linker(hopes),
-                "only_granted_knowledge_is_touched",
-                "REPEATS was not granted",
             ),
         ],
     )
     def test_in_words(self, made, name, message):
         pattern = re.escape(message).replace(r"\.\*", ".*")
-        assert re.search(pattern, failed(made, names=[name])[name])
+        (found,) = failed(made, names=[name]).values()
+        assert re.search(pattern, found)
 
     def test_a_fault_of_its_own_is_not_blamed_on_knowledge(self):
-        (message,) = failed(attack(fails), names=["only_granted_knowledge_is_touched"]).values()
+        (message,) = failed(attack(fails), names=[GRANTED]).values()
         assert re.search(r"RuntimeError: of its own \(test_testing\.py, line \d+\)$", message)
 
     def test_frames_where_the_scene_may_be_shown_or_not(self):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from helpers.broken_attacks import SIGMA, TRAIN, locals_called, replacing
+from helpers.broken_attacks import SIGMA, TRAIN, locals_called, planting
 
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
@@ -125,25 +125,11 @@ class NeedsRepeats(Base):
     requires = frozenset({Knowledge.REPEATS})
 
 
-BROKEN = []
-"""(class, the one check that it fails, part of the message with `.*` for anything)"""
 BASE = Base()
 HONEST = [BASE, Learns(), Continues(), ContinuesWhereShown(), Jitters(), Tiny()]
-
-
-def linker(function, base=Base, **attributes):
-    """Return `base` with the step replaced that takes what the function takes."""
-    steps = {"track": "trait", "release": "traits", "probe": "link", "context": "fit"}
-    return replacing(base, steps, function, **attributes)
-
-
-def fails(check, message, **knowledge):
-    def decorate(function):
-        made = linker(function, **knowledge)
-        BROKEN.append((made, check, message))
-        return made
-
-    return decorate
+linker, fails, BROKEN = planting(
+    Base, {"track": "trait", "release": "traits", "probe": "link", "context": "fit"}
+)
 
 
 @fails("result_is_a_score_matrix", "expected a numpy array of floats, got list")
@@ -263,7 +249,7 @@ def takes_the_last_for_nobody(context):
 
 
 @fails("calls_do_not_remember", "other releases, asked after the first: scores")
-def keeps_by_name(context):  # noqa: ARG001
+def keeps_by_name(_context):
     """Looks a track up that has been seen under the same pseudonym."""
     probes, candidates = {}, {}
 
