@@ -11,7 +11,7 @@ import numpy as np
 
 from isac_track.protocols import LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
-from isac_track.sensing import fisher_information_density, unit_errors
+from isac_track.sensing import unit_errors
 from isac_track.types import Release, Sensed
 
 if TYPE_CHECKING:
@@ -57,14 +57,14 @@ def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fix
     offsets = np.concatenate([[0], np.cumsum([times.size for times, _ in walks])])
     law = mechanism.law or "radial"
     unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
-    information = np.full(t.size, RAW_SIGMA_M**-2)
+    nothing = np.zeros(t.size)
     sensed = Sensed(
         t=t,
         xy=xy + RAW_SIGMA_M * unit,
         unit_error=unit,
         sigma_raw=np.full(t.size, RAW_SIGMA_M),
-        information=information,
-        fid=fisher_information_density(information=information, t=t, offsets=offsets),
+        information=nothing,  # Fixed looks at neither
+        fid=nothing,
         offsets=offsets,
         law=law,
     )
