@@ -102,12 +102,9 @@ class LinkageCase:
         return frozenset(Knowledge) - hidden
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
-        """Return a result as an array; the check of its type is another one.
+        """Return a result as an array, or raise ValueError if it is not one of scores.
 
-        Raises
-        ------
-        ValueError
-            If it is not one finite real number for each probe and gallery track.
+        That is a finite real number for each probe and gallery track; the type is another check's.
         """
         expected = (len(self.probe), len(self.gallery))
         try:

@@ -88,12 +88,9 @@ class Case:
     repeats: tuple[Release, ...]
 
     def read(self, result: Any) -> Estimate:  # noqa: ANN401 - a stranger's
-        """Return a result as arrays; positions alone will do, the check of the type is another one.
+        """Return a result as arrays, or raise ValueError if it is not one position per sample.
 
-        Raises
-        ------
-        ValueError
-            If it is not one finite position per sample.
+        Positions alone will do: the check of the type is another one.
         """
         try:
             xy = np.asarray(getattr(result, "xy", result), dtype=np.float64)
@@ -137,10 +134,7 @@ class Case:
         )
 
     def in_other_frames(self) -> tuple[Case, Callable[[Estimate], Estimate]]:
-        """Return the case with release, training set and each repeat in frames of their own.
-
-        That is how an adversary without SCENE gets them. And how an answer follows.
-        """
+        """Return the case as without SCENE, every release in its own frame; how answers follow."""
         mine, others, *_ = frames = list(FRAMES)
         changed = of_each(self, lambda release: frames.pop(0).of_release(release))
         moved = replace(

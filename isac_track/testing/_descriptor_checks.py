@@ -107,10 +107,7 @@ def random_track(rng: Generator, *, size: int) -> Track:
 
 
 def random_tracks(name: str, *, count: int = 150, least: int = 1) -> Iterator[Track]:
-    """Yield seeded tracks of `least` samples or more, short ones first.
-
-    So the first counterexample is a small one.
-    """
+    """Yield seeded tracks, those of few samples first: the first counterexample is a small one."""
     for index in range(count):
         yield random_track(stream(0, "testing", name, index), size=least + index // 6)
 

@@ -135,10 +135,7 @@ def parametrize(arguments: str, cases: Iterable[tuple[str, tuple[object, ...]]])
 def attempt(function: Callable[[], Any], *, failing: Callable[[BaseException], str]) -> Any:  # noqa: ANN401 - whatever a stranger returns
     """Return what a stranger's function returns, or fail the check with what `failing` says.
 
-    Raises
-    ------
-    AssertionError
-        For anything that the function raises, its leaving the program included.
+    It says it of anything that the function raises, its leaving the program included.
     """
     try:
         return function()
