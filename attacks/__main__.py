@@ -17,7 +17,7 @@ from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 TEMPLATES = {
     "test_{name}.py": "test_attack.py.tmpl",
@@ -25,20 +25,10 @@ TEMPLATES = {
     "README.md": "README.md.tmpl",
 }
 KINDS = {
-    "reconstruction": {
-        "template": "attack.py.tmpl",
-        "idea": "smooth",
-        "parameter": "tau_s",
-        "another": "0.1",
-    },
-    "linkage": {
-        "template": "linker.py.tmpl",
-        "idea": "describe",
-        "parameter": "bin_s",
-        "another": "0.5",
-    },
+    "reconstruction": {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
+    "linkage": {"idea": "describe", "parameter": "bin_s", "another": "0.5"},
 }
-"""What the packages of the two kinds differ in."""
+"""What the packages of the two kinds differ in, beside the template of the attack."""
 _IMPORTED = {"ClassVar", "Knowledge", "Reconstruction"}
 """Classes that the generated file imports; its own must be called otherwise."""
 _EPILOG = """\
@@ -55,17 +45,13 @@ examples:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    return exit_code(lambda: _run(parser().parse_args(arguments)))
 
+    def run() -> int:
+        options = vars(parser().parse_args(arguments))
+        commands: dict[str, Callable[..., int]] = {"check": _check, "new": _new, "list": _list}
+        return commands[options.pop("command")](**options)
 
-def _run(options: argparse.Namespace) -> int:
-    if options.command == "check":
-        return _check(options.spec)
-    if options.command == "new":
-        _new(options.name, kind=options.kind, into=options.into)
-    else:
-        _list()
-    return DONE
+    return exit_code(run)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -96,7 +82,7 @@ def parser() -> argparse.ArgumentParser:
     return command
 
 
-def _list() -> None:
+def _list() -> int:
     from attacks.testing import adversaries_of  # noqa: PLC0415 - `--help` stays quick
     from isac_track import plugins  # noqa: PLC0415 - as above
     from isac_track.protocols import kind_of  # noqa: PLC0415 - it needs numpy, as above
@@ -120,6 +106,7 @@ def _list() -> None:
         print(f"{shown}  {summary}".rstrip())
     for name, wrong in skipped.items():
         print(f"skipped {name}: {wrong}", file=sys.stderr)
+    return DONE
 
 
 def _summary(attack: Any) -> str:  # noqa: ANN401 - any frozen dataclass
@@ -153,7 +140,7 @@ def _check(spec: str) -> int:
     return DONE if passed else LIMIT_NOT_MET
 
 
-def _new(name: str, *, kind: str, into: Path) -> None:
+def _new(name: str, *, kind: str, into: Path) -> int:
     class_name = "".join(part.capitalize() for part in name.split("_"))
     folder = into / name
     _reject_taken(name, class_name=class_name, folder=folder)
@@ -163,29 +150,23 @@ def _new(name: str, *, kind: str, into: Path) -> None:
         "pytest": f"pytest {shown.removeprefix('./')}",
         "matrix": f"python -m evaluation.matrix --preset smoke --attack {name}",
     }
-    words = commands | KINDS[kind] | {"kind": kind, "name": name, "class_name": class_name}
-    templates = {"{name}.py": KINDS[kind]["template"], **TEMPLATES}
-    sources = files("attacks") / "templates"
+    words = KINDS[kind] | commands | {"kind": kind, "name": name, "class_name": class_name}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for target, source in templates.items():
-            template = Template((sources / source).read_text(encoding="utf-8"))
-            text = template.substitute(words)
+        for target, source in {"{name}.py": f"{kind}.py.tmpl", **TEMPLATES}.items():
+            template = (files("attacks") / "templates" / source).read_text(encoding="utf-8")
+            text = Template(template).substitute(words)
             (folder / target.format(name=name)).write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
     print(f"wrote {folder}: an attack that works; edit {folder / name}.py, then:")
     for line in commands.values():
         print(f"  {line}")
+    return DONE
 
 
 def _reject_taken(name: str, *, class_name: str, folder: Path) -> None:
-    """Raise for a name that would clash with something or cannot be imported.
-
-    Raises
-    ------
-    SettingsError
-    """
+    """Raise SettingsError for a name that would clash with something or cannot be imported."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         better = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
         hint = f"; did you mean {better!r}?" if better[:1].isalpha() and better != name else ""

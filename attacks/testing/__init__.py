@@ -22,19 +22,22 @@ import dataclasses
 from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from unittest import SkipTest
 
 from attacks.testing import _linkage_checks, _reconstruction_checks
-from attacks.testing._rows import granted_rows, in_every_row, reject_what_is_no_attack
+from attacks.testing._checks import Row
+from attacks.testing._releases import copied
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import ADVERSARIES, kind_of
+from isac_track.protocols import ADVERSARIES, grants, kind_of
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
+from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from attacks.testing._rows import Attack, Row
+    from attacks.testing._checks import Attack
 
 __all__ = [
     "CHECKS",
@@ -47,12 +50,60 @@ __all__ = [
 ]
 
 
+def _in_every_row(body: Callable[[Row], None], attack: Attack) -> None:
+    """Hold the body of a check against every row of an attack, or those that it applies to."""
+    exempt, applied = SkipTest("no row"), False
+    for row in _rows(attack):
+        try:
+            body(row)
+            applied = True
+        except SkipTest as reason:
+            exempt = reason
+    if not applied:
+        raise exempt
+
+
+def _rows(attack: Attack) -> Iterator[Row]:
+    """Yield the rows of an attack, weakest adversary first, as all checks but one run them.
+
+    An attack that touches what it was not granted fails the check about that. In all others it
+    is given everything, or that one mistake would fail them all and hide the next one.
+    """
+    is_linkage = kind_of(attack) == "linkage"
+    kind = _linkage_checks if is_linkage else _reconstruction_checks
+    for granted, adversary in _granted(attack).items():
+        row = Row(attack, adversary, granted, granted, *kind.ordinary_and_another(granted))
+        try:
+            row.raw(copied(row.ordinary))
+        except AssertionError:
+            row = row.with_everything()
+        yield row
+
+
+def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
+    """Return the adversary of every row that an attack makes here, by what it is granted.
+
+    What a linkage attack is granted depends on the task: some show the scene to everyone, the
+    others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once.
+    """
+    nothing: frozenset[Knowledge] = frozenset()
+    tasks = [(nothing, nothing)]
+    if kind_of(attack) == "linkage":
+        scene, repeats = frozenset({Knowledge.SCENE}), frozenset({Knowledge.REPEATS})
+        tasks = [(nothing, repeats | scene), (scene, repeats)]
+    made: dict[frozenset[Knowledge], str] = {}
+    for everyone, nobody in tasks:
+        for adversary, granted in grants(attack, everyone=everyone, nobody=nobody).items():
+            made.setdefault(granted, adversary)
+    return made
+
+
 def _kit(bodies: Iterable[Callable[[Row], None]]) -> dict[str, Check]:
     return {
         body.__name__: Check(
             name=body.__name__,
             statement=engine.statement_of(body),
-            body=partial(in_every_row, body),
+            body=partial(_in_every_row, body),
         )
         for body in bodies
     }
@@ -71,9 +122,9 @@ def checks_for(attack: Attack) -> dict[str, Check]:
     Raises
     ------
     PluginError
-        If it is no attack at all.
+        If it is no attack at all, with what to write instead.
     """
-    reject_what_is_no_attack(attack)
+    _reject_what_is_no_attack(attack)
     return dict(LINKAGE_CHECKS if kind_of(attack) == "linkage" else CHECKS)
 
 
@@ -88,19 +139,13 @@ def adversaries_of(attack: Attack) -> tuple[str, ...]:
     PluginError
         If it is no attack at all.
     """
-    reject_what_is_no_attack(attack)
-    named = {adversary for adversary, _ in granted_rows(attack)}
+    _reject_what_is_no_attack(attack)
+    named = _granted(attack).values()
     return tuple(adversary for adversary in ADVERSARIES if adversary in named)
 
 
 def run_checks(attack: Attack, *, names: Sequence[str] | None = None) -> tuple[CheckResult, ...]:
-    """Run the checks on an attack; one that fails ends nothing.
-
-    Parameters
-    ----------
-    attack : ReconstructionAttack or LinkageAttack
-    names : sequence of str, optional
-        Only these checks; by default all.
+    """Run all checks on an attack, or those called `names`; one that fails ends nothing.
 
     Raises
     ------
@@ -120,12 +165,8 @@ def parametrize_attack_checks(
     """Return a pytest decorator that runs a test once per attack and check.
 
     The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not
-    apply to an attack is skipped, with the reason.
-
-    Parameters
-    ----------
-    attacks : iterable of ReconstructionAttack or LinkageAttack
-        Instances; one attack may come several times, with different parameters.
+    apply to an attack is skipped, with the reason. `attacks` are instances; one attack may come
+    several times, with different parameters.
 
     Raises
     ------
@@ -158,3 +199,32 @@ def _label(attack: Any) -> str:  # noqa: ANN401 - a frozen dataclass
     ]
     name = type(attack).__name__
     return f"{name}({','.join(changed)})" if changed else name
+
+
+def _reject_what_is_no_attack(attack: Any) -> None:  # noqa: ANN401 - anything at all
+    """Raise PluginError for what cannot be an attack, with what to write instead."""
+    if isinstance(attack, type):
+        raise PluginError(f"expected an attack, got its class: write {attack.__name__}()")
+    name = f"attack {type(attack).__name__}"
+    parameters = getattr(type(attack), "__dataclass_params__", None)
+    if parameters is None or not parameters.frozen:
+        raise PluginError(f"{name} must be a frozen dataclass: @dataclass(frozen=True)")
+    if not callable(getattr(attack, "fit", None)):
+        raise PluginError(f"{name} has no method fit(context)")
+    for attribute in ("requires", "uses"):
+        declared = getattr(attack, attribute, None)
+        known = isinstance(declared, frozenset) and declared <= frozenset(Knowledge)
+        if not known:
+            raise PluginError(
+                f"{name} needs a class attribute {attribute}: a frozenset of Knowledge, "
+                f"got {declared!r}"
+            )
+    try:
+        kind_of(attack)
+    except ValueError as error:
+        raise PluginError(f"{name}: {error}") from None
+    if not _granted(attack):
+        raise PluginError(
+            f"{name} requires REPEATS, which nobody who links is granted: the repeats of a "
+            "walk would be linked already"
+        )

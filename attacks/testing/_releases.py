@@ -11,7 +11,7 @@ import numpy as np
 
 from isac_track.protocols import LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
-from isac_track.sensing import fisher_information_density, unit_errors
+from isac_track.sensing import unit_errors
 from isac_track.types import Release, Sensed
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ Walk: TypeAlias = "tuple[Floats, Floats]"
 Holder = TypeVar("Holder", bound=Any)
 """A case, or a training set."""
 
-SEED = 0
 EPSILON_M = 0.3
 RAW_SIGMA_M = 0.05
 """Of the sensing; all else is added by the mechanism."""
@@ -40,7 +39,7 @@ IRREGULAR_STEP_S = (1e-3, 30.0)
 
 def draws(*name: str | int) -> np.random.Generator:
     """Return the random stream of that name."""
-    return stream(SEED, "attacks", "testing", *name)
+    return stream(0, "attacks", "testing", *name)
 
 
 def steps(rng: np.random.Generator, size: int, *, sampling: Sampling) -> Floats:
@@ -58,33 +57,32 @@ def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fix
     offsets = np.concatenate([[0], np.cumsum([times.size for times, _ in walks])])
     law = mechanism.law or "radial"
     unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
-    information = np.full(t.size, RAW_SIGMA_M**-2)
+    nothing = np.zeros(t.size)
     sensed = Sensed(
         t=t,
         xy=xy + RAW_SIGMA_M * unit,
         unit_error=unit,
         sigma_raw=np.full(t.size, RAW_SIGMA_M),
-        information=information,
-        fid=fisher_information_density(information=information, t=t, offsets=offsets),
+        information=nothing,  # Fixed looks at neither
+        fid=nothing,
         offsets=offsets,
         law=law,
     )
     return mechanism.share(sensed, draws("share", *name))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Motion:
-    """A frame and a clock: turned, then shifted."""
+    """A frame and a clock: turned, then shifted. One for all samples, or one for each."""
 
-    angle_rad: float
-    shift_m: tuple[float, float]
-    clock_s: float
+    angle_rad: float | Floats
+    shift_m: tuple[float, float] | Floats
+    clock_s: float | Floats
 
     def of_points(self, xy: Floats) -> Floats:
         """Return points, (M, 2) m, in this frame."""
-        cos, sin = np.cos(self.angle_rad), np.sin(self.angle_rad)
-        moved: Floats = xy @ np.array([[cos, sin], [-sin, cos]]) + self.shift_m
-        return moved
+        cos, sin, (x, y) = np.cos(self.angle_rad), np.sin(self.angle_rad), xy.T
+        return np.column_stack([cos * x - sin * y, sin * x + cos * y]) + self.shift_m
 
     def of_release(self, release: Release) -> Release:
         """Return a release in this frame and on this clock."""
@@ -99,19 +97,13 @@ def origins(offsets: Ints, order: Sequence[int]) -> Ints:
 def in_order(release: Release, order: Sequence[int]) -> Release:
     """Return a release with its tracks in another order."""
     origin = origins(release.offsets, order)
-    sizes = np.diff(release.offsets)[list(order)]
     return Release(
         t=release.t[origin],
         xy=release.xy[origin],
         sigma=None if release.sigma is None else release.sigma[origin],
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        offsets=np.concatenate([[0], np.cumsum(np.diff(release.offsets)[list(order)])]),
         pseudonym=tuple(release.pseudonym[row] for row in order),
     )
-
-
-def _renamed(release: Release) -> Release:
-    ranks = {name: rank for rank, name in enumerate(sorted(release.pseudonym, reverse=True))}
-    return replace(release, pseudonym=tuple(f"p{ranks[name]:04}" for name in release.pseudonym))
 
 
 # The same case, seen otherwise; what is said of cases holds for the training sets in them
@@ -127,8 +119,8 @@ def of_each(case: Holder, change: Callable[[Release], Release]) -> Holder:
             return of_each(held, change)
         return tuple(map(changed, held)) if isinstance(held, tuple) else held
 
-    held = {item.name: getattr(case, item.name) for item in fields(case)}
-    return replace(case, **{name: changed(one) for name, one in held.items()})
+    held = {item.name: changed(getattr(case, item.name)) for item in fields(case)}
+    return replace(case, **held)
 
 
 def copied(case: Holder) -> Holder:
@@ -144,12 +136,13 @@ def renamed(case: Holder) -> Holder:
 
     Releases share their pseudonyms then, but not with whom they belong together.
     """
-    return of_each(case, _renamed)
 
+    def change(release: Release) -> Release:
+        backwards = sorted(release.pseudonym, reverse=True)
+        names = tuple(f"p{backwards.index(name):04}" for name in release.pseudonym)
+        return replace(release, pseudonym=names)
 
-def without_sigma(case: Holder) -> Holder:
-    """Return the case as an adversary without SIGMA gets it."""
-    return of_each(case, Release.without_sigma)
+    return of_each(case, change)
 
 
 def arrays_of(held: object, name: str = "") -> dict[str, NDArray[Any]]:
@@ -161,7 +154,5 @@ def arrays_of(held: object, name: str = "") -> dict[str, NDArray[Any]]:
         inside = {f"{name}[{place}]": one for place, one in enumerate(held)}
     elif is_dataclass(held):
         inside = {f"{name}.{item.name}": getattr(held, item.name) for item in fields(held)}
-    found: dict[str, NDArray[Any]] = {}
-    for path, one in inside.items():
-        found |= arrays_of(one, path)
-    return found
+    deeper = (arrays_of(one, path) for path, one in inside.items())
+    return {path: array for found in deeper for path, array in found.items()}

@@ -21,8 +21,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from isac_track.testing import _conflict_checks, _descriptor_checks, _metrics, engine
-from isac_track.testing._metrics import Metrics
-from isac_track.testing._own import OWN
+from isac_track.testing._metrics import OWN, Metrics
 from isac_track.testing.engine import Check, Outcome
 
 if TYPE_CHECKING:
@@ -58,14 +57,9 @@ def select_checks(names: Sequence[str] | None = None) -> tuple[Check, ...]:
 
 
 def run_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Iterator[Outcome]:
-    """Run the checks one by one; a function that raises fails its check and ends nothing.
+    """Run all checks, or those called `names`, one by one on the functions of `metrics`.
 
-    Parameters
-    ----------
-    metrics : Metrics
-        The functions to check.
-    names : sequence of str, optional
-        Only these checks; by default all.
+    A function that raises fails its check and ends nothing.
 
     Raises
     ------
@@ -78,14 +72,8 @@ def run_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Itera
 def parametrize_metric_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     """Return a pytest decorator that runs a test once per check, with ``check`` to call.
 
-    Checks of functions that are not offered are skipped, with the reason.
-
-    Parameters
-    ----------
-    metrics : Metrics
-        The functions to check.
-    names : sequence of str, optional
-        Only these checks; by default all.
+    All checks, or those called `names`; those of functions that are not offered are skipped, with
+    the reason.
     """
     cases = ((one.name, (partial(one, metrics),)) for one in select_checks(names))
     return engine.parametrize("check", cases)

@@ -7,15 +7,11 @@ from __future__ import annotations
 
 import importlib
 import sys
-from typing import TYPE_CHECKING
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import PluginError, SettingsError, told
-from isac_track.testing import CHECKS, Metrics, Outcome, run_checks, select_checks
+from isac_track.testing import CHECKS, Metrics, run_checks, select_checks
 from isac_track.testing.engine import report
-
-if TYPE_CHECKING:
-    import argparse
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -32,26 +28,24 @@ def main(arguments: list[str] | None = None) -> int:
         "--check", action="append", metavar="NAME", help="run only this check (repeatable)"
     )
     parser.add_argument("--list", action="store_true", help="name all checks and exit")
-    return exit_code(lambda: _check(parser.parse_args(arguments)))
 
+    def check() -> int:
+        options = parser.parse_args(arguments)
+        if options.list:
+            for one in CHECKS:
+                print(f"{one.name:38} {one.statement}")  # noqa: T201 - a command's output
+            return DONE
+        if options.target is None:
+            raise SettingsError("name the functions to check: package.module:OBJECT")
+        metrics = _load(options.target)
+        if all(one.missing(metrics) for one in select_checks(options.check)):
+            raise SettingsError(f"{options.target} offers no function for the checks chosen")
+        found = run_checks(metrics, names=options.check)
+        shown = "{one.status:8}{one.name}: {one.message}"
+        none_failed = report(found, line=lambda one: shown.format(one=one).removesuffix(": "))
+        return DONE if none_failed else LIMIT_NOT_MET
 
-def _check(options: argparse.Namespace) -> int:
-    if options.list:
-        for one in CHECKS:
-            print(f"{one.name:38} {one.statement}")  # noqa: T201 - a command's output
-        return DONE
-    if options.target is None:
-        raise SettingsError("name the functions to check: package.module:OBJECT")
-    metrics = _load(options.target)
-    if all(one.missing(metrics) for one in select_checks(options.check)):
-        raise SettingsError(f"{options.target} offers no function for the checks chosen")
-    found = run_checks(metrics, names=options.check)
-    return DONE if report(found, line=_line) else LIMIT_NOT_MET
-
-
-def _line(outcome: Outcome) -> str:
-    line = f"{outcome.status:8}{outcome.name}"
-    return f"{line}: {outcome.message}" if outcome.message else line
+    return exit_code(check)
 
 
 def _load(target: str) -> Metrics:
@@ -66,9 +60,8 @@ def _load(target: str) -> Metrics:
         raise PluginError(f"{module_name!r} has no {attribute!r}")
     metrics = getattr(module, attribute)
     if not isinstance(metrics, Metrics):
-        raise PluginError(
-            f"{target} must be an isac_track.testing.Metrics, got {type(metrics).__name__}"
-        )
+        found = type(metrics).__name__
+        raise PluginError(f"{target} must be an isac_track.testing.Metrics, got {found}")
     return metrics
 
 

@@ -9,25 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.rng import stream
-from isac_track.testing._metrics import check, expect, expect_call, expect_that, show
+from isac_track.testing._metrics import Function, check, expect, expect_call, expect_that, show
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from isac_track.testing._metrics import (
-        Decision,
-        DistanceError,
-        ErrorControl,
-        Grid,
-        Path,
-        Rate,
-        Separation,
-    )
-    from isac_track.types import Bools, Floats
+    from isac_track.types import Floats
 
 
 @check
-def grid_starts_now(prediction_grid: Grid) -> None:
+def grid_starts_now(prediction_grid: Function) -> None:
     """Step 0 is the last sample, step h lies h mean intervals of the window later."""
     t = np.array([0.0, 7.0, 8.0, 10.0])
     for window, grid in ((2, [10, 12, 14]), (3, [10, 11.5, 13]), (4, [10, 40 / 3, 50 / 3])):
@@ -35,14 +26,14 @@ def grid_starts_now(prediction_grid: Grid) -> None:
 
 
 @check
-def grid_of_a_short_track(prediction_grid: Grid) -> None:
+def grid_of_a_short_track(prediction_grid: Function) -> None:
     """A track shorter than the window uses all of its samples."""
     t = np.array([1.0, 2.0, 4.0])
     expect_call(prediction_grid, t, 16, 4, gives=[4.0, 5.5, 7.0, 8.5])
 
 
 @check
-def grid_matches_brute_force(prediction_grid: Grid) -> None:
+def grid_matches_brute_force(prediction_grid: Function) -> None:
     """The grid equals its equation on random, irregular times."""
     for rng in _generators("grid_matches_brute_force"):
         t = rng.uniform(-9, 9) + np.cumsum(rng.uniform(0.02, 0.5, int(rng.integers(2, 30))))
@@ -53,7 +44,7 @@ def grid_matches_brute_force(prediction_grid: Grid) -> None:
 
 
 @check
-def path_walks_then_waits(robot_path: Path) -> None:
+def path_walks_then_waits(robot_path: Function) -> None:
     """The robot walks straight at its speed, and waits at its destination."""
     start, destination = np.array([1.0, 1.0]), np.array([4.0, 5.0])  # 5 m apart
     elapsed_s = np.array([0.0, 1.0, 2.5, 4.0, 100.0])
@@ -62,7 +53,7 @@ def path_walks_then_waits(robot_path: Path) -> None:
 
 
 @check
-def path_matches_brute_force(robot_path: Path) -> None:
+def path_matches_brute_force(robot_path: Function) -> None:
     """The path equals its equation for random starts, destinations and clocks."""
     for rng in _generators("path_matches_brute_force"):
         start, destination = rng.uniform(-5, 5, 2), rng.uniform(-5, 5, 2)
@@ -77,7 +68,7 @@ def path_matches_brute_force(robot_path: Path) -> None:
 
 
 @check
-def separation_hand_examples(minimum_separation: Separation) -> None:
+def separation_hand_examples(minimum_separation: Function) -> None:
     """The separation is the smallest distance at equal steps, not between the curves."""
     robot = np.array([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]])
     # Stands where the robot was one step before: on its curve, but never closer than 1 m.
@@ -89,7 +80,7 @@ def separation_hand_examples(minimum_separation: Separation) -> None:
 
 
 @check
-def separation_matches_brute_force(minimum_separation: Separation) -> None:
+def separation_matches_brute_force(minimum_separation: Function) -> None:
     """The separation equals the minimum over all agents and steps."""
     for rng in _generators("separation_matches_brute_force"):
         robot, agents = _scene(rng)
@@ -98,7 +89,7 @@ def separation_matches_brute_force(minimum_separation: Separation) -> None:
 
 
 @check
-def separation_symmetries(minimum_separation: Separation) -> None:
+def separation_symmetries(minimum_separation: Function) -> None:
     """The separation ignores rigid motion, the order of the agents, and who is the robot."""
     turn = np.array([[0.6, 0.8], [0.8, -0.6]])
     for rng in _generators("separation_symmetries", count=40):
@@ -113,62 +104,45 @@ def separation_symmetries(minimum_separation: Separation) -> None:
 
 
 @check
-def conflict_boundary_is_strict(is_conflict: Decision) -> None:
+def conflict_boundary_is_strict(is_conflict: Function) -> None:
     """At exactly the safety radius there is no conflict."""
     radius_m = 0.9
-    for separation_m, decision in (
-        (0.0, True),
-        (0.5, True),
-        (float(np.nextafter(radius_m, 0.0)), True),
-        (radius_m, False),
-        (float(np.nextafter(radius_m, 1.0)), False),
-        (5.0, False),
-    ):
+    below, above = float(np.nextafter(radius_m, 0.0)), float(np.nextafter(radius_m, 1.0))
+    for separation_m in (0.0, 0.5, below, radius_m, above, 5.0):
         case = f"separation {separation_m!r} m, safety radius {radius_m} m"
         made = is_conflict(separation_m, radius_m)
-        expect_that(made == decision, what=f"the decision is {made}", case=case)
+        holds = made == (separation_m <= below)
+        expect_that(holds, what=f"the decision is {made}", case=case)
 
 
 @check
-def missed_rate_hand_examples(missed_conflict_rate: Rate) -> None:
+def missed_rate_hand_examples(missed_conflict_rate: Function) -> None:
     """The missed rate is the share of true conflicts that were not predicted."""
-    for conflict, predicted, rate in (
-        ("1110", "1000", 2 / 3),
-        ("1100", "1111", 0.0),
-        ("1111", "0000", 1.0),
-        ("10000000", "00000000", 1.0),
-        ("0000", "1010", nan),
-    ):
-        expect_call(missed_conflict_rate, _flags(conflict), _flags(predicted), gives=rate)
+    examples = {"1110 1000": 2 / 3, "1100 1111": 0.0, "1111 0000": 1.0, "0000 1010": nan}
+    _rates(missed_conflict_rate, examples | {"10000000 00000000": 1.0})
 
 
 @check
-def false_alarm_rate_hand_examples(false_alarm_rate: Rate) -> None:
+def false_alarm_rate_hand_examples(false_alarm_rate: Function) -> None:
     """The false-alarm rate is the share of conflict-free scenes with a predicted conflict."""
-    for conflict, predicted, rate in (
-        ("1000", "1011", 2 / 3),
-        ("1100", "1100", 0.0),
-        ("0000", "1111", 1.0),
-        ("01111111", "10000000", 1.0),
-        ("1111", "0101", nan),
-    ):
-        expect_call(false_alarm_rate, _flags(conflict), _flags(predicted), gives=rate)
+    examples = {"1000 1011": 2 / 3, "1100 1100": 0.0, "0000 1111": 1.0, "1111 0101": nan}
+    _rates(false_alarm_rate, examples | {"01111111 10000000": 1.0})
 
 
 @check
-def missed_rate_matches_brute_force(missed_conflict_rate: Rate) -> None:
+def missed_rate_matches_brute_force(missed_conflict_rate: Function) -> None:
     """The missed rate equals the count on random scenes; conflict-free scenes do not matter."""
     _wrong_among(True, missed_conflict_rate, "missed_rate_matches_brute_force")
 
 
 @check
-def false_alarm_rate_matches_brute_force(false_alarm_rate: Rate) -> None:
+def false_alarm_rate_matches_brute_force(false_alarm_rate: Function) -> None:
     """The false-alarm rate equals the count on random scenes; true conflicts do not matter."""
     _wrong_among(False, false_alarm_rate, "false_alarm_rate_matches_brute_force")
 
 
 @check
-def distance_mae_hand_examples(distance_mae_m: DistanceError) -> None:
+def distance_mae_hand_examples(distance_mae_m: Function) -> None:
     """The distance MAE is the mean absolute error; errors of either sign do not cancel."""
     true_m = np.array([1.0, 2.0, 3.0, 0.0])
     expect_call(distance_mae_m, true_m, np.array([1.5, 1.0, 3.0, 0.5]), gives=0.5)
@@ -176,7 +150,7 @@ def distance_mae_hand_examples(distance_mae_m: DistanceError) -> None:
 
 
 @check
-def distance_mae_matches_brute_force(distance_mae_m: DistanceError) -> None:
+def distance_mae_matches_brute_force(distance_mae_m: Function) -> None:
     """The distance MAE equals the sum over scenes, and is symmetric."""
     for rng in _generators("distance_mae_matches_brute_force"):
         true_m, predicted_m = rng.exponential(1.0, (2, int(rng.integers(1, 12))))
@@ -186,7 +160,7 @@ def distance_mae_matches_brute_force(distance_mae_m: DistanceError) -> None:
 
 
 @check
-def fid_rule_hand_examples(fid_d_sigma: ErrorControl) -> None:
+def fid_rule_hand_examples(fid_d_sigma: Function) -> None:
     """0 up to rho = 1, alpha (beta - 1) just above, alpha (beta - 1/e) at 2, alpha beta at inf."""
     fid = np.array([0.0, 4.0, 8.0, float(np.nextafter(8.0, 9.0)), 16.0, 1e300, inf])
     wanted = [0.0, 0.0, 0.0, 0.25, 0.5 * (1.5 - exp(-1.0)), 0.75, 0.75]
@@ -194,7 +168,7 @@ def fid_rule_hand_examples(fid_d_sigma: ErrorControl) -> None:
 
 
 @check
-def fid_rule_matches_brute_force(fid_d_sigma: ErrorControl) -> None:
+def fid_rule_matches_brute_force(fid_d_sigma: Function) -> None:
     """The rule equals its equation sample by sample, whatever the parameters."""
     for rng in _generators("fid_rule_matches_brute_force"):
         eta = float(10.0 ** rng.uniform(-2, 6))
@@ -206,7 +180,7 @@ def fid_rule_matches_brute_force(fid_d_sigma: ErrorControl) -> None:
 
 
 @check
-def fid_rule_monotone(fid_d_sigma: ErrorControl) -> None:
+def fid_rule_monotone(fid_d_sigma: Function) -> None:
     """More information never gets less error, a higher threshold never more."""
     fid = np.geomspace(0.1, 1e5, 200)
     previous = np.full_like(fid, inf)
@@ -222,11 +196,14 @@ def _generators(name: str, *, count: int = 100) -> list[Generator]:
     return [stream(0, "testing", name, index) for index in range(count)]
 
 
-def _flags(text: str) -> Bools:
-    return np.array([scene == "1" for scene in text])
+def _rates(rate_of: Function, examples: dict[str, float]) -> None:
+    """Compare rates by the scenes in conflict and those predicted to be, "1" for either."""
+    for text, rate in examples.items():
+        conflict, predicted = (np.array([scene == "1" for scene in one]) for one in text.split())
+        expect_call(rate_of, conflict, predicted, gives=rate)
 
 
-def _wrong_among(truth: bool, rate_of: Rate, name: str) -> None:  # noqa: FBT001 - as in a formula
+def _wrong_among(truth: bool, rate_of: Function, name: str) -> None:  # noqa: FBT001 - as in a formula
     for rng in _generators(name):
         size = int(rng.integers(1, 15))
         conflict, predicted = rng.random(size) < rng.random(), rng.random(size) < rng.random()

@@ -1,29 +1,23 @@
-"""What a metric check is made of: the offered functions, the guard around them, comparison."""
+"""What is checked, and what a metric check is made of: the guard around functions, comparison."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from isac_track import conflict, privacy, sharing
 from isac_track.errors import told
 from isac_track.testing.engine import Check, attempt, statement_of
-from isac_track.types import Bools, Floats, Ints
 
-PointRatio: TypeAlias = Callable[[Floats, Floats, float], float]
-Duration: TypeAlias = Callable[[Floats, Floats, Floats, float], float]
-Batch: TypeAlias = Callable[[Floats, Floats, Floats, Ints, float], tuple[Floats, Floats, Floats]]
-Grid: TypeAlias = Callable[[Floats, int, int], Floats]
-Path: TypeAlias = Callable[[Floats, Floats, float, Floats], Floats]
-Separation: TypeAlias = Callable[[Floats, Floats], float]
-Decision: TypeAlias = Callable[[float, float], bool]
-Rate: TypeAlias = Callable[[Bools, Bools], float]
-DistanceError: TypeAlias = Callable[[Floats, Floats], float]
-ErrorControl: TypeAlias = Callable[[Floats, float, float, float], Floats]
+if TYPE_CHECKING:
+    from isac_track.types import Bools, Floats, Ints
 
+Function: TypeAlias = Callable[..., Any]
+"""One of those offered, guarded."""
 RELATIVE_TOLERANCE = 1e-9
 ABSOLUTE_TOLERANCE = 1e-9
 
@@ -36,32 +30,80 @@ class Metrics:
     quantity is undefined.
     """
 
-    plr: PointRatio | None = None
+    plr: Callable[[Floats, Floats, float], float] | None = None
     """(shared_xy (T, 2) m, true_xy (T, 2) m, epsilon_m) -> share of leaked samples, 0..1."""
-    ael_s: Duration | None = None
+    ael_s: Callable[[Floats, Floats, Floats, float], float] | None = None
     """(shared_xy (T, 2) m, true_xy (T, 2) m, t (T,) s, epsilon_m) -> s."""
-    mel_s: Duration | None = None
+    mel_s: Callable[[Floats, Floats, Floats, float], float] | None = None
     """(shared_xy (T, 2) m, true_xy (T, 2) m, t (T,) s, epsilon_m) -> s."""
-    exposure: Batch | None = None
+    exposure: Callable[[Floats, Floats, Floats, Ints, float], tuple[Floats, ...]] | None = None
     """(shared_xy (M, 2) m, true_xy (M, 2) m, t (M,) s, offsets (N + 1,), epsilon_m) -> PLR, AEL
     and MEL, (N,) each: all trajectories in one call, end to end in flat arrays."""
-    prediction_grid: Grid | None = None
+    prediction_grid: Callable[[Floats, int, int], Floats] | None = None
     """(t (T,) s, window, horizon_steps) -> (H,) s."""
-    robot_path: Path | None = None
+    robot_path: Callable[[Floats, Floats, float, Floats], Floats] | None = None
     """(start (2,) m, destination (2,) m, speed_mps, elapsed_s (H,)) -> (H, 2) m."""
-    minimum_separation: Separation | None = None
+    minimum_separation: Callable[[Floats, Floats], float] | None = None
     """(robot (A, H, 2) m, agents (A, H, 2) m) -> m."""
-    is_conflict: Decision | None = None
+    is_conflict: Callable[[float, float], bool] | None = None
     """(separation_m, safety_radius_m) -> bool."""
-    missed_conflict_rate: Rate | None = None
+    missed_conflict_rate: Callable[[Bools, Bools], float] | None = None
     """(conflict (S,) bool, predicted (S,) bool) -> 0..1."""
-    false_alarm_rate: Rate | None = None
+    false_alarm_rate: Callable[[Bools, Bools], float] | None = None
     """(conflict (S,) bool, predicted (S,) bool) -> 0..1."""
-    distance_mae_m: DistanceError | None = None
+    distance_mae_m: Callable[[Floats, Floats], float] | None = None
     """(true_separation_m (S,), predicted_separation_m (S,)) -> m."""
-    fid_d_sigma: ErrorControl | None = None
+    fid_d_sigma: Callable[[Floats, float, float, float], Floats] | None = None
     """(fid (T,) 1/(m^2 s), eta 1/(m^2 s), alpha_m, beta) -> (T,) m."""
 
+
+def _exposure(
+    shared_xy: Floats, true_xy: Floats, t: Floats, offsets: Ints, epsilon_m: float
+) -> tuple[Floats, Floats, Floats]:
+    leaked = privacy.leakage_indicator(shared_xy=shared_xy, true_xy=true_xy, epsilon_m=epsilon_m)
+    found = privacy.exposure(leaked=leaked, t=t, offsets=offsets)
+    return found.plr, found.ael_s, found.mel_s
+
+
+def _of_one(shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float) -> list[float]:
+    whole = np.array([0, len(t)])
+    return [float(one[0]) for one in _exposure(shared_xy, true_xy, t, whole, epsilon_m)]
+
+
+def _by_position(function: Function) -> Function:
+    names = inspect.signature(function).parameters
+    return lambda *values: function(**dict(zip(names, values, strict=True)))
+
+
+OWN = Metrics(
+    # Any clock: PLR counts samples.
+    plr=lambda shared, true, epsilon_m: _of_one(
+        shared, true, np.arange(1.0 * len(true)), epsilon_m
+    )[0],
+    ael_s=lambda *walk: _of_one(*walk)[1],
+    mel_s=lambda *walk: _of_one(*walk)[2],
+    exposure=_exposure,
+    prediction_grid=lambda t, window, horizon_steps: conflict.prediction_grid(
+        t=t, offsets=np.array([0, len(t)]), window=window, horizon_steps=horizon_steps
+    )[0],
+    robot_path=lambda start, destination, speed_mps, elapsed_s: conflict.robot_path(
+        start=start[None],
+        destination=destination[None],
+        speed_mps=speed_mps,
+        elapsed_s=elapsed_s[None, None],
+    )[0, 0],
+    minimum_separation=lambda robot, agents: float(
+        conflict.minimum_separation(robot=robot[None], agents=agents[None])[0]
+    ),
+    is_conflict=lambda separation_m, radius_m: bool(
+        conflict.is_conflict(separation_m=np.array([separation_m]), safety_radius_m=radius_m)[0]
+    ),
+    missed_conflict_rate=_by_position(conflict.missed_conflict_rate),
+    false_alarm_rate=_by_position(conflict.false_alarm_rate),
+    distance_mae_m=_by_position(conflict.distance_mae_m),
+    fid_d_sigma=_by_position(sharing.fid_d_sigma),
+)
+"""The project's own functions, one trajectory or one scene at a time; passes every check."""
 
 CHECKS: dict[str, Check] = {}
 """Filled as the modules of checks are imported."""
@@ -98,7 +140,7 @@ def expect(actual: object, expected: object, *, what: str, case: object) -> None
         raise AssertionError(f"{what} is {show(left)}, expected {show(right)}; {case}")
 
 
-def expect_call(function: Callable[..., Any], *arguments: object, gives: object) -> None:
+def expect_call(function: Function, *arguments: object, gives: object) -> None:
     """Compare what a function returns with numbers; the call is the case."""
     name = function.__name__
     expect(function(*arguments), gives, what=name, case=_call(name, arguments))
@@ -112,27 +154,34 @@ def expect_that(holds: object, *, what: str, case: object) -> None:
 
 def show(value: object) -> str:
     """Return a number or an array on one line."""
-    if isinstance(value, np.ndarray):
-        if value.ndim == 0:
-            return repr(value.item())
+    if isinstance(value, np.ndarray) and value.ndim > 0:
         return " ".join(np.array2string(value, precision=12, separator=", ").split())
-    return repr(value)
+    return repr(value.item() if isinstance(value, np.ndarray) else value)
 
 
-Kind: TypeAlias = Literal["number", "decision", "array", "arrays"]
-_KIND: dict[str, Kind] = {
-    "exposure": "arrays",
-    "prediction_grid": "array",
-    "robot_path": "array",
-    "fid_d_sigma": "array",
-    "is_conflict": "decision",
+def _array(result: object) -> Floats:
+    return np.asarray(result, dtype=float)
+
+
+def _three_arrays(result: Any) -> tuple[Floats, ...]:  # noqa: ANN401 - a stranger's
+    first, second, third = result
+    return tuple(map(_array, (first, second, third)))
+
+
+_READ: dict[str, Callable[[Any], object]] = {
+    "exposure": _three_arrays,
+    "prediction_grid": _array,
+    "robot_path": _array,
+    "fid_d_sigma": _array,
+    "is_conflict": bool,
 }
+"""How the result of a function is read; of all others it is one number."""
 
 
-def _guarded(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+def _guarded(name: str, function: Function) -> Function:
     """Wrap a function: whatever goes wrong inside it is a failed check, not a crash."""
 
-    def call(*arguments: object) -> Any:  # noqa: ANN401 - a number, a decision or arrays
+    def call(*arguments: object) -> object:
         # Copies: a function that changes its input must not spoil the case for the next one.
         given = [one.copy() if isinstance(one, np.ndarray) else one for one in arguments]
         result = attempt(
@@ -143,7 +192,7 @@ def _guarded(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
             if isinstance(after, np.ndarray) and after.tobytes() != np.asarray(before).tobytes():
                 raise AssertionError(f"{name} changed its input; {_call(name, arguments)}")
         try:
-            return _read(result, _KIND.get(name, "number"))
+            return _READ.get(name, float)(result)
         except (TypeError, ValueError) as error:
             raise AssertionError(
                 f"{name} returned {result!r}, which cannot be read as its result: {error}; "
@@ -152,17 +201,6 @@ def _guarded(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
 
     call.__name__ = name
     return call
-
-
-def _read(result: Any, kind: Kind) -> Any:  # noqa: ANN401 - whatever another project returns
-    if kind == "array":
-        return np.asarray(result, dtype=float)
-    if kind == "arrays":
-        first, second, third = result
-        return tuple(np.asarray(part, dtype=float) for part in (first, second, third))
-    if kind == "decision":
-        return bool(result)
-    return float(result)
 
 
 def _call(name: str, arguments: tuple[object, ...]) -> str:

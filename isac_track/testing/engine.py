@@ -85,12 +85,7 @@ def select(
 ) -> tuple[Check, ...]:
     """Return the checks called `names`, each once, or all.
 
-    Parameters
-    ----------
-    checks : mapping of str to Check
-    names : sequence of str or None
-    kit, known : str
-        For the message: of which kit a check is unknown, and how to learn what there is.
+    `kit` and `known` are for the message: where a check is unknown, and how to learn what there is.
 
     Raises
     ------
@@ -138,18 +133,9 @@ def parametrize(arguments: str, cases: Iterable[tuple[str, tuple[object, ...]]])
 
 
 def attempt(function: Callable[[], Any], *, failing: Callable[[BaseException], str]) -> Any:  # noqa: ANN401 - whatever a stranger returns
-    """Return what a stranger's function returns; whatever it raises fails the check.
+    """Return what a stranger's function returns, or fail the check with what `failing` says.
 
-    Parameters
-    ----------
-    function : callable
-    failing : callable
-        The message, from what was raised.
-
-    Raises
-    ------
-    AssertionError
-        For anything that the function raises, its leaving the program included.
+    It says it of anything that the function raises, its leaving the program included.
     """
     try:
         return function()

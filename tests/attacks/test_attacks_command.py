@@ -8,12 +8,11 @@ from importlib.metadata import EntryPoint
 import pytest
 from helpers.processes import ROOT, run_python
 
-from attacks import __main__ as command
 from attacks.__main__ import main
 from attacks.testing import CHECKS, LINKAGE_CHECKS
 from isac_track import plugins
 
-DOCS = ROOT / "docs" / "attacks.md"
+GUIDE = (ROOT / "docs" / "attacks.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -75,12 +74,12 @@ class TestList:
 
 
 class TestCheck:
-    def test_an_attack_that_passes(self, capsys):
-        assert main(["check", "helpers.broken_linkers:Base"]) == 0
+    def test_an_attack_with_parameters_that_passes(self, capsys):
+        assert main(["check", "kalman_rts:0.1"]) == 0
         head, *lines, summary = capsys.readouterr().out.splitlines()
-        assert head == "helpers.broken_linkers:Base as blind:"
-        assert lines == [f"  pass  {name}" for name in LINKAGE_CHECKS]
-        assert summary == f"{len(LINKAGE_CHECKS)} passed, 0 failed, 0 skipped"
+        assert head == "kalman_rts:q=0.1 as blind, informed, oracle:"
+        assert lines == [f"  pass  {name}" for name in CHECKS]
+        assert summary == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
 
     def test_an_attack_that_fails(self, capsys):
         assert main(["check", "helpers.broken_attacks:across_tracks"]) == 1
@@ -98,10 +97,6 @@ class TestCheck:
         assert shown.startswith("averaging as oracle:\n")
         assert f"  skip  {'frame_and_clock_do_not_matter':<33}  granted SCENE in every row" in shown
         assert shown.endswith(f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped\n")
-
-    def test_with_parameters(self, capsys):
-        assert main(["check", "kalman_rts:0.1"]) == 0
-        assert capsys.readouterr().out.startswith("kalman_rts:q=0.1 as blind, ")
 
     @pytest.mark.parametrize(
         ("spec", "message"),
@@ -136,14 +131,6 @@ class TestCheck:
         assert captured.err.startswith("error: ")
         assert message in captured.err
 
-    def test_interrupted(self, monkeypatch, capsys):
-        def interrupt(_spec):
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(command, "_check", interrupt)
-        assert main(["check", "identity"]) == 130
-        assert capsys.readouterr().err == "interrupted\n"
-
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
@@ -152,28 +139,11 @@ def here(tmp_path, monkeypatch):
 
 
 class TestNew:
-    def test_the_guide_says_the_same(self, here, capsys):
-        assert main(["new", "my_attack"]) == 0
-        guide = DOCS.read_text(encoding="utf-8")
-        assert "python -m attacks new my_attack\n" in guide
-        readme = (here / "my_attack" / "README.md").read_text(encoding="utf-8")
-        for line in capsys.readouterr().out.splitlines()[-3:]:
-            assert f"\n{line.strip()}\n" in guide
-            assert f"\n{line.strip()}\n" in readme
-
     def test_somewhere_else(self, here, capsys):
         assert main(["new", "my_2nd", "--into", str(here / "of mine" / "deep")]) == 0
         folder = here / "of mine" / "deep" / "my_2nd"
         assert "class My2nd:" in (folder / "my_2nd.py").read_text(encoding="utf-8")
         assert f"  pip install -e '{folder}'\n  pytest '{folder}'\n" in capsys.readouterr().out
-
-    def test_it_can_be_installed_under_its_name(self, here):
-        (here / "my_attack").mkdir()  # an empty folder is taken
-        assert main(["new", "my_attack"]) == 0
-        text = (here / "my_attack" / "pyproject.toml").read_text(encoding="utf-8")
-        project = tomllib.loads(text)["project"]
-        assert project["name"] == "my_attack"
-        assert project["entry-points"]["isac_track.attacks"] == {"my_attack": "my_attack:MyAttack"}
 
     @pytest.mark.parametrize(
         ("name", "kind", "checks", "parameter"),
@@ -185,33 +155,38 @@ class TestNew:
     def test_it_works_as_it_is(
         self, name, kind, checks, parameter, capsys, installed, monkeypatch, pytester
     ):
-        here = pytester.path
+        folder, class_name = pytester.path / name, name.title().replace("_", "")
+        folder.mkdir()  # an empty folder is taken
         assert main(["new", name, "--kind", kind]) == 0
-        assert {path.name for path in (here / name).iterdir()} == {
-            f"{name}.py",
-            f"test_{name}.py",
-            "pyproject.toml",
-            "README.md",
-        }
-        assert capsys.readouterr().out.splitlines()[-3:] == [
-            f"  pip install -e ./{name}",
-            f"  pytest {name}",
-            f"  python -m evaluation.matrix --preset smoke --attack {name}",
-        ]
-        assert not any("$" in path.read_text("utf-8") for path in (here / name).iterdir())
-        for file in ("README.md", "pyproject.toml"):
-            assert f"A {kind} attack for isac-track" in (here / name / file).read_text("utf-8")
+        texts = {path.name: path.read_text("utf-8") for path in folder.iterdir()}
+        assert texts.keys() == {f"{name}.py", f"test_{name}.py", "pyproject.toml", "README.md"}
+        assert not any("$" in text for text in texts.values())
+        assert all(
+            f"A {kind} attack for isac-track" in texts[file]
+            for file in ("README.md", "pyproject.toml")
+        )
+        lines = (
+            f"pip install -e ./{name}",
+            f"pytest {name}",
+            f"python -m evaluation.matrix --preset smoke --attack {name}",
+        )
+        shown = capsys.readouterr().out.splitlines()[-3:]
+        assert shown == [f"  {line}" for line in lines]
+        assert all(f"\n{line}\n" in texts["README.md"] for line in lines)
+        for line in ("python -m attacks new my_attack", *lines):
+            assert f"\n{line.replace(name, 'my_attack')}\n" in GUIDE
+        project = tomllib.loads(texts["pyproject.toml"])["project"]
+        assert project["name"] == name
+        entry_points = project["entry-points"]["isac_track.attacks"]
+        assert entry_points == {name: f"{name}:{class_name}"}
         # Its own tests, from where it was made.
         done = pytester.runpytest_inprocess("-W", "error", "-p", "no:cacheprovider", name)
         done.assert_outcomes(passed=2 * len(checks))
         capsys.readouterr()
         # By name, once installed.
-        monkeypatch.syspath_prepend(here / name)
-        class_name = name.title().replace("_", "")
-        installed(**{name: f"{name}:{class_name}"})
+        monkeypatch.syspath_prepend(folder)
+        installed(**entry_points)
         try:
-            assert main(["check", name]) == 0
-            assert capsys.readouterr().out.startswith(f"{name} as blind, informed:\n")
             assert main(["list"]) == 0
             listed = capsys.readouterr().out
             assert re.search(rf"^{name} +{kind} +blind, informed ", listed, re.MULTILINE)
@@ -221,10 +196,9 @@ class TestNew:
             sys.modules.pop(name, None)
 
     def test_ruff_and_its_formatter_have_nothing_to_say(self, here):
-        assert main(["new", "a"]) == 0
-        assert main(["new", "zzz_with_quite_a_long_name"]) == 0
-        assert main(["new", "b", "--kind", "linkage"]) == 0
-        assert main(["new", "yyy_with_quite_a_long_name", "--kind", "linkage"]) == 0
+        for kind in ("reconstruction", "linkage"):
+            for name in (kind[0], f"{kind[:3]}_with_quite_a_long_name"):
+                assert main(["new", name, "--kind", kind]) == 0
         for words in (["check"], ["format", "--check"]):
             done = run_python(here, "-m", "ruff", *words, "--no-cache", ".")
             assert done.returncode == 0, done.stdout + done.stderr
@@ -307,10 +281,10 @@ class TestCommandLine:
 
 class TestGuide:
     def test_runs_as_it_stands(self, pytester):
-        guide = DOCS.read_text(encoding="utf-8")
-        files = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", guide, re.DOTALL)
+        files = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", GUIDE, re.DOTALL)
         assert [name for name, _ in files][-2:] == ["my_attack.py", "test_my_attack.py"]
         for name, code in files:
             (pytester.path / name).write_text(code, encoding="utf-8")
-        done = pytester.runpytest_inprocess("-W", "error", "-p", "no:cacheprovider")
-        done.assert_outcomes(passed=2 * len(CHECKS))
+        words = ["-W", "error", "-p", "no:cacheprovider", "-k", "tau_s"]
+        done = pytester.runpytest_inprocess(*words)
+        done.assert_outcomes(passed=len(CHECKS), deselected=len(CHECKS))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import sys
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from isac_track.types import Knowledge, Reconstruction
 
 TRAIN, SIGMA = frozenset({Knowledge.TRAIN}), frozenset({Knowledge.SIGMA})
 MECHANISM, REPEATS = frozenset({Knowledge.MECHANISM}), frozenset({Knowledge.REPEATS})
+SCENE = frozenset({Knowledge.SCENE})
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,18 @@ class Base:
         return track.xy
 
 
+@dataclass(frozen=True)
+class Jitters(Base):
+    """Honest: it draws, from the stream that it was given."""
+
+    sigma_m: float = 0.05
+
+    def fit(self, context):
+        return lambda release: Reconstruction(
+            release.xy + context.rng.normal(0.0, self.sigma_m, release.xy.shape)
+        )
+
+
 def replacing(base, steps, function, **attributes):
     """Return `base` with one step replaced, called as the function is.
 
@@ -50,7 +64,7 @@ def replacing(base, steps, function, **attributes):
     attributes
         Of the class.
     """
-    step = steps[next(iter(inspect.signature(function).parameters))]
+    step = steps[next(iter(inspect.signature(function).parameters)).removeprefix("_")]
 
     def fit(self, context):
         return function(context) or super(made, self).fit(context)
@@ -61,23 +75,26 @@ def replacing(base, steps, function, **attributes):
     return made
 
 
-BROKEN = []
-"""(class, the one check that it fails, part of the message with `.*` for anything)"""
+def planting(base, steps):
+    """Return how to make, and how to list a broken class, and the list.
+
+    What is listed is (class, the one check that it fails, part of the message with `.*` for
+    anything). Steps are as in `replacing`.
+    """
+    make, listed = partial(replacing, base, steps), []
+
+    def fails(check, message, **knowledge):
+        def decorate(function):
+            made = make(function, **knowledge)
+            listed.append((made, check, message))
+            return made
+
+        return decorate
+
+    return make, fails, listed
 
 
-def attack(function, **attributes):
-    """Return `Base` with the step replaced that takes what the function takes."""
-    steps = {"track": "track", "release": "positions", "context": "fit"}
-    return replacing(Base, steps, function, **attributes)
-
-
-def fails(check, message, **knowledge):
-    def decorate(function):
-        made = attack(function, **knowledge)
-        BROKEN.append((made, check, message))
-        return made
-
-    return decorate
+attack, fails, BROKEN = planting(Base, {"track": "track", "release": "positions", "context": "fit"})
 
 
 def halfway_back(xy):
@@ -86,7 +103,7 @@ def halfway_back(xy):
 
 
 @fails("result_is_a_reconstruction", "expected a Reconstruction, got ndarray")
-def barehanded(context):  # noqa: ARG001
+def barehanded(_context):
     return Base().positions
 
 
@@ -127,13 +144,20 @@ def takes_sigma(release):
     return release.xy * (release.sigma * 0.0 + 1.0)[:, None]
 
 
+@fails("only_granted_knowledge_is_touched", "half as informed (gr", uses=TRAIN | REPEATS)
+def half(context):
+    """Looks into what it was granted, and touches something else."""
+    if Knowledge.TRAIN in context.granted:
+        assert context.repeats
+
+
 @fails("order_of_tracks_does_not_matter", "tracks in another order")
 def across_tracks(release):
     return halfway_back(release.xy)
 
 
 @fails("order_of_tracks_does_not_matter", "positions or std differ by 0.5 m")
-def certain_of_the_first(context):  # noqa: ARG001
+def certain_of_the_first(_context):
     """The positions are right, the claimed standard deviation knows the track's number."""
     return lambda release: Reconstruction(
         release.xy, np.repeat(np.arange(len(release)) * 0.1, np.diff(release.offsets))
@@ -141,13 +165,25 @@ def certain_of_the_first(context):  # noqa: ARG001
 
 
 @fails("frame_and_clock_do_not_matter", "another frame and clock")
-def on_the_grid(track):
-    return 0.1 * np.round(track.xy / 0.1)
-
-
-@fails("frame_and_clock_do_not_matter", "another frame and clock")
 def by_the_clock(track):
     return track.xy + 0.01 * np.column_stack([np.sin(track.t), np.cos(track.t)])
+
+
+@fails("frame_and_clock_do_not_matter", "walls as blind", uses=SCENE)
+def walls(track):
+    """Knows where the walls are, whether it was granted that or not."""
+    return np.round(track.xy, 1)
+
+
+@fails("frame_and_clock_do_not_matter", "two seeds differ by")
+def leans(context):
+    """Draws, as it may, but more on another clock."""
+
+    def reconstruct(release):
+        drawn = context.rng.normal(0.0, 0.05, release.xy.shape)
+        return Reconstruction(release.xy + drawn * (1.0 + 10.0 * (release.t[:1] > 100.0)))
+
+    return reconstruct
 
 
 @fails("frame_and_clock_do_not_matter", "as oracle (granted REPEATS)", requires=REPEATS)
@@ -163,6 +199,14 @@ def first_by_name(release):
     first = min(release.pseudonym)
     return np.concatenate(
         [one.xy if one.pseudonym[0] == first else halfway_back(one.xy) for one in release]
+    )
+
+
+@fails("pseudonyms_do_not_matter", "differ by inf m")
+def certain_of_some(_context):
+    """A standard deviation that comes and goes."""
+    return lambda release: Reconstruction(
+        release.xy, np.ones(len(release.t)) if release.pseudonym[0] < "p" else None
     )
 
 
@@ -189,7 +233,7 @@ def dead_reckoning(track):
 
 
 @fails("calls_do_not_remember", "asked once more, after another release: .* 0 m;")
-def counts_calls(context):  # noqa: ARG001
+def counts_calls(_context):
     """Drifts with every release that one function is asked about."""
     seen = []
 
@@ -201,7 +245,7 @@ def counts_calls(context):  # noqa: ARG001
 
 
 @fails("calls_do_not_remember", "another release, asked after the first: positions")
-def keeps_by_name(context):  # noqa: ARG001
+def keeps_by_name(_context):
     """Answers pseudonyms that it has seen from a cache."""
     known = {}
     return lambda release: known.setdefault(release.pseudonym, Reconstruction(release.xy))

@@ -1,4 +1,4 @@
-"""Four honest linkers, and plausible mistakes, each for exactly one check of the attack kit.
+"""Honest linkers, and plausible mistakes, each for exactly one check of the attack kit.
 
 A broken linker is the honest `Base` with one step replaced by a function; which step is said by
 what the function takes, as in `helpers.broken_attacks`.
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from helpers.broken_attacks import SIGMA, TRAIN, locals_called, replacing
+from helpers.broken_attacks import SIGMA, TRAIN, locals_called, planting
 
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
@@ -105,44 +105,47 @@ class Jitters(Base):
         return link
 
 
+class ContinuesWhereShown(Continues):
+    """Links otherwise where the scene is hidden."""
+
+    requires, uses = frozenset(), frozenset({Knowledge.SCENE})
+
+    def fit(self, context):
+        return (Continues() if Knowledge.SCENE in context.granted else BASE).fit(context)
+
+
+class Tiny(Base):
+    """Scores have no scale."""
+
+    def link(self, probe, gallery):
+        return 1e-200 * super().link(probe, gallery) - 1e-195
+
+
 class NeedsRepeats(Base):
     requires = frozenset({Knowledge.REPEATS})
 
 
-BROKEN = []
-"""(class, the one check that it fails, part of the message with `.*` for anything)"""
-HONEST = Base()
-
-
-def linker(function, base=Base, **attributes):
-    """Return `base` with the step replaced that takes what the function takes."""
-    steps = {"track": "trait", "release": "traits", "probe": "link", "context": "fit"}
-    return replacing(base, steps, function, **attributes)
-
-
-def fails(check, message, **knowledge):
-    def decorate(function):
-        made = linker(function, **knowledge)
-        BROKEN.append((made, check, message))
-        return made
-
-    return decorate
+BASE = Base()
+HONEST = [BASE, Learns(), Continues(), ContinuesWhereShown(), Jitters(), Tiny()]
+linker, fails, BROKEN = planting(
+    Base, {"track": "trait", "release": "traits", "probe": "link", "context": "fit"}
+)
 
 
 @fails("result_is_a_score_matrix", "expected a numpy array of floats, got list")
 def listing(probe, gallery):
-    return HONEST.link(probe, gallery).tolist()
+    return BASE.link(probe, gallery).tolist()
 
 
 @fails("result_is_a_score_matrix", "got ndarray of int64")
 def whole_numbers(probe, gallery):
-    return np.round(1e9 * HONEST.link(probe, gallery)).astype(np.int64)
+    return np.round(1e9 * BASE.link(probe, gallery)).astype(np.int64)
 
 
 @fails("same_seed_same_result", "draw from context.rng alone")
 def own_dice(probe, gallery):
     noise = np.random.default_rng().normal(0.0, 1e-3, (len(probe), len(gallery)))
-    return HONEST.link(probe, gallery) + noise
+    return BASE.link(probe, gallery) + noise
 
 
 @fails("inputs_are_not_mutated", "as informed (granted TRAIN), .* context.train.mate", uses=TRAIN)
@@ -155,23 +158,23 @@ def crosses_out(context):
 
 @fails("only_granted_knowledge_is_touched", "gallery.sigma are None", uses=SIGMA)
 def takes_sigma(release):
-    return HONEST.traits(release) / (1.0 + release.sigma.mean())
+    return BASE.traits(release) / (1.0 + release.sigma.mean())
 
 
 @fails("order_of_tracks_does_not_matter", "depend on a track's number?")
 def likes_the_first(probe, gallery):
     """Breaks ties by the number of the gallery track."""
-    return HONEST.link(probe, gallery) - 1e-3 * np.arange(len(gallery))
+    return BASE.link(probe, gallery) - 1e-3 * np.arange(len(gallery))
 
 
 @fails("order_of_tracks_does_not_matter", "depend on a track's number?")
 def numbers_probes(probe, gallery):
-    return HONEST.link(probe, gallery) - 1e-3 * np.arange(len(probe))[:, None]
+    return BASE.link(probe, gallery) - 1e-3 * np.arange(len(probe))[:, None]
 
 
 @fails("frames_and_clocks_do_not_matter", "on absolute times")
 def by_the_clock(track):
-    return HONEST.trait(track) + 1e-5 * track.t[0]
+    return BASE.trait(track) + 1e-5 * track.t[0]
 
 
 def ends(probe, gallery):
@@ -184,7 +187,7 @@ def same_frame_for_both(probe, gallery):
     """Asks how far apart the walks are, without asking for SCENE."""
     last, first = ends(probe, gallery)
     away_m = np.hypot(*(last[:, None] - first).transpose(2, 0, 1))
-    return HONEST.link(probe, gallery) - 1e-4 * away_m
+    return BASE.link(probe, gallery) - 1e-4 * away_m
 
 
 @fails("frames_and_clocks_do_not_matter", "as informed (granted TRAIN)", uses=TRAIN)
@@ -196,20 +199,20 @@ def trains_in_one_frame(context):
     last, first = ends(train.probe, train.gallery)
     known = train.mate >= 0
     away_m = np.hypot(*(last[known] - first[train.mate[known]]).T).mean()
-    return lambda probe, gallery: HONEST.link(probe, gallery) * (1.0 + away_m)
+    return lambda probe, gallery: BASE.link(probe, gallery) * (1.0 + away_m)
 
 
 @fails("pseudonyms_do_not_matter", "other pseudonyms: scores differ by")
 def same_name(probe, gallery):
     """Trusts that nobody changes their pseudonym."""
     same = np.array([[one == other for other in gallery.pseudonym] for one in probe.pseudonym])
-    return HONEST.link(probe, gallery) + 0.1 * same
+    return BASE.link(probe, gallery) + 0.1 * same
 
 
 @fails("one_candidate_is_handled", "P = 1, G = 1, .* 1 of 1 scores are not")
 def against_the_others(probe, gallery):
     """Standard scores over the candidates; a single one has no spread."""
-    scores = HONEST.link(probe, gallery)
+    scores = BASE.link(probe, gallery)
     gap = scores - scores.mean(axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         square = (gap**2).sum(axis=1, keepdims=True) / np.float64(scores.shape[1] - 1)
@@ -221,7 +224,7 @@ def per_second(track):
     """A walk of one sample goes nowhere in no time."""
     with np.errstate(invalid="ignore"):
         straight = np.hypot(*(track.xy[-1] - track.xy[0])) / (track.t[-1] - track.t[0])
-    return HONEST.trait(track) + 1e-3 * straight
+    return BASE.trait(track) + 1e-3 * straight
 
 
 @fails("irregular_sampling_is_handled", "steps from 1 ms to 30 s: .* are not finite")
@@ -231,7 +234,7 @@ def rounds_times(release):
     way_m = [np.hypot(*np.diff(track.xy, axis=0).T) for track in release]
     with np.errstate(invalid="ignore", divide="ignore"):
         fastest = [(m / s).max(initial=0.0) for m, s in zip(way_m, step_s, strict=True)]
-    return HONEST.traits(release) + 1e-4 * np.where(np.isinf(fastest), np.nan, fastest)
+    return BASE.traits(release) + 1e-4 * np.where(np.isinf(fastest), np.nan, fastest)
 
 
 @fails("training_without_mates_is_handled", "a mate of -1 is no index", uses=TRAIN)
@@ -240,19 +243,19 @@ def takes_the_last_for_nobody(context):
     if Knowledge.TRAIN not in context.granted:
         return None
     train = context.train
-    gap = HONEST.traits(train.probe) - HONEST.traits(train.gallery)[train.mate]
+    gap = BASE.traits(train.probe) - BASE.traits(train.gallery)[train.mate]
     scale = np.sqrt(np.mean(gap**2))
-    return lambda probe, gallery: -np.log1p((HONEST.link(probe, gallery) / scale) ** 2)
+    return lambda probe, gallery: -np.log1p((BASE.link(probe, gallery) / scale) ** 2)
 
 
 @fails("calls_do_not_remember", "other releases, asked after the first: scores")
-def keeps_by_name(context):  # noqa: ARG001
+def keeps_by_name(_context):
     """Looks a track up that has been seen under the same pseudonym."""
     probes, candidates = {}, {}
 
     def traits(release, known):
         for track in release:
-            known.setdefault(track.pseudonym, HONEST.trait(track))
+            known.setdefault(track.pseudonym, BASE.trait(track))
         return np.array([known[track.pseudonym] for track in release])
 
     return lambda probe, gallery: (
@@ -263,7 +266,7 @@ def keeps_by_name(context):  # noqa: ARG001
 @fails("null_stays_at_chance", "24 of 24 drawn mates come first, expected about 1 by")
 def peeks(probe, gallery):
     """Takes the mates from whoever called and has them."""
-    scores = HONEST.link(probe, gallery)
+    scores = BASE.link(probe, gallery)
     for mate in locals_called("mate", (len(probe),)):
         scores[np.arange(len(probe)), mate] += 10.0
     return scores
@@ -272,7 +275,7 @@ def peeks(probe, gallery):
 @fails("easy_case_beats_chance", "expected at least 6; chance brings 1")
 def slow_or_fast(release):
     """Tells who strolls from who hurries, and no more."""
-    return (HONEST.traits(release) > 1.3).astype(float)
+    return (BASE.traits(release) > 1.3).astype(float)
 
 
 @fails("success_falls_with_noise", "expected a rise by a factor of more than")
@@ -280,4 +283,4 @@ def gives_up_in_between(probe, gallery):
     """Takes noise of decimetres for people who stand still."""
     variance = innovation_variance_m2(t=probe.t, xy=probe.xy, offsets=probe.offsets)
     still = (variance > 0.06**2) & (variance < 1.0)
-    return np.where(still[:, None], 0.0, HONEST.link(probe, gallery))
+    return np.where(still[:, None], 0.0, BASE.link(probe, gallery))
