@@ -12,7 +12,6 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families
 from evaluation.analysis.matching import comparisons, matched
-from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.sweeps import Sweeps
 from evaluation.experiment.plan import plan
@@ -125,11 +124,9 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
     compared = tuple(comparisons(sweeps, predictors=predictors))
     at_equal = matched(compared, known=known, dataset=dataset)
-    values = {key: one.value for key, one in sweeps.found.items()}
-    success = strongest(values, known, metric=SUCCESS)
-    said = verdict.verdict(
-        sweeps, compared, read_levels(out, manifest, sweeps, success=success), manifest=manifest
-    )
+    best = strongest({key: one.value for key, one in sweeps.found.items()}, known)
+    tracks = read_levels(out, manifest, sweeps, strongest=best)
+    said = verdict.verdict(sweeps, compared, tracks, strongest=best, manifest=manifest)
     results = Results(
         out=out,
         manifest=manifest,
@@ -149,10 +146,7 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         linkability=linkability.linkability(read, dataset=dataset),
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
-        strongest={
-            task: source.attack
-            for task, source in (strongest(values, known, metric=EXPOSURE) | success).items()
-        },
+        strongest={task: source.attack for task, source in best.items()},
         gallery=read_gallery(out),
     )
     for frame, name in (

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import brentq
 
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
 from evaluation.analysis.paper import PREDICTOR, PUBLISHED
 from evaluation.cells.tables import ROWS
 from evaluation.cells.work import Block, cells
@@ -78,16 +79,6 @@ class Targets:
     """At eta = 1000, linear adding."""
 
 
-def published_targets() -> Targets:
-    """Return the paper's values of the three fitted numbers."""
-    values = {(mechanism, level, metric): value for mechanism, level, metric, value in PUBLISHED}
-    return Targets(
-        raw_plr=values["raw", None, "plr"],
-        raw_mel_s=values["raw", None, "mel"],
-        fid_plr=values["fid", _FID_ETA, "plr"],
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class Calibration:
     """Fitted constants, and what they predict."""
@@ -111,12 +102,7 @@ def calibrate(
 ) -> Calibration:
     """Return the constants that reproduce the paper's fitted numbers on a recording.
 
-    Parameters
-    ----------
-    recorded : Tracks
-    changes : dict
-        ``{"stage.key": value}``: what is fixed elsewhere than as committed.
-    n_scenes, seed : int
+    `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed.
 
     Raises
     ------
@@ -125,8 +111,13 @@ def calibrate(
     """
     stages = StageSettings().changed(changes)
     tracks = cut(recorded, settings=stages, seed=seed)
-    blocks = links(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
-    found = fit(blocks, stages=stages, targets=published_targets())
+    paper = {(mechanism, level, metric): value for mechanism, level, metric, value in PUBLISHED}
+    wanted = (("raw", None, "plr"), ("raw", None, "mel"), ("fid", _FID_ETA, "plr"))
+    found = fit(
+        links(tracks, stages=stages, n_scenes=n_scenes, seed=seed),
+        stages=stages,
+        targets=Targets(*(paper[one] for one in wanted)),
+    )
     fitted = {f"sensing.{name}": value for name, value in asdict(found).items()}
     numbers = predictions(tracks, stages=stages.changed(fitted), n_scenes=n_scenes, seed=seed)
     return Calibration(found, numbers)
@@ -135,31 +126,26 @@ def calibrate(
 def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tuple[Link, ...]:
     """Return the links of the run's own scenes, block by block."""
     without_spread = replace(stages.sensing, large_scale_db=0.0)
+    station = np.array([stages.sensing.bs_x_m, stages.sensing.bs_y_m])
     found = []
     for first, order in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed):
         scenes = make_scenes(tracks, order=order, first=first, settings=stages, seed=seed)
+        n_samples = np.diff(scenes.offsets)
         channel = sensing.draw_channel(
-            n_samples=np.diff(scenes.offsets).reshape(len(scenes), -1),
+            n_samples=n_samples.reshape(len(scenes), -1),
             keys=[("scene", int(index)) for index in scenes.index],
             settings=stages.sensing,
             seed=seed,
         )
-        owner = np.repeat(np.arange(scenes.track.size), np.diff(scenes.offsets))
-        station = np.array([stages.sensing.bs_x_m, stages.sensing.bs_y_m])
-        found.append(
-            Link(
-                gain=sensing.link_gain(
-                    distance_m=np.hypot(*(scenes.xy - station).T),
-                    owner=owner,
-                    channel=channel,
-                    settings=without_spread,
-                ),
-                large_scale=channel.large_scale[owner],
-                unit_norm=np.hypot(*channel.unit_error.T),
-                t=scenes.t,
-                offsets=scenes.offsets,
-            )
+        owner = np.repeat(np.arange(scenes.track.size), n_samples)
+        gain = sensing.link_gain(
+            distance_m=np.hypot(*(scenes.xy - station).T),
+            owner=owner,
+            channel=channel,
+            settings=without_spread,
         )
+        unit_norm = np.hypot(*channel.unit_error.T)
+        found.append(Link(gain, channel.large_scale[owner], unit_norm, scenes.t, scenes.offsets))
     return tuple(found)
 
 
@@ -209,36 +195,25 @@ def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) ->
             crb_gap_db=gap_db,
         )
 
-    def raw(net_db: float, spread_db: float) -> tuple[float, float]:
+    def raw_plr(net_db: float, spread_db: float) -> float:
         settings = trial(net_db=net_db, spread_db=spread_db)
-        return descriptors(blocks, settings=settings, epsilon_m=epsilon_m)
+        return descriptors(blocks, settings=settings, epsilon_m=epsilon_m)[0] - targets.raw_plr
 
     def net_for(spread_db: float) -> float:
-        return _root(
-            lambda net_db: raw(net_db, spread_db)[0] - targets.raw_plr,
-            _GAIN_RANGE_DB,
-            what="raw PLR",
-        )
+        return _root(lambda net_db: raw_plr(net_db, spread_db), _GAIN_RANGE_DB, what="raw PLR")
 
-    spread_db = _root(
-        lambda spread: raw(net_for(spread), spread)[1] - targets.raw_mel_s,
-        _SPREAD_RANGE_DB,
-        what="raw MEL",
-    )
+    def raw_mel(spread_db: float) -> float:
+        settings = trial(net_db=net_for(spread_db), spread_db=spread_db)
+        return descriptors(blocks, settings=settings, epsilon_m=epsilon_m)[1] - targets.raw_mel_s
+
+    def fid_plr(gap_db: float) -> float:
+        settings = trial(net_db=net_db, spread_db=spread_db, gap_db=gap_db)
+        found = descriptors(blocks, settings=settings, epsilon_m=epsilon_m, eta=_FID_ETA)
+        return found[0] - targets.fid_plr
+
+    spread_db = _root(raw_mel, _SPREAD_RANGE_DB, what="raw MEL")
     net_db = net_for(spread_db)
-    gap_db = _root(
-        lambda gap: (
-            descriptors(
-                blocks,
-                settings=trial(net_db=net_db, spread_db=spread_db, gap_db=gap),
-                epsilon_m=epsilon_m,
-                eta=_FID_ETA,
-            )[0]
-            - targets.fid_plr
-        ),
-        _GAP_RANGE_DB,
-        what=f"PLR at eta = {_FID_ETA:g}",
-    )
+    gap_db = _root(fid_plr, _GAP_RANGE_DB, what=f"PLR at eta = {_FID_ETA:g}")
     return Fit(
         processing_gain_db=round(net_db + gap_db, 2),
         large_scale_db=round(spread_db, 2),
@@ -250,28 +225,22 @@ def predictions(
     tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
 ) -> dict[tuple[str, str], float]:
     """Return the run's numbers for the paper's levels, ``{(spec, metric): value}``."""
-    levels = registry.parse_all("mechanisms", _LEVELS)
     (predictor,) = registry.parse("predictors", PREDICTOR)
     consumers = (Consumer("shared"), Consumer("predictor", predictor))
+    levels = tuple((one, consumers) for one in registry.parse_all("mechanisms", _LEVELS))
     parts: dict[tuple[str, str], list[Floats]] = {}
-    for number, (first, order) in enumerate(
-        _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
-    ):
-        block = Block(
-            number=number,
-            first_scene=first,
-            order=order,
-            levels=tuple((level, consumers) for level in levels),
-        )
+    blocks = _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
+    for number, (first, order) in enumerate(blocks):
+        block = Block(number=number, first_scene=first, order=order, levels=levels)
         for _, level, consumer, tables in cells(block, tracks=tracks, stages=stages, seed=seed):
             rows = tables[ROWS]
             if consumer.kind == "shared":
-                for metric, column in (("plr", "plr"), ("ael", "ael_s"), ("mel", "mel_s")):
-                    parts.setdefault((level.spec, metric), []).append(rows[column].to_numpy())
+                found = {name: rows[METRICS[name].column].to_numpy() for name in DESCRIPTORS}
             else:
                 predicted, conflict = (rows[one].to_numpy() for one in ("predicted", "conflict"))
-                missed = ~predicted[conflict]
-                parts.setdefault((level.spec, "missed_conflict_rate"), []).append(missed)
+                found = {MISSED_RATE: ~predicted[conflict]}
+            for metric, values in found.items():
+                parts.setdefault((level.spec, metric), []).append(values)
     return {key: float(np.concatenate(values).mean()) for key, values in parts.items()}
 
 

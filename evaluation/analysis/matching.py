@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Key
     from evaluation.analysis.sweeps import Sweeps
-    from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
 MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"
@@ -44,28 +42,10 @@ MIN_DEFINED = 0.975
 """Share of replicates that must reach a point for it to have an interval."""
 _ENDS = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
 COLUMNS = [
-    "dataset",
-    "criterion",
-    "adding",
-    "predictor",
-    "consumer",
-    "knowledge",
-    "metric",
-    "at",
-    "missed_conflict_rate",
-    "fid",
-    "fid_low",
-    "fid_high",
-    "fixed",
-    "fixed_low",
-    "fixed_high",
-    "difference",
-    "ci_low",
-    "ci_high",
-    "defined",
-    "n",
-    "mechanism",
-    "family",
+    *("dataset", "criterion", "adding", "predictor", "consumer", "knowledge", "metric"),
+    *("at", "missed_conflict_rate"),
+    *("fid", "fid_low", "fid_high", "fixed", "fixed_low", "fixed_high"),
+    *("difference", "ci_low", "ci_high", "defined", "n", "mechanism", "family"),
 ]
 
 
@@ -118,24 +98,28 @@ def comparisons(sweeps: Sweeps, *, predictors: Sequence[str]) -> Iterator[Compar
     predictors : sequence of str
         Of the run, the reference first.
     """
-    measures = _measures(sweeps.found)
-    exposure, shared = (
-        [one for one in measures if one.source == AS_SHARED and one.metric in of]
-        for of in ((EXPOSURE,), DESCRIPTORS)
-    )
+    # Descriptors as shared, then the same after each attack, and what each linker achieves.
+    known = dict.fromkeys(key.measure for key in sweeps.found)
+    shared = [one for one in known if one.source == AS_SHARED and one.metric in DESCRIPTORS]
+    measures = shared + [
+        one
+        for one in known
+        if one.consumer != SHARED
+        and one.knowledge
+        and one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
+    ]
+    criteria = [
+        (criterion, Measure(predictor, metric), predictor, shared if place else measures)
+        for place, predictor in enumerate(predictors)
+        for criterion, metric in ((MISSED, MISSED_RATE), (AT_EQUAL_ALARMS, EQUAL_ALARMS))
+    ]
+    exposure = AS_SHARED.measure(EXPOSURE)
+    if exposure in shared:
+        criteria.append((PLR, exposure, "", [one for one in measures if one != exposure]))
     for adding in ADDING_RULES:
-        criteria = [
-            (criterion, Measure(predictor, metric), predictor, shared if place else measures)
-            for place, predictor in enumerate(predictors)
-            for criterion, metric in ((MISSED, MISSED_RATE), (AT_EQUAL_ALARMS, EQUAL_ALARMS))
-        ]
-        others = [one for one in measures if one not in exposure]
-        criteria += [(PLR, one, "", others) for one in exposure]
         fixed = sweeps.named(FIXED, adding=adding)
         for mechanism in sweeps.swept(adding):
-            if mechanism == fixed:
-                continue
-            for criterion, by, predictor, wanted in criteria:
+            for criterion, by, predictor, wanted in criteria if mechanism != fixed else ():
                 for one in compare(sweeps, (mechanism, fixed), by, wanted):
                     yield replace(one, criterion=criterion, adding=adding, predictor=predictor)
 
@@ -149,15 +133,8 @@ def matched(
     another of the run. `at` is the rise of the missed rate over raw, or the PLR as shared;
     `missed_conflict_rate` is raw's estimate plus the rise. `defined` is the share of replicates
     that reach the point; where it is below `MIN_DEFINED` there is no interval (NaN), since the
-    replicates that are left would all lie on one side.
-
-    Parameters
-    ----------
-    compared : iterable of Comparison
-    known : mapping
-        The mechanisms of the run, from `families`.
-    dataset : str
-        Of the run.
+    replicates that are left would all lie on one side. `known` are the mechanisms of the run, from
+    `families`.
     """
     rows = []
     for one in compared:
@@ -170,33 +147,14 @@ def matched(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _measures(found: Mapping[Key, Estimate]) -> list[Measure]:
-    """Return what is compared: descriptors as shared, after each attack, and each linker."""
-    measures = [
-        one
-        for one in dict.fromkeys(key.measure for key in found)
-        if (one.consumer == SHARED) != bool(one.knowledge)
-        and one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
-    ]
-    return sorted(measures, key=lambda one: one.consumer != SHARED)
-
-
 def compare(
     sweeps: Sweeps, arms: tuple[str, str], by: Measure, measures: Sequence[Measure]
 ) -> Iterator[Comparison]:
     """Yield measures of two mechanisms where `by` has changed from raw by as much in both.
 
-    Parameters
-    ----------
-    sweeps : Sweeps
-    arms : (compared, fixed)
-        Names of the mechanisms.
-    by : Measure
-        What is matched.
-    measures : sequence of Measure
-        What is compared.
+    `arms` are the names of the mechanism that is compared and of fixed noise.
     """
-    scales = [curve for arm in arms if (curve := sweeps.curve(arm, by)) is not None]
+    scales = [scale for arm in arms if (scale := sweeps.curve(arm, by)) is not None]
     if len(scales) < len(arms):
         return
     change = [np.abs(scale - scale[:, -1:]) for scale in scales]

@@ -7,21 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 from evaluation.analysis.families import ADDING_RULES
 from evaluation.analysis.matching import MISSED
 from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.verdict import rules
 from evaluation.verdict.claim import AFTER, AS_IS, LINKED
 from evaluation.verdict.items import NAME
-from evaluation.verdict.rules import (
-    CLAIM,
-    DOES_NOT,
-    HOLDS,
-    INFLATED,
-    INFLATION,
-    REVERSED,
-    SUCCESS_MARGIN,
-    TRACKS,
-    UNDECIDED,
-    VALIDITY,
-    WEAKLY,
-)
+from evaluation.verdict.rules import DOES_NOT, SUCCESS_MARGIN, TRACKS, UNDECIDED, WEAKLY
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -40,19 +29,13 @@ _PLURAL: Final = {
 def answer(items: Items, *, dataset: str, fid: Collection[str]) -> list[str]:
     """Return three sentences for the first screen.
 
-    Parameters
-    ----------
-    items : sequence of dict
-        As in `verdict.json`.
-    dataset : str
-    fid : collection of str
-        Names of the paper's mechanism under either adding rule.
+    `items` are those of `verdict.json`, `fid` the names of the paper's mechanism under either rule.
     """
     return [_tracking(items, dataset=dataset, fid=fid), _claim(items), _inflation(items)]
 
 
 def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
-    mine = [one for one in items if one["section"] == VALIDITY]
+    mine = [one for one in items if one["section"] == rules.VALIDITY]
     if not mine:
         return (
             f"Whether PLR, AEL and MEL track linkability in {dataset} was not tested: the run "
@@ -82,20 +65,22 @@ def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
 
 def _evidence(against: Items, *, fid: Collection[str]) -> str:
     """Return what speaks most against a descriptor: the largest differences either way."""
-    surest = max(
-        against,
-        key=lambda one: max((abs(gap["effect"]) for gap in _differing(one)), default=0.0),
-    )
-    gaps = _differing(surest)
-    if not gaps:
-        return f"they fall with the noise, success in {surest['task']} hardly does"
-    more = max(gaps, key=lambda gap: gap["effect"])
-    fewer = min(gaps, key=lambda gap: gap["effect"])
-    words = [
-        f"{_label(gap)} lets {100 * abs(gap['effect']):.0f} of 100 people {word} be linked"
-        for gap, word in ((more, "more"), (fewer, "fewer"))
-        if (gap["effect"] > 0) == (word == "more")
+    differing = [
+        (abs(gap["effect"]), gap, one)
+        for one in against
+        for gap in one["contrasts"]
+        if gap["reading"] == "differs"
     ]
+    if not differing:
+        return f"they fall with the noise, success in {against[0]['task']} hardly does"
+    surest = max(differing, key=lambda one: one[0])[2]
+    effects = {gap["effect"]: gap for _, gap, one in reversed(differing) if one is surest}
+    words = []
+    for effect, word in ((max(effects), "more"), (min(effects), "fewer")):
+        if (effect > 0) == (word == "more"):
+            name, level = effects[effect]["mechanism"], effects[effect]["level"]
+            where = name if level is None else f"{name} {level:g}"
+            words.append(f"{where} lets {100 * abs(effect):.0f} of 100 people {word} be linked")
     alike = any(
         gap["mechanism"] in fid and gap["reading"] == "equal" for gap in surest["contrasts"]
     )
@@ -107,19 +92,11 @@ def _evidence(against: Items, *, fid: Collection[str]) -> str:
     )
 
 
-def _differing(one: dict[str, Any]) -> list[dict[str, Any]]:
-    return [gap for gap in one["contrasts"] if gap["reading"] == "differs"]
-
-
-def _label(gap: dict[str, Any]) -> str:
-    return gap["mechanism"] if gap["level"] is None else f"{gap['mechanism']} {gap['level']:g}"
-
-
 def _claim(items: Items) -> str:
     mine = [
         one
         for one in items
-        if one["section"] == CLAIM and one["criterion"] == MISSED and "mechanism" not in one
+        if one["section"] == rules.CLAIM and one["criterion"] == MISSED and "mechanism" not in one
     ]
     if not mine:
         return "The run does not compare FID with fixed noise."
@@ -142,8 +119,8 @@ def _claim(items: Items) -> str:
 
 
 def _fares(items: Items) -> str:
-    better = [one for one in items if one["decision"] == HOLDS]
-    worse = [one for one in items if one["decision"] == REVERSED]
+    better = [one for one in items if one["decision"] == rules.HOLDS]
+    worse = [one for one in items if one["decision"] == rules.REVERSED]
     if not better and not worse:
         return "undecided"
     parts = []
@@ -156,8 +133,8 @@ def _fares(items: Items) -> str:
 
 
 def _inflation(items: Items) -> str:
-    every = [one for one in items if one["section"] == INFLATION]
-    mine = [one for one in every if one["decision"] == INFLATED]
+    every = [one for one in items if one["section"] == rules.INFLATION]
+    mine = [one for one in every if one["decision"] == rules.INFLATED]
     if not every:
         return "What an attack makes of the descriptors was not tested: no attack was run."
     if not mine:

@@ -9,7 +9,6 @@ which there is nothing to find. docs/verdict.md says the same in words.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,7 +17,7 @@ from scipy.special import stdtr
 from evaluation.analysis.significance import holm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from isac_track.intervals import Estimate
 
@@ -27,14 +26,9 @@ HOLDS, REVERSED = "holds", "reversed"
 INFLATED, DEFLATED = "inflated", "deflated"
 UNDECIDED = "undecided"
 SIGN: Final = {
-    TRACKS: 1,
-    WEAKLY: 1,
-    HOLDS: 1,
-    INFLATED: 1,
+    **dict.fromkeys((TRACKS, WEAKLY, HOLDS, INFLATED), 1),
     UNDECIDED: 0,
-    DOES_NOT: -1,
-    REVERSED: -1,
-    DEFLATED: -1,
+    **dict.fromkeys((DOES_NOT, REVERSED, DEFLATED), -1),
 }
 """Of a decision."""
 
@@ -90,16 +84,8 @@ def _tail(one: Estimate, distance: float) -> float:
     return float(stdtr(one.n - 1, distance / max(one.standard_error, _LEAST_SE)))
 
 
-@dataclass(frozen=True, slots=True)
-class Option:
-    """A decision that an item may come to, and the p-value of all its conditions."""
-
-    decision: str
-    p_value: float
-
-
 def decide(
-    items: Sequence[Sequence[Option]], *, alpha: float = SECTION_ALPHA
+    items: Sequence[Mapping[str, float]], *, alpha: float = SECTION_ALPHA
 ) -> list[tuple[str, float, float]]:
     """Return decision, p-value and adjusted p-value of every item of a section (Holm).
 
@@ -109,18 +95,19 @@ def decide(
 
     Parameters
     ----------
-    items : sequence of sequence of Option
-        Of each item, in the order of precedence.
+    items : sequence of mapping
+        Of each item the decisions that it may come to, in the order of precedence, each with the
+        p-value of all its conditions.
     alpha : float
         Share of studies in which the section may err.
     """
-    p_values = np.array([min(1.0, 2.0 * min(one.p_value for one in options)) for options in items])
+    p_values = np.array([min(1.0, 2.0 * min(options.values())) for options in items])
     found = []
     for options, p_value, final in zip(items, p_values, holm(p_values), strict=True):
         decision = UNDECIDED
         if final <= alpha:
             # At its place in Holm's order an option passes if the item would with it alone.
             factor = final / p_value if p_value > 0 else 1.0
-            decision = next(one.decision for one in options if 2.0 * one.p_value * factor <= alpha)
+            decision = next(name for name, p in options.items() if 2.0 * p * factor <= alpha)
         found.append((decision, float(p_value), float(final)))
     return found
