@@ -10,7 +10,7 @@ import pandas as pd
 from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
-from evaluation.analysis.families import families
+from evaluation.analysis.families import families_in
 from evaluation.analysis.matching import comparisons, matched
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.sweeps import Sweeps
@@ -120,7 +120,7 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
     )
     read = linkability.cards(out, manifest)
     linked = summary.linkage_estimates(read)
-    known = families(manifest["cells"])
+    known = families_in(manifest["cells"])
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
     compared = tuple(comparisons(sweeps, predictors=predictors))
     at_equal = matched(compared, known=known, dataset=dataset)

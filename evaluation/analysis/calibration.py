@@ -13,7 +13,7 @@ the predictions with them, when what was fixed beforehand is fixed elsewhere.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,13 +34,14 @@ from isac_track.scenes import cut, make_scenes, track_order
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from evaluation.cells.work import Levels
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Tracks
 
-_GAIN_RANGE_DB = (-20.0, 60.0)
-"""Net gain: processing gain less the CRB gap."""
-_SPREAD_RANGE_DB = (2.0, 30.0)
-_GAP_RANGE_DB = (0.0, 40.0)
+FITTED = ("processing_gain_db", "large_scale_db", "crb_gap_db")
+"""Settings of the sensing model."""
+_GAINS, _SPREADS, _GAPS = (-20.0, 60.0), (2.0, 30.0), (0.0, 40.0)
+"""Ranges in dB; the gain is net, the processing gain less the CRB gap."""
 _RESOLUTION_DB = 0.01
 _FID_ETA = 1000.0
 _LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
@@ -61,15 +62,6 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
-    """Fitted constants, rounded to 0.01 dB."""
-
-    processing_gain_db: float
-    large_scale_db: float
-    crb_gap_db: float
-
-
-@dataclass(frozen=True, slots=True)
 class Targets:
     """The numbers that the constants are fitted to."""
 
@@ -83,7 +75,7 @@ class Targets:
 class Calibration:
     """Fitted constants, and what they predict."""
 
-    fit: Fit
+    fit: SensingSettings
     numbers: dict[tuple[str, str], float]
     """By SPEC and metric."""
 
@@ -118,9 +110,8 @@ def calibrate(
         stages=stages,
         targets=Targets(*(paper[one] for one in wanted)),
     )
-    fitted = {f"sensing.{name}": value for name, value in asdict(found).items()}
-    numbers = predictions(tracks, stages=stages.changed(fitted), n_scenes=n_scenes, seed=seed)
-    return Calibration(found, numbers)
+    fitted = replace(stages, sensing=found)
+    return Calibration(found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed))
 
 
 def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tuple[Link, ...]:
@@ -128,8 +119,10 @@ def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tu
     without_spread = replace(stages.sensing, large_scale_db=0.0)
     station = np.array([stages.sensing.bs_x_m, stages.sensing.bs_y_m])
     found = []
-    for first, order in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed):
-        scenes = make_scenes(tracks, order=order, first=first, settings=stages, seed=seed)
+    for block in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed):
+        scenes = make_scenes(
+            tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
+        )
         n_samples = np.diff(scenes.offsets)
         channel = sensing.draw_channel(
             n_samples=n_samples.reshape(len(scenes), -1),
@@ -155,8 +148,6 @@ def descriptors(
     settings: SensingSettings,
     epsilon_m: float,
     eta: float | None = None,
-    alpha_m: float = 0.5,
-    beta: float = 1.5,
 ) -> tuple[float, float]:
     """Return mean PLR and mean MEL in s, raw or under FID with linear adding."""
     plr, mel_s = [], []
@@ -168,7 +159,7 @@ def descriptors(
             fid = sensing.fisher_information_density(
                 information=information, t=link.t, offsets=link.offsets
             )
-            sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=alpha_m, beta=beta)
+            sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=0.5, beta=1.5)
         exposure = privacy.exposure(
             leaked=sigma * link.unit_norm < epsilon_m, t=link.t, offsets=link.offsets
         )
@@ -177,48 +168,41 @@ def descriptors(
     return float(np.concatenate(plr).mean()), float(np.concatenate(mel_s).mean())
 
 
-def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) -> Fit:
-    """Return the constants that reproduce the targets.
+def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) -> SensingSettings:
+    """Return the settings whose `FITTED` constants, to 0.01 dB, reproduce the targets.
 
     Raises
     ------
     DataError
         If no constants in the searched ranges do.
     """
-    epsilon_m = stages.privacy.epsilon_m
 
-    def trial(*, net_db: float, spread_db: float, gap_db: float = 0.0) -> SensingSettings:
-        return replace(
-            stages.sensing,
-            processing_gain_db=net_db + gap_db,
-            large_scale_db=spread_db,
-            crb_gap_db=gap_db,
-        )
+    def settings(net_db: float, spread_db: float, gap_db: float) -> SensingSettings:
+        fitted = (net_db + gap_db, spread_db, gap_db)
+        return replace(stages.sensing, **dict(zip(FITTED, fitted, strict=True)))
 
-    def raw_plr(net_db: float, spread_db: float) -> float:
-        settings = trial(net_db=net_db, spread_db=spread_db)
-        return descriptors(blocks, settings=settings, epsilon_m=epsilon_m)[0] - targets.raw_plr
+    def trial(
+        net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
+    ) -> tuple[float, float]:
+        tried, epsilon_m = settings(net_db, spread_db, gap_db), stages.privacy.epsilon_m
+        return descriptors(blocks, settings=tried, epsilon_m=epsilon_m, eta=eta)
 
-    def net_for(spread_db: float) -> float:
-        return _root(lambda net_db: raw_plr(net_db, spread_db), _GAIN_RANGE_DB, what="raw PLR")
+    def net_for(spread: float) -> float:
+        return _root(lambda net: trial(net, spread)[0] - targets.raw_plr, _GAINS, what="raw PLR")
 
-    def raw_mel(spread_db: float) -> float:
-        settings = trial(net_db=net_for(spread_db), spread_db=spread_db)
-        return descriptors(blocks, settings=settings, epsilon_m=epsilon_m)[1] - targets.raw_mel_s
-
-    def fid_plr(gap_db: float) -> float:
-        settings = trial(net_db=net_db, spread_db=spread_db, gap_db=gap_db)
-        found = descriptors(blocks, settings=settings, epsilon_m=epsilon_m, eta=_FID_ETA)
-        return found[0] - targets.fid_plr
-
-    spread_db = _root(raw_mel, _SPREAD_RANGE_DB, what="raw MEL")
-    net_db = net_for(spread_db)
-    gap_db = _root(fid_plr, _GAP_RANGE_DB, what=f"PLR at eta = {_FID_ETA:g}")
-    return Fit(
-        processing_gain_db=round(net_db + gap_db, 2),
-        large_scale_db=round(spread_db, 2),
-        crb_gap_db=round(gap_db, 2),
+    spread_db = _root(
+        lambda spread: trial(net_for(spread), spread)[1] - targets.raw_mel_s,
+        _SPREADS,
+        what="raw MEL",
     )
+    net_db = net_for(spread_db)
+    gap_db = _root(
+        lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - targets.fid_plr,
+        _GAPS,
+        what=f"PLR at eta = {_FID_ETA:g}",
+    )
+    found = settings(net_db, spread_db, gap_db)
+    return replace(found, **{name: round(getattr(found, name), 2) for name in FITTED})
 
 
 def predictions(
@@ -229,9 +213,7 @@ def predictions(
     consumers = (Consumer("shared"), Consumer("predictor", predictor))
     levels = tuple((one, consumers) for one in registry.parse_all("mechanisms", _LEVELS))
     parts: dict[tuple[str, str], list[Floats]] = {}
-    blocks = _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
-    for number, (first, order) in enumerate(blocks):
-        block = Block(number=number, first_scene=first, order=order, levels=levels)
+    for block in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed, levels=levels):
         for _, level, consumer, tables in cells(block, tracks=tracks, stages=stages, seed=seed):
             rows = tables[ROWS]
             if consumer.kind == "shared":
@@ -245,14 +227,13 @@ def predictions(
 
 
 def _blocks(
-    tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
-) -> Iterator[tuple[int, Ints]]:
-    order = track_order(
-        n_tracks=len(tracks), n_scenes=n_scenes, agents=stages.scenes.agents, seed=seed
-    )
+    tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int, levels: Levels = ()
+) -> Iterator[Block]:
+    agents = stages.scenes.agents
+    order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=seed)
     for number in range(n_blocks(n_scenes)):
         first = number * BLOCK_SCENES
-        yield first, order[first : first + BLOCK_SCENES]
+        yield Block(number, first, order[first : first + BLOCK_SCENES], levels)
 
 
 def _root(function: Callable[[float], float], bounds: tuple[float, float], *, what: str) -> float:

@@ -83,15 +83,8 @@ class Curve:
 def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> Curve | None:
     """Return the curve of a score with its bootstrap replicates; None without both labels.
 
-    Parameters
-    ----------
-    score : (S,)
-        Higher means that a conflict is likelier.
-    conflict : (S,) bool
-    cluster : (S,) int
-        Row of the scene's cluster in `weights`.
-    weights : (B, C)
-        From `intervals.cluster_weights`.
+    A higher `score`, (S,), means that a `conflict`, (S,), is likelier; `cluster`, (S,), is the
+    column of a scene's cluster in `weights`, (B, C), from `intervals.cluster_weights`.
 
     Raises
     ------
@@ -141,30 +134,34 @@ def decisions(
     curves: list[pd.DataFrame] = []
     rows: list[tuple[int, dict[str, Any]]] = []
     # The reference first: the others are compared with its curve.
-    for place in sorted(range(len(scored)), key=lambda place: scored[place].consumer != reference):
-        entry = scored[place]
-        where = entry.mechanism, entry.level
-        alarms = Measure(entry.consumer, "false_alarm_rate")
-        scores = {_SEPARATION: -entry.separation_m}
-        if not np.isnan(entry.probability).any():
-            scores["probability"] = entry.probability
+    order = sorted(enumerate(scored), key=lambda one: one[1][0]["consumer"] != reference)
+    for place, (entry, cluster, columns) in order:
+        where, consumer = (entry["mechanism"], entry["level"]), entry["consumer"]
+        alarms = Measure(consumer, "false_alarm_rate")
+        scores = {_SEPARATION: -columns["predicted_separation_m"]}
+        if not np.isnan(columns["probability"]).any():
+            scores["probability"] = columns["probability"]
         for name, score in scores.items():
             drawn = curve(
-                score=score, conflict=entry.conflict, cluster=entry.cluster, weights=weights
+                score=score, conflict=columns["conflict"], cluster=cluster, weights=weights
             )
             if drawn is None:
                 continue
-            if entry.consumer == reference and name == _SEPARATION:
+            if consumer == reference and name == _SEPARATION:
                 at = _drawn(found[alarms.at(*where)])
                 at_reference[where] = at, drawn.missed_at(at)
             raw_alarm = found.get(alarms.at("raw", None))
             if name == _SEPARATION and raw_alarm is not None:
-                at_raw_alarms[Measure(entry.consumer, EQUAL_ALARMS).at(*where)] = estimate_of(
+                at_raw_alarms[Measure(consumer, EQUAL_ALARMS).at(*where)] = estimate_of(
                     drawn.missed_at(_drawn(raw_alarm)), n=raw_alarm.n
                 )
-            level = np.nan if entry.level is None else entry.level
-            values = (manifest["dataset"]["name"], entry.mechanism, level, entry.consumer, name)
-            about = dict(zip(_ABOUT, values, strict=True))
+            about = {
+                "dataset": manifest["dataset"]["name"],
+                "mechanism": where[0],
+                "level": np.nan if where[1] is None else where[1],
+                "consumer": consumer,
+                "score": name,
+            }
             curves.append(pd.DataFrame({**about, **drawn.points()}))
             areas = drawn.areas()
             row = about | {"area": areas[0]}

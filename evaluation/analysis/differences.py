@@ -13,20 +13,11 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri, stdtr
 
-from evaluation.analysis.families import LEVEL_UNITS, families
+from evaluation.analysis import run_changes
+from evaluation.analysis.families import LEVEL_UNITS, families_in
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import METRICS
-from evaluation.analysis.run_changes import (
-    NONE,
-    about,
-    changed,
-    manifest_of,
-    mechanisms,
-    only_in,
-    pairing,
-    short_list,
-    verdicts,
-)
+from evaluation.analysis.run_changes import manifest_of, mechanisms, short_list
 from evaluation.analysis.significance import holm
 from evaluation.analysis.summary import estimates, linkage_estimates
 from isac_track.errors import DataError, SettingsError
@@ -150,13 +141,13 @@ def compare(
             "level and consumer, or name --mechanism-a and --mechanism-b"
         )
     return Comparison(
-        a=about(out_a, first, mechanism=mechanism_a),
-        b=about(out_b, second, mechanism=mechanism_b),
-        changed=changed(first, second),
-        only=only_in(first, second),
+        a=run_changes.about(out_a, first, mechanism=mechanism_a),
+        b=run_changes.about(out_b, second, mechanism=mechanism_b),
+        changed=run_changes.changed(first, second),
+        only=run_changes.only_in(first, second),
         only_numbers=(len(of_a) - len(pairs), len(of_b) - len(pairs)),
         rows=_rows([(*pair, found_a[pair[0]], found_b[pair[1]]) for pair in pairs], first, second),
-        verdicts=None if mechanism_a is not None else verdicts(out_a, out_b),
+        verdicts=None if mechanism_a is not None else run_changes.verdicts(out_a, out_b),
     )
 
 
@@ -248,7 +239,7 @@ def _matched_levels(
 ) -> list[tuple[Key, Key]]:
     """Return pairs at equal levels; if either side has a single level, those two."""
     single = all(len({key.where for key in keys}) == 1 for keys in (of_a, of_b))
-    known = families(cells)
+    known = families_in(cells)
     units = {LEVEL_UNITS.get(known[keys[0].mechanism].family) for keys in (of_a, of_b)} - {None}
     if not single and len(units) > 1:
         raise SettingsError(
@@ -266,14 +257,14 @@ def _rows(
     second: Mapping[str, Any],
 ) -> pd.DataFrame:
     paired_by = {
-        name: pairing(first, second, consumer=name)
+        name: run_changes.pairing(first, second, consumer=name)
         for name in dict.fromkeys(key.consumer for key, *_ in pairs)
     }
     rows = []
     for key_a, key_b, a, b in pairs:
         if math.isnan(a.value) and math.isnan(b.value):
             continue
-        metric, paired = METRICS[key_a.metric], paired_by[key_a.consumer] != NONE
+        metric, paired = METRICS[key_a.metric], paired_by[key_a.consumer] != run_changes.NONE
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )

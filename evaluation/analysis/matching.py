@@ -90,13 +90,8 @@ def comparisons(sweeps: Sweeps, *, predictors: Sequence[str]) -> Iterator[Compar
 
     Descriptors as shared are compared for every predictor, attacks for the first one. A mechanism
     is compared under its own adding rule, one that declares none under both. FID comes first.
-
-    Parameters
-    ----------
-    sweeps : Sweeps
-        Of every metric of a run, linkage among them.
-    predictors : sequence of str
-        Of the run, the reference first.
+    `sweeps` are of every metric of the run, linkage among them; of `predictors` the reference is
+    the first.
     """
     # Descriptors as shared, then the same after each attack, and what each linker achieves.
     known = dict.fromkeys(key.measure for key in sweeps.found)

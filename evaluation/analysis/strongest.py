@@ -47,12 +47,7 @@ def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
 def strongest(values: Mapping[Key, float], known: Mapping[str, Family]) -> dict[str, Source]:
     """Return the strongest linker of a run by task; under "" the strongest reconstruction.
 
-    Parameters
-    ----------
-    values : mapping
-        Every estimate of the run.
-    known : mapping
-        The mechanisms of the run, from `families`.
+    `values` are every estimate of the run, `known` its mechanisms.
     """
     best = {}
     for metric in (EXPOSURE, SUCCESS):
@@ -92,6 +87,6 @@ def most_knowing(of: Iterable[Source]) -> list[Source]:
     best: dict[str, Source] = {}
     for source in of:
         name = "" if source == AS_SHARED else source.consumer
-        if name not in best or rank[source.knowledge] > rank[best[name].knowledge]:
-            best[name] = source
+        pair = best.get(name, source), source
+        best[name] = max(pair, key=lambda one: rank[one.knowledge])
     return list(best.values())

@@ -6,8 +6,7 @@ clusters, the same ones for every mechanism, so that differences are paired.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.families import Family
     from evaluation.runs.cell_files import LinkageOutcome
-    from isac_track.types import Bools, Floats, Ints
+    from isac_track.types import Floats, Ints
 
 N_REPLICATES = 1000
 COLUMNS = [
@@ -46,21 +45,9 @@ _COLUMNS_OF = {
 }
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Scored:
-    """What a predictor said of every scene of one mechanism level: the material of its curves."""
-
-    mechanism: str
-    level: float | None
-    consumer: str
-    cluster: Ints
-    """(S,)"""
-    conflict: Bools
-    """(S,)"""
-    separation_m: Floats
-    """(S,) m, predicted"""
-    probability: Floats
-    """(S,) of a conflict; NaN without a covariance"""
+Scored: TypeAlias = "tuple[Mapping[str, Any], Ints, Mapping[str, Any]]"
+"""What a predictor said of every scene of one mechanism level: the cell's entry in the manifest,
+the scenes' clusters, (S,), and its columns as in `_COLUMNS_OF`."""
 
 
 def estimates(
@@ -84,17 +71,8 @@ def estimates(
         ratios = _descriptor_ratios
         if entry["kind"] == "predictor":
             ratios = _predictor_ratios
-            scored.append(
-                Scored(
-                    mechanism=entry["mechanism"],
-                    level=entry["level"],
-                    consumer=entry["consumer"],
-                    cluster=cluster,
-                    conflict=table["conflict"].to_numpy(),
-                    separation_m=table["predicted_separation_m"].to_numpy(),
-                    probability=table["probability"].to_numpy(),
-                )
-            )
+            columns = {name: table[name].to_numpy() for name in _COLUMNS_OF["predictor"][1:]}
+            scored.append((entry, cluster, columns))
         for metric, (numerator, denominator) in ratios(table).items():
             found[key_of(entry, metric)] = estimate(
                 metric, numerator, denominator, cluster=cluster, weights=weights

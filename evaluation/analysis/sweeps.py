@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evaluation.analysis.families import FID, FIXED, RAW, named
+from evaluation.analysis.families import FID, FIXED, RAW
 from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.metrics import EQUAL_ALARMS, EXPOSURE, MISSED_RATE
 
@@ -26,15 +26,7 @@ _ROUNDING = 1e-9
 
 
 class Sweeps:
-    """The estimates of a run and its mechanisms; curves are made monotone once each.
-
-    Parameters
-    ----------
-    found : mapping
-        Every metric of the run.
-    known : mapping
-        Its mechanisms, from `families`.
-    """
+    """Every estimate of a run, and its mechanisms; curves are made monotone once each."""
 
     def __init__(self, found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> None:
         self.found = found
@@ -59,8 +51,10 @@ class Sweeps:
         return levels if grows else levels[::-1]
 
     def named(self, family: str, *, adding: str) -> str:
-        """Return the mechanism of a family under an adding rule as it is by default, or ""."""
-        return named(self.known, family=family, adding=adding)
+        """Return a family's mechanism under an adding rule, nothing else of it changed, or ""."""
+        wanted = family, adding, ""
+        found = {(one.family, one.adding, one.parameters): name for name, one in self.known.items()}
+        return found.get(wanted, "")
 
     def others(self, adding: str) -> list[str]:
         """Return the mechanisms beside FID and fixed noise that are judged under an adding rule."""
@@ -128,16 +122,9 @@ def monotone(values: Floats, *, increasing: bool) -> Floats:
 def interpolated(at: Floats, change: Floats, values: Floats, *, log: bool) -> Floats:
     """Return each row's value where it has changed by `at` from raw, (R, P); NaN out of reach.
 
-    Parameters
-    ----------
-    at : (P,) or (R, P)
-        The same for all rows, or for each.
-    change : (>= R, L)
-        Falling from left to right, to 0 at raw.
-    values : (R, L)
-    log : bool
-        Interpolate the logarithm: a descriptor falls about exponentially with the rate, so that a
-        chord over a wide step of the levels lies close to the curve.
+    `at` is (P,) for all rows, or (R, P); `change`, (>= R, L), falls from left to right, to 0 at
+    raw; `values` are (R, L). With `log` the logarithm is interpolated: a descriptor falls about
+    exponentially with the rate, so that a chord over a wide step lies close to the curve.
     """
     n_rows = min(change.shape[0], values.shape[0])
     x, y = change[:n_rows, ::-1], values[:n_rows, ::-1]

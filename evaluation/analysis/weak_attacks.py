@@ -137,15 +137,8 @@ def flags(
 ) -> Flags:
     """Return the flags of a run.
 
-    Parameters
-    ----------
-    found : mapping
-        As `summary.estimates` returns it.
-    slow : set of str
-        Attacks that saw one release of each source track only.
-    once : mapping, optional
-        PLR of all attacks on those releases, from `on_first_releases`; without it slow attacks
-        are not compared with others.
+    `slow` are the attacks that saw one release of each source track only; `once` is PLR of all
+    attacks on those releases, from `on_first_releases`: without it they are compared with no other.
     """
     levels: dict[Where, dict[Source, Estimate]] = {}
     for key, one in found.items():

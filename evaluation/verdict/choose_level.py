@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import shlex
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
@@ -45,6 +46,7 @@ WEAK: Final = "attack too weak"
 _WHERE = ("mechanism", "level", "consumer", "knowledge")
 _SUMMARY = (*_WHERE, "metric", "family", "adding", "value", "ci_low", "ci_high")
 _LINKED = (*_WHERE, "cohort", "outcome", "invalid", "rank1", "ci_low", "ci_high", "chance")
+_interval = attrgetter("value", "ci_low", "ci_high")
 _NUMBERS = frozenset(("level", "value", "rank1", "ci_low", "ci_high", "chance"))
 
 
@@ -73,17 +75,6 @@ class Linked:
     outcome: str = ""
     invalid: str = ""
     """Shortcuts that give people away here; empty: none."""
-
-    @property
-    def why_unknown(self) -> str:
-        """Why it confirms no limit; empty if it may."""
-        if not self.attack:
-            return "no attack was run at this level"
-        if self.invalid:
-            return f"a shortcut ({self.invalid}) gives people away: no measure of the attack"
-        if self.outcome == WEAK:
-            return "every attack is too weak: it fails without any error, too"
-        return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +248,7 @@ def choose(
         for where, rows in of_metrics.groupby(["mechanism", "level"], dropna=False, sort=False)
         if (level := _level(where, rows, linked, predictor=name, dataset=dataset)) is not None
     ]
+    known = families_in(summary).values()
     raw = next((one for one in levels if one.mechanism == RAW), None)
     choice = Choice(
         out=out,
@@ -269,7 +261,8 @@ def choose(
         schemes=tuple(
             _scheme(found, family=family, adding=rule, limits=limits)
             for rule in ADDING_RULES
-            for family in sorted(families_in(summary).values(), key=_place)
+            # FID is shown first, then fixed noise, all others as they were run.
+            for family in sorted(known, key=lambda one: [FID, FIXED, one.name].index(one.name))
             if family.is_added and rule in family.rules
             if (found := [one for one in levels if one.mechanism == family.mechanism])
         ),
@@ -279,11 +272,6 @@ def choose(
     _refuse_missing(choice, is_attacked=any(one.after_attack for one in levels))
     schemes = tuple(one for rule in adding for one in choice.schemes if one.adding == rule)
     return replace(choice, schemes=schemes)
-
-
-def _place(family: Family) -> int:
-    """Return where a family is shown: FID, then fixed noise, all others as they were run."""
-    return [FID, FIXED, family.name].index(family.name)
 
 
 def _predictor(out: Path, manifest: Mapping[str, Any], asked: str | None) -> str:
@@ -305,7 +293,6 @@ def _predictor(out: Path, manifest: Mapping[str, Any], asked: str | None) -> str
 def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
     """Return some columns of a table of a run."""
     again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
-    numbers = [column for column in columns if column in _NUMBERS]
     try:
         # A name may be "NA": only an empty number is unknown.
         return pd.read_csv(
@@ -313,7 +300,7 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
             usecols=list(columns),
             dtype={column: float if column in _NUMBERS else str for column in columns},
             keep_default_na=False,
-            na_values={column: [""] for column in numbers},
+            na_values={column: [""] for column in columns if column in _NUMBERS},
         )
     except FileNotFoundError:
         raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
@@ -350,13 +337,14 @@ def _level(
         return None
     exposed = {source: one.value for (source, metric), one in found.items() if metric == EXPOSURE}
     best = strongest_of([exposed])
+    attacked = None
+    if best is not None:
+        attacked = Attacked(best.consumer, best.knowledge, numbers(best, DESCRIPTORS))
     return Level(
         mechanism=mechanism,
         level=level,
         numbers=numbers(robot, TARGETS) | numbers(AS_SHARED, DESCRIPTORS),
-        after_attack=Attacked(best.consumer, best.knowledge, numbers(best, DESCRIPTORS))
-        if best
-        else None,
+        after_attack=attacked,
         tasks=tuple(
             _strongest(task, task.cells.get((mechanism, level), {}), dataset=dataset)
             for task in tasks
@@ -428,11 +416,17 @@ def _privacy(level: Level, limits: Limits) -> list[Check]:
         Check(name, limit, numbers.get(name, UNKNOWN), whose, missing)
         for name, limit in limits.of(*DESCRIPTORS).items()
     ]
-    for one in level.tasks:
-        if SUCCESS in limits.given and one.limited:
-            whose = f"in {one.task} by {one.attack} ({one.knowledge})" if one.attack else one.task
+    for one in level.tasks if SUCCESS in limits.given else ():
+        whose, missing = f"in {one.task} by {one.attack} ({one.knowledge})", ""
+        if not one.attack:
+            whose, missing = one.task, "no attack was run at this level"
+        elif one.invalid:
+            missing = f"a shortcut ({one.invalid}) gives people away: no measure of the attack"
+        elif one.outcome == WEAK:
+            missing = "every attack is too weak: it fails without any error, too"
+        if one.limited:
             limit = limits.given[SUCCESS]
-            checks.append(Check(f"{SUCCESS}/{one.task}", limit, one.rank1, whose, one.why_unknown))
+            checks.append(Check(f"{SUCCESS}/{one.task}", limit, one.rank1, whose, missing))
     return checks
 
 
@@ -451,13 +445,7 @@ def _scheme(found: Sequence[Level], *, family: Family, adding: str, limits: Limi
     chosen = levels[n_met - 1] if n_met else None
     stricter = levels[n_met] if n_met < len(levels) else None
     beyond = zip(levels[n_met:], meets[n_met:], strict=True)
-    shown = [
-        [
-            (one.value, one.ci_low, one.ci_high)
-            for one in map(level.numbers.__getitem__, DESCRIPTORS)
-        ]
-        for level in levels[-2:]
-    ]
+    shown = [[_interval(level.numbers[name]) for name in DESCRIPTORS] for level in levels[-2:]]
     return Scheme(
         adding=adding,
         family=family,

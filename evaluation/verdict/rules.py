@@ -93,13 +93,8 @@ def decide(
     each other, and neither may be come to by chance. Of the options that pass at the item's place
     the first one named is the decision. Without one the item is undecided.
 
-    Parameters
-    ----------
-    items : sequence of mapping
-        Of each item the decisions that it may come to, in the order of precedence, each with the
-        p-value of all its conditions.
-    alpha : float
-        Share of studies in which the section may err.
+    `items` are of each item the decisions that it may come to, in the order of precedence, each
+    with the p-value of all its conditions; `alpha` is the share of studies in which it may err.
     """
     p_values = np.array([min(1.0, 2.0 * min(options.values())) for options in items])
     found = []

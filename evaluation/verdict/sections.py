@@ -39,18 +39,9 @@ def verdict(
 ) -> dict[str, Any]:
     """Return the verdict of a run as in `verdict.json`.
 
-    Parameters
-    ----------
-    sweeps : Sweeps
-        Of every metric of the run.
-    compared : iterable of Comparison
-        With fixed noise; the claim is read with the first predictor of the run.
-    levels : mapping
-        By task: who is linked at each level by its strongest linker.
-    strongest : mapping
-        By task its strongest linker; under "" the strongest reconstruction.
-    manifest : mapping
-        As in `manifest.json`.
+    `compared` is with fixed noise: the claim is read with the first predictor of the run. `levels`
+    are by task who is linked at each level by its strongest linker, which `strongest` names; under
+    "" that is the strongest reconstruction.
     """
     success = {task: linker for task, linker in strongest.items() if task}
     attack = strongest.get("")

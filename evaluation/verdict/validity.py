@@ -19,23 +19,9 @@ from evaluation.analysis.matching import MIN_DEFINED, compare
 from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.analysis.sweeps import interpolated
+from evaluation.verdict import rules
 from evaluation.verdict.items import NAME, Draft, known, numbers, with_interval
-from evaluation.verdict.rules import (
-    DOES_NOT,
-    LEAST_SPAN,
-    REACH,
-    SUCCESS_MARGIN,
-    TRACKS,
-    UNDECIDED,
-    VALIDITY,
-    WEAK_MARGIN,
-    WEAKLY,
-    is_known,
-    p_above,
-    p_below,
-    p_beyond,
-    p_within,
-)
+from evaluation.verdict.rules import is_known, p_above, p_below, p_beyond, p_within
 from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
@@ -71,12 +57,12 @@ class Contrast:
     @property
     def p_beyond(self) -> float:
         """How likely it is by chance, if nothing but the margin lies between the two."""
-        return p_beyond(self.effect, SUCCESS_MARGIN)
+        return p_beyond(self.effect, rules.SUCCESS_MARGIN)
 
     def to_json(self) -> dict[str, Any]:
         """Return the contrast for `verdict.json`; its reading is not adjusted."""
         differs = self.p_beyond <= _UNADJUSTED
-        equal = p_within(self.effect, SUCCESS_MARGIN) <= _UNADJUSTED
+        equal = p_within(self.effect, rules.SUCCESS_MARGIN) <= _UNADJUSTED
         return {
             "mechanism": self.mechanism,
             "level": self.level,
@@ -136,8 +122,8 @@ def _item(
         *_of_levels(sweeps, fixed, value=value, success=success, best=best),
     ]
     has_test = any(one.is_test for one in contrasts)
-    falls, flat = p_above(drop, SUCCESS_MARGIN), p_below(drop, SUCCESS_MARGIN)
-    condition = max(p_above(works, SUCCESS_MARGIN), p_above(span, np.log(LEAST_SPAN)))
+    falls, flat = p_above(drop, rules.SUCCESS_MARGIN), p_below(drop, rules.SUCCESS_MARGIN)
+    condition = max(p_above(works, rules.SUCCESS_MARGIN), p_above(span, np.log(rules.LEAST_SPAN)))
     against = [*(one.p_beyond for one in contrasts), flat]
 
     def p_equal(margin: float) -> float:
@@ -145,22 +131,22 @@ def _item(
         return max([condition, falls, *equal]) if has_test else 1.0
 
     options = {
-        DOES_NOT: max(condition, min(1.0, len(against) * min(against))),
-        TRACKS: p_equal(SUCCESS_MARGIN),
-        WEAKLY: p_equal(WEAK_MARGIN),
+        rules.DOES_NOT: max(condition, min(1.0, len(against) * min(against))),
+        rules.TRACKS: p_equal(rules.SUCCESS_MARGIN),
+        rules.WEAKLY: p_equal(rules.WEAK_MARGIN),
     }
     worst = min(contrasts, key=lambda one: one.p_beyond, default=None)
-    if worst is not None and flat < worst.p_beyond and options[DOES_NOT] < 1.0:
+    if worst is not None and flat < worst.p_beyond and options[rules.DOES_NOT] < 1.0:
         worst = None  # that success does not fall speaks more against it
     name = NAME[descriptor]
     reasons = (
         (not is_known(works), "too few people, or no interval"),
         (
-            p_above(works, SUCCESS_MARGIN) > _UNADJUSTED,
+            p_above(works, rules.SUCCESS_MARGIN) > _UNADJUSTED,
             "the strongest attack hardly links anybody even at raw: nothing could be seen",
         ),
         (
-            p_above(span, np.log(LEAST_SPAN)) > _UNADJUSTED,
+            p_above(span, np.log(rules.LEAST_SPAN)) > _UNADJUSTED,
             f"{name} hardly changes from raw to the strongest fixed error",
         ),
         (not has_test, "no dissociation control reaches a value that fixed noise reaches, too"),
@@ -168,7 +154,7 @@ def _item(
         (True, "the intervals reach on both sides of the margin"),
     )
     yield Draft(
-        section=VALIDITY,
+        section=rules.VALIDITY,
         adding=adding,
         descriptor=descriptor,
         task=linker.task,
@@ -216,7 +202,7 @@ def _of_levels(
                 continue
             # A hair beyond an end of the sweep of fixed noise counts as its end.
             below_raw = scale[:, -1] - at
-            inside = (below_raw >= -REACH * span) & (below_raw <= span + REACH * span)
+            inside = (below_raw >= -rules.REACH * span) & (below_raw <= span + rules.REACH * span)
             held = np.where(inside, np.clip(below_raw, 0.0, span), np.nan)
             n_rows = min(reached.size, achieved.shape[0])
             expected = interpolated(
@@ -254,18 +240,18 @@ def _sentences(name: str, *, task: str, worst: Contrast | None, drop: Estimate) 
             f"In {task}, from raw to the strongest fixed error {with_interval(drop, 'share')} "
             f"fewer of 100 people are linked while {name} falls"
         )
-        return {DOES_NOT: f"{gap}: {name} does not track.", UNDECIDED: f"{gap}."}
+        return {rules.DOES_NOT: f"{gap}: {name} does not track.", rules.UNDECIDED: f"{gap}."}
     where = f"In {task}, at equal {name}"
     more = "more" if worst.effect.value > 0 else "fewer"
     gap = f"{worst.label} lets {with_interval(worst.effect, 'share', absolute=True)} {more}"
+    close, far = (f"{100 * one:.0f}" for one in (rules.SUCCESS_MARGIN, rules.WEAK_MARGIN))
     return {
-        DOES_NOT: f"{where}, {gap} of 100 people be linked than fixed noise: {name} does not "
+        rules.DOES_NOT: f"{where}, {gap} of 100 people be linked than fixed noise: {name} does not "
         "track.",
-        TRACKS: f"{where}, no mechanism lets {100 * SUCCESS_MARGIN:.0f} of 100 people more or "
-        f"fewer be linked than fixed noise: {name} tracks.",
-        WEAKLY: f"{where}, no mechanism lets {100 * WEAK_MARGIN:.0f} of 100 people more or fewer "
-        f"be linked than fixed noise, but {100 * SUCCESS_MARGIN:.0f} cannot be ruled out: {name} "
-        "tracks weakly.",
-        UNDECIDED: f"{where}, the surest difference from fixed noise is that {gap} of 100 people "
-        "be linked.",
+        rules.TRACKS: f"{where}, no mechanism lets {close} of 100 people more or fewer be linked "
+        f"than fixed noise: {name} tracks.",
+        rules.WEAKLY: f"{where}, no mechanism lets {far} of 100 people more or fewer be linked "
+        f"than fixed noise, but {close} cannot be ruled out: {name} tracks weakly.",
+        rules.UNDECIDED: f"{where}, the surest difference from fixed noise is that {gap} of 100 "
+        "people be linked.",
     }

@@ -18,19 +18,9 @@ from evaluation.analysis.families import ADDING_RULES, RAW
 from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
 from evaluation.runs.cell_files import read_probes, read_windows
+from evaluation.verdict import rules
 from evaluation.verdict.items import NAME, Draft, known, with_interval
-from evaluation.verdict.rules import (
-    DOES_NOT,
-    LEAST_CORRELATION,
-    SUCCESS_MARGIN,
-    TRACKS,
-    UNDECIDED,
-    WEAKLY,
-    WITHIN,
-    is_known,
-    p_above,
-    p_below,
-)
+from evaluation.verdict.rules import is_known, p_above, p_below
 from isac_track.intervals import CONFIDENCE, Estimate
 
 if TYPE_CHECKING:
@@ -149,7 +139,7 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
     found = partial_correlation(
         [(one.descriptors[descriptor], one.hit, one.covariates, one.cluster) for one in levels]
     )
-    condition = p_above(works, SUCCESS_MARGIN)
+    condition = p_above(works, rules.SUCCESS_MARGIN)
     name = NAME[descriptor]
     said = (
         f"In {linker.task}, among tracks of like length, speed and noise, a track's own {name} "
@@ -163,7 +153,7 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
     else:
         why = "the interval reaches on both sides of the bound"
     return Draft(
-        section=WITHIN,
+        section=rules.WITHIN,
         adding=adding,
         descriptor=descriptor,
         task=linker.task,
@@ -171,15 +161,15 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
         effect=found,
         unit="correlation",
         options={
-            DOES_NOT: max(condition, p_below(found, LEAST_CORRELATION)),
-            TRACKS: max(condition, p_above(found, LEAST_CORRELATION)),
-            WEAKLY: max(condition, p_above(found, 0.0)),
+            rules.DOES_NOT: max(condition, p_below(found, rules.LEAST_CORRELATION)),
+            rules.TRACKS: max(condition, p_above(found, rules.LEAST_CORRELATION)),
+            rules.WEAKLY: max(condition, p_above(found, 0.0)),
         },
         sentences={
-            DOES_NOT: f"{said}: less than {LEAST_CORRELATION:g}, it does not tell.",
-            TRACKS: f"{said}: it tells.",
-            WEAKLY: f"{said}: it tells a little.",
-            UNDECIDED: f"{said}.",
+            rules.DOES_NOT: f"{said}: less than {rules.LEAST_CORRELATION:g}, it does not tell.",
+            rules.TRACKS: f"{said}: it tells.",
+            rules.WEAKLY: f"{said}: it tells a little.",
+            rules.UNDECIDED: f"{said}.",
         },
         why_undecided=why,
         details={"levels": len(levels), "linked": known(works.value)},
