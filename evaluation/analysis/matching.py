@@ -7,7 +7,7 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,11 +41,16 @@ N_POINTS, N_ATTACK_POINTS = 20, 10
 MIN_DEFINED = 0.975
 """Share of replicates that must reach a point for it to have an interval."""
 _ENDS = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
+_INTERVALS = (
+    ("fid", "fid_low", "fid_high"),
+    ("fixed", "fixed_low", "fixed_high"),
+    ("difference", "ci_low", "ci_high"),
+)
+"""Columns: what is compared, fixed noise, and the one less the other."""
 COLUMNS = [
     *("dataset", "criterion", "adding", "predictor", "consumer", "knowledge", "metric"),
-    *("at", "missed_conflict_rate"),
-    *("fid", "fid_low", "fid_high", "fixed", "fixed_low", "fixed_high"),
-    *("difference", "ci_low", "ci_high", "defined", "n", "mechanism", "family"),
+    *("at", "missed_conflict_rate", *_INTERVALS[0], *_INTERVALS[1], *_INTERVALS[2], "defined"),
+    *("n", "mechanism", "family"),
 ]
 
 
@@ -56,18 +61,8 @@ class Comparison:
     mechanism: str
     """Compared with fixed noise."""
     measure: Measure
-    at: Floats
-    """(P,) ascending: rise of the missed rate over raw, or PLR as shared"""
-    rate: Floats
-    """(P,) missed-conflict rate of the criterion; NaN when matched by PLR"""
-    compared: Floats
-    """(3, P) value and both ends of its interval; NaN out of reach"""
-    fixed: Floats
-    """(3, P)"""
-    difference: Floats
-    """(3, P) the mechanism minus fixed noise"""
-    defined: Floats
-    """(P,) share of the replicates that reach the point"""
+    points: Mapping[str, Floats]
+    """(P,) by column of `matched.csv`, from `at` to `defined`."""
     mean_difference: Floats
     """(1 + B,) over the points that have an interval; row 0 is the estimate; NaN without any"""
     mean_fixed: float
@@ -131,15 +126,22 @@ def matched(
     replicates that are left would all lie on one side. `known` are the mechanisms of the run, from
     `families`.
     """
-    rows = []
-    for one in compared:
-        source = one.measure.source
-        about = (one.criterion, one.adding, one.predictor, *astuple(source))
-        names = (dataset_of(source.consumer, dataset=dataset), *about, one.measure.metric)
-        numbers = (one.at, one.rate, *one.compared, *one.fixed, *one.difference, one.defined)
-        end = (one.n, one.mechanism, known[one.mechanism].family)
-        rows += [(*names, *point, *end) for point in zip(*numbers, strict=True)]
-    return pd.DataFrame(rows, columns=COLUMNS)
+    frames = [
+        pd.DataFrame(
+            {
+                "dataset": dataset_of(one.measure.consumer, dataset=dataset),
+                **{name: getattr(one, name) for name in ("criterion", "adding", "predictor")},
+                **asdict(one.measure),
+                **one.points,
+                "n": one.n,
+                "mechanism": one.mechanism,
+                "family": known[one.mechanism].family,
+            }
+        )
+        for one in compared
+    ]
+    rows = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=COLUMNS)
+    return rows[COLUMNS]
 
 
 def compare(
@@ -173,15 +175,17 @@ def compare(
         difference = compared - fixed
         defined = np.isfinite(difference[1:]).mean(axis=0)
         counts = (defined >= MIN_DEFINED) & np.isfinite(difference[0])
+        points = {
+            "at": raw - at if is_plr else at,
+            "missed_conflict_rate": np.full(n_points, np.nan) if is_plr else raw + at,
+            "defined": defined,
+        }
+        for names, values in zip(_INTERVALS, (compared, fixed, difference), strict=True):
+            points |= zip(names, _summarised(values, defined), strict=True)
         yield Comparison(
             mechanism=arms[0],
             measure=measure,
-            at=raw - at if is_plr else at,
-            rate=np.full(n_points, np.nan) if is_plr else raw + at,
-            compared=_summarised(compared, defined),
-            fixed=_summarised(fixed, defined),
-            difference=_summarised(difference, defined),
-            defined=defined,
+            points=points,
             mean_difference=_mean(difference[:, counts]),
             mean_fixed=float(_mean(fixed[:1, counts])[0]),
             n=min(sweeps.n(arm, measure) for arm in arms),

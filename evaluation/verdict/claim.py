@@ -15,8 +15,7 @@ from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.verdict import rules
-from evaluation.verdict.items import NAME, Draft, known, with_interval
-from evaluation.verdict.rules import UNDECIDED, is_known, p_above, p_below
+from evaluation.verdict.rules import NAME, UNDECIDED, Draft, known, with_interval
 from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
@@ -73,8 +72,8 @@ def _claim(one: Comparison, *, of: str, mechanism: str) -> Draft:
     gap = with_interval(found, unit, signed=True)
     relative = found.value / one.mean_fixed if one.mean_fixed else np.nan
     share = f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
-    reached = one.at[np.isfinite(one.difference[1])]
-    if is_known(found):
+    reached = one.points["at"][np.isfinite(one.points["ci_low"])]
+    if rules.is_known(found):
         undecided = f"{where}, {who} less fixed noise in {what} is {gap}."
         why = "the interval, adjusted, holds zero"
     else:
@@ -89,7 +88,7 @@ def _claim(one: Comparison, *, of: str, mechanism: str) -> Draft:
         criterion=one.criterion,
         effect=found,
         unit=unit,
-        options={rules.HOLDS: p_below(found, 0.0), rules.REVERSED: p_above(found, 0.0)},
+        options={rules.HOLDS: rules.p_below(found, 0.0), rules.REVERSED: rules.p_above(found, 0.0)},
         sentences={
             decision: f"{where}, {what} is {word} under {who} than under fixed noise: {gap}{share}."
             for decision, word in ((rules.HOLDS, "lower"), (rules.REVERSED, "higher"))
@@ -148,8 +147,8 @@ def _inflated(
         effect=ratio,
         unit="ratio",
         options={
-            rules.INFLATED: p_above(in_logarithms, 0.0),
-            rules.DEFLATED: p_below(in_logarithms, 0.0),
+            rules.INFLATED: rules.p_above(in_logarithms, 0.0),
+            rules.DEFLATED: rules.p_below(in_logarithms, 0.0),
         },
         sentences={UNDECIDED: f"{said} (geometric mean over the levels)."},
         why_undecided="the interval, adjusted, holds 1",

@@ -20,8 +20,7 @@ from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.analysis.sweeps import interpolated
 from evaluation.verdict import rules
-from evaluation.verdict.items import NAME, Draft, known, numbers, with_interval
-from evaluation.verdict.rules import is_known, p_above, p_below, p_beyond, p_within
+from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
@@ -57,17 +56,17 @@ class Contrast:
     @property
     def p_beyond(self) -> float:
         """How likely it is by chance, if nothing but the margin lies between the two."""
-        return p_beyond(self.effect, rules.SUCCESS_MARGIN)
+        return rules.p_beyond(self.effect, rules.SUCCESS_MARGIN)
 
     def to_json(self) -> dict[str, Any]:
         """Return the contrast for `verdict.json`; its reading is not adjusted."""
         differs = self.p_beyond <= _UNADJUSTED
-        equal = p_within(self.effect, rules.SUCCESS_MARGIN) <= _UNADJUSTED
+        equal = rules.p_within(self.effect, rules.SUCCESS_MARGIN) <= _UNADJUSTED
         return {
             "mechanism": self.mechanism,
             "level": self.level,
             "subject": self.subject,
-            **numbers(self.effect),
+            **rules.numbers(self.effect),
             "n": self.effect.n,
             "reading": "differs" if differs else "equal" if equal else "unclear",
         }
@@ -122,12 +121,14 @@ def _item(
         *_of_levels(sweeps, fixed, value=value, success=success, best=best),
     ]
     has_test = any(one.is_test for one in contrasts)
-    falls, flat = p_above(drop, rules.SUCCESS_MARGIN), p_below(drop, rules.SUCCESS_MARGIN)
-    condition = max(p_above(works, rules.SUCCESS_MARGIN), p_above(span, np.log(rules.LEAST_SPAN)))
+    falls, flat = (test(drop, rules.SUCCESS_MARGIN) for test in (rules.p_above, rules.p_below))
+    links_few = rules.p_above(works, rules.SUCCESS_MARGIN)
+    spans_little = rules.p_above(span, np.log(rules.LEAST_SPAN))
+    condition = max(links_few, spans_little)
     against = [*(one.p_beyond for one in contrasts), flat]
 
     def p_equal(margin: float) -> float:
-        equal = (p_within(one.effect, margin) for one in contrasts)
+        equal = (rules.p_within(one.effect, margin) for one in contrasts)
         return max([condition, falls, *equal]) if has_test else 1.0
 
     options = {
@@ -139,20 +140,15 @@ def _item(
     if worst is not None and flat < worst.p_beyond and options[rules.DOES_NOT] < 1.0:
         worst = None  # that success does not fall speaks more against it
     name = NAME[descriptor]
-    reasons = (
-        (not is_known(works), "too few people, or no interval"),
-        (
-            p_above(works, rules.SUCCESS_MARGIN) > _UNADJUSTED,
-            "the strongest attack hardly links anybody even at raw: nothing could be seen",
-        ),
-        (
-            p_above(span, np.log(rules.LEAST_SPAN)) > _UNADJUSTED,
-            f"{name} hardly changes from raw to the strongest fixed error",
-        ),
-        (not has_test, "no dissociation control reaches a value that fixed noise reaches, too"),
-        (falls > _UNADJUSTED, "whether success falls with fixed noise is not sure"),
-        (True, "the intervals reach on both sides of the margin"),
-    )
+    reasons = {
+        "too few people, or no interval": not rules.is_known(works),
+        "the strongest attack hardly links anybody even at raw: nothing could be seen": links_few
+        > _UNADJUSTED,
+        f"{name} hardly changes from raw to the strongest fixed error": spans_little > _UNADJUSTED,
+        "no dissociation control reaches a value that fixed noise reaches, too": not has_test,
+        "whether success falls with fixed noise is not sure": falls > _UNADJUSTED,
+        "the intervals reach on both sides of the margin": True,
+    }
     yield Draft(
         section=rules.VALIDITY,
         adding=adding,
@@ -163,7 +159,7 @@ def _item(
         unit="fraction",
         options=options,
         sentences=_sentences(name, task=linker.task, worst=worst, drop=drop),
-        why_undecided=next(why for holds, why in reasons if holds),
+        why_undecided=next(why for why, holds in reasons.items() if holds),
         details={
             "contrasts": [one.to_json() for one in contrasts],
             "against": "" if worst is None else worst.label,

@@ -19,8 +19,7 @@ from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
 from evaluation.runs.cell_files import read_probes, read_windows
 from evaluation.verdict import rules
-from evaluation.verdict.items import NAME, Draft, known, with_interval
-from evaluation.verdict.rules import is_known, p_above, p_below
+from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import CONFIDENCE, Estimate
 
 if TYPE_CHECKING:
@@ -139,7 +138,7 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
     found = partial_correlation(
         [(one.descriptors[descriptor], one.hit, one.covariates, one.cluster) for one in levels]
     )
-    condition = p_above(works, rules.SUCCESS_MARGIN)
+    condition = rules.p_above(works, rules.SUCCESS_MARGIN)
     name = NAME[descriptor]
     said = (
         f"In {linker.task}, among tracks of like length, speed and noise, a track's own {name} "
@@ -148,7 +147,7 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
     )
     if condition > 0.05:  # noqa: PLR2004
         why = "the strongest attack hardly links anybody: nothing could be seen"
-    elif not is_known(found):
+    elif not rules.is_known(found):
         why = f"{name} hardly varies beyond length, speed and noise, or there are too few people"
     else:
         why = "the interval reaches on both sides of the bound"
@@ -161,9 +160,9 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
         effect=found,
         unit="correlation",
         options={
-            rules.DOES_NOT: max(condition, p_below(found, rules.LEAST_CORRELATION)),
-            rules.TRACKS: max(condition, p_above(found, rules.LEAST_CORRELATION)),
-            rules.WEAKLY: max(condition, p_above(found, 0.0)),
+            rules.DOES_NOT: max(condition, rules.p_below(found, rules.LEAST_CORRELATION)),
+            rules.TRACKS: max(condition, rules.p_above(found, rules.LEAST_CORRELATION)),
+            rules.WEAKLY: max(condition, rules.p_above(found, 0.0)),
         },
         sentences={
             rules.DOES_NOT: f"{said}: less than {rules.LEAST_CORRELATION:g}, it does not tell.",
@@ -204,14 +203,14 @@ def partial_correlation(
         whole = np.isfinite(descriptor).all(axis=1) & np.isfinite(covariates).all(axis=1)
         if whole.sum() < _FEW:
             continue
-        mine = _ranks(_ranks(descriptor[whole]).mean(axis=1, keepdims=True))
-        ranks = _ranks(covariates[whole])
-        columns = np.column_stack([ranks, ranks**2])
+        ranks = _ranks(np.column_stack([descriptor, hit, covariates])[whole])
+        mine = _ranks(ranks[:, :2].mean(axis=1, keepdims=True))
+        columns = np.column_stack([ranks[:, 3:], ranks[:, 3:] ** 2])
         varies = np.ptp(columns, axis=0) > _NOTHING
         design = np.column_stack([np.ones(len(ranks)), columns[:, varies]])
         if whole.sum() <= design.shape[1] + _FEW:
             continue
-        both = np.column_stack([mine, _ranks(hit[whole, None])])
+        both = np.column_stack([mine, ranks[:, 2]])
         rests.append(both - design @ np.linalg.lstsq(design, both, rcond=None)[0])
         clusters.append(cluster[whole])
     if not rests:
