@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -178,8 +178,8 @@ def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) ->
     """
 
     def settings(net_db: float, spread_db: float, gap_db: float) -> SensingSettings:
-        fitted = (net_db + gap_db, spread_db, gap_db)
-        return replace(stages.sensing, **dict(zip(FITTED, fitted, strict=True)))
+        fitted: Any = zip(FITTED, (net_db + gap_db, spread_db, gap_db), strict=True)
+        return replace(stages.sensing, **dict(fitted))
 
     def trial(
         net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
@@ -202,7 +202,8 @@ def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) ->
         what=f"PLR at eta = {_FID_ETA:g}",
     )
     found = settings(net_db, spread_db, gap_db)
-    return replace(found, **{name: round(getattr(found, name), 2) for name in FITTED})
+    rounded: Any = {name: round(getattr(found, name), 2) for name in FITTED}
+    return replace(found, **rounded)
 
 
 def predictions(

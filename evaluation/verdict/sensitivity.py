@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 FOLDER: Final = "sensitivity"
 TABLE: Final = "sensitivity.csv"
-SECTIONS: Final = ("validity", "within", "claim", "inflation")
 SAME, TURNED, LOST, GAINED, MISSING = "same", "changed sign", "lost", "gained", "missing"
 CHANGES: Final = (SAME, TURNED, LOST, GAINED, MISSING)
 COLUMNS: Final = (
