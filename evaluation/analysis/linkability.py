@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -65,7 +65,10 @@ def dataset_of(consumer: str, *, dataset: str) -> str:
     return TWO_SESSIONS if task is not None and task.simulated else dataset
 
 
-def cards(out: Path, manifest: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], LinkageOutcome]]:
+Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
+
+
+def cards(out: Path, manifest: Mapping[str, Any]) -> Cards:
     """Return the card of every linkage cell with its entry in the manifest.
 
     Raises
@@ -80,9 +83,7 @@ def cards(out: Path, manifest: Mapping[str, Any]) -> list[tuple[Mapping[str, Any
     ]
 
 
-def linkability(
-    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]], *, dataset: str
-) -> pd.DataFrame:
+def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
     """Return what every linkage cell says, a row for each cohort; the columns are `COLUMNS`.
 
     `read` is what `cards` returns, `dataset` that of the run.
@@ -126,9 +127,7 @@ def linkability(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _leaks(
-    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]],
-) -> dict[tuple[str, str], list[str]]:
+def _leaks(read: Cards) -> dict[tuple[str, str], list[str]]:
     """Return which shortcuts beat chance, by mechanism SPEC and task (Holm over the audits)."""
     audits: dict[tuple[str, str], dict[str, float]] = {}
     for entry, card in read:

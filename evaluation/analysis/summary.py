@@ -19,13 +19,13 @@ from isac_track.errors import DataError
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     import pyarrow as pa
 
     from evaluation.analysis.families import Family
-    from evaluation.runs.cell_files import LinkageOutcome
+    from evaluation.analysis.linkability import Cards
     from isac_track.types import Floats, Ints
 
 N_REPLICATES = 1000
@@ -106,9 +106,7 @@ def estimate(
     return Estimate(value, low, high, one.n, np.sqrt(one.replicates))
 
 
-def linkage_estimates(
-    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]],
-) -> dict[Key, Estimate]:
+def linkage_estimates(read: Cards) -> dict[Key, Estimate]:
     """Return every metric of the linkage cells; `read` is what `linkability.cards` returns."""
     return {
         key_of(entry, metric): one for entry, card in read for metric, one in card.estimates.items()

@@ -80,7 +80,6 @@ def _claim(one: Comparison, *, of: str, mechanism: str) -> Draft:
         undecided = f"{where}, {what} cannot be compared."
         why = "the two mechanisms have no range in common that enough replicates reach"
     return Draft(
-        section=rules.CLAIM,
         adding=one.adding,
         descriptor=descriptor,
         task=source.task,
@@ -140,7 +139,6 @@ def _inflated(
         f"{with_interval(ratio, 'ratio')} what it was as shared"
     )
     yield Draft(
-        section=rules.INFLATION,
         adding=adding,
         descriptor=descriptor,
         subject=attack.label,

@@ -117,7 +117,6 @@ def decide(
 class Draft:
     """An item before the section it belongs to is adjusted and decided."""
 
-    section: str
     adding: str
     subject: str
     """The attack that it is about, if it is about one."""
@@ -134,11 +133,11 @@ class Draft:
     details: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def name(self) -> str:
-        """Identifier of the item, the same in every run."""
+    def names(self) -> list[str]:
+        """What identifies the item in its section, the same in every run."""
         of, mechanism = (str(self.details.get(name, "")) for name in ("of", "mechanism"))
-        what = (of, self.descriptor, self.task, mechanism)
-        return "/".join(filter(None, (self.section, self.adding, self.criterion, *what)))
+        every = (self.adding, self.criterion, of, self.descriptor, self.task, mechanism)
+        return [name for name in every if name]
 
 
 def numbers(one: Estimate) -> dict[str, Any]:

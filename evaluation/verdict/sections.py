@@ -60,22 +60,21 @@ def verdict(
     by_predictor = [one for one in compared if one.predictor]
     predictors = manifest["settings"].get("predictors") or [one.predictor for one in by_predictor]
     of_first = [one for one in by_predictor if one.predictor in predictors[:1]]
-    drafts = (
-        *validity(sweeps, success=success),
-        *within(levels, sweeps, success=success),
-        *claims(of_first, sweeps, success=success, attack=attack),
-        *inflation(sweeps, attack=attack),
-    )
+    drafts = {
+        rules.VALIDITY: validity(sweeps, success=success),
+        rules.WITHIN: within(levels, sweeps, success=success),
+        rules.CLAIM: claims(of_first, sweeps, success=success, attack=attack),
+        rules.INFLATION: inflation(sweeps, attack=attack),
+    }
     items: list[dict[str, Any]] = []
-    for section in rules.SECTIONS:
-        mine = [draft for draft in drafts if draft.section == section]
+    for section, mine in ((section, list(drafts[section])) for section in rules.SECTIONS):
         decided = rules.decide([draft.options for draft in mine])
         for draft, (decision, p_value, p_adjusted) in zip(mine, decided, strict=True):
-            is_open = decision == UNDECIDED
-            about = ("section", "adding", "descriptor", "task", "subject", "criterion")
+            about = ("adding", "descriptor", "task", "subject", "criterion")
             items.append(
                 {
-                    "id": draft.name,
+                    "id": "/".join([section, *draft.names]),
+                    "section": section,
                     **{name: getattr(draft, name) for name in about},
                     "decision": decision,
                     "sign": rules.SIGN[decision],
@@ -85,7 +84,7 @@ def verdict(
                     "p_value": p_value,
                     "p_adjusted": p_adjusted,
                     "sentence": draft.sentences.get(decision, draft.sentences[UNDECIDED]),
-                    "why_undecided": draft.why_undecided if is_open else "",
+                    "why_undecided": draft.why_undecided if decision == UNDECIDED else "",
                     **draft.details,
                 }
             )

@@ -150,7 +150,6 @@ def _item(
         "the intervals reach on both sides of the margin": True,
     }
     yield Draft(
-        section=rules.VALIDITY,
         adding=adding,
         descriptor=descriptor,
         task=linker.task,

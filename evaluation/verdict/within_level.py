@@ -80,12 +80,10 @@ def read_levels(
 def _level(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LevelTracks:
     probes = read_probes(out, linked)
     probes = probes[probes["above"] >= 0]
-    keys = ["search", "source"]
     tracks = read_windows(out, windows)
-    sides = [
-        probes[keys].merge(tracks[tracks["side"] == side], on=keys, how="left", validate="m:1")
-        for side in ("probe", "gallery")
-    ]
+    tracks = tracks.set_index(tracks["search"] + "\n" + tracks["source"])
+    wanted = probes["search"] + "\n" + probes["source"]
+    sides = [tracks[tracks["side"] == side].reindex(wanted) for side in ("probe", "gallery")]
 
     def both(column: str) -> Floats:
         return np.column_stack([side[column].to_numpy(np.float64) for side in sides])
@@ -152,7 +150,6 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
     else:
         why = "the interval reaches on both sides of the bound"
     return Draft(
-        section=rules.WITHIN,
         adding=adding,
         descriptor=descriptor,
         task=linker.task,
