@@ -24,10 +24,11 @@ from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import CONFIDENCE, percentile_interval
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from evaluation.analysis.keys import Key
+    from evaluation.analysis.run_changes import Apart, Manifest
     from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
@@ -62,9 +63,9 @@ class Comparison:
     a: dict[str, Any]
     """About run A: `out`, `dataset`, `scenes`, `seed`, `preset`, `mechanism` (if one was named)."""
     b: dict[str, Any]
-    changed: dict[str, dict[str, tuple[Any, Any]]]
+    changed: dict[str, Apart]
     """Under data, settings and code: what to its value in A and in B; None where it is unknown."""
-    only: dict[str, tuple[list[str], list[str]]]
+    only: Apart
     """By axis: what only A has, and what only B has."""
     only_numbers: tuple[int, int]
     """Numbers that only A has, and only B."""
@@ -126,8 +127,8 @@ def compare(
     if mechanism_a is None or mechanism_b is None:
         pairs = [(key, key) for key in of_a if key in found_b]
     else:
-        of_a = _of_mechanism(of_a, mechanism_a, first, option="--mechanism-a", out=out_a)
-        of_b = _of_mechanism(of_b, mechanism_b, second, option="--mechanism-b", out=out_b)
+        of_a = _of_mechanism(of_a, mechanism_a, first, "--mechanism-a", out_a)
+        of_b = _of_mechanism(of_b, mechanism_b, second, "--mechanism-b", out_b)
         pairs = _matched_levels(of_a, of_b, cells=[*first["cells"], *second["cells"]])
         if not pairs:
             raise DataError(
@@ -216,7 +217,7 @@ def _found(
 
 
 def _of_mechanism(
-    keys: Sequence[Key], named: str, manifest: Mapping[str, Any], *, option: str, out: Path
+    keys: Sequence[Key], named: str, manifest: Manifest, option: str, out: Path
 ) -> list[Key]:
     """Return the keys of a mechanism at all of its levels, or of one level named as a SPEC."""
     wanted = {
@@ -235,7 +236,7 @@ def _of_mechanism(
 
 
 def _matched_levels(
-    of_a: Sequence[Key], of_b: Sequence[Key], *, cells: Sequence[Mapping[str, Any]]
+    of_a: Sequence[Key], of_b: Sequence[Key], *, cells: Sequence[Manifest]
 ) -> list[tuple[Key, Key]]:
     """Return pairs at equal levels; if either side has a single level, those two."""
     single = all(len({key.where for key in keys}) == 1 for keys in (of_a, of_b))
@@ -252,9 +253,7 @@ def _matched_levels(
 
 
 def _rows(
-    pairs: Sequence[tuple[Key, Key, Estimate, Estimate]],
-    first: Mapping[str, Any],
-    second: Mapping[str, Any],
+    pairs: Sequence[tuple[Key, Key, Estimate, Estimate]], first: Manifest, second: Manifest
 ) -> pd.DataFrame:
     paired_by = {
         name: run_changes.pairing(first, second, consumer=name)

@@ -16,6 +16,8 @@ from evaluation.experiment.presets import SHARED
 from isac_track.intervals import difference
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from evaluation.analysis.sweeps import Sweeps
 
 DATASET = "students03"
@@ -86,12 +88,7 @@ def paper_table(sweeps: Sweeps, *, dataset: str) -> pd.DataFrame:
 
 
 def claims(
-    sweeps: Sweeps,
-    matched: pd.DataFrame,
-    *,
-    dataset: str,
-    history_points: float,
-    history_interval_s: float,
+    sweeps: Sweeps, matched: pd.DataFrame, *, dataset: str, history: Mapping[str, float]
 ) -> pd.DataFrame:
     """Return the paper's claims, each as `holds`, `does not hold` or `undecided`.
 
@@ -135,14 +132,15 @@ def claims(
         ]
         rows += [(adding, *row) for row in found if row is not None]
     if dataset == DATASET:
-        is_long = abs(history_points - 366) <= 4  # noqa: PLR2004 - stated with the rules
-        is_even = 0.083 <= round(history_interval_s, 4) <= 0.084  # noqa: PLR2004
+        points, interval_s = history["points"], history["interval_s"]
+        is_long = abs(points - 366) <= 4  # noqa: PLR2004 - stated with the rules
+        is_even = 0.083 <= round(interval_s, 4) <= 0.084  # noqa: PLR2004
         rows.append(
             (
                 *("", "history of about 366 points at 0.083 s"),
                 "holds" if is_long and is_even else "does not hold",
-                *(history_points, np.nan, np.nan, "points"),
-                f"{history_points:.1f} points at {history_interval_s:.4f} s",
+                *(points, np.nan, np.nan, "points"),
+                f"{points:.1f} points at {interval_s:.4f} s",
             )
         )
     return pd.DataFrame(rows, columns=CLAIM_COLUMNS)

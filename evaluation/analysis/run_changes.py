@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    Manifest = Mapping[str, Any]
+    Apart = dict[str, tuple[Any, Any]]
+
 DRAWS, PEOPLE, NONE = "people and draws", "people", "none"
 """Pairing of a row."""
 _VERDICT = "verdict.json"
@@ -45,7 +48,7 @@ def short_list(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_NAMED]) + more
 
 
-def pairing(first: Mapping[str, Any], second: Mapping[str, Any], *, consumer: str) -> str:
+def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
     """Return how a consumer's numbers in two runs are paired.
 
     Replicates of a linkage task (`TASK/ATTACK`) were drawn with the cell: nobody can draw the same
@@ -72,7 +75,7 @@ def pairing(first: Mapping[str, Any], second: Mapping[str, Any], *, consumer: st
     return PEOPLE if other else DRAWS
 
 
-def _unequal(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+def _unequal(a: Manifest, b: Manifest) -> Apart:
     return {
         name: (a.get(name), b.get(name))
         for name in dict.fromkeys((*a, *b))
@@ -80,7 +83,7 @@ def _unequal(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any,
     }
 
 
-def about(out: Path, manifest: Mapping[str, Any], *, mechanism: str | None) -> dict[str, Any]:
+def about(out: Path, manifest: Manifest, *, mechanism: str | None) -> dict[str, Any]:
     """Return what a run is, with the mechanism if one was named."""
     found = {
         "out": str(out),
@@ -93,9 +96,7 @@ def about(out: Path, manifest: Mapping[str, Any], *, mechanism: str | None) -> d
     return found if mechanism is None else found | {"mechanism": mechanism}
 
 
-def changed(
-    first: Mapping[str, Any], second: Mapping[str, Any]
-) -> dict[str, dict[str, tuple[Any, Any]]]:
+def changed(first: Manifest, second: Manifest) -> dict[str, Apart]:
     """Return what differs under data, settings and code."""
     described, code = [], []
     for one in (first, second):
@@ -113,10 +114,8 @@ def changed(
     }
 
 
-def only_in(
-    first: Mapping[str, Any], second: Mapping[str, Any]
-) -> dict[str, tuple[list[str], list[str]]]:
-    """Return by axis what only one of the runs has."""
+def only_in(first: Manifest, second: Manifest) -> Apart:
+    """Return by axis what only the first of the runs has, and what only the second."""
     a, b = _axes(first), _axes(second)
     apart = {axis: (_beside(a[axis], b[axis]), _beside(b[axis], a[axis])) for axis in a}
     return {axis: both for axis, both in apart.items() if any(both)}
@@ -127,7 +126,7 @@ def _beside(names: Iterable[str], others: Iterable[str]) -> list[str]:
     return [name for name in dict.fromkeys(names) if name not in others]
 
 
-def _axes(manifest: Mapping[str, Any]) -> dict[str, list[str]]:
+def _axes(manifest: Manifest) -> dict[str, list[str]]:
     """Return what a run has cells of, in its order."""
 
     def of(*kinds: str) -> list[str]:
@@ -142,7 +141,7 @@ def _axes(manifest: Mapping[str, Any]) -> dict[str, list[str]]:
     }
 
 
-def mechanisms(manifest: Mapping[str, Any]) -> list[str]:
+def mechanisms(manifest: Manifest) -> list[str]:
     """Return the names of a run's mechanisms, in its order."""
     return list(dict.fromkeys(entry["mechanism"] for entry in manifest["cells"]))
 

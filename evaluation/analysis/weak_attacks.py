@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,6 +46,9 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.keys import Key, Where
     from isac_track.intervals import Estimate
+
+    Found = Mapping[Key, Estimate]
+    Levels = Mapping[Where, Mapping[Source, Estimate]]
 
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")
 """From the simplest on."""
@@ -102,8 +105,8 @@ class _Pair:
     least: Where = ("", None)
     """The least noisy level of a mechanism."""
 
-    def row(self, gap: Estimate, *, compared: int) -> dict[str, Any]:
-        """Return the flag."""
+    def row(self, gap: Estimate, *, compared: int) -> tuple[object, ...]:
+        """Return the flag, as in `COLUMNS`."""
         before, after = (f"{100 * one.value:.1f} %" for one in (self.minus, self.plus))
         change = _points(gap.value, gap.ci_low, gap.ci_high, sign="+")
         who, where = self.attack.label, _place(self.where)
@@ -112,28 +115,14 @@ class _Pair:
         else:
             least = _place(self.least)
             said = f"does not fall with the noise: PLR {before} at {least}, {after} at {where}"
-        return {
-            "kind": self.kind,
-            "mechanism": self.where[0],
-            "level": np.nan if self.where[1] is None else self.where[1],
-            "attack": self.attack.consumer,
-            "knowledge": self.attack.knowledge,
-            "by": self.by.consumer,
-            "by_knowledge": self.by.knowledge,
-            "metric": EXPOSURE,
-            "difference": gap.value,
-            "ci_low": gap.ci_low,
-            "ci_high": gap.ci_high,
-            "compared": compared,
-            "sentence": f"{who} {said}, {change} points",
-        }
+        level = np.nan if self.where[1] is None else self.where[1]
+        about = (self.kind, self.where[0], level, *astuple(self.attack), *astuple(self.by))
+        numbers = (gap.value, gap.ci_low, gap.ci_high, compared)
+        return *about, EXPOSURE, *numbers, f"{who} {said}, {change} points"
 
 
 def flags(
-    found: Mapping[Key, Estimate],
-    *,
-    slow: AbstractSet[str] = frozenset(),
-    once: Mapping[Key, Estimate] | None = None,
+    found: Found, *, slow: AbstractSet[str] = frozenset(), once: Found | None = None
 ) -> Flags:
     """Return the flags of a run.
 
@@ -240,12 +229,7 @@ def lines(rows: pd.DataFrame) -> list[str]:
 
 
 def _beaten_pairs(
-    levels: Mapping[Where, Mapping[Source, Estimate]],
-    found: Mapping[Key, Estimate],
-    *,
-    slow: AbstractSet[str],
-    once: Mapping[Key, Estimate],
-    left_out: Counter[str],
+    levels: Levels, found: Found, *, slow: AbstractSet[str], once: Found, left_out: Counter[str]
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
         shared = found.get(AS_SHARED.measure(EXPOSURE).at(*where))
@@ -264,12 +248,7 @@ def _beaten_pairs(
                 yield _Pair(BEATEN, where, attack, minus, plus, by=by)
 
 
-def _falling_pairs(
-    levels: Mapping[Where, Mapping[Source, Estimate]],
-    found: Mapping[Key, Estimate],
-    *,
-    left_out: Counter[str],
-) -> Iterator[_Pair]:
+def _falling_pairs(levels: Levels, found: Found, *, left_out: Counter[str]) -> Iterator[_Pair]:
     rmse, exposed = AS_SHARED.measure("rmse"), AS_SHARED.measure(EXPOSURE)
     for mechanism in dict.fromkeys(name for name, _ in levels if name not in (RAW, CLEAN)):
         # By the noise that there is, whichever way the level counts.

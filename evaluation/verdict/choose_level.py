@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from evaluation.analysis.families import Family
+    from evaluation.analysis.keys import Where
     from evaluation.analysis.linkability import LinkedTask
 
 TARGETS: Final = ("missed", "false_alarm")
@@ -246,7 +247,7 @@ def choose(
     levels = [
         level
         for where, rows in of_metrics.groupby(["mechanism", "level"], dropna=False, sort=False)
-        if (level := _level(where, rows, linked, predictor=name, dataset=dataset)) is not None
+        if (level := _level(where, rows, linked, name, dataset)) is not None
     ]
     known = families_in(summary).values()
     raw = next((one for one in levels if one.mechanism == RAW), None)
@@ -259,7 +260,7 @@ def choose(
         raw=raw,
         raw_checks=() if raw is None else tuple(_targets(raw, limits)),
         schemes=tuple(
-            _scheme(found, family=family, adding=rule, limits=limits)
+            _scheme(found, family, rule, limits)
             for rule in ADDING_RULES
             # FID is shown first, then fixed noise, all others as they were run.
             for family in sorted(known, key=lambda one: [FID, FIXED, one.name].index(one.name))
@@ -310,10 +311,9 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _level(
-    where: Any,  # noqa: ANN401 - a key of groupby
+    where: tuple[str, float],
     rows: pd.DataFrame,
     tasks: Sequence[LinkedTask],
-    *,
     predictor: str,
     dataset: str,
 ) -> Level | None:
@@ -345,18 +345,13 @@ def _level(
         level=level,
         numbers=numbers(robot, TARGETS) | numbers(AS_SHARED, DESCRIPTORS),
         after_attack=attacked,
-        tasks=tuple(
-            _strongest(task, task.cells.get((mechanism, level), {}), dataset=dataset)
-            for task in tasks
-        ),
+        tasks=tuple(_strongest(task, (mechanism, level), dataset) for task in tasks),
     )
 
 
-def _strongest(
-    task: LinkedTask, rows: Mapping[Source, Mapping[str, Any]], *, dataset: str
-) -> Linked:
+def _strongest(task: LinkedTask, where: Where, dataset: str) -> Linked:
     """Return the strongest linker at a level, of the valid ones if there are any."""
-    own = dataset_of(task.name, dataset=dataset)
+    own, rows = dataset_of(task.name, dataset=dataset), task.cells.get(where, {})
     rank1 = {source: row[SUCCESS] for source, row in rows.items()}
     valid = {
         source: rank1[source]
@@ -430,7 +425,7 @@ def _privacy(level: Level, limits: Limits) -> list[Check]:
     return checks
 
 
-def _scheme(found: Sequence[Level], *, family: Family, adding: str, limits: Limits) -> Scheme:
+def _scheme(found: Sequence[Level], family: Family, adding: str, limits: Limits) -> Scheme:
     """Return the answer for the levels of a mechanism."""
     levels = sorted(found, key=lambda one: one.level or 0.0)
     # A large eta adds little, a large error much; of anybody else's, what leaks less is stricter.

@@ -113,13 +113,11 @@ def inflation(sweeps: Sweeps, *, attack: Source | None) -> Iterator[Draft]:
     for adding in ADDING_RULES:
         for mechanism in sweeps.swept(adding):
             for descriptor in DESCRIPTORS:
-                yield from _inflated(
-                    sweeps, mechanism, adding=adding, descriptor=descriptor, attack=attack
-                )
+                yield from _inflated(sweeps, mechanism, adding, descriptor, attack)
 
 
 def _inflated(
-    sweeps: Sweeps, mechanism: str, *, adding: str, descriptor: str, attack: Source
+    sweeps: Sweeps, mechanism: str, adding: str, descriptor: str, attack: Source
 ) -> Iterator[Draft]:
     measures = attack.measure(descriptor), AS_SHARED.measure(descriptor)
     ratios = []

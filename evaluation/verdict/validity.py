@@ -26,9 +26,11 @@ from isac_track.intervals import estimate_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from evaluation.analysis.keys import Measure, Source
+    from evaluation.analysis.keys import Measure, Source, Where
     from evaluation.analysis.sweeps import Sweeps
     from isac_track.intervals import Estimate
+
+    Levels = Mapping[Where, Mapping[Source, float]]
 
 _UNADJUSTED: Final = 0.05
 """For what is told beside a decision."""
@@ -81,21 +83,11 @@ def validity(sweeps: Sweeps, *, success: Mapping[str, Source]) -> Iterator[Draft
     for adding in ADDING_RULES:
         for descriptor in DESCRIPTORS:
             for task, linker in success.items():
-                # An adversary takes what works: against other errors that may be another linker.
-                best = {
-                    name: strongest_of(
-                        block for where, block in levels[task].items() if where[0] == name
-                    )
-                    or linker
-                    for name in sweeps.others(adding)
-                }
-                yield from _item(
-                    sweeps, adding=adding, descriptor=descriptor, linker=linker, best=best
-                )
+                yield from _item(sweeps, levels[task], adding, descriptor, linker)
 
 
 def _item(
-    sweeps: Sweeps, *, adding: str, descriptor: str, linker: Source, best: Mapping[str, Source]
+    sweeps: Sweeps, levels: Levels, adding: str, descriptor: str, linker: Source
 ) -> Iterator[Draft]:
     """Yield an item, if there is a sweep of fixed noise to compare with."""
     fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
@@ -118,7 +110,7 @@ def _item(
         span = estimate_of(np.log(shows / shows_least), n=n)
     contrasts = [
         *_of_sweep(sweeps, (fid, fixed), value=value, success=success),
-        *_of_levels(sweeps, fixed, value=value, success=success, best=best),
+        *_of_levels(sweeps, levels, adding, value=value, linker=linker),
     ]
     has_test = any(one.is_test for one in contrasts)
     falls, flat = (test(drop, rules.SUCCESS_MARGIN) for test in (rules.p_above, rules.p_below))
@@ -181,16 +173,20 @@ def _of_sweep(
 
 
 def _of_levels(
-    sweeps: Sweeps, fixed: str, *, value: Measure, success: Measure, best: Mapping[str, Source]
+    sweeps: Sweeps, levels: Levels, adding: str, *, value: Measure, linker: Source
 ) -> Iterator[Contrast]:
     """Yield every level of other mechanisms against fixed noise of the same descriptor value."""
+    fixed, success = sweeps.named(FIXED, adding=adding), linker.measure(SUCCESS)
     scale, achieved = sweeps.curve(fixed, value), sweeps.curve(fixed, success)
     assert scale is not None
     assert achieved is not None
     change = scale[:, -1:] - scale
     span = change[:, 0]
-    for mechanism, linker in best.items():
-        theirs = linker.measure(SUCCESS)
+    for mechanism in sweeps.others(adding):
+        # An adversary takes what works: against other errors that may be another linker.
+        blocks = (block for (name, _), block in levels.items() if name == mechanism)
+        rival = strongest_of(blocks) or linker
+        theirs = rival.measure(SUCCESS)
         for level in sweeps.levels(mechanism):
             at, reached = (sweeps.point(mechanism, level, one) for one in (value, theirs))
             if at is None or reached is None:
@@ -206,7 +202,7 @@ def _of_levels(
             gap = reached[:n_rows] - expected[:, 0]
             if np.isfinite(gap[1:]).mean() >= MIN_DEFINED and np.isfinite(gap[0]):
                 n = min(sweeps.n(fixed, success), sweeps.n(mechanism, theirs))
-                yield Contrast(mechanism, level, linker.attack.label, estimate_of(gap, n=n))
+                yield Contrast(mechanism, level, rival.attack.label, estimate_of(gap, n=n))
 
 
 def _taus(

@@ -123,12 +123,10 @@ def within(
                         release = np.column_stack([one.hit, *one.descriptors.values()])
                         mine.setdefault(release.tobytes(), one)
                 if any(one.mechanism != RAW for one in mine.values()):
-                    yield _item(
-                        [*mine.values()], adding=adding, descriptor=descriptor, linker=linker
-                    )
+                    yield _item([*mine.values()], adding, descriptor, linker)
 
 
-def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker: Source) -> Draft:
+def _item(levels: Sequence[LevelTracks], adding: str, descriptor: str, linker: Source) -> Draft:
     works = clustered_mean(
         np.concatenate([one.hit - one.chance for one in levels]),
         np.concatenate([one.cluster for one in levels]),

@@ -27,13 +27,8 @@ def matched(found, *, dataset, predictors):
 
 def claims(found, *, dataset="students03", points=366.0, interval_s=0.0834):
     at = matched(found, dataset=dataset, predictors=[PREDICTOR])
-    return paper.claims(
-        sweeps_of(found),
-        at,
-        dataset=dataset,
-        history_points=points,
-        history_interval_s=interval_s,
-    )
+    history = {"points": points, "interval_s": interval_s}
+    return paper.claims(sweeps_of(found), at, dataset=dataset, history=history)
 
 
 def estimate(value, spread=0.0, n=50):

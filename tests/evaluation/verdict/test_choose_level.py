@@ -8,8 +8,13 @@ import pytest
 from helpers.summaries import FID, FIXED, USUAL, asked, edited, scheme, statuses, write_run
 
 from evaluation.reporting.design_words import closer, notes, reasons, sentence, to_json
-from evaluation.verdict.choose_level import Limits
+from evaluation.verdict.choose_level import WEAK, Limits
 from isac_track.errors import SettingsError
+
+
+def linear(out, **question):
+    """The answer under linear adding, with the usual target."""
+    return asked(out, adding=("linear",), **({"missed": 0.23} | question))
 
 
 @pytest.fixture
@@ -91,7 +96,7 @@ class TestLevel:
         assert to_json(answer)["schemes"][0]["stricter"]["missed"]["value"] is None
 
     def test_none_says_by_how_much_the_least_strict_one_fails(self, made):
-        answer = asked(made(), missed=0.10, adding=("linear",))
+        answer = linear(made(), missed=0.10)
         assert scheme(answer).chosen is None
         (line,) = reasons(scheme(answer))
         assert line == (
@@ -116,7 +121,7 @@ class TestLimits:
     def test_hold_for_the_upper_end_of_what_was_shared(self, made, limits, failing):
         # PLR at eta = 100: 0.4 + 0.01, AEL 0.2 + 0.01, MEL 0.8 + 0.1.
         given = {name: float(limit) for name, limit in map(str.split, limits.split(", "))}
-        answer = asked(made(), adding=("linear",), missed=0.23, **given)
+        answer = linear(made(), **given)
         not_met = {name for name, status in statuses(scheme(answer)).items() if status == "not met"}
         assert not_met == set(failing.split())
         assert statuses(scheme(answer)).keys() == {"missed", *given}
@@ -124,14 +129,13 @@ class TestLimits:
 
     def test_after_an_attack_are_those_of_the_strongest_but_the_oracles(self, made):
         out = made()
-        question = {"adding": ("linear",), "missed": 0.23, "after_attack": True}
-        answer = asked(out, plr=0.72, mel=4.2, **question)
+        answer = linear(out, plr=0.72, mel=4.2, after_attack=True)
         found = scheme(answer).chosen.after_attack
         assert (found.attack, found.knowledge) == ("radial_rts", "informed")
         shown = [found.numbers[name].value for name in ("plr", "mel")]
         assert shown == pytest.approx([0.70, 4.0])
         assert answer.met
-        below = scheme(asked(out, plr=0.70, **question))
+        below = scheme(linear(out, plr=0.70, after_attack=True))
         assert statuses(below)["plr"] == "not met"
         assert any("PLR after radial_rts (informed) 70.0 %" in line for line in reasons(below))
 
@@ -142,7 +146,7 @@ class TestLimits:
             return frame[(frame["level"] != "100.0") | (frame["knowledge"] == "")]
 
         edited(out, "summary.csv", without)
-        answer = asked(out, adding=("linear",), missed=0.23, plr=0.99, after_attack=True)
+        answer = linear(out, plr=0.99, after_attack=True)
         assert statuses(scheme(answer))["plr"] == "cannot say"
         assert not answer.met
         assert "cannot be judged by PLR" in sentence(answer)
@@ -173,7 +177,7 @@ class TestLimits:
 class TestRank1:
     def test_is_of_the_strongest_attack_but_the_oracles(self, made):
         out = made()
-        answer = asked(out, missed=0.23, rank1=0.46, adding=("linear",))
+        answer = linear(out, rank1=0.46)
         (rerelease, simulated) = scheme(answer).chosen.tasks
         assert (rerelease.attack, rerelease.knowledge) == ("shape", "informed")
         assert (rerelease.rank1.value, rerelease.chance) == (0.40, 0.01)
@@ -181,18 +185,28 @@ class TestRank1:
         assert (simulated.attack, simulated.knowledge) == ("shape", "blind")
         assert statuses(scheme(answer)) == {"missed": "met", "rank1/rerelease": "met"}
         assert answer.met
-        answer = asked(out, missed=0.23, rank1=0.44, adding=("linear",))  # below its upper end
+        answer = linear(out, rank1=0.44)  # below its upper end
         assert statuses(scheme(answer))["rank1/rerelease"] == "not met"
         assert "exceeds the limits of rank 1 in rerelease" in sentence(answer)
 
-    def test_is_of_the_blind_adversary_where_nobody_links_better(self, made):
+    @pytest.mark.parametrize(
+        ("rows", "best"),
+        [
+            # Nobody links better than the blind adversary.
+            ({("shape", "blind"): (0.20, "links"), ("shape", "informed"): (0.10, "links")}, 0.20),
+            # A valid attack, not a stronger one that is none.
+            ({("shape", "informed"): (0.30, WEAK), ("dtw", "informed"): (0.20, "links")}, 0.20),
+        ],
+    )
+    def test_is_of_the_best_that_counts(self, made, rows, best):
         cells = {
-            ("split", "shape", "blind"): {"rank1": 0.20},
-            ("split", "shape", "informed"): {"rank1": 0.10},
+            ("split", *who): {"rank1": rank1, "outcome": outcome}
+            for who, (rank1, outcome) in rows.items()
         }
-        answer = asked(made(cells=cells), missed=0.23, adding=("linear",))
+        answer = linear(made(cells=cells), rank1=0.26)
         (split,) = scheme(answer).chosen.tasks
-        assert (split.attack, split.knowledge, split.rank1.value) == ("shape", "blind", 0.20)
+        assert split.rank1.value == best == rows[split.attack, split.knowledge][0]
+        assert answer.met
 
     @pytest.mark.parametrize(
         ("row", "reason"),
@@ -205,7 +219,7 @@ class TestRank1:
     )
     def test_cannot_be_said_from_what_is_no_measure(self, made, row, reason):
         cells = {("split", "shape", "informed"): {"rank1": 0.01} | row}
-        answer = asked(made(cells=cells), adding=("linear",), missed=0.23, rank1=0.9)
+        answer = linear(made(cells=cells), rank1=0.9)
         assert statuses(scheme(answer))["rank1/split"] == "cannot say"
         assert not answer.met
         assert any(reason in line for line in reasons(scheme(answer)))
@@ -213,22 +227,12 @@ class TestRank1:
     @pytest.mark.parametrize(("limit", "met"), [(0.07, True), (0.05, False)])
     def test_without_a_detected_link_is_still_limited_by_its_upper_end(self, made, limit, met):
         cells = {("split", "shape", "informed"): {"rank1": 0.01, "outcome": "no link detected"}}
-        assert asked(made(cells=cells), missed=0.23, rank1=limit, adding=("linear",)).met == met
-
-    def test_prefers_a_valid_attack_to_a_stronger_one_that_is_not(self, made):
-        cells = {
-            ("split", "shape", "informed"): {"rank1": 0.30, "outcome": "attack too weak"},
-            ("split", "dtw", "informed"): {"rank1": 0.20},
-        }
-        answer = asked(made(cells=cells), missed=0.23, rank1=0.26, adding=("linear",))
-        (split,) = scheme(answer).chosen.tasks
-        assert split.attack == "dtw"
-        assert answer.met
+        assert linear(made(cells=cells), rank1=limit).met == met
 
     def test_cannot_be_said_at_a_level_where_nothing_was_linked(self, made):
         out = made()
         edited(out, "linkability.csv", lambda frame: frame[frame["level"] != "100.0"])
-        answer = asked(out, missed=0.23, rank1=0.9, adding=("linear",))
+        answer = linear(out, rank1=0.9)
         assert statuses(scheme(answer))["rank1/rerelease"] == "cannot say"
 
 
@@ -249,12 +253,10 @@ class TestFamilies:
         ]
         assert answer.asked == [scheme(answer), scheme(answer, adding="independent")]
         assert answer.met
-
-    def test_one_without_a_declared_rule_is_judged_under_both_and_told(self, made):
-        answer = asked(made(USUAL | {"mine": MINE}), missed=0.23)
+        # One without a declared rule is judged under both, and that is told.
         both = [scheme(answer, "mine", rule) for rule in ("linear", "independent")]
         assert [one.chosen.level for one in both] == [0.5, 0.5]
-        assert any("mine: declares no adding rule" in note for note in notes(answer))
+        assert any("mine, mine:k=2: declares no adding rule" in note for note in notes(answer))
 
     def test_without_fid_it_is_what_is_asked_about(self, made):
         out = made({"mine": MINE, "fixed": {0.1: 0.9}})
@@ -282,11 +284,7 @@ class TestFamilies:
         assert scheme(answer, "mine").chosen.level == 0.1
 
     def test_without_levels_it_is_judged_as_it_is(self, made):
-        answer = asked(
-            made({"fid": FID, "fixed": FIXED, "mine": {np.nan: 0.1}}),
-            missed=0.23,
-            adding=("linear",),
-        )
+        answer = linear(made({"fid": FID, "fixed": FIXED, "mine": {np.nan: 0.1}}))
         one = scheme(answer, "mine")
         assert (one.met, one.chosen.level, one.stricter) == (True, None, None)
         assert "--mechanism mine" not in closer(answer)
