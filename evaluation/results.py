@@ -124,7 +124,7 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
     compared = tuple(comparisons(sweeps, predictors=predictors))
     at_equal = matched(compared, known=known, dataset=dataset)
-    best = strongest({key: one.value for key, one in sweeps.found.items()}, known)
+    best = strongest(sweeps.found, known)
     tracks = read_levels(out, manifest, sweeps, strongest=best)
     said = verdict.verdict(sweeps, compared, tracks, strongest=best, manifest=manifest)
     results = Results(

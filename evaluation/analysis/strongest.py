@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Key, Source, Where
+    from isac_track.intervals import Estimate
+
+    Levels = dict[Where, dict[Source, float]]
 
 
 def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
@@ -44,35 +47,33 @@ def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
     return max(finite, key=finite.__getitem__, default=None)
 
 
-def strongest(values: Mapping[Key, float], known: Mapping[str, Family]) -> dict[str, Source]:
+def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dict[str, Source]:
     """Return the strongest linker of a run by task; under "" the strongest reconstruction.
 
-    `values` are every estimate of the run, `known` its mechanisms.
+    `found` is every estimate of the run, `known` its mechanisms.
     """
     best = {}
     for metric in (EXPOSURE, SUCCESS):
-        levels = by_task(values, metric=metric)
+        levels = by_task(found, metric=metric)
         families = {known[name].family for blocks in levels.values() for name, _ in blocks}
         wanted = SWEPT if families & {FIXED, FID} else families - {CLEAN}
         for task, blocks in levels.items():
-            found = strongest_of(
+            one = strongest_of(
                 block for (name, _), block in blocks.items() if known[name].family in wanted
             )
-            if found is not None:
-                best[task] = found
+            if one is not None:
+                best[task] = one
     return best
 
 
-def by_task(
-    values: Mapping[Key, float], *, metric: str
-) -> dict[str, dict[Where, dict[Source, float]]]:
+def by_task(found: Mapping[Key, Estimate], *, metric: str) -> dict[str, Levels]:
     """Return the success of every attack by task, level, and attack."""
-    found: dict[str, dict[Where, dict[Source, float]]] = {}
-    for key, value in values.items():
+    values: dict[str, Levels] = {}
+    for key, one in found.items():
         if key.metric == metric:
-            of_task = found.setdefault(key.source.task, {})
-            of_task.setdefault(key.where, {})[key.source] = value
-    return found
+            of_task = values.setdefault(key.source.task, {})
+            of_task.setdefault(key.where, {})[key.source] = one.value
+    return values
 
 
 def most_knowing(of: Iterable[Source]) -> list[Source]:

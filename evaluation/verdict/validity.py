@@ -26,11 +26,10 @@ from isac_track.intervals import estimate_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from evaluation.analysis.keys import Measure, Source, Where
+    from evaluation.analysis.keys import Measure, Source
+    from evaluation.analysis.strongest import Levels
     from evaluation.analysis.sweeps import Sweeps
     from isac_track.intervals import Estimate
-
-    Levels = Mapping[Where, Mapping[Source, float]]
 
 _UNADJUSTED: Final = 0.05
 """For what is told beside a decision."""
@@ -79,7 +78,7 @@ def validity(sweeps: Sweeps, *, success: Mapping[str, Source]) -> Iterator[Draft
 
     `success` is by task its strongest linker; against a control the strongest there counts.
     """
-    levels = by_task({key: one.value for key, one in sweeps.found.items()}, metric=SUCCESS)
+    levels = by_task(sweeps.found, metric=SUCCESS)
     for adding in ADDING_RULES:
         for descriptor in DESCRIPTORS:
             for task, linker in success.items():

@@ -90,7 +90,7 @@ def said_of(found, levels):
     }
     sweeps = sweeps_of(found)
     compared = tuple(comparisons(sweeps, predictors=[PREDICTOR]))
-    best = strongest({key: one.value for key, one in found.items()}, sweeps.known)
+    best = strongest(found, sweeps.known)
     return verdict(sweeps, compared, levels, strongest=best, manifest=manifest)
 
 

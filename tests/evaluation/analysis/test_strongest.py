@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from helpers.mechanisms import families_of
 
-from evaluation.analysis.keys import Key, Source
+from evaluation.analysis.keys import Source
 from evaluation.analysis.strongest import strongest, strongest_of
+from isac_track.intervals import Estimate
 
 SHAPE, DTW = Source("rerelease/shape", "blind"), Source("rerelease/dtw", "informed")
 LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
@@ -14,7 +15,7 @@ LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
 def values(by, *, metric="rank1", levels=LEVELS):
     """Return what each attack achieves at each level: a number for all, or one for each."""
     return {
-        Key(*where, source.consumer, metric, source.knowledge): achieved
+        source.measure(metric).at(*where): Estimate(achieved)
         for source, found in by.items()
         for where, achieved in zip(levels, np.broadcast_to(found, len(levels)), strict=True)
         if np.isfinite(achieved) or metric == "plr"
