@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from scipy.optimize import brentq
@@ -32,7 +32,7 @@ from isac_track.errors import DataError
 from isac_track.scenes import cut, make_scenes, track_order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from evaluation.cells.work import Levels
     from isac_track.scenes import Cut
@@ -71,13 +71,8 @@ class Targets:
     """At eta = 1000, linear adding."""
 
 
-@dataclass(frozen=True, slots=True)
-class Calibration:
-    """Fitted constants, and what they predict."""
-
-    fit: SensingSettings
-    numbers: dict[tuple[str, str], float]
-    """By SPEC and metric."""
+Calibration: TypeAlias = "tuple[SensingSettings, Mapping[tuple[str, str], float]]"
+"""Fitted constants, and what they predict, by SPEC and metric."""
 
 
 def ridge() -> dict[str, dict[str, float]]:
@@ -111,7 +106,7 @@ def calibrate(
         targets=Targets(*(paper[one] for one in wanted)),
     )
     fitted = replace(stages, sensing=found)
-    return Calibration(found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed))
+    return found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed)
 
 
 def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tuple[Link, ...]:

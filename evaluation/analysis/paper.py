@@ -11,12 +11,12 @@ import pandas as pd
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
 from evaluation.analysis.keys import Measure
 from evaluation.analysis.matching import MIN_DEFINED, MISSED
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
+from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import difference
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from evaluation.analysis.sweeps import Sweeps
 
@@ -112,25 +112,15 @@ def claims(
     rows: list[tuple[object, ...]] = []
     for adding in ADDING_RULES:
         fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
-        of_fid = matched[
-            (matched["adding"] == adding)
-            & (matched["mechanism"] == fid)
-            & (matched["criterion"] == MISSED)
-            & (matched["consumer"] == SHARED)
-            & (matched["predictor"] == PREDICTOR)
-        ]
+        wanted = {"adding": adding, "mechanism": fid, "criterion": MISSED}
+        wanted |= {"consumer": SHARED, "predictor": PREDICTOR}
+        of_fid = matched[matched[[*wanted]].eq(pd.Series(wanted)).all(axis=1)]
         found = [
-            *(_close_to_raw(sweeps, fixed, level=level) for level in (0.1, 0.2)),
-            *(
-                _monotone_in_eta(sweeps, fid, metric=metric, sign=sign)
-                for metric, sign in ((MISSED_RATE, -1.0), ("plr", 1.0), ("mel", 1.0))
-            ),
-            *(
-                _better_at_every_rate(of_fid[of_fid["metric"] == metric], metric, n=n_clusters)
-                for metric in DESCRIPTORS
-            ),
+            *_close_to_raw(sweeps, fixed),
+            *_monotone_in_eta(sweeps, fid),
+            *_better_at_every_rate(of_fid, n=n_clusters),
         ]
-        rows += [(adding, *row) for row in found if row is not None]
+        rows += [(adding, *row) for row in found]
     if dataset == DATASET:
         points, interval_s = history["points"], history["interval_s"]
         is_long = abs(points - 366) <= 4  # noqa: PLR2004 - stated with the rules
@@ -154,78 +144,82 @@ def _measure(metric: str) -> Measure:
     return Measure(PREDICTOR if metric == MISSED_RATE else SHARED, metric)
 
 
-def _close_to_raw(sweeps: Sweeps, fixed: str, *, level: float) -> _Claim | None:
+def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[_Claim]:
     missed = _measure(MISSED_RATE)
-    raw, ours = (sweeps.found.get(missed.at(*where)) for where in ((RAW, None), (fixed, level)))
-    if raw is None or ours is None:
-        return None
-    rise = difference(ours, raw)
-    return (
-        f"fixed error {level:g} m: missed-conflict rate close to raw",
-        _answer(holds=rise.ci_high < CLOSE_TO_RAW, fails=rise.ci_low > CLOSE_TO_RAW, n=ours.n),
-        *(rise.value, rise.ci_low, rise.ci_high, METRICS[MISSED_RATE].summary_unit),
-        f"rise over raw, margin {CLOSE_TO_RAW:g}",
-    )
+    for level in (0.1, 0.2):
+        raw, ours = (sweeps.found.get(missed.at(*where)) for where in ((RAW, None), (fixed, level)))
+        if raw is None or ours is None:
+            continue
+        rise = difference(ours, raw)
+        is_close, is_far = rise.ci_high < CLOSE_TO_RAW, rise.ci_low > CLOSE_TO_RAW
+        yield (
+            f"fixed error {level:g} m: missed-conflict rate close to raw",
+            _answer(holds=is_close, fails=is_far, n=ours.n),
+            *(rise.value, rise.ci_low, rise.ci_high, METRICS[MISSED_RATE].summary_unit),
+            f"rise over raw, margin {CLOSE_TO_RAW:g}",
+        )
 
 
-def _monotone_in_eta(sweeps: Sweeps, fid: str, *, metric: str, sign: float) -> _Claim | None:
+def _monotone_in_eta(sweeps: Sweeps, fid: str) -> Iterator[_Claim]:
     lowest, highest = 1.0, 1000.0
-    found = {
-        key.level: one
-        for key, one in sweeps.found.items()
-        if key.mechanism == fid
-        and key.measure == _measure(metric)
-        and key.level is not None
-        and lowest <= key.level <= highest
-    }
-    if not {lowest, highest} <= found.keys():
-        return None
-    points = [found[level] for level in sorted(found)]
-    # Turned so that what is claimed is a rise.
-    change, *steps = (
-        difference(*((b, a) if sign > 0 else (a, b)))
-        for a, b in ((points[0], points[-1]), *pairwise(points))
-    )
-    against = sum(step.value < 0 for step in steps)
-    wrong = sum(step.ci_high < 0 for step in steps)
-    is_sure = change.ci_low > 0 and wrong == 0
-    is_wrong = change.ci_high < 0 or wrong > 0
-    low, high = sorted((sign * change.ci_low, sign * change.ci_high))
-    evidence = (
-        f"change between the ends; of {len(steps)} steps {against} go the other way, {wrong} "
-        "beyond their interval"
-    )
-    return (
-        f"eta 1 to 1000: {METRICS[metric].text} {'falls' if sign < 0 else 'rises'} monotonically",
-        _answer(holds=is_sure, fails=is_wrong, n=min(point.n for point in points)),
-        *(points[-1].value - points[0].value, low, high, METRICS[metric].summary_unit),
-        evidence,
-    )
+    for metric, sign in ((MISSED_RATE, -1.0), ("plr", 1.0), ("mel", 1.0)):
+        found = {
+            key.level: one
+            for key, one in sweeps.found.items()
+            if key.mechanism == fid
+            and key.measure == _measure(metric)
+            and key.level is not None
+            and lowest <= key.level <= highest
+        }
+        if not {lowest, highest} <= found.keys():
+            continue
+        points = [found[level] for level in sorted(found)]
+        # Turned so that what is claimed is a rise.
+        change, *steps = (
+            difference(*((b, a) if sign > 0 else (a, b)))
+            for a, b in ((points[0], points[-1]), *pairwise(points))
+        )
+        against = sum(step.value < 0 for step in steps)
+        wrong = sum(step.ci_high < 0 for step in steps)
+        is_sure = change.ci_low > 0 and wrong == 0
+        is_wrong = change.ci_high < 0 or wrong > 0
+        low, high = sorted((sign * change.ci_low, sign * change.ci_high))
+        word = "falls" if sign < 0 else "rises"
+        evidence = (
+            f"change between the ends; of {len(steps)} steps {against} go the other way, {wrong} "
+            "beyond their interval"
+        )
+        yield (
+            f"eta 1 to 1000: {METRICS[metric].text} {word} monotonically",
+            _answer(holds=is_sure, fails=is_wrong, n=min(point.n for point in points)),
+            *(points[-1].value - points[0].value, low, high, METRICS[metric].summary_unit),
+            evidence,
+        )
 
 
-def _better_at_every_rate(every: pd.DataFrame, metric: str, *, n: int) -> _Claim | None:
-    if every.empty:
-        return None
-    claim = f"at every matched missed-conflict rate: FID has lower {METRICS[metric].text}"
-    unit = METRICS[metric].summary_unit
-    reached = every[every["defined"] >= MIN_DEFINED]
-    left_out = len(every) - len(reached)
-    if reached.empty:
-        why = f"none of {left_out} rates is reached by enough replicates"
-        return claim, "undecided", np.nan, np.nan, np.nan, unit, why
-    better = int((reached["ci_high"] < 0).sum())
-    worse = int((reached["ci_low"] > 0).sum())
-    # The rate shown is the one that speaks most against the claim.
-    against = reached["ci_low" if worse else "ci_high"].to_numpy()
-    worst = reached.iloc[int(against.argmax())]
-    effect, low, high = (float(worst[name]) for name in ("difference", "ci_low", "ci_high"))
-    answer = _answer(holds=better == len(reached), fails=worse > 0, n=n)
-    evidence = (
-        "FID minus fixed where it speaks most against, at a rate of "
-        f"{worst['missed_conflict_rate']:.3f}; of {len(reached)} rates {better} better, {worse} "
-        f"worse beyond the interval; {left_out} more are not reached by enough replicates"
-    )
-    return claim, answer, effect, low, high, unit, evidence
+def _better_at_every_rate(matched: pd.DataFrame, *, n: int) -> Iterator[_Claim]:
+    for metric, every in matched.groupby("metric", sort=False):
+        claim = f"at every matched missed-conflict rate: FID has lower {METRICS[metric].text}"
+        unit = METRICS[metric].summary_unit
+        reached = every[every["defined"] >= MIN_DEFINED]
+        left_out = len(every) - len(reached)
+        if reached.empty:
+            why = f"none of {left_out} rates is reached by enough replicates"
+            yield claim, "undecided", np.nan, np.nan, np.nan, unit, why
+            continue
+        better = int((reached["ci_high"] < 0).sum())
+        worse = int((reached["ci_low"] > 0).sum())
+        # The rate shown is the one that speaks most against the claim.
+        worst = reached.iloc[int(reached["ci_low" if worse else "ci_high"].to_numpy().argmax())]
+        effect, low, high = (float(worst[name]) for name in ("difference", "ci_low", "ci_high"))
+        answer = _answer(holds=better == len(reached), fails=worse > 0, n=n)
+        evidence = (
+            "FID minus fixed where it speaks most against, at a rate of "
+            f"{worst['missed_conflict_rate']:.3f}; of {len(reached)} rates {better} better, "
+            f"{worse} worse beyond the interval; {left_out} more are not reached by enough "
+            "replicates"
+        )
+        yield claim, answer, effect, low, high, unit, evidence
 
 
 def _answer(*, holds: bool, fails: bool, n: int) -> str:
