@@ -1,4 +1,4 @@
-"""The strongest attack: one definition, from estimates and from a summary."""
+"""The strongest attack: one definition."""
 
 import numpy as np
 import pytest
