@@ -198,9 +198,10 @@ def _monotone_in_eta(sweeps: Sweeps, fid: str) -> Iterator[_Claim]:
 
 
 def _better_at_every_rate(matched: pd.DataFrame, *, n: int) -> Iterator[_Claim]:
-    for metric, every in matched.groupby("metric", sort=False):
-        claim = f"at every matched missed-conflict rate: FID has lower {METRICS[metric].text}"
-        unit = METRICS[metric].summary_unit
+    for name, every in matched.groupby("metric", sort=False):
+        metric = METRICS[str(name)]
+        claim = f"at every matched missed-conflict rate: FID has lower {metric.text}"
+        unit = metric.summary_unit
         reached = every[every["defined"] >= MIN_DEFINED]
         left_out = len(every) - len(reached)
         if reached.empty:
@@ -211,7 +212,7 @@ def _better_at_every_rate(matched: pd.DataFrame, *, n: int) -> Iterator[_Claim]:
         worse = int((reached["ci_low"] > 0).sum())
         # The rate shown is the one that speaks most against the claim.
         worst = reached.iloc[int(reached["ci_low" if worse else "ci_high"].to_numpy().argmax())]
-        effect, low, high = (float(worst[name]) for name in ("difference", "ci_low", "ci_high"))
+        effect, low, high = (float(worst[one]) for one in ("difference", "ci_low", "ci_high"))
         answer = _answer(holds=better == len(reached), fails=worse > 0, n=n)
         evidence = (
             "FID minus fixed where it speaks most against, at a rate of "

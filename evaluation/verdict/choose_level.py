@@ -311,7 +311,7 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _level(
-    where: tuple[str, float],
+    where: tuple[Any, ...],
     rows: pd.DataFrame,
     tasks: Sequence[LinkedTask],
     predictor: str,
