@@ -8,8 +8,8 @@ from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import Estimate
 
-FIXED = dict(zip(np.linspace(0.1, 1.0, 10), np.linspace(0.1, 1.0, 10), strict=True))
-FID = dict(zip(10.0 ** np.arange(8), np.linspace(0.8, 0.05, 8), strict=True))
+FIXED = dict(zip(np.linspace(0.05, 1.0, 20), np.linspace(0.05, 1.0, 20), strict=True))
+FID = dict(zip(10.0 ** np.arange(16), np.linspace(0.8, 0.05, 16), strict=True))
 """Noise of every level."""
 PREDICTORS = ("least_squares", "kalman_cv")
 
