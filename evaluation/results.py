@@ -10,9 +10,8 @@ import pandas as pd
 from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
-from evaluation.analysis.families import families
+from evaluation.analysis.families import families_in
 from evaluation.analysis.matching import comparisons, matched
-from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.sweeps import Sweeps
 from evaluation.experiment.plan import plan
@@ -121,27 +120,19 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
     )
     read = linkability.cards(out, manifest)
     linked = summary.linkage_estimates(read)
-    known = families(manifest["cells"])
+    known = families_in(manifest["cells"])
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
     compared = tuple(comparisons(sweeps, predictors=predictors))
     at_equal = matched(compared, known=known, dataset=dataset)
-    values = {key: one.value for key, one in sweeps.found.items()}
-    success = strongest(values, known, metric=SUCCESS)
-    said = verdict.verdict(
-        sweeps, compared, read_levels(out, manifest, sweeps, success=success), manifest=manifest
-    )
+    best = strongest(sweeps.found, known)
+    tracks = read_levels(out, manifest, sweeps, strongest=best)
+    said = verdict.verdict(sweeps, compared, tracks, strongest=best, manifest=manifest)
     results = Results(
         out=out,
         manifest=manifest,
         summary=summary.to_frame({**found, **linked}, known=known, dataset=dataset),
         paper_table=paper.paper_table(sweeps, dataset=dataset),
-        claims=paper.claims(
-            sweeps,
-            at_equal,
-            dataset=dataset,
-            history_points=manifest["history"]["points"],
-            history_interval_s=manifest["history"]["interval_s"],
-        ),
+        claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,
         decisions=decided,
         curves=curves,
@@ -149,10 +140,7 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         linkability=linkability.linkability(read, dataset=dataset),
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
-        strongest={
-            task: source.attack
-            for task, source in (strongest(values, known, metric=EXPOSURE) | success).items()
-        },
+        strongest={task: source.attack for task, source in best.items()},
         gallery=read_gallery(out),
     )
     for frame, name in (

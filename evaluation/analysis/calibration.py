@@ -13,12 +13,13 @@ the predictions with them, when what was fixed beforehand is fixed elsewhere.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from scipy.optimize import brentq
 
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
 from evaluation.analysis.paper import PREDICTOR, PUBLISHED
 from evaluation.cells.tables import ROWS
 from evaluation.cells.work import Block, cells
@@ -30,15 +31,16 @@ from isac_track.errors import DataError
 from isac_track.scenes import cut, make_scenes, track_order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
+    from evaluation.cells.work import Levels
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Tracks
 
-_GAIN_RANGE_DB = (-20.0, 60.0)
-"""Net gain: processing gain less the CRB gap."""
-_SPREAD_RANGE_DB = (2.0, 30.0)
-_GAP_RANGE_DB = (0.0, 40.0)
+FITTED = ("processing_gain_db", "large_scale_db", "crb_gap_db")
+"""Settings of the sensing model."""
+_GAINS, _SPREADS, _GAPS = (-20.0, 60.0), (2.0, 30.0), (0.0, 40.0)
+"""Ranges in dB; the gain is net, the processing gain less the CRB gap."""
 _RESOLUTION_DB = 0.01
 _FID_ETA = 1000.0
 _LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
@@ -59,15 +61,6 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
-    """Fitted constants, rounded to 0.01 dB."""
-
-    processing_gain_db: float
-    large_scale_db: float
-    crb_gap_db: float
-
-
-@dataclass(frozen=True, slots=True)
 class Targets:
     """The numbers that the constants are fitted to."""
 
@@ -77,23 +70,8 @@ class Targets:
     """At eta = 1000, linear adding."""
 
 
-def published_targets() -> Targets:
-    """Return the paper's values of the three fitted numbers."""
-    values = {(mechanism, level, metric): value for mechanism, level, metric, value in PUBLISHED}
-    return Targets(
-        raw_plr=values["raw", None, "plr"],
-        raw_mel_s=values["raw", None, "mel"],
-        fid_plr=values["fid", _FID_ETA, "plr"],
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Calibration:
-    """Fitted constants, and what they predict."""
-
-    fit: Fit
-    numbers: dict[tuple[str, str], float]
-    """By SPEC and metric."""
+Calibration: TypeAlias = "tuple[SensingSettings, Mapping[tuple[str, str], float]]"
+"""Fitted constants, and what they predict, by SPEC and metric."""
 
 
 def ridge() -> dict[str, dict[str, float]]:
@@ -110,12 +88,7 @@ def calibrate(
 ) -> Calibration:
     """Return the constants that reproduce the paper's fitted numbers on a recording.
 
-    Parameters
-    ----------
-    recorded : Tracks
-    changes : dict
-        ``{"stage.key": value}``: what is fixed elsewhere than as committed.
-    n_scenes, seed : int
+    `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed.
 
     Raises
     ------
@@ -124,41 +97,42 @@ def calibrate(
     """
     stages = StageSettings().changed(changes)
     tracks = cut(recorded, settings=stages, seed=seed)
-    blocks = links(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
-    found = fit(blocks, stages=stages, targets=published_targets())
-    fitted = {f"sensing.{name}": value for name, value in asdict(found).items()}
-    numbers = predictions(tracks, stages=stages.changed(fitted), n_scenes=n_scenes, seed=seed)
-    return Calibration(found, numbers)
+    paper = {(mechanism, level, metric): value for mechanism, level, metric, value in PUBLISHED}
+    wanted = (("raw", None, "plr"), ("raw", None, "mel"), ("fid", _FID_ETA, "plr"))
+    found = fit(
+        links(tracks, stages=stages, n_scenes=n_scenes, seed=seed),
+        stages=stages,
+        targets=Targets(*(paper[one] for one in wanted)),
+    )
+    fitted = replace(stages, sensing=found)
+    return found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed)
 
 
 def links(tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int) -> tuple[Link, ...]:
     """Return the links of the run's own scenes, block by block."""
     without_spread = replace(stages.sensing, large_scale_db=0.0)
+    station = np.array([stages.sensing.bs_x_m, stages.sensing.bs_y_m])
     found = []
-    for first, order in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed):
-        scenes = make_scenes(tracks, order=order, first=first, settings=stages, seed=seed)
+    for block in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed):
+        scenes = make_scenes(
+            tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
+        )
+        n_samples = np.diff(scenes.offsets)
         channel = sensing.draw_channel(
-            n_samples=np.diff(scenes.offsets).reshape(len(scenes), -1),
+            n_samples=n_samples.reshape(len(scenes), -1),
             keys=[("scene", int(index)) for index in scenes.index],
             settings=stages.sensing,
             seed=seed,
         )
-        owner = np.repeat(np.arange(scenes.track.size), np.diff(scenes.offsets))
-        station = np.array([stages.sensing.bs_x_m, stages.sensing.bs_y_m])
-        found.append(
-            Link(
-                gain=sensing.link_gain(
-                    distance_m=np.hypot(*(scenes.xy - station).T),
-                    owner=owner,
-                    channel=channel,
-                    settings=without_spread,
-                ),
-                large_scale=channel.large_scale[owner],
-                unit_norm=np.hypot(*channel.unit_error.T),
-                t=scenes.t,
-                offsets=scenes.offsets,
-            )
+        owner = np.repeat(np.arange(scenes.track.size), n_samples)
+        gain = sensing.link_gain(
+            distance_m=np.hypot(*(scenes.xy - station).T),
+            owner=owner,
+            channel=channel,
+            settings=without_spread,
         )
+        unit_norm = np.hypot(*channel.unit_error.T)
+        found.append(Link(gain, channel.large_scale[owner], unit_norm, scenes.t, scenes.offsets))
     return tuple(found)
 
 
@@ -168,8 +142,6 @@ def descriptors(
     settings: SensingSettings,
     epsilon_m: float,
     eta: float | None = None,
-    alpha_m: float = 0.5,
-    beta: float = 1.5,
 ) -> tuple[float, float]:
     """Return mean PLR and mean MEL in s, raw or under FID with linear adding."""
     plr, mel_s = [], []
@@ -181,7 +153,7 @@ def descriptors(
             fid = sensing.fisher_information_density(
                 information=information, t=link.t, offsets=link.offsets
             )
-            sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=alpha_m, beta=beta)
+            sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=0.5, beta=1.5)
         exposure = privacy.exposure(
             leaked=sigma * link.unit_norm < epsilon_m, t=link.t, offsets=link.offsets
         )
@@ -190,99 +162,73 @@ def descriptors(
     return float(np.concatenate(plr).mean()), float(np.concatenate(mel_s).mean())
 
 
-def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) -> Fit:
-    """Return the constants that reproduce the targets.
+def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) -> SensingSettings:
+    """Return the settings whose `FITTED` constants, to 0.01 dB, reproduce the targets.
 
     Raises
     ------
     DataError
         If no constants in the searched ranges do.
     """
-    epsilon_m = stages.privacy.epsilon_m
 
-    def trial(*, net_db: float, spread_db: float, gap_db: float = 0.0) -> SensingSettings:
-        return replace(
-            stages.sensing,
-            processing_gain_db=net_db + gap_db,
-            large_scale_db=spread_db,
-            crb_gap_db=gap_db,
-        )
+    def settings(net_db: float, spread_db: float, gap_db: float) -> SensingSettings:
+        fitted: Any = zip(FITTED, (net_db + gap_db, spread_db, gap_db), strict=True)
+        return replace(stages.sensing, **dict(fitted))
 
-    def raw(net_db: float, spread_db: float) -> tuple[float, float]:
-        settings = trial(net_db=net_db, spread_db=spread_db)
-        return descriptors(blocks, settings=settings, epsilon_m=epsilon_m)
+    def trial(
+        net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
+    ) -> tuple[float, float]:
+        tried, epsilon_m = settings(net_db, spread_db, gap_db), stages.privacy.epsilon_m
+        return descriptors(blocks, settings=tried, epsilon_m=epsilon_m, eta=eta)
 
-    def net_for(spread_db: float) -> float:
-        return _root(
-            lambda net_db: raw(net_db, spread_db)[0] - targets.raw_plr,
-            _GAIN_RANGE_DB,
-            what="raw PLR",
-        )
+    def net_for(spread: float) -> float:
+        return _root(lambda net: trial(net, spread)[0] - targets.raw_plr, _GAINS, what="raw PLR")
 
     spread_db = _root(
-        lambda spread: raw(net_for(spread), spread)[1] - targets.raw_mel_s,
-        _SPREAD_RANGE_DB,
+        lambda spread: trial(net_for(spread), spread)[1] - targets.raw_mel_s,
+        _SPREADS,
         what="raw MEL",
     )
     net_db = net_for(spread_db)
     gap_db = _root(
-        lambda gap: (
-            descriptors(
-                blocks,
-                settings=trial(net_db=net_db, spread_db=spread_db, gap_db=gap),
-                epsilon_m=epsilon_m,
-                eta=_FID_ETA,
-            )[0]
-            - targets.fid_plr
-        ),
-        _GAP_RANGE_DB,
+        lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - targets.fid_plr,
+        _GAPS,
         what=f"PLR at eta = {_FID_ETA:g}",
     )
-    return Fit(
-        processing_gain_db=round(net_db + gap_db, 2),
-        large_scale_db=round(spread_db, 2),
-        crb_gap_db=round(gap_db, 2),
-    )
+    found = settings(net_db, spread_db, gap_db)
+    rounded: Any = {name: round(getattr(found, name), 2) for name in FITTED}
+    return replace(found, **rounded)
 
 
 def predictions(
     tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
 ) -> dict[tuple[str, str], float]:
     """Return the run's numbers for the paper's levels, ``{(spec, metric): value}``."""
-    levels = plugins.parse_all("mechanisms", _LEVELS)
     (predictor,) = plugins.parse("predictors", PREDICTOR)
     consumers = (Consumer("shared"), Consumer("predictor", predictor))
+    levels = tuple((one, consumers) for one in plugins.parse_all("mechanisms", _LEVELS))
     parts: dict[tuple[str, str], list[Floats]] = {}
-    for number, (first, order) in enumerate(
-        _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
-    ):
-        block = Block(
-            number=number,
-            first_scene=first,
-            order=order,
-            levels=tuple((level, consumers) for level in levels),
-        )
+    for block in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed, levels=levels):
         for _, level, consumer, tables in cells(block, tracks=tracks, stages=stages, seed=seed):
             rows = tables[ROWS]
             if consumer.kind == "shared":
-                for metric, column in (("plr", "plr"), ("ael", "ael_s"), ("mel", "mel_s")):
-                    parts.setdefault((level.spec, metric), []).append(rows[column].to_numpy())
+                found = {name: rows[METRICS[name].column].to_numpy() for name in DESCRIPTORS}
             else:
                 predicted, conflict = (rows[one].to_numpy() for one in ("predicted", "conflict"))
-                missed = ~predicted[conflict]
-                parts.setdefault((level.spec, "missed_conflict_rate"), []).append(missed)
+                found = {MISSED_RATE: ~predicted[conflict]}
+            for metric, values in found.items():
+                parts.setdefault((level.spec, metric), []).append(values)
     return {key: float(np.concatenate(values).mean()) for key, values in parts.items()}
 
 
 def _blocks(
-    tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
-) -> Iterator[tuple[int, Ints]]:
-    order = track_order(
-        n_tracks=len(tracks), n_scenes=n_scenes, agents=stages.scenes.agents, seed=seed
-    )
+    tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int, levels: Levels = ()
+) -> Iterator[Block]:
+    agents = stages.scenes.agents
+    order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=seed)
     for number in range(n_blocks(n_scenes)):
         first = number * BLOCK_SCENES
-        yield first, order[first : first + BLOCK_SCENES]
+        yield Block(number, first, order[first : first + BLOCK_SCENES], levels)
 
 
 def _root(function: Callable[[float], float], bounds: tuple[float, float], *, what: str) -> float:

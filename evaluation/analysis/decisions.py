@@ -1,14 +1,20 @@
-"""What each predictor lets a robot decide: curves, their areas, and misses at equal alarms."""
+"""What each predictor lets a robot decide: misses against false alarms, the whole curve.
+
+A robot may act on the predicted separation (a conflict below d) or on the probability of a
+conflict (above p). Either score gives a curve over its threshold. Thresholds are at most
+`N_BINS` quantiles of the score over all scenes, and counts per cluster and bin are all that the
+bootstrap needs, so that its cost does not grow with the scenes.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.curves import Curve, curve
-from evaluation.analysis.keys import Key
+from evaluation.analysis.keys import Measure
 from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.analysis.summary import weights_of
 from isac_track.intervals import estimate_of, percentile_interval
@@ -16,39 +22,94 @@ from isac_track.intervals import estimate_of, percentile_interval
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from evaluation.analysis.keys import Key, Where
     from evaluation.analysis.summary import Scored
     from isac_track.intervals import Estimate
-    from isac_track.types import Floats
+    from isac_track.types import Bools, Floats, Ints
 
+N_BINS = 100
 N_POINTS = 51
-CURVE_COLUMNS = [
-    "dataset",
-    "mechanism",
-    "level",
-    "consumer",
-    "score",
-    "false_alarm_rate",
-    "missed_conflict_rate",
-]
+"""Of a curve in the file."""
+_ABOUT = ("dataset", "mechanism", "level", "consumer", "score")
+CURVE_COLUMNS = [*_ABOUT, "false_alarm_rate", "missed_conflict_rate"]
 DECISION_COLUMNS = [
-    "dataset",
-    "mechanism",
-    "level",
-    "consumer",
-    "score",
-    "area",
-    "area_low",
-    "area_high",
-    "reference",
-    "false_alarm_rate",
-    "missed_conflict_rate",
-    "missed_low",
-    "missed_high",
-    "difference",
-    "ci_low",
-    "ci_high",
+    *(*_ABOUT, "area", "area_low", "area_high", "reference"),
+    *("false_alarm_rate", "missed_conflict_rate", "missed_low", "missed_high"),
+    *("difference", "ci_low", "ci_high"),
 ]
 _SEPARATION = "separation"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Curve:
+    """Rates over K thresholds, strictest first; row 0 is the estimate, the others replicates."""
+
+    missed: Floats
+    """(1 + B, K) missed-conflict rate, from 1 down to 0"""
+    false_alarm: Floats
+    """(1 + B, K) false-alarm rate, from 0 up to 1"""
+
+    def areas(self) -> Floats:
+        """Return the area under missed over false-alarm rate, (1 + B,): 0 perfect, 0.5 chance."""
+        width = np.diff(self.false_alarm, axis=1)
+        area: Floats = (width * 0.5 * (self.missed[:, 1:] + self.missed[:, :-1])).sum(axis=1)
+        return area
+
+    def missed_at(self, false_alarm: Floats) -> Floats:
+        """Return the missed rate at a false-alarm rate of each row, (1 + B,), interpolated.
+
+        Where a threshold jumps over several scenes the robot may draw lots between its two
+        sides: linear interpolation is what it can reach.
+        """
+        rows = np.arange(self.missed.shape[0])
+        # Of several thresholds with this very rate the most sensitive one.
+        right = (self.false_alarm <= false_alarm[:, None]).sum(axis=1)
+        right = np.clip(right, 1, self.missed.shape[1] - 1)
+        low, high = self.false_alarm[rows, right - 1], self.false_alarm[rows, right]
+        share = np.zeros_like(low)
+        np.divide(false_alarm - low, high - low, out=share, where=high > low)
+        left = self.missed[rows, right - 1]
+        reached: Floats = left + share * (self.missed[rows, right] - left)
+        return reached
+
+    def points(self) -> dict[str, Floats]:
+        """Return the estimate at equally spaced false-alarm rates, `N_POINTS` of them."""
+        at = np.linspace(0.0, 1.0, N_POINTS)
+        shape = (N_POINTS, self.missed.shape[1])
+        estimate = (np.broadcast_to(one[0], shape) for one in (self.missed, self.false_alarm))
+        return {"false_alarm_rate": at, "missed_conflict_rate": Curve(*estimate).missed_at(at)}
+
+
+def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> Curve | None:
+    """Return the curve of a score with its bootstrap replicates; None without both labels.
+
+    A higher `score`, (S,), means that a `conflict`, (S,), is likelier; `cluster`, (S,), is the
+    column of a scene's cluster in `weights`, (B, C), from `intervals.cluster_weights`.
+
+    Raises
+    ------
+    ValueError
+        If a score is NaN.
+    """
+    if np.isnan(score).any():
+        raise ValueError("a score is NaN")
+    if conflict.all() or not conflict.any():
+        return None
+    distinct = np.unique(score)
+    if distinct.size > N_BINS:
+        distinct = np.unique(np.quantile(score, np.linspace(0, 1, N_BINS), method="lower"))
+    # Bin 0 holds the highest scores; a scene counts as soon as the threshold reaches its bin.
+    bins = distinct.size - np.searchsorted(distinct, score, side="right")
+    n_clusters = weights.shape[1]
+    counts = np.zeros((2, n_clusters, distinct.size))
+    np.add.at(counts, (conflict.astype(int), cluster, bins), 1.0)
+    everyone = np.concatenate([np.ones((1, n_clusters)), weights])
+    alarms, hits = (np.cumsum(everyone @ part, axis=1) for part in counts)
+    start = np.zeros((everyone.shape[0], 1))
+    with np.errstate(invalid="ignore"):  # a replicate without a label has no rate: NaN
+        missed = 1.0 - np.concatenate([start, hits / hits[:, -1:]], axis=1)
+        false_alarm = np.concatenate([start, alarms / alarms[:, -1:]], axis=1)
+    return Curve(missed=missed, false_alarm=false_alarm)
 
 
 def decisions(
@@ -66,84 +127,65 @@ def decisions(
     point where nothing is added (`EQUAL_ALARMS`, by separation): noise costs misses, alarms or
     both, and at equal alarms the misses alone tell.
     """
-    dataset = manifest["dataset"]["name"]
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = weights_of(manifest)
-    at_reference: dict[tuple[str, float | None], tuple[Floats, Floats]] = {}
-    curve_rows: list[pd.DataFrame] = []
-    rows: dict[int, list[dict[str, object]]] = {}
+    at_reference: dict[Where, tuple[Floats, Floats]] = {}
     at_raw_alarms: dict[Key, Estimate] = {}
+    curves: list[pd.DataFrame] = []
+    rows: list[tuple[int, dict[str, Any]]] = []
     # The reference first: the others are compared with its curve.
-    for place in sorted(range(len(scored)), key=lambda place: scored[place].consumer != reference):
-        entry = scored[place]
-        where = (entry.mechanism, entry.level)
-        names = {
-            "dataset": dataset,
-            "mechanism": entry.mechanism,
-            "level": np.nan if entry.level is None else entry.level,
-            "consumer": entry.consumer,
-        }
-        for name, drawn in _curves(entry, weights=weights).items():
-            if entry.consumer == reference and name == _SEPARATION:
-                alarm = found[Key(*where, entry.consumer, "false_alarm_rate")]
-                at = np.concatenate([[alarm.value], alarm.replicates])
-                at_reference[where] = at, drawn.missed_at(at)
-            raw_alarm = found.get(Key("raw", None, entry.consumer, "false_alarm_rate"))
-            if name == _SEPARATION and raw_alarm is not None:
-                missed = drawn.missed_at(np.concatenate([[raw_alarm.value], raw_alarm.replicates]))
-                at_raw_alarms[Key(*where, entry.consumer, EQUAL_ALARMS)] = estimate_of(
-                    missed, n=raw_alarm.n
-                )
-            curve_rows.append(pd.DataFrame({**names, "score": name, **_points(drawn)}))
-            rows.setdefault(place, []).append(
-                {**names, "score": name, **_row(drawn, at_reference.get(where), reference)}
+    order = sorted(enumerate(scored), key=lambda one: one[1][0]["consumer"] != reference)
+    for place, (entry, cluster, columns) in order:
+        where, consumer = (entry["mechanism"], entry["level"]), entry["consumer"]
+        alarms = Measure(consumer, "false_alarm_rate")
+        scores = {_SEPARATION: -columns["predicted_separation_m"]}
+        if not np.isnan(columns["probability"]).any():
+            scores["probability"] = columns["probability"]
+        for name, score in scores.items():
+            drawn = curve(
+                score=score, conflict=columns["conflict"], cluster=cluster, weights=weights
             )
-    curves = pd.concat(curve_rows) if curve_rows else pd.DataFrame(columns=CURVE_COLUMNS)
-    in_order = [row for place in sorted(rows) for row in rows[place]]
+            if drawn is None:
+                continue
+            if consumer == reference and name == _SEPARATION:
+                at = _drawn(found[alarms.at(*where)])
+                at_reference[where] = at, drawn.missed_at(at)
+            raw_alarm = found.get(alarms.at("raw", None))
+            if name == _SEPARATION and raw_alarm is not None:
+                at_raw_alarms[Measure(consumer, EQUAL_ALARMS).at(*where)] = estimate_of(
+                    drawn.missed_at(_drawn(raw_alarm)), n=raw_alarm.n
+                )
+            about = {
+                "dataset": manifest["dataset"]["name"],
+                "mechanism": where[0],
+                "level": np.nan if where[1] is None else where[1],
+                "consumer": consumer,
+                "score": name,
+            }
+            curves.append(pd.DataFrame({**about, **drawn.points()}))
+            areas = drawn.areas()
+            row = about | {"area": areas[0]}
+            row["area_low"], row["area_high"] = percentile_interval(areas[1:])
+            if where in at_reference:
+                false_alarm, reference_missed = at_reference[where]
+                missed = drawn.missed_at(false_alarm)
+                row |= {
+                    "reference": reference,
+                    "false_alarm_rate": false_alarm[0],
+                    "missed_conflict_rate": missed[0],
+                    "difference": missed[0] - reference_missed[0],
+                }
+                row["missed_low"], row["missed_high"] = percentile_interval(missed[1:])
+                row["ci_low"], row["ci_high"] = percentile_interval((missed - reference_missed)[1:])
+            rows.append((place, row))
+    in_order = [row for _, row in sorted(rows, key=lambda one: one[0])]
     return (
-        curves[CURVE_COLUMNS],
+        pd.concat(curves)[CURVE_COLUMNS] if curves else pd.DataFrame(columns=CURVE_COLUMNS),
         pd.DataFrame(in_order, columns=DECISION_COLUMNS),
         at_raw_alarms,
     )
 
 
-def _curves(entry: Scored, *, weights: Floats) -> dict[str, Curve]:
-    scores = {_SEPARATION: -entry.separation_m}
-    if not np.isnan(entry.probability).any():
-        scores["probability"] = entry.probability
-    drawn = {
-        name: curve(score=score, conflict=entry.conflict, cluster=entry.cluster, weights=weights)
-        for name, score in scores.items()
-    }
-    return {name: one for name, one in drawn.items() if one is not None}
-
-
-def _points(drawn: Curve) -> dict[str, Floats]:
-    at = np.linspace(0.0, 1.0, N_POINTS)
-    shape = (N_POINTS, drawn.missed.shape[1])
-    same = Curve(
-        missed=np.broadcast_to(drawn.missed[0], shape),
-        false_alarm=np.broadcast_to(drawn.false_alarm[0], shape),
-    )
-    return {"false_alarm_rate": at, "missed_conflict_rate": same.missed_at(at)}
-
-
-def _row(
-    drawn: Curve, at_reference: tuple[Floats, Floats] | None, reference: str | None
-) -> dict[str, object]:
-    areas = drawn.areas()
-    row: dict[str, object] = {"area": areas[0]}
-    row["area_low"], row["area_high"] = percentile_interval(areas[1:])
-    if at_reference is None:
-        return row
-    false_alarm, reference_missed = at_reference
-    missed = drawn.missed_at(false_alarm)
-    row |= {
-        "reference": reference,
-        "false_alarm_rate": false_alarm[0],
-        "missed_conflict_rate": missed[0],
-        "difference": missed[0] - reference_missed[0],
-    }
-    row["missed_low"], row["missed_high"] = percentile_interval(missed[1:])
-    row["ci_low"], row["ci_high"] = percentile_interval((missed - reference_missed)[1:])
-    return row
+def _drawn(one: Estimate) -> Floats:
+    """Return estimate and replicates, (1 + B,)."""
+    return np.concatenate([[one.value], one.replicates])

@@ -6,37 +6,29 @@ Nothing is computed anew: the estimates and their replicates come from the finis
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
 from scipy.special import ndtri, stdtr
 
-from evaluation.analysis.families import LEVEL_UNITS, families
+from evaluation.analysis import run_changes
+from evaluation.analysis.families import LEVEL_UNITS, families_in
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import METRICS
-from evaluation.analysis.run_changes import (
-    NONE,
-    about,
-    changed,
-    manifest_of,
-    mechanisms,
-    only_in,
-    pairing,
-    short_list,
-    verdicts,
-)
+from evaluation.analysis.run_changes import manifest_of, mechanisms, short_list
 from evaluation.analysis.significance import holm
 from evaluation.analysis.summary import estimates, linkage_estimates
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import CONFIDENCE, percentile_interval
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from evaluation.analysis.keys import Key
+    from evaluation.analysis.run_changes import Apart, Manifest
     from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
@@ -45,26 +37,9 @@ IDENTICAL, DIFFERS, UNDECIDED, UNTESTED = "identical", "differs", "undecided", "
 SIGNIFICANCE: Final = 0.05
 """Of a family, after Holm."""
 COLUMNS = [
-    "mechanism_a",
-    "level_a",
-    "mechanism_b",
-    "level_b",
-    "consumer",
-    "knowledge",
-    "metric",
-    "headline",
-    "a",
-    "b",
-    "difference",
-    "ci_low",
-    "ci_high",
-    "unit",
-    "n",
-    "pairing",
-    "t",
-    "p_value",
-    "p_holm",
-    "finding",
+    *("mechanism_a", "level_a", "mechanism_b", "level_b", "consumer", "knowledge", "metric"),
+    *("headline", "a", "b", "difference", "ci_low", "ci_high", "unit", "n", "pairing"),
+    *("t", "p_value", "p_holm", "finding"),
 ]
 
 
@@ -72,12 +47,12 @@ COLUMNS = [
 class Difference:
     """B - A of one number."""
 
-    value: float
-    ci_low: float
-    ci_high: float
-    t: float
+    difference: float
+    ci_low: float = math.nan
+    ci_high: float = math.nan
+    t: float = math.nan
     """Difference over its standard error, which has n - 1 degrees of freedom."""
-    p_value: float
+    p_value: float = math.nan
     """Two-sided; NaN where there is no interval."""
 
 
@@ -88,9 +63,9 @@ class Comparison:
     a: dict[str, Any]
     """About run A: `out`, `dataset`, `scenes`, `seed`, `preset`, `mechanism` (if one was named)."""
     b: dict[str, Any]
-    changed: dict[str, dict[str, tuple[Any, Any]]]
+    changed: dict[str, Apart]
     """Under data, settings and code: what to its value in A and in B; None where it is unknown."""
-    only: dict[str, tuple[list[str], list[str]]]
+    only: Apart
     """By axis: what only A has, and what only B has."""
     only_numbers: tuple[int, int]
     """Numbers that only A has, and only B."""
@@ -147,20 +122,19 @@ def compare(
         raise SettingsError("--mechanism-a and --mechanism-b are named together")
     first = manifest_of(out_a)
     second = first if out_a.resolve() == out_b.resolve() else manifest_of(out_b)
-    found_a, found_b = _found(out_a, out_b, first, second)
+    found_a, found_b = _found([(out_a, first), (out_b, second)])
+    of_a, of_b = list(found_a), list(found_b)
     if mechanism_a is None or mechanism_b is None:
-        pairs = [(key, key) for key in found_a if key in found_b]
-        n_a, n_b = len(found_a), len(found_b)
+        pairs = [(key, key) for key in of_a if key in found_b]
     else:
-        of_a = _of_mechanism(found_a, mechanism_a, first, option="--mechanism-a", out=out_a)
-        of_b = _of_mechanism(found_b, mechanism_b, second, option="--mechanism-b", out=out_b)
-        pairs = _matched_levels(of_a, of_b, first=first, second=second)
+        of_a = _of_mechanism(of_a, mechanism_a, first, "--mechanism-a", out_a)
+        of_b = _of_mechanism(of_b, mechanism_b, second, "--mechanism-b", out_b)
+        pairs = _matched_levels(of_a, of_b, cells=[*first["cells"], *second["cells"]])
         if not pairs:
             raise DataError(
                 f"{mechanism_a} of A and {mechanism_b} of B have no level and consumer in common; "
                 "name one level of each, such as fid:1000"
             )
-        n_a, n_b = len(of_a), len(of_b)
     if not pairs:
         raise DataError(
             f"{out_a} and {out_b} share no number: A has {short_list(mechanisms(first))}, "
@@ -168,13 +142,13 @@ def compare(
             "level and consumer, or name --mechanism-a and --mechanism-b"
         )
     return Comparison(
-        a=about(out_a, first, mechanism=mechanism_a),
-        b=about(out_b, second, mechanism=mechanism_b),
-        changed=changed(first, second),
-        only=only_in(first, second),
-        only_numbers=(n_a - len(pairs), n_b - len(pairs)),
-        rows=_rows(pairs, found_a, found_b, first=first, second=second),
-        verdicts=None if mechanism_a is not None else verdicts(out_a, out_b),
+        a=run_changes.about(out_a, first, mechanism=mechanism_a),
+        b=run_changes.about(out_b, second, mechanism=mechanism_b),
+        changed=run_changes.changed(first, second),
+        only=run_changes.only_in(first, second),
+        only_numbers=(len(of_a) - len(pairs), len(of_b) - len(pairs)),
+        rows=_rows([(*pair, found_a[pair[0]], found_b[pair[1]]) for pair in pairs], first, second),
+        verdicts=None if mechanism_a is not None else run_changes.verdicts(out_a, out_b),
     )
 
 
@@ -188,28 +162,18 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
     with a degree of freedom less than the smaller number of clusters: a thousand replicates alone
     could not tell a p-value below 0.002, and Holm needs smaller ones.
 
-    Parameters
-    ----------
-    a, b : Estimate
-    paired : bool
-        Whether row k of both replicates is the same draw. Of unequal numbers the first are used.
-    metric : str
-
-    Returns
-    -------
-    Difference
-        Without interval and p-value for less than two clusters, or without replicates.
+    `paired` says whether row k of both replicates is the same draw; of unequal numbers the first
+    are used. There is no interval and no p-value for less than two clusters, or without replicates.
     """
     value = b.value - a.value
     n_clusters = min(a.n, b.n)
     n_rows = min(a.replicates.size, b.replicates.size)
-    nothing = Difference(value, math.nan, math.nan, math.nan, math.nan)
     if n_clusters <= 1 or n_rows == 0 or math.isnan(value):
-        return nothing
+        return Difference(value)
     both = [one.replicates[:n_rows].astype(np.float64) for one in (a, b)]
     drawn: Floats = both[1] - both[0]
     if np.isnan(drawn).all():
-        return nothing
+        return Difference(value)
     if paired and all(np.nanmin(one) < np.nanmax(one) for one in both):
         low, high = percentile_interval(drawn)
         if METRICS[metric].is_biased:
@@ -222,7 +186,7 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
         to_nothing = value - low if value > 0.0 else high - value
         error = to_nothing / float(ndtri(0.5 + CONFIDENCE / 2.0))
     if math.isnan(error):
-        return nothing
+        return Difference(value)
     if value == 0.0:
         return Difference(value, low, high, 0.0, 1.0)
     ratio = value / error if error > 0.0 else math.copysign(math.inf, value)
@@ -237,34 +201,23 @@ def counts(rows: pd.DataFrame) -> dict[str, int]:
 
 
 def _found(
-    out_a: Path, out_b: Path, first: dict[str, Any], second: dict[str, Any]
+    runs: Sequence[tuple[Path, dict[str, Any]]],
 ) -> tuple[dict[Key, Estimate], dict[Key, Estimate]]:
     """Return all estimates of both runs; of one recording they draw the same people."""
+    (_, first), (_, second) = runs
     if first is second:
-        found = _estimates(out_a, first)
-        return found, found
-    if first["identity"]["sha256"] == second["identity"]["sha256"]:
+        runs = runs[:1]
+    elif first["identity"]["sha256"] == second["identity"]["sha256"]:
         # A run's draws depend on its seed and on its list of groups: both take one.
-        groups = sorted({*first["groups"], *second["groups"]})
-        seed = first["identity"]["seed"]
-        first, second = (
-            {**one, "groups": groups, "identity": {**one["identity"], "seed": seed}}
-            for one in (first, second)
-        )
-    return _estimates(out_a, first), _estimates(out_b, second)
-
-
-def _estimates(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
-    return {**estimates(out, manifest)[0], **linkage_estimates(cards(out, manifest))}
+        same = {"groups": sorted({*first["groups"], *second["groups"]})}
+        seed = {"seed": first["identity"]["seed"]}
+        runs = [(out, one | same | {"identity": one["identity"] | seed}) for out, one in runs]
+    found = [{**estimates(out, one)[0], **linkage_estimates(cards(out, one))} for out, one in runs]
+    return found[0], found[-1]
 
 
 def _of_mechanism(
-    found: Mapping[Key, Estimate],
-    named: str,
-    manifest: Mapping[str, Any],
-    *,
-    option: str,
-    out: Path,
+    keys: Sequence[Key], named: str, manifest: Manifest, option: str, out: Path
 ) -> list[Key]:
     """Return the keys of a mechanism at all of its levels, or of one level named as a SPEC."""
     wanted = {
@@ -272,83 +225,67 @@ def _of_mechanism(
         for entry in manifest["cells"]
         if named in (entry["mechanism"], entry["spec"])
     }
-    keys = [key for key in found if (key.mechanism, key.level) in wanted]
-    if not keys:
+    mine = [key for key in keys if key.where in wanted]
+    if not mine:
         known = short_list(mechanisms(manifest))
         raise SettingsError(
             f"{option} {named}: {out} has no such mechanism; it has {known}, "
             "or a level as in manifest.json, such as fid:1000,adding=independent"
         )
-    return keys
+    return mine
 
 
 def _matched_levels(
-    of_a: Sequence[Key], of_b: Sequence[Key], *, first: Mapping[str, Any], second: Mapping[str, Any]
+    of_a: Sequence[Key], of_b: Sequence[Key], *, cells: Sequence[Manifest]
 ) -> list[tuple[Key, Key]]:
     """Return pairs at equal levels; if either side has a single level, those two."""
-    single = all(len({(key.mechanism, key.level) for key in keys}) == 1 for keys in (of_a, of_b))
-    known = families([*first["cells"], *second["cells"]])
+    single = all(len({key.where for key in keys}) == 1 for keys in (of_a, of_b))
+    known = families_in(cells)
     units = {LEVEL_UNITS.get(known[keys[0].mechanism].family) for keys in (of_a, of_b)} - {None}
     if not single and len(units) > 1:
         raise SettingsError(
             f"levels of {of_a[0].mechanism} and {of_b[0].mechanism} are not the same quantity; "
             "name one level of each, such as fid:1000"
         )
-    whole = {_without_mechanism(key, level=not single): key for key in of_b}
-    wanted = [(key, _without_mechanism(key, level=not single)) for key in of_a]
-    return [(key, whole[rest]) for key, rest in wanted if rest in whole]
-
-
-def _without_mechanism(key: Key, *, level: bool) -> tuple[float | None, str, str, str]:
-    return key.level if level else None, key.consumer, key.knowledge, key.metric
+    theirs = {(key.measure, None if single else key.level): key for key in of_b}
+    wanted = [(key, (key.measure, None if single else key.level)) for key in of_a]
+    return [(key, theirs[what]) for key, what in wanted if what in theirs]
 
 
 def _rows(
-    pairs: Sequence[tuple[Key, Key]],
-    found_a: Mapping[Key, Estimate],
-    found_b: Mapping[Key, Estimate],
-    *,
-    first: Mapping[str, Any],
-    second: Mapping[str, Any],
+    pairs: Sequence[tuple[Key, Key, Estimate, Estimate]], first: Manifest, second: Manifest
 ) -> pd.DataFrame:
     paired_by = {
-        name: pairing(first, second, consumer=name)
-        for name in dict.fromkeys(key.consumer for key, _ in pairs)
+        name: run_changes.pairing(first, second, consumer=name)
+        for name in dict.fromkeys(key.consumer for key, *_ in pairs)
     }
     rows = []
-    for key_a, key_b in pairs:
-        a, b = found_a[key_a], found_b[key_b]
+    for key_a, key_b, a, b in pairs:
         if math.isnan(a.value) and math.isnan(b.value):
             continue
-        paired = paired_by[key_a.consumer] != NONE
+        metric, paired = METRICS[key_a.metric], paired_by[key_a.consumer] != run_changes.NONE
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )
         if same and paired:
             found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
         else:
-            found = difference(a, b, paired=paired, metric=key_a.metric)
+            found = difference(a, b, paired=paired, metric=metric.name)
         rows.append(
             {
                 "mechanism_a": key_a.mechanism,
                 "level_a": math.nan if key_a.level is None else key_a.level,
                 "mechanism_b": key_b.mechanism,
                 "level_b": math.nan if key_b.level is None else key_b.level,
-                "consumer": key_a.consumer,
-                "knowledge": key_a.knowledge,
-                "metric": key_a.metric,
+                **{name: getattr(key_a, name) for name in ("consumer", "knowledge", "metric")},
                 # A control says nothing of an adversary.
-                "headline": METRICS[key_a.metric].is_headline and "/control-" not in key_a.consumer,
+                "headline": metric.is_headline and "/control-" not in key_a.consumer,
                 "a": a.value,
                 "b": b.value,
-                "difference": found.value,
-                "ci_low": found.ci_low,
-                "ci_high": found.ci_high,
-                "unit": METRICS[key_a.metric].summary_unit,
+                **asdict(found),
+                "unit": metric.summary_unit,
                 "n": min(a.n, b.n),
                 "pairing": paired_by[key_a.consumer],
-                "t": found.t,
-                "p_value": found.p_value,
                 "finding": IDENTICAL if same else UNTESTED,
             }
         )

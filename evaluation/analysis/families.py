@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, get_args
 
+import pandas as pd
+
 from isac_track.types import Adding
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    import pandas as pd
+    from collections.abc import Mapping, Sequence
 
 RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 """Families: nothing added, no error at all, the baseline, and the paper's."""
@@ -59,39 +59,15 @@ class Family:
         return f"{self.family}:{self.parameters}" if self.parameters else self.family
 
 
-def families(rows: Iterable[Mapping[Any, Any]]) -> dict[str, Family]:
+def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, Family]:
     """Return the mechanisms of a run by name, in its order.
 
-    Parameters
-    ----------
-    rows : iterable of mapping
-        With `mechanism`, `family` and `adding`: `manifest["cells"]`.
+    `rows` have `mechanism`, `family` and `adding`: a summary, or `manifest["cells"]`.
     """
-    return {
-        row["mechanism"]: Family(row["mechanism"], row["family"], row["adding"]) for row in rows
-    }
-
-
-def families_in(summary: pd.DataFrame) -> dict[str, Family]:
-    """Return the mechanisms of a summary by name, in its order; the file's columns are enough."""
-    columns = summary[["mechanism", "family", "adding"]].drop_duplicates()
+    columns = pd.DataFrame(rows, columns=["mechanism", "family", "adding"]).drop_duplicates()
     # Of a file that was read without care an empty text is missing.
-    return families(columns.fillna("").to_dict("records"))
-
-
-def named(known: Mapping[str, Family], *, family: str, adding: str) -> str:
-    """Return the name of a family's mechanism under an adding rule, nothing else of it changed.
-
-    Empty if the run has none.
-    """
-    return next(
-        (
-            name
-            for name, one in known.items()
-            if one.family == family and one.adding == adding and not one.parameters
-        ),
-        "",
-    )
+    known = columns.fillna("").itertuples(index=False, name=None)
+    return {mechanism: Family(mechanism, family, adding) for mechanism, family, adding in known}
 
 
 def with_unit(mechanism: str) -> str:

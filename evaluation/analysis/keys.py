@@ -63,6 +63,10 @@ class Measure:
         """Whose it is."""
         return Source(self.consumer, self.knowledge)
 
+    def at(self, mechanism: str, level: float | None) -> Key:
+        """Return what a row of the summary about it at one level is about."""
+        return Key(mechanism, level, self.consumer, self.metric, self.knowledge)
+
 
 @dataclass(frozen=True, slots=True)
 class Key:
@@ -83,6 +87,11 @@ class Key:
     def measure(self) -> Measure:
         """What is measured there."""
         return Measure(self.consumer, self.metric, self.knowledge)
+
+    @property
+    def source(self) -> Source:
+        """Whose it is."""
+        return Source(self.consumer, self.knowledge)
 
 
 def level_text(level: float | None) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -33,32 +33,12 @@ if TYPE_CHECKING:
 
 AUDIT_LEVEL: Final = 0.01
 """Of the shortcut audit, two-sided, over all audits of a cell (Holm): set before any was run."""
+_ABOUT = ("dataset", "mechanism", "level", "consumer", "knowledge")
 COLUMNS = [
-    "dataset",
-    "mechanism",
-    "level",
-    "consumer",
-    "knowledge",
-    "cohort",
-    "outcome",
-    "invalid",
-    "p_value",
-    "p_rank1",
-    "rank1",
-    "ci_low",
-    "ci_high",
-    "chance",
-    "minimum_detectable_rank1",
-    "n_probes",
-    "n_mated",
-    "n_clusters",
-    "gallery_min",
-    "gallery_mean",
-    "gallery_max",
-    "realised_fpr_1pct",
-    "realised_fpr_01pct",
-    "d_sys_bins",
-    "inverted",
+    *(*_ABOUT, "cohort", "outcome", "invalid", "p_value", "p_rank1"),
+    *("rank1", "ci_low", "ci_high", "chance", "minimum_detectable_rank1"),
+    *("n_probes", "n_mated", "n_clusters", "gallery_min", "gallery_mean", "gallery_max"),
+    *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins", "inverted"),
 ]
 _AS_SCORED = (
     *("p_value", "p_rank1", "minimum_detectable_rank1", "n_probes", "n_mated", "n_clusters"),
@@ -85,7 +65,10 @@ def dataset_of(consumer: str, *, dataset: str) -> str:
     return TWO_SESSIONS if task is not None and task.simulated else dataset
 
 
-def cards(out: Path, manifest: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], LinkageOutcome]]:
+Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
+
+
+def cards(out: Path, manifest: Mapping[str, Any]) -> Cards:
     """Return the card of every linkage cell with its entry in the manifest.
 
     Raises
@@ -100,17 +83,10 @@ def cards(out: Path, manifest: Mapping[str, Any]) -> list[tuple[Mapping[str, Any
     ]
 
 
-def linkability(
-    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]], *, dataset: str
-) -> pd.DataFrame:
+def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
     """Return what every linkage cell says, a row for each cohort; the columns are `COLUMNS`.
 
-    Parameters
-    ----------
-    read : sequence of (entry, card)
-        As `cards` returns them.
-    dataset : str
-        Of the run.
+    `read` is what `cards` returns, `dataset` that of the run.
     """
     ceilings = {
         (entry["consumer"], entry["knowledge"]): card.numbers["p_value"]
@@ -120,49 +96,38 @@ def linkability(
     leaks = _leaks(read)
     rows = []
     for entry, card in read:
-        numbers, task = card.numbers, entry["consumer"].partition("/")[0]
+        consumer, numbers = entry["consumer"], card.numbers
         p_value = numbers["p_value"]
         if entry["kind"] == "control":
             found = BEATS_CHANCE if p_value <= LEVEL else AT_CHANCE
         else:
-            ceiling = ceilings[entry["consumer"], entry["knowledge"]]
+            ceiling = ceilings[consumer, entry["knowledge"]]
             found = outcome(p_value=p_value, ceiling_p_value=ceiling)
         rank1, (low, high, mean) = card.estimates["rank1"], numbers["gallery_sizes"]
         row = {
-            "dataset": dataset_of(entry["consumer"], dataset=dataset),
-            "mechanism": entry["mechanism"],
+            **{name: entry[name] for name in ("mechanism", "consumer", "knowledge")},
+            "dataset": dataset_of(consumer, dataset=dataset),
             "level": np.nan if entry["level"] is None else entry["level"],
-            "consumer": entry["consumer"],
-            "knowledge": entry["knowledge"],
+            "invalid": ", ".join(leaks.get((entry["spec"], Source(consumer).task), ())),
         }
-        invalid = ", ".join(leaks.get((entry["spec"], task), ()))
-        rows.append(
-            row
-            | {name: numbers[name] for name in _AS_SCORED}
-            | {
-                "cohort": "all",
-                "outcome": found,
-                "invalid": invalid,
-                "rank1": rank1.value,
-                "ci_low": rank1.ci_low,
-                "ci_high": rank1.ci_high,
-                "chance": card.estimates["chance"].value,
-                "gallery_min": low,
-                "gallery_mean": mean,
-                "gallery_max": high,
-                "inverted": numbers["is_inverted"],
-            }
-        )
+        everybody = {name: numbers[name] for name in _AS_SCORED} | {
+            "outcome": found,
+            **{name: getattr(rank1, name) for name in ("ci_low", "ci_high")},
+            "rank1": rank1.value,
+            "chance": card.estimates["chance"].value,
+            "gallery_min": low,
+            "gallery_mean": mean,
+            "gallery_max": high,
+            "inverted": numbers["is_inverted"],
+        }
         rows += [
-            row | {"cohort": name, "invalid": invalid, **cohort}
-            for name, cohort in card.cohorts.items()
+            {**row, "cohort": name, **cohort}
+            for name, cohort in {"all": everybody, **card.cohorts}.items()
         ]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _leaks(
-    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]],
-) -> dict[tuple[str, str], tuple[str, ...]]:
+def _leaks(read: Cards) -> dict[tuple[str, str], list[str]]:
     """Return which shortcuts beat chance, by mechanism SPEC and task (Holm over the audits)."""
     audits: dict[tuple[str, str], dict[str, float]] = {}
     for entry, card in read:
@@ -171,12 +136,10 @@ def _leaks(
             # Two-sided: who scores mates low gives them away as well.
             tails = card.numbers["p_value"], card.numbers["p_value_low"]
             audits.setdefault((entry["spec"], task), {})[name] = min(1.0, 2.0 * min(tails))
-    leaks = {}
-    for where, p_values in audits.items():
-        adjusted = zip(p_values, holm(np.array([*p_values.values()])), strict=True)
-        if beaten := sorted(name for name, p_value in adjusted if p_value <= AUDIT_LEVEL):
-            leaks[where] = tuple(beaten)
-    return leaks
+    return {
+        where: sorted(np.array([*p])[holm(np.array([*p.values()])) <= AUDIT_LEVEL].tolist())
+        for where, p in audits.items()
+    }
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -203,21 +166,23 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
     texts = {name: linkability[name].astype(object) for name in ("knowledge", "outcome", "invalid")}
     # Of texts read from a file, those that are empty are missing.
     tidy = linkability.assign(
-        task=[Source(name).task for name in linkability["consumer"]],
-        **{name: text.where(text.notna(), "") for name, text in texts.items()},
+        **{name: text.where(text.notna(), "") for name, text in texts.items()}
     )
+    # Mechanisms in the order of the run, not of their levels.
+    order = {name: place for place, name in enumerate(linkability["mechanism"].unique())}
     tidy = tidy.sort_values("level", kind="stable", na_position="first")
     found = []
     for task in dict.fromkeys(Source(name).task for name in linkability["consumer"]):
-        of = tidy[tidy["task"] == task].drop(columns="task")
+        of = tidy[[Source(name).task == task for name in tidy["consumer"]]]
         cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]] = {}
-        # In the order of the run, not of their levels.
-        for mechanism in linkability["mechanism"].unique():
-            rows = of[(of["mechanism"] == mechanism) & (of["knowledge"] != "")]
-            for row in rows.to_dict("records"):
-                where = mechanism, None if math.isnan(row["level"]) else float(row["level"])
-                source = Source(row["consumer"], row["knowledge"]).attack
-                cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
+        linked = of[of["knowledge"] != ""]
+        rows: Any = linked.sort_values(
+            "mechanism", kind="stable", key=lambda name: name.map(order)
+        ).to_dict("records")
+        for row in rows:
+            where = row["mechanism"], None if math.isnan(row["level"]) else float(row["level"])
+            source = Source(row["consumer"], row["knowledge"]).attack
+            cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
         if "all" not in cohorts:
             continue
         linkers: dict[str, list[Source]] = {}

@@ -7,7 +7,7 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Key
     from evaluation.analysis.sweeps import Sweeps
-    from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
 MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"
@@ -43,29 +41,16 @@ N_POINTS, N_ATTACK_POINTS = 20, 10
 MIN_DEFINED = 0.975
 """Share of replicates that must reach a point for it to have an interval."""
 _ENDS = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
+_INTERVALS = (
+    ("fid", "fid_low", "fid_high"),
+    ("fixed", "fixed_low", "fixed_high"),
+    ("difference", "ci_low", "ci_high"),
+)
+"""Columns: what is compared, fixed noise, and the one less the other."""
 COLUMNS = [
-    "dataset",
-    "criterion",
-    "adding",
-    "predictor",
-    "consumer",
-    "knowledge",
-    "metric",
-    "at",
-    "missed_conflict_rate",
-    "fid",
-    "fid_low",
-    "fid_high",
-    "fixed",
-    "fixed_low",
-    "fixed_high",
-    "difference",
-    "ci_low",
-    "ci_high",
-    "defined",
-    "n",
-    "mechanism",
-    "family",
+    *("dataset", "criterion", "adding", "predictor", "consumer", "knowledge", "metric"),
+    *("at", "missed_conflict_rate", *_INTERVALS[0], *_INTERVALS[1], *_INTERVALS[2], "defined"),
+    *("n", "mechanism", "family"),
 ]
 
 
@@ -76,18 +61,8 @@ class Comparison:
     mechanism: str
     """Compared with fixed noise."""
     measure: Measure
-    at: Floats
-    """(P,) ascending: rise of the missed rate over raw, or PLR as shared"""
-    rate: Floats
-    """(P,) missed-conflict rate of the criterion; NaN when matched by PLR"""
-    compared: Floats
-    """(3, P) value and both ends of its interval; NaN out of reach"""
-    fixed: Floats
-    """(3, P)"""
-    difference: Floats
-    """(3, P) the mechanism minus fixed noise"""
-    defined: Floats
-    """(P,) share of the replicates that reach the point"""
+    points: Mapping[str, Floats]
+    """(P,) by column of `matched.csv`, from `at` to `defined`."""
     mean_difference: Floats
     """(1 + B,) over the points that have an interval; row 0 is the estimate; NaN without any"""
     mean_fixed: float
@@ -110,32 +85,31 @@ def comparisons(sweeps: Sweeps, *, predictors: Sequence[str]) -> Iterator[Compar
 
     Descriptors as shared are compared for every predictor, attacks for the first one. A mechanism
     is compared under its own adding rule, one that declares none under both. FID comes first.
-
-    Parameters
-    ----------
-    sweeps : Sweeps
-        Of every metric of a run, linkage among them.
-    predictors : sequence of str
-        Of the run, the reference first.
+    `sweeps` are of every metric of the run, linkage among them; of `predictors` the reference is
+    the first.
     """
-    measures = _measures(sweeps.found)
-    exposure, shared = (
-        [one for one in measures if one.source == AS_SHARED and one.metric in of]
-        for of in ((EXPOSURE,), DESCRIPTORS)
-    )
+    # Descriptors as shared, then the same after each attack, and what each linker achieves.
+    known = dict.fromkeys(key.measure for key in sweeps.found)
+    shared = [one for one in known if one.source == AS_SHARED and one.metric in DESCRIPTORS]
+    measures = shared + [
+        one
+        for one in known
+        if one.consumer != SHARED
+        and one.knowledge
+        and one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
+    ]
+    criteria = [
+        (criterion, Measure(predictor, metric), predictor, shared if place else measures)
+        for place, predictor in enumerate(predictors)
+        for criterion, metric in ((MISSED, MISSED_RATE), (AT_EQUAL_ALARMS, EQUAL_ALARMS))
+    ]
+    exposure = AS_SHARED.measure(EXPOSURE)
+    if exposure in shared:
+        criteria.append((PLR, exposure, "", [one for one in measures if one != exposure]))
     for adding in ADDING_RULES:
-        criteria = [
-            (criterion, Measure(predictor, metric), predictor, shared if place else measures)
-            for place, predictor in enumerate(predictors)
-            for criterion, metric in ((MISSED, MISSED_RATE), (AT_EQUAL_ALARMS, EQUAL_ALARMS))
-        ]
-        others = [one for one in measures if one not in exposure]
-        criteria += [(PLR, one, "", others) for one in exposure]
         fixed = sweeps.named(FIXED, adding=adding)
         for mechanism in sweeps.swept(adding):
-            if mechanism == fixed:
-                continue
-            for criterion, by, predictor, wanted in criteria:
+            for criterion, by, predictor, wanted in criteria if mechanism != fixed else ():
                 for one in compare(sweeps, (mechanism, fixed), by, wanted):
                     yield replace(one, criterion=criterion, adding=adding, predictor=predictor)
 
@@ -149,36 +123,25 @@ def matched(
     another of the run. `at` is the rise of the missed rate over raw, or the PLR as shared;
     `missed_conflict_rate` is raw's estimate plus the rise. `defined` is the share of replicates
     that reach the point; where it is below `MIN_DEFINED` there is no interval (NaN), since the
-    replicates that are left would all lie on one side.
-
-    Parameters
-    ----------
-    compared : iterable of Comparison
-    known : mapping
-        The mechanisms of the run, from `families`.
-    dataset : str
-        Of the run.
+    replicates that are left would all lie on one side. `known` are the mechanisms of the run, from
+    `families`.
     """
-    rows = []
-    for one in compared:
-        source = one.measure.source
-        about = (one.criterion, one.adding, one.predictor, *astuple(source))
-        names = (dataset_of(source.consumer, dataset=dataset), *about, one.measure.metric)
-        numbers = (one.at, one.rate, *one.compared, *one.fixed, *one.difference, one.defined)
-        end = (one.n, one.mechanism, known[one.mechanism].family)
-        rows += [(*names, *point, *end) for point in zip(*numbers, strict=True)]
-    return pd.DataFrame(rows, columns=COLUMNS)
-
-
-def _measures(found: Mapping[Key, Estimate]) -> list[Measure]:
-    """Return what is compared: descriptors as shared, after each attack, and each linker."""
-    measures = [
-        one
-        for one in dict.fromkeys(key.measure for key in found)
-        if (one.consumer == SHARED) != bool(one.knowledge)
-        and one.metric in (ACHIEVED if one.source.task else DESCRIPTORS)
+    frames = [
+        pd.DataFrame(
+            {
+                "dataset": dataset_of(one.measure.consumer, dataset=dataset),
+                **{name: getattr(one, name) for name in ("criterion", "adding", "predictor")},
+                **asdict(one.measure),
+                **one.points,
+                "n": one.n,
+                "mechanism": one.mechanism,
+                "family": known[one.mechanism].family,
+            }
+        )
+        for one in compared
     ]
-    return sorted(measures, key=lambda one: one.consumer != SHARED)
+    rows = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=COLUMNS)
+    return rows[COLUMNS]
 
 
 def compare(
@@ -186,17 +149,9 @@ def compare(
 ) -> Iterator[Comparison]:
     """Yield measures of two mechanisms where `by` has changed from raw by as much in both.
 
-    Parameters
-    ----------
-    sweeps : Sweeps
-    arms : (compared, fixed)
-        Names of the mechanisms.
-    by : Measure
-        What is matched.
-    measures : sequence of Measure
-        What is compared.
+    `arms` are the names of the mechanism that is compared and of fixed noise.
     """
-    scales = [curve for arm in arms if (curve := sweeps.curve(arm, by)) is not None]
+    scales = [scale for arm in arms if (scale := sweeps.curve(arm, by)) is not None]
     if len(scales) < len(arms):
         return
     change = [np.abs(scale - scale[:, -1:]) for scale in scales]
@@ -220,15 +175,17 @@ def compare(
         difference = compared - fixed
         defined = np.isfinite(difference[1:]).mean(axis=0)
         counts = (defined >= MIN_DEFINED) & np.isfinite(difference[0])
+        points = {
+            "at": raw - at if is_plr else at,
+            "missed_conflict_rate": np.full(n_points, np.nan) if is_plr else raw + at,
+            "defined": defined,
+        }
+        for names, values in zip(_INTERVALS, (compared, fixed, difference), strict=True):
+            points |= zip(names, _summarised(values, defined), strict=True)
         yield Comparison(
             mechanism=arms[0],
             measure=measure,
-            at=raw - at if is_plr else at,
-            rate=np.full(n_points, np.nan) if is_plr else raw + at,
-            compared=_summarised(compared, defined),
-            fixed=_summarised(fixed, defined),
-            difference=_summarised(difference, defined),
-            defined=defined,
+            points=points,
             mean_difference=_mean(difference[:, counts]),
             mean_fixed=float(_mean(fixed[:1, counts])[0]),
             n=min(sweeps.n(arm, measure) for arm in arms),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from evaluation.runs.folder import read_manifest
@@ -12,17 +13,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    Manifest = Mapping[str, Any]
+    Apart = dict[str, tuple[Any, Any]]
+
 DRAWS, PEOPLE, NONE = "people and draws", "people", "none"
 """Pairing of a row."""
-_NEEDED = {"groups": list, "dataset": dict, "settings": dict, "environment": dict}
+_VERDICT = "verdict.json"
 _MOST_NAMED = 4
 _ABOUT_DATA = frozenset({"dataset", "sha256", "format", "fps", "tracks", "tracks_used"})
 _KEEP_DRAWS = (
-    "dataset",
-    "privacy.",
-    "sensing.",
-    "conflict.decision",
-    "conflict.probability_threshold",
+    *("dataset", "privacy.", "sensing."),
+    *("conflict.decision", "conflict.probability_threshold"),
 )
 _CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
 
@@ -36,8 +37,7 @@ def manifest_of(out: Path) -> dict[str, Any]:
         If the folder holds no run, or one of another version.
     """
     manifest = read_manifest(out)
-    whole = all(isinstance(manifest.get(name), kind) for name, kind in _NEEDED.items())
-    if not whole or not {"sha256", "seed", "scenes"} <= manifest["identity"].keys():
+    if "groups" not in manifest or "sha256" not in manifest["identity"]:
         raise DataError(f"{out} was written by another version; run the matrix again with --fresh")
     return manifest
 
@@ -48,38 +48,34 @@ def short_list(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_NAMED]) + more
 
 
-def pairing(first: Mapping[str, Any], second: Mapping[str, Any], *, consumer: str) -> str:
+def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
     """Return how a consumer's numbers in two runs are paired.
 
     Replicates of a linkage task (`TASK/ATTACK`) were drawn with the cell: nobody can draw the same
     people later.
     """
-    moved = _moved(first, second)
+    moved = _unequal(first["identity"], second["identity"])
     task, is_linked, _ = consumer.partition("/")
-    if not is_linked:
-        return NONE if "sha256" in moved else _draws(moved, aside=("linkage.", "crowd"))
-    known = [one.get("linkage", {}).get("tasks", {}).get(task) for one in (first, second)]
-    drawn_apart = {"sha256", "seed", "crowd"} & moved.keys() or any(
-        name.startswith("linkage.") for name in moved
-    )
-    same_people = known[0] is not None and known[0] == known[1]
-    if drawn_apart or not same_people or first["groups"] != second["groups"]:
+    if is_linked:
+        known = [one.get("linkage", {}).get("tasks", {}).get(task) for one in (first, second)]
+        same_people = known[0] is not None and known[0] == known[1]
+        is_apart = {"sha256", "seed", "crowd"} & moved.keys() or any(
+            name.startswith("linkage.") for name in moved
+        )
+        aside: tuple[str, ...] = ("scenes", "conflict.")
+        if is_apart or not same_people or first["groups"] != second["groups"]:
+            return NONE
+    elif "sha256" in moved:
         return NONE
-    return _draws(moved, aside=("scenes", "conflict."))
-
-
-def _draws(moved: Iterable[str], *, aside: tuple[str, ...]) -> str:
-    """Return whether the same people's random numbers are the same, too."""
+    else:
+        aside = ("linkage.", "crowd")
+    # Whether the same people's random numbers are the same, too.
     keep = (*_KEEP_DRAWS, *aside)
     other = any(name.startswith(_CHANGE_DRAWS) or not name.startswith(keep) for name in moved)
     return PEOPLE if other else DRAWS
 
 
-def _moved(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    return _unequal(first["identity"], second["identity"])
-
-
-def _unequal(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+def _unequal(a: Manifest, b: Manifest) -> Apart:
     return {
         name: (a.get(name), b.get(name))
         for name in dict.fromkeys((*a, *b))
@@ -87,7 +83,7 @@ def _unequal(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any,
     }
 
 
-def about(out: Path, manifest: Mapping[str, Any], *, mechanism: str | None) -> dict[str, Any]:
+def about(out: Path, manifest: Manifest, *, mechanism: str | None) -> dict[str, Any]:
     """Return what a run is, with the mechanism if one was named."""
     found = {
         "out": str(out),
@@ -100,97 +96,89 @@ def about(out: Path, manifest: Mapping[str, Any], *, mechanism: str | None) -> d
     return found if mechanism is None else found | {"mechanism": mechanism}
 
 
-def changed(
-    first: Mapping[str, Any], second: Mapping[str, Any]
-) -> dict[str, dict[str, tuple[Any, Any]]]:
+def changed(first: Manifest, second: Manifest) -> dict[str, Apart]:
     """Return what differs under data, settings and code."""
-    moved = _unequal(*map(_described, (first, second)))
+    described, code = [], []
+    for one in (first, second):
+        tracks = {name: one["dataset"].get(name) for name in ("tracks", "tracks_used")}
+        described.append(one["identity"] | tracks | {"preset": one["settings"].get("preset")})
+        environment = one.get("environment", {})
+        names = ("isac_track", "git_commit", "python", "machine")
+        versions = {name: environment.get(name) for name in names}
+        code.append({"code version": one.get("code")} | versions | environment.get("libraries", {}))
+    moved = _unequal(*described)
     return {
         "data": {name: both for name, both in moved.items() if name in _ABOUT_DATA},
         "settings": {name: both for name, both in moved.items() if name not in _ABOUT_DATA},
-        "code": _unequal(*map(_code, (first, second))),
+        "code": _unequal(*code),
     }
 
 
-def _described(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    dataset = manifest["dataset"]
-    tracks = {name: dataset.get(name) for name in ("tracks", "tracks_used")}
-    return {**manifest["identity"], **tracks, "preset": manifest["settings"].get("preset")}
-
-
-def _code(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    environment = manifest["environment"]
-    names = ("isac_track", "git_commit", "python", "machine")
-    return {
-        "code version": manifest.get("code"),
-        **{name: environment.get(name) for name in names},
-        **environment.get("libraries", {}),
-    }
-
-
-def only_in(
-    first: Mapping[str, Any], second: Mapping[str, Any]
-) -> dict[str, tuple[list[str], list[str]]]:
-    """Return by axis what only one of the runs has."""
+def only_in(first: Manifest, second: Manifest) -> Apart:
+    """Return by axis what only the first of the runs has, and what only the second."""
     a, b = _axes(first), _axes(second)
-    apart = {
-        axis: (
-            [name for name in a[axis] if name not in b[axis]],
-            [name for name in b[axis] if name not in a[axis]],
-        )
-        for axis in a
-    }
+    apart = {axis: (_beside(a[axis], b[axis]), _beside(b[axis], a[axis])) for axis in a}
     return {axis: both for axis, both in apart.items() if any(both)}
 
 
-def _axes(manifest: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return what a run has cells of, each once, in its order."""
-    consumers: dict[str, list[str]] = {}
-    for entry in manifest["cells"]:
-        consumers.setdefault(entry["kind"], []).append(entry["consumer"])
-    linked = consumers.get("linkage", [])
-    axes = {
-        "mechanisms": [entry["spec"] for entry in manifest["cells"]],
-        "predictors": consumers.get("predictor", []),
-        "attacks": [
-            *consumers.get("attack", []),
-            *(consumer.partition("/")[2] for consumer in linked),
-        ],
-        "tasks": [
-            consumer.partition("/")[0] for consumer in [*linked, *consumers.get("control", [])]
-        ],
+def _beside(names: Iterable[str], others: Iterable[str]) -> list[str]:
+    """Return the names that the others lack, each once."""
+    return [name for name in dict.fromkeys(names) if name not in others]
+
+
+def _axes(manifest: Manifest) -> dict[str, list[str]]:
+    """Return what a run has cells of, in its order."""
+
+    def of(*kinds: str) -> list[str]:
+        cells = manifest["cells"]
+        return [cell["consumer"] for kind in kinds for cell in cells if cell["kind"] == kind]
+
+    return {
+        "mechanisms": [cell["spec"] for cell in manifest["cells"]],
+        "predictors": of("predictor"),
+        "attacks": of("attack") + [name.partition("/")[2] for name in of("linkage")],
+        "tasks": [name.partition("/")[0] for name in of("linkage", "control")],
     }
-    return {axis: list(dict.fromkeys(names)) for axis, names in axes.items()}
 
 
-def mechanisms(manifest: Mapping[str, Any]) -> list[str]:
+def mechanisms(manifest: Manifest) -> list[str]:
     """Return the names of a run's mechanisms, in its order."""
     return list(dict.fromkeys(entry["mechanism"] for entry in manifest["cells"]))
 
 
 def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
     """Return the decisions that changed; None unless both runs have a verdict."""
-    paths = [out / "verdict.json" for out in (out_a, out_b)]
-    if not all(path.is_file() for path in paths):
+    if not all((out / _VERDICT).is_file() for out in (out_a, out_b)):
         return None
-    a, b = (_decisions(path) for path in paths)
+    a, b = (
+        {item["id"]: item["decision"] for item in verdict_of(out)["items"]}
+        for out in (out_a, out_b)
+    )
     both = [name for name in a if name in b]
     return {
         "in_both": len(both),
-        "only_a": [name for name in a if name not in b],
-        "only_b": [name for name in b if name not in a],
+        "only_a": _beside(a, b),
+        "only_b": _beside(b, a),
         "changed": [
             {"id": name, "a": a[name], "b": b[name]} for name in both if a[name] != b[name]
         ],
     }
 
 
-def _decisions(path: Path) -> dict[str, str]:
+def verdict_of(out: Path) -> dict[str, Any]:
+    """Return the verdict of a run folder; each of its items has an id and a decision.
+
+    Raises
+    ------
+    DataError
+        If there is none or it cannot be read.
+    """
+    path, again = out / _VERDICT, f"run python -m evaluation.report {out}"
     try:
-        items = json.loads(path.read_text(encoding="utf-8"))["items"]
-        return {item["id"]: item["decision"] for item in items}
+        said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        list(map(itemgetter("id", "decision"), said["items"]))  # or it is no verdict
+    except FileNotFoundError:
+        raise DataError(f"{out} has no {_VERDICT}; {again} first") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(
-            f"{path} cannot be read ({type(error).__name__}: {error}); "
-            "write it again with python -m evaluation.report"
-        ) from None
+        raise DataError(f"{path} cannot be read: {error!r}; {again} again") from None
+    return said

@@ -16,25 +16,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Key, Source
+from evaluation.analysis.keys import AS_SHARED, ORACLE
+from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.experiment.presets import IDENTITY
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
-
-    import pandas as pd
+    from collections.abc import Iterable, Mapping
 
     from evaluation.analysis.families import Family
+    from evaluation.analysis.keys import Key, Source, Where
+    from isac_track.intervals import Estimate
+
+    Levels = dict[Where, dict[Source, float]]
 
 
 def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
-    """Return the strongest attack over some levels; None if none counts.
+    """Return the strongest attack over some levels, or None if none counts.
 
-    Parameters
-    ----------
-    levels : iterable of mapping
-        Of each level the success of every attack; what names no adversary is none.
+    `levels` is of each level the success of every attack; what names no adversary is none.
     """
     values: dict[Source, list[float]] = {}
     for level in levels:
@@ -47,56 +47,33 @@ def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
     return max(finite, key=finite.__getitem__, default=None)
 
 
-def strongest(
-    values: Mapping[Key, float], known: Mapping[str, Family], *, metric: str
-) -> dict[str, Source]:
-    """Return the strongest attack of a run by task; reconstructions are under "".
+def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dict[str, Source]:
+    """Return the strongest linker of a run by task; under "" the strongest reconstruction.
 
-    Parameters
-    ----------
-    values : mapping
-        Every estimate of the run, or those of its summary (`values_in`).
-    known : mapping
-        The mechanisms of the run, from `families`.
-    metric : str
-        What success is: `EXPOSURE` or `SUCCESS`.
+    `found` is every estimate of the run, `known` its mechanisms.
     """
-    levels = by_task(values, metric=metric)
-    chosen = set(swept({name for blocks in levels.values() for name, _ in blocks}, known))
-    best = {
-        task: strongest_of(block for (name, _), block in blocks.items() if name in chosen)
-        for task, blocks in levels.items()
-    }
-    return {task: source for task, source in best.items() if source is not None}
+    best = {}
+    for metric in (EXPOSURE, SUCCESS):
+        levels = by_task(found, metric=metric)
+        families = {known[name].family for blocks in levels.values() for name, _ in blocks}
+        wanted = SWEPT if families & {FIXED, FID} else families - {CLEAN}
+        for task, blocks in levels.items():
+            one = strongest_of(
+                block for (name, _), block in blocks.items() if known[name].family in wanted
+            )
+            if one is not None:
+                best[task] = one
+    return best
 
 
-def by_task(
-    values: Mapping[Key, float], *, metric: str
-) -> dict[str, dict[tuple[str, float | None], dict[Source, float]]]:
+def by_task(found: Mapping[Key, Estimate], *, metric: str) -> dict[str, Levels]:
     """Return the success of every attack by task, level, and attack."""
-    found: dict[str, dict[tuple[str, float | None], dict[Source, float]]] = {}
-    for key, value in values.items():
+    values: dict[str, Levels] = {}
+    for key, one in found.items():
         if key.metric == metric:
-            source = key.measure.source
-            found.setdefault(source.task, {}).setdefault(key.where, {})[source] = value
-    return found
-
-
-def swept(mechanisms: Collection[str], known: Mapping[str, Family]) -> list[str]:
-    """Return over which mechanisms the strongest attack of a run is chosen."""
-    families = {known[name].family for name in mechanisms}
-    wanted = SWEPT if families & {FIXED, FID} else families - {CLEAN}
-    return [name for name in mechanisms if known[name].family in wanted]
-
-
-def values_in(summary: pd.DataFrame) -> dict[Key, float]:
-    """Return the estimates of a summary by what they are about; the file's columns are enough."""
-    columns = ["mechanism", "level", "consumer", "metric", "knowledge", "value"]
-    rows = summary[columns].fillna({"knowledge": ""}).itertuples(index=False, name=None)
-    return {
-        Key(mechanism, None if np.isnan(level) else level, consumer, metric, knowledge): value
-        for mechanism, level, consumer, metric, knowledge, value in rows
-    }
+            of_task = values.setdefault(key.source.task, {})
+            of_task.setdefault(key.where, {})[key.source] = one.value
+    return values
 
 
 def most_knowing(of: Iterable[Source]) -> list[Source]:
@@ -111,6 +88,6 @@ def most_knowing(of: Iterable[Source]) -> list[Source]:
     best: dict[str, Source] = {}
     for source in of:
         name = "" if source == AS_SHARED else source.consumer
-        if name not in best or rank[source.knowledge] > rank[best[name].knowledge]:
-            best[name] = source
+        pair = best.get(name, source), source
+        best[name] = max(pair, key=lambda one: rank[one.knowledge])
     return list(best.values())

@@ -6,8 +6,7 @@ clusters, the same ones for every mechanism, so that differences are paired.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -17,71 +16,38 @@ from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import METRICS, RECONSTRUCTION
 from evaluation.runs.cell_files import read_rows
 from isac_track.errors import DataError
-from isac_track.intervals import cluster_sums, cluster_weights, ratio_estimate
+from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     import pyarrow as pa
 
     from evaluation.analysis.families import Family
-    from evaluation.runs.cell_files import LinkageOutcome
-    from isac_track.intervals import Estimate
-    from isac_track.types import Bools, Floats, Ints
+    from evaluation.analysis.linkability import Cards
+    from isac_track.types import Floats, Ints
 
 N_REPLICATES = 1000
-
 COLUMNS = [
-    "dataset",
-    "mechanism",
-    "level",
-    "consumer",
-    "knowledge",
-    "metric",
-    "value",
-    "ci_low",
-    "ci_high",
-    "n",
-    "unit",
-    "family",
-    "adding",
+    *("dataset", "mechanism", "level", "consumer", "knowledge", "metric"),
+    *("value", "ci_low", "ci_high", "n", "unit", "family", "adding"),
 ]
 _POSITIONS = [METRICS[name] for name in RECONSTRUCTION]
-_SHARED_COLUMNS = ["group", *(one.column for one in _POSITIONS if not one.over)]
-_ATTACK_COLUMNS = [*_SHARED_COLUMNS, *(one.over for one in _POSITIONS if one.over)]
-_PREDICTOR_COLUMNS = [
-    "group",
-    "conflict",
-    "predicted",
-    "separation_m",
-    "predicted_separation_m",
-    "probability",
-]
-
-
+_SHARED = ["group", *(one.column for one in _POSITIONS if not one.over)]
 _COLUMNS_OF = {
-    "shared": _SHARED_COLUMNS,
-    "attack": _ATTACK_COLUMNS,
-    "predictor": _PREDICTOR_COLUMNS,
+    "shared": _SHARED,
+    "attack": [*_SHARED, *(one.over for one in _POSITIONS if one.over)],
+    "predictor": [
+        *("group", "conflict", "predicted"),
+        *("separation_m", "predicted_separation_m", "probability"),
+    ],
 }
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Scored:
-    """What a predictor said of every scene of one mechanism level: the material of its curves."""
-
-    mechanism: str
-    level: float | None
-    consumer: str
-    cluster: Ints
-    """(S,)"""
-    conflict: Bools
-    """(S,)"""
-    separation_m: Floats
-    """(S,) m, predicted"""
-    probability: Floats
-    """(S,) of a conflict; NaN without a covariance"""
+Scored: TypeAlias = "tuple[Mapping[str, Any], Ints, Mapping[str, Any]]"
+"""What a predictor said of every scene of one mechanism level: the cell's entry in the manifest,
+the scenes' clusters, (S,), and its columns as in `_COLUMNS_OF`."""
 
 
 def estimates(
@@ -95,7 +61,6 @@ def estimates(
         If a cell cannot be read.
     """
     weights = weights_of(manifest)
-    n_clusters = weights.shape[1]
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
     for entry in manifest["cells"]:
@@ -103,47 +68,48 @@ def estimates(
             continue
         table = read_rows(out, entry, columns=_COLUMNS_OF[entry["kind"]])
         cluster = clusters(table, manifest)
+        ratios = _descriptor_ratios
         if entry["kind"] == "predictor":
-            scored.append(
-                Scored(
-                    mechanism=entry["mechanism"],
-                    level=entry["level"],
-                    consumer=entry["consumer"],
-                    cluster=cluster,
-                    conflict=table["conflict"].to_numpy(),
-                    separation_m=table["predicted_separation_m"].to_numpy(),
-                    probability=table["probability"].to_numpy(),
-                )
+            ratios = _predictor_ratios
+            columns = {name: table[name].to_numpy() for name in _COLUMNS_OF["predictor"][1:]}
+            scored.append((entry, cluster, columns))
+        for metric, (numerator, denominator) in ratios(table).items():
+            found[key_of(entry, metric)] = estimate(
+                metric, numerator, denominator, cluster=cluster, weights=weights
             )
-            ratios = _predictor_ratios(table)
-        else:
-            ratios = _descriptor_ratios(table)
-        for metric, (numerator, denominator) in ratios.items():
-            estimate = ratio_estimate(
-                numerator=cluster_sums(values=numerator, cluster=cluster, n_clusters=n_clusters),
-                denominator=cluster_sums(
-                    values=denominator, cluster=cluster, n_clusters=n_clusters
-                ),
-                weights=weights,
-                is_share=METRICS[metric].is_share,
-            )
-            if METRICS[metric].is_root:
-                estimate = _root(estimate)
-            key = Key(
-                entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"]
-            )
-            found[key] = estimate
     return found, tuple(scored)
 
 
-def linkage_estimates(
-    read: Sequence[tuple[Mapping[str, Any], LinkageOutcome]],
-) -> dict[Key, Estimate]:
+def key_of(entry: Mapping[str, Any], metric: str) -> Key:
+    """Return what a metric of a cell of the manifest is about."""
+    return Key(entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"])
+
+
+def estimate(
+    metric: str, numerator: Floats, denominator: Floats, *, cluster: Ints, weights: Floats
+) -> Estimate:
+    """Return a metric that is a ratio of sums over rows, (R,), or the root of one.
+
+    `cluster`, (R,), is the column of a row's cluster in `weights`, (B, C).
+    """
+    above, below = (
+        cluster_sums(values=values, cluster=cluster, n_clusters=weights.shape[1])
+        for values in (numerator, denominator)
+    )
+    about = METRICS[metric]
+    one = ratio_estimate(
+        numerator=above, denominator=below, weights=weights, is_share=about.is_share
+    )
+    if not about.is_root:
+        return one
+    value, low, high = (float(np.sqrt(number)) for number in (one.value, one.ci_low, one.ci_high))
+    return Estimate(value, low, high, one.n, np.sqrt(one.replicates))
+
+
+def linkage_estimates(read: Cards) -> dict[Key, Estimate]:
     """Return every metric of the linkage cells; `read` is what `linkability.cards` returns."""
     return {
-        Key(entry["mechanism"], entry["level"], entry["consumer"], metric, entry["knowledge"]): one
-        for entry, card in read
-        for metric, one in card.estimates.items()
+        key_of(entry, metric): one for entry, card in read for metric, one in card.estimates.items()
     }
 
 
@@ -177,31 +143,16 @@ def to_frame(
 ) -> pd.DataFrame:
     """Return the tidy summary; the first six columns are unique together.
 
-    Parameters
-    ----------
-    found : mapping
-    known : mapping
-        The mechanisms of the run, from `families`.
-    dataset : str
-        Of the run.
+    `known` are the mechanisms of the run, from `families`.
     """
     rows = [
-        {
-            "dataset": dataset_of(key.consumer, dataset=dataset),
-            "mechanism": key.mechanism,
-            "level": np.nan if key.level is None else key.level,
-            "consumer": key.consumer,
-            "knowledge": key.knowledge,
-            "metric": key.metric,
-            "value": estimate.value,
-            "ci_low": estimate.ci_low,
-            "ci_high": estimate.ci_high,
-            "n": estimate.n,
-            "unit": METRICS[key.metric].summary_unit,
-            "family": known[key.mechanism].family,
-            "adding": known[key.mechanism].adding,
-        }
-        for key, estimate in found.items()
+        (
+            *(dataset_of(key.consumer, dataset=dataset), key.mechanism),
+            *(np.nan if key.level is None else key.level, key.consumer, key.knowledge, key.metric),
+            *(one.value, one.ci_low, one.ci_high, one.n, METRICS[key.metric].summary_unit),
+            *(known[key.mechanism].family, known[key.mechanism].adding),
+        )
+        for key, one in found.items()
     ]
     return pd.DataFrame(rows, columns=COLUMNS)
 
@@ -227,27 +178,12 @@ def _descriptor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
 
 
 def _predictor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
-    conflict = table["conflict"].to_numpy()
-    predicted = table["predicted"].to_numpy()
-    error_m = np.abs(table["predicted_separation_m"].to_numpy() - table["separation_m"].to_numpy())
-    return {
-        "missed_conflict_rate": (
-            (conflict & ~predicted).astype(np.float64),
-            conflict.astype(np.float64),
-        ),
-        "false_alarm_rate": (
-            (~conflict & predicted).astype(np.float64),
-            (~conflict).astype(np.float64),
-        ),
-        "distance_mae": (error_m, np.ones_like(error_m)),
-    }
-
-
-def _root(estimate: Estimate) -> Estimate:
-    return type(estimate)(
-        value=float(np.sqrt(estimate.value)),
-        ci_low=float(np.sqrt(estimate.ci_low)),
-        ci_high=float(np.sqrt(estimate.ci_high)),
-        n=estimate.n,
-        replicates=np.sqrt(estimate.replicates),
+    conflict, predicted, ours, truth = (
+        table[name].to_numpy()
+        for name in ("conflict", "predicted", "predicted_separation_m", "separation_m")
     )
+    return {
+        "missed_conflict_rate": ((conflict & ~predicted).astype(float), conflict.astype(float)),
+        "false_alarm_rate": ((~conflict & predicted).astype(float), (~conflict).astype(float)),
+        "distance_mae": (np.abs(ours - truth), np.ones_like(ours)),
+    }

@@ -6,42 +6,34 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evaluation.analysis.families import FID, FIXED, RAW, named
-from evaluation.analysis.keys import AS_SHARED, Key
+from evaluation.analysis.families import FID, FIXED, RAW
+from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.metrics import EQUAL_ALARMS, EXPOSURE, MISSED_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Measure
+    from evaluation.analysis.keys import Key, Measure
     from isac_track.intervals import Estimate
     from isac_track.types import Floats
 
 FEWEST_LEVELS: Final = 2
 """Of a curve, beside raw."""
+_SHOWN: Final = AS_SHARED.measure(EXPOSURE)
 _SMALLEST = 1e-12
 _ROUNDING = 1e-9
 
 
 class Sweeps:
-    """The estimates of a run and its mechanisms; curves are made monotone once each.
-
-    Parameters
-    ----------
-    found : mapping
-        Every metric of the run.
-    known : mapping
-        Its mechanisms, from `families`.
-    """
+    """Every estimate of a run, and its mechanisms; curves are made monotone once each."""
 
     def __init__(self, found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> None:
         self.found = found
         self.known = known
         self._levels: dict[str, list[float | None]] = {}
         for key in found:
-            shown = key.measure.source, key.metric
-            if shown == (AS_SHARED, EXPOSURE) and known[key.mechanism].is_added:
+            if key.measure == _SHOWN and known[key.mechanism].is_added:
                 self._levels.setdefault(key.mechanism, []).append(key.level)
         self._monotone: dict[tuple[str, Measure], Floats | None] = {}
 
@@ -54,26 +46,21 @@ class Sweeps:
         if len(levels) < FEWEST_LEVELS:
             return levels
         family = self.known[mechanism].family
-        ends = [self._shown(mechanism, level) for level in (levels[0], levels[-1])]
+        ends = [self.found[_SHOWN.at(mechanism, levels[place])].value for place in (0, -1)]
         grows = family == FID or (family != FIXED and ends[0] < ends[1])
         return levels if grows else levels[::-1]
 
-    def mechanisms(self) -> list[str]:
-        """Return the names of all mechanisms that do something to what was sensed."""
-        return list(self._levels)
-
     def named(self, family: str, *, adding: str) -> str:
-        """Return the mechanism of a family under an adding rule as it is by default, or ""."""
-        return named(self.known, family=family, adding=adding)
+        """Return a family's mechanism under an adding rule, nothing else of it changed, or ""."""
+        wanted = family, adding, ""
+        found = {(one.family, one.adding, one.parameters): name for name, one in self.known.items()}
+        return found.get(wanted, "")
 
     def others(self, adding: str) -> list[str]:
         """Return the mechanisms beside FID and fixed noise that are judged under an adding rule."""
         plain = {self.named(family, adding=adding) for family in (FID, FIXED)}
-        return [
-            name
-            for name in self.mechanisms()
-            if name not in plain and adding in self.known[name].rules
-        ]
+        rules = {name: self.known[name].rules for name in self._levels}
+        return [name for name in rules if name not in plain and adding in rules[name]]
 
     def swept(self, adding: str) -> list[str]:
         """Return what is a curve under an adding rule: FID, fixed noise, and others with levels."""
@@ -81,43 +68,35 @@ class Sweeps:
         more = [name for name in self.others(adding) if len(self.levels(name)) >= FEWEST_LEVELS]
         return [name for name in plain if name] + more
 
+    def drawn(self, key: Key) -> Floats:
+        """Return estimate and replicates of a number of the run, (1 + B,)."""
+        return np.concatenate([[self.found[key].value], self.found[key].replicates])
+
     def point(self, mechanism: str, level: float | None, measure: Measure) -> Floats | None:
         """Return estimate and replicates of one level, (1 + B,); None if it was not run."""
-        found = self.found.get(
-            Key(mechanism, level, measure.consumer, measure.metric, measure.knowledge)
-        )
-        return None if found is None else np.concatenate([[found.value], found.replicates])
+        key = measure.at(mechanism, level)
+        return self.drawn(key) if key in self.found else None
 
     def curve(self, mechanism: str, measure: Measure) -> Floats | None:
         """Return the measure from the noisiest level to raw, made monotone, (1 + B, L).
 
         None if there are fewer than two levels, or one of them or raw was not run.
         """
-        known = mechanism, measure
-        if known not in self._monotone:
-            self._monotone[known] = self._curve(mechanism, measure)
-        return self._monotone[known]
-
-    def _curve(self, mechanism: str, measure: Measure) -> Floats | None:
-        levels = self.levels(mechanism)
-        points = [self.point(mechanism, level, measure) for level in levels]
-        points.append(self.point(RAW, None, measure))
-        known = [point for point in points if point is not None]
-        if len(levels) < FEWEST_LEVELS or len(known) < len(points):
-            return None
-        # What noise costs falls towards raw, what it hides rises.
-        falls = measure.metric in (MISSED_RATE, EQUAL_ALARMS)
-        return monotone(np.stack(known, axis=1), increasing=not falls)
-
-    def _shown(self, mechanism: str, level: float | None) -> float:
-        return self.found[Key(mechanism, level, AS_SHARED.consumer, EXPOSURE)].value
+        asked = mechanism, measure
+        if asked not in self._monotone:
+            levels = self.levels(mechanism)
+            keys = [measure.at(mechanism, level) for level in levels] + [measure.at(RAW, None)]
+            self._monotone[asked] = None
+            if len(levels) >= FEWEST_LEVELS and all(key in self.found for key in keys):
+                # What noise costs falls towards raw, what it hides rises.
+                rises = measure.metric not in (MISSED_RATE, EQUAL_ALARMS)
+                values = np.stack([self.drawn(key) for key in keys], axis=1)
+                self._monotone[asked] = monotone(values, increasing=rises)
+        return self._monotone[asked]
 
     def n(self, mechanism: str, measure: Measure) -> int:
         """Return how many clusters the least of a mechanism's levels has; 0 if none was run."""
-        keys = (
-            Key(mechanism, level, measure.consumer, measure.metric, measure.knowledge)
-            for level in self.levels(mechanism)
-        )
+        keys = (measure.at(mechanism, level) for level in self.levels(mechanism))
         return min((self.found[key].n for key in keys if key in self.found), default=0)
 
 
@@ -143,16 +122,9 @@ def monotone(values: Floats, *, increasing: bool) -> Floats:
 def interpolated(at: Floats, change: Floats, values: Floats, *, log: bool) -> Floats:
     """Return each row's value where it has changed by `at` from raw, (R, P); NaN out of reach.
 
-    Parameters
-    ----------
-    at : (P,) or (R, P)
-        The same for all rows, or for each.
-    change : (>= R, L)
-        Falling from left to right, to 0 at raw.
-    values : (R, L)
-    log : bool
-        Interpolate the logarithm: a descriptor falls about exponentially with the rate, so that a
-        chord over a wide step of the levels lies close to the curve.
+    `at` is (P,) for all rows, or (R, P); `change`, (>= R, L), falls from left to right, to 0 at
+    raw; `values` are (R, L). With `log` the logarithm is interpolated: a descriptor falls about
+    exponentially with the rate, so that a chord over a wide step lies close to the curve.
     """
     n_rows = min(change.shape[0], values.shape[0])
     x, y = change[:n_rows, ::-1], values[:n_rows, ::-1]

@@ -22,20 +22,21 @@ good one is flagged at about one level in forty. Fewer than 20 clusters decide n
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import CLEAN, RAW
-from evaluation.analysis.keys import AS_SHARED, Key, Source, level_text
+from evaluation.analysis.keys import AS_SHARED, Source, level_text
 from evaluation.analysis.metrics import EXPOSURE
 from evaluation.analysis.paper import MIN_CLUSTERS
-from evaluation.analysis.summary import clusters, weights_of
+from evaluation.analysis.summary import clusters, estimate, key_of, weights_of
 from evaluation.experiment.presets import IDENTITY
 from evaluation.runs.cell_files import read_rows
-from isac_track.intervals import cluster_sums, difference, ratio_estimate
+from isac_track.intervals import difference
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
@@ -43,26 +44,18 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
     from pathlib import Path
 
-    from evaluation.analysis.keys import Where
+    from evaluation.analysis.keys import Key, Where
     from isac_track.intervals import Estimate
+
+    Found = Mapping[Key, Estimate]
+    Levels = Mapping[Where, Mapping[Source, Estimate]]
 
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")
 """From the simplest on."""
 BEATEN, DOES_NOT_FALL = "beaten", "does_not_fall"
 COLUMNS = [
-    "kind",
-    "mechanism",
-    "level",
-    "attack",
-    "knowledge",
-    "by",
-    "by_knowledge",
-    "metric",
-    "difference",
-    "ci_low",
-    "ci_high",
-    "compared",
-    "sentence",
+    *("kind", "mechanism", "level", "attack", "knowledge", "by", "by_knowledge", "metric"),
+    *("difference", "ci_low", "ci_high", "compared", "sentence"),
 ]
 
 _ALONE = {"averaging": (IDENTITY,)}
@@ -95,6 +88,9 @@ class Flags:
     """Why comparisons were left out, and how many."""
 
 
+_NOBODY = Source("")
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class _Pair:
     """Two estimates to compare, and what a flag would say."""
@@ -102,36 +98,42 @@ class _Pair:
     kind: str
     where: Where
     attack: Source
-    by: Source
     minus: Estimate
     plus: Estimate
-    least: Where | None = None
+    by: Source = _NOBODY
+    """What beats it, if anything does."""
+    least: Where = ("", None)
     """The least noisy level of a mechanism."""
+
+    def row(self, gap: Estimate, *, compared: int) -> tuple[object, ...]:
+        """Return the flag, as in `COLUMNS`."""
+        before, after = (f"{100 * one.value:.1f} %" for one in (self.minus, self.plus))
+        change = _points(gap.value, gap.ci_low, gap.ci_high, sign="+")
+        who, where = self.attack.label, _place(self.where)
+        if self.kind == BEATEN:
+            said = f"is beaten by {self.by.label} at {where}: PLR {before} against {after}"
+        else:
+            least = _place(self.least)
+            said = f"does not fall with the noise: PLR {before} at {least}, {after} at {where}"
+        level = np.nan if self.where[1] is None else self.where[1]
+        about = (self.kind, self.where[0], level, *astuple(self.attack), *astuple(self.by))
+        numbers = (gap.value, gap.ci_low, gap.ci_high, compared)
+        return *about, EXPOSURE, *numbers, f"{who} {said}, {change} points"
 
 
 def flags(
-    found: Mapping[Key, Estimate],
-    *,
-    slow: AbstractSet[str] = frozenset(),
-    once: Mapping[Key, Estimate] | None = None,
+    found: Found, *, slow: AbstractSet[str] = frozenset(), once: Found | None = None
 ) -> Flags:
     """Return the flags of a run.
 
-    Parameters
-    ----------
-    found : mapping
-        As `summary.estimates` returns it.
-    slow : set of str
-        Attacks that saw one release of each source track only.
-    once : mapping, optional
-        PLR of all attacks on those releases, from `on_first_releases`; without it slow attacks
-        are not compared with others.
+    `slow` are the attacks that saw one release of each source track only; `once` is PLR of all
+    attacks on those releases, from `on_first_releases`: without it they are compared with no other.
     """
     levels: dict[Where, dict[Source, Estimate]] = {}
-    for key, estimate in found.items():
+    for key, one in found.items():
         if key.metric == EXPOSURE and key.knowledge:
-            levels.setdefault(key.where, {})[key.measure.source] = estimate
-    left_out: dict[str, int] = {}
+            levels.setdefault(key.where, {})[key.source] = one
+    left_out: Counter[str] = Counter()
     pairs = [
         *_beaten_pairs(levels, found, slow=slow, once=once or {}, left_out=left_out),
         *_falling_pairs(levels, found, left_out=left_out),
@@ -139,22 +141,18 @@ def flags(
     enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= MIN_CLUSTERS]
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
-    compared: dict[tuple[str, Source, Source], int] = {}
-    for pair in enough:
-        name = pair.kind, pair.attack, pair.by
-        compared[name] = compared.get(name, 0) + 1
+    compared = Counter((pair.kind, pair.attack, pair.by) for pair in enough)
     gaps = [(pair, difference(pair.plus, pair.minus)) for pair in enough]
     rows = [
-        _row(pair, gap, compared=compared[pair.kind, pair.attack, pair.by])
+        pair.row(gap, compared=compared[pair.kind, pair.attack, pair.by])
         for pair, gap in gaps
         if (gap.ci_low > _ROUNDING if pair.kind == BEATEN else gap.ci_high > -_ROUNDING)
     ]
+    looked = Counter(pair.kind for pair in enough)
     return Flags(
         rows=pd.DataFrame(rows, columns=COLUMNS),
-        comparisons={
-            kind: sum(pair.kind == kind for pair in enough) for kind in (BEATEN, DOES_NOT_FALL)
-        },
-        left_out=left_out,
+        comparisons={kind: looked[kind] for kind in (BEATEN, DOES_NOT_FALL)},
+        left_out=dict(left_out),
     )
 
 
@@ -171,40 +169,29 @@ def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estim
     DataError
         If a cell cannot be read.
     """
-    slow = [entry for entry in manifest["cells"] if entry.get("slow", False)]
-    seen = {}
-    for entry in slow:
-        table = read_rows(out, entry, columns=["scene", "agent"])
-        seen[entry["spec"]] = _names(table)
-    weights = weights_of(manifest) if slow else np.zeros((0, 0))
+    seen = {
+        entry["spec"]: _names(read_rows(out, entry, columns=["scene", "agent"]))
+        for entry in manifest["cells"]
+        if entry.get("slow", False)
+    }
+    weights = weights_of(manifest) if seen else np.zeros((0, 0))
     found = {}
     for entry in manifest["cells"]:
-        if entry["kind"] != "attack" or entry["spec"] not in seen:
-            continue
-        if not (entry.get("slow", False) or _base(entry["consumer"]) in SIMPLER):
-            continue  # nobody is held against it
-        table = read_rows(out, entry, columns=["scene", "agent", "group", "plr"])
-        table = table.filter(np.isin(_names(table), seen[entry["spec"]]))
-        cluster = clusters(table, manifest)
-        plr = table["plr"].to_numpy()
-        sums, counts = (
-            cluster_sums(values=values, cluster=cluster, n_clusters=weights.shape[1])
-            for values in (plr, np.ones_like(plr))
-        )
-        key = Key(
-            entry["mechanism"], entry["level"], entry["consumer"], EXPOSURE, entry["knowledge"]
-        )
-        found[key] = ratio_estimate(
-            numerator=sums, denominator=counts, weights=weights, is_share=True
-        )
+        # Nobody is held against an attack that is neither simple nor slow.
+        counts = entry.get("slow", False) or _base(entry["consumer"]) in SIMPLER
+        if entry["kind"] == "attack" and entry["spec"] in seen and counts:
+            table = read_rows(out, entry, columns=["scene", "agent", "group", "plr"])
+            table = table.filter(np.isin(_names(table), seen[entry["spec"]]))
+            plr, cluster = table["plr"].to_numpy(), clusters(table, manifest)
+            found[key_of(entry, EXPOSURE)] = estimate(
+                EXPOSURE, plr, np.ones_like(plr), cluster=cluster, weights=weights
+            )
     return found
 
 
 def to_json(found: Flags) -> bytes:
     """Return the content of `flags.json`."""
     rows = found.rows.to_dict("records")
-    for row in rows:
-        row["level"] = None if np.isnan(row["level"]) else row["level"]
     content = {
         "about": "Attacks that may be too weak for their numbers to mean privacy.",
         "kinds": _ABOUT,
@@ -212,56 +199,63 @@ def to_json(found: Flags) -> bytes:
         "intervals": _INTERVALS,
         "comparisons": found.comparisons,
         "left_out": found.left_out,
-        "flags": rows,
+        "flags": [
+            row | {"level": None if np.isnan(row["level"]) else row["level"]} for row in rows
+        ],
     }
     return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def lines(rows: pd.DataFrame) -> list[str]:
     """Return the flags in short: a line for each kind, attack, adversary and what beat it."""
-    return [
-        _beaten_line(part) if kind == BEATEN else _falling_line(part)
-        for (kind, *_), part in rows.groupby(["kind", "attack", "knowledge", "by"], sort=False)
-    ]
+    found = []
+    for (kind, *_), part in rows.groupby(["kind", "attack", "knowledge", "by"], sort=False):
+        worst = part.sort_values("difference").iloc[-1]
+        interval = worst["difference"], worst["ci_low"], worst["ci_high"]
+        if kind == BEATEN:
+            n_levels = len(part[["mechanism", "level"]].drop_duplicates())
+            said = (
+                f"is beaten by {worst['by']} ({', '.join(part['by_knowledge'].unique())}) at "
+                f"{n_levels} of {part['compared'].max()} levels, by up to {_points(*interval)}"
+            )
+        else:
+            said = (
+                f"does not fall with the noise in {len(part)} of {worst['compared']} mechanisms "
+                f"({', '.join(part['mechanism'])}), by {_points(*interval, sign='+')}"
+            )
+        who = f"{worst['attack']} ({worst['knowledge']})"
+        found.append(f"flag: {who} {said} points: flags.json")
+    return found
 
 
 def _beaten_pairs(
-    levels: Mapping[Where, Mapping[Source, Estimate]],
-    found: Mapping[Key, Estimate],
-    *,
-    slow: AbstractSet[str],
-    once: Mapping[Key, Estimate],
-    left_out: dict[str, int],
+    levels: Levels, found: Found, *, slow: AbstractSet[str], once: Found, left_out: Counter[str]
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
-        shared = found.get(_key(where, AS_SHARED))
+        shared = found.get(AS_SHARED.measure(EXPOSURE).at(*where))
         nothing_to_gain = shared is not None and shared.value >= 1.0
         for attack, by in ((a, b) for a in plr for b in plr if _should_win(a, b)):
             minus, plus = plr[attack], plr[by]
             if (attack.consumer in slow) != (by.consumer in slow):
-                keys = [_key(where, source) for source in (attack, by)]
+                keys = [source.measure(EXPOSURE).at(*where) for source in (attack, by)]
                 if not all(key in once for key in keys):
-                    _count(left_out, "a slow attack, without the others on the same tracks")
+                    left_out["a slow attack, without the others on the same tracks"] += 1
                     continue
                 minus, plus = (once[key] for key in keys)
             if nothing_to_gain:
-                _count(left_out, "all that is shared leaks already")
-                continue
-            yield _Pair(BEATEN, where, attack, by, minus, plus)
+                left_out["all that is shared leaks already"] += 1
+            else:
+                yield _Pair(BEATEN, where, attack, minus, plus, by=by)
 
 
-def _falling_pairs(
-    levels: Mapping[Where, Mapping[Source, Estimate]],
-    found: Mapping[Key, Estimate],
-    *,
-    left_out: dict[str, int],
-) -> Iterator[_Pair]:
+def _falling_pairs(levels: Levels, found: Found, *, left_out: Counter[str]) -> Iterator[_Pair]:
+    rmse, exposed = AS_SHARED.measure("rmse"), AS_SHARED.measure(EXPOSURE)
     for mechanism in dict.fromkeys(name for name, _ in levels if name not in (RAW, CLEAN)):
         # By the noise that there is, whichever way the level counts.
         noise = {
-            where: found[_key(where, AS_SHARED, "rmse")].value
+            where: found[rmse.at(*where)].value
             for where in levels
-            if where[0] in (mechanism, RAW) and _key(where, AS_SHARED, "rmse") in found
+            if where[0] in (mechanism, RAW) and rmse.at(*where) in found
         }
         in_order = sorted(noise, key=noise.__getitem__)
         if len(in_order) < 2 or in_order[-1][0] != mechanism:  # noqa: PLR2004 - a fall has two ends
@@ -272,20 +266,15 @@ def _falling_pairs(
             for attack in levels[most]
             if attack in levels[least] and _base(attack.consumer) != IDENTITY
         ]
+        quiet, noisy = (found.get(exposed.at(*where)) for where in (least, most))
         if noise[most] < _LEAST_RISE * noise[least]:
-            _count(left_out, "the noise hardly rises", len(attacks))
-            continue
-        quiet, noisy = (found.get(_key(where, AS_SHARED)) for where in (least, most))
-        if quiet is not None and noisy is not None and difference(noisy, quiet).ci_high >= 0:
-            _count(left_out, "PLR as shared does not fall either", len(attacks))
-            continue
-        for attack in attacks:
-            ends = levels[least][attack], levels[most][attack]
-            yield _Pair(DOES_NOT_FALL, most, attack, Source(""), *ends, least=least)
-
-
-def _key(where: Where, source: Source, metric: str = EXPOSURE) -> Key:
-    return Key(*where, source.consumer, metric, source.knowledge)
+            left_out["the noise hardly rises"] += len(attacks)
+        elif quiet is not None and noisy is not None and difference(noisy, quiet).ci_high >= 0:
+            left_out["PLR as shared does not fall either"] += len(attacks)
+        else:
+            for attack in attacks:
+                ends = levels[least][attack], levels[most][attack]
+                yield _Pair(DOES_NOT_FALL, most, attack, *ends, least=least)
 
 
 def _should_win(attack: Source, by: Source) -> bool:
@@ -304,61 +293,6 @@ def _base(spec: str) -> str:
     return spec.partition(":")[0]
 
 
-def _row(pair: _Pair, gap: Estimate, *, compared: int) -> dict[str, Any]:
-    change = f"{_points(gap.value, gap.ci_low, gap.ci_high, sign='+')} points"
-    before, after = (f"{100 * one.value:.1f} %" for one in (pair.minus, pair.plus))
-    if pair.kind == BEATEN:
-        sentence = (
-            f"{pair.attack.label} is beaten by {pair.by.label} at {_place(pair.where)}: "
-            f"PLR {before} against {after}, {change}"
-        )
-    else:
-        assert pair.least is not None
-        sentence = (
-            f"{pair.attack.label} does not fall with the noise: PLR {before} at "
-            f"{_place(pair.least)}, {after} at {_place(pair.where)}, {change}"
-        )
-    mechanism, level = pair.where
-    return {
-        "kind": pair.kind,
-        "mechanism": mechanism,
-        "level": np.nan if level is None else level,
-        "attack": pair.attack.consumer,
-        "knowledge": pair.attack.knowledge,
-        "by": pair.by.consumer,
-        "by_knowledge": pair.by.knowledge,
-        "metric": EXPOSURE,
-        "difference": gap.value,
-        "ci_low": gap.ci_low,
-        "ci_high": gap.ci_high,
-        "compared": compared,
-        "sentence": sentence,
-    }
-
-
-def _beaten_line(part: pd.DataFrame) -> str:
-    worst = part.sort_values("difference").iloc[-1]
-    by = f"{worst['by']} ({', '.join(part['by_knowledge'].unique())})"
-    n_levels = len(part[["mechanism", "level"]].drop_duplicates())
-    return (
-        f"flag: {worst['attack']} ({worst['knowledge']}) is beaten by {by} at {n_levels} of "
-        f"{part['compared'].max()} levels, by up to {_amount(worst)} points: flags.json"
-    )
-
-
-def _falling_line(part: pd.DataFrame) -> str:
-    worst = part.sort_values("difference").iloc[-1]
-    return (
-        f"flag: {worst['attack']} ({worst['knowledge']}) does not fall with the noise in "
-        f"{len(part)} of {worst['compared']} mechanisms ({', '.join(part['mechanism'])}), by "
-        f"{_amount(worst, sign='+')} points: flags.json"
-    )
-
-
-def _amount(row: pd.Series[Any], *, sign: str = "-") -> str:
-    return _points(row["difference"], row["ci_low"], row["ci_high"], sign=sign)
-
-
 def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:
     """Return a difference of two shares in points, with its interval."""
     # Small ones with enough digits to see that the interval lies on one side of zero.
@@ -368,14 +302,9 @@ def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:
 
 
 def _place(where: Where) -> str:
-    mechanism, level = where
-    return f"{mechanism} {level_text(level)}".rstrip()
+    return f"{where[0]} {level_text(where[1])}".rstrip()
 
 
 def _names(table: Any) -> Any:  # noqa: ANN401 - pyarrow has no types
     """Return a number for each row's track: its scene and its agent."""
     return table["scene"].to_numpy() * 2**16 + table["agent"].to_numpy()
-
-
-def _count(counts: dict[str, int], what: str, n: int = 1) -> None:
-    counts[what] = counts.get(what, 0) + n

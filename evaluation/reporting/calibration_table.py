@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import TYPE_CHECKING
 
-from evaluation.analysis.calibration import Fit
+from evaluation.analysis.calibration import FITTED
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
 from evaluation.reporting.table import Column, number, table, word, words
@@ -25,12 +24,12 @@ _ABOUT = (
 def show(found: Mapping[str, Calibration]) -> None:
     """Print constants and numbers by what was fixed beforehand."""
     rows = []
-    for field in fields(Fit):
-        values = [number(getattr(one.fit, field.name), digits=2) for one in found.values()]
-        rows.append([word(field.name), number(None), *values])
+    for name in FITTED:
+        values = [number(getattr(fit, name), digits=2) for fit, _ in found.values()]
+        rows.append([word(name), number(None), *values])
     for mechanism, level, metric, published in PUBLISHED:
         spec = mechanism if level is None else f"{mechanism}:{level:g}"
-        numbers = [published, *(one.numbers[spec, metric] for one in found.values())]
+        numbers = [published, *(ours[spec, metric] for _, ours in found.values())]
         scale, digits = METRICS[metric].scale, 1 if METRICS[metric].is_share else 2
         cells = [number(value, scale=scale, digits=digits) for value in numbers]
         rows.append([word(f"{spec} {metric}"), *cells])

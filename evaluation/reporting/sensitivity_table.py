@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from evaluation.reporting.table import table, word, words
 from evaluation.reporting.terminal import say, show_table, standard_output
-from evaluation.verdict.sensitivity import SECTIONS, TURNED, counts
+from evaluation.verdict.rules import SECTIONS
+from evaluation.verdict.sensitivity import TURNED, counts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 import shlex
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
 
-from evaluation.analysis.families import ADDING_RULES, FID, FIXED, families_in
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, families_in
 from evaluation.analysis.keys import AS_SHARED, Source
 from evaluation.analysis.linkability import dataset_of, linked_tasks
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
@@ -24,14 +25,12 @@ from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Where
     from evaluation.analysis.linkability import LinkedTask
-
-Status: TypeAlias = Literal["met", "not met", "cannot say"]
 
 TARGETS: Final = ("missed", "false_alarm")
 """What chooses a level."""
@@ -45,10 +44,11 @@ ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}
 """What may be limited."""
 UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
-_TEXTS = ("mechanism", "consumer", "knowledge", "metric", "family", "adding")
-_NUMBERS = ("level", "value", "ci_low", "ci_high")
-_LINKED_TEXTS = ("mechanism", "consumer", "knowledge", "cohort", "outcome", "invalid")
-_LINKED_NUMBERS = ("level", "rank1", "ci_low", "ci_high", "chance")
+_WHERE = ("mechanism", "level", "consumer", "knowledge")
+_SUMMARY = (*_WHERE, "metric", "family", "adding", "value", "ci_low", "ci_high")
+_LINKED = (*_WHERE, "cohort", "outcome", "invalid", "rank1", "ci_low", "ci_high", "chance")
+_interval = attrgetter("value", "ci_low", "ci_high")
+_NUMBERS = frozenset(("level", "value", "rank1", "ci_low", "ci_high", "chance"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +76,6 @@ class Linked:
     outcome: str = ""
     invalid: str = ""
     """Shortcuts that give people away here; empty: none."""
-
-    @property
-    def why_unknown(self) -> str:
-        """Why it confirms no limit; empty if it may."""
-        if not self.attack:
-            return "no attack was run at this level"
-        if self.invalid:
-            return f"a shortcut ({self.invalid}) gives people away: no measure of the attack"
-        if self.outcome == WEAK:
-            return "every attack is too weak: it fails without any error, too"
-        return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,12 +139,18 @@ class Check:
     measured: Estimate
     whose: str = ""
     """Whose positions or which attack it is of."""
-    why_unknown: str = ""
-    """Why it cannot be said; empty if it can."""
+    missing: str = ""
+    """Why there is no number to judge; empty if there may be one."""
 
     @property
-    def status(self) -> Status:
-        """Whether the upper end is at or below the limit."""
+    def why_unknown(self) -> str:
+        """Why it cannot be said; empty if it can."""
+        known = self.missing or math.isfinite(self.measured.ci_high)
+        return self.missing if known else "the value or its interval is unknown"
+
+    @property
+    def status(self) -> str:
+        """Whether the upper end is at or below the limit: met, not met, or cannot say."""
         if self.why_unknown:
             return "cannot say"
         return "met" if self.measured.ci_high <= self.limit else "not met"
@@ -243,134 +238,41 @@ def choose(
         If the run lacks what is asked for; the message names the option and the way out.
     """
     manifest = read_manifest(out)
-    if not all(isinstance(manifest.get(name), dict) for name in ("dataset", "settings")):
-        raise DataError(f"{out} holds a run that never started; run the matrix again")
     name = _predictor(out, manifest, predictor)
-    known, levels = read_levels(out, dataset=manifest["dataset"]["name"], predictor=name)
-    raw = levels.get(("raw", None))
-    every = Choice(
+    dataset = manifest["dataset"]["name"]
+    summary = _table(out, "summary.csv", _SUMMARY)
+    is_linked = (out / "linkability.csv").exists()
+    linked = linked_tasks(_table(out, "linkability.csv", _LINKED)) if is_linked else []
+    of_metrics = summary[summary["metric"].isin(METRIC_OF.values())]
+    levels = [
+        level
+        for where, rows in of_metrics.groupby(["mechanism", "level"], dropna=False, sort=False)
+        if (level := _level(where, rows, linked, name, dataset)) is not None
+    ]
+    known = families_in(summary).values()
+    raw = next((one for one in levels if one.mechanism == RAW), None)
+    choice = Choice(
         out=out,
         manifest=manifest,
         predictor=name,
-        adding=ADDING_RULES,
+        adding=tuple(adding),
         limits=limits,
         raw=raw,
         raw_checks=() if raw is None else tuple(_targets(raw, limits)),
         schemes=tuple(
-            _scheme(found, family=family, adding=rule, limits=limits)
+            _scheme(found, family, rule, limits)
             for rule in ADDING_RULES
-            for family in sorted(known.values(), key=_place)
+            # FID is shown first, then fixed noise, all others as they were run.
+            for family in sorted(known, key=lambda one: [FID, FIXED, one.name].index(one.name))
             if family.is_added and rule in family.rules
-            if (found := [one for one in levels.values() if one.mechanism == family.mechanism])
+            if (found := [one for one in levels if one.mechanism == family.mechanism])
         ),
-        tasks=next((one.tasks for one in levels.values()), ()),
+        tasks=next((one.tasks for one in levels), ()),
         is_current=manifest.get("code") == code_hash(),
     )
-    is_attacked = any(one.after_attack for one in levels.values())
-    _refuse_missing(every, adding=adding, is_attacked=is_attacked)
-    schemes = tuple(one for rule in adding for one in every.schemes if one.adding == rule)
-    return replace(every, adding=tuple(adding), schemes=schemes)
-
-
-def _place(family: Family) -> int:
-    """Return where a family is shown: FID, then fixed noise, all others as they were run."""
-    return [FID, FIXED, family.name].index(family.name)
-
-
-def read_levels(
-    out: Path, *, dataset: str, predictor: str
-) -> tuple[dict[str, Family], dict[Where, Level]]:
-    """Return the mechanisms of a run, and what each level that a predictor was run on comes to.
-
-    `dataset` is the recording of the run. Every level has all tasks of the run; raw needs no
-    predictor.
-
-    Raises
-    ------
-    DataError
-        If a file of the run is missing or broken.
-    """
-    again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
-    summary = _table(out / "summary.csv", texts=_TEXTS, numbers=_NUMBERS, way_out=again)
-    if summary is None:
-        raise DataError(f"{out / 'summary.csv'} is missing; {again} if the run has finished")
-    blocks: dict[Where, dict[Source, dict[str, Estimate]]] = {}
-    wanted = summary[summary["metric"].isin(METRIC_OF.values())]
-    for row in wanted.itertuples(index=False, name=None):
-        mechanism, consumer, knowledge, metric, _, _, level, *found = row
-        where = mechanism, None if math.isnan(level) else level
-        of = blocks.setdefault(where, {}).setdefault(Source(consumer, knowledge), {})
-        of[metric] = Estimate(*found)
-    linkability = _table(
-        out / "linkability.csv", texts=_LINKED_TEXTS, numbers=_LINKED_NUMBERS, way_out=again
-    )
-    tasks = [] if linkability is None else linked_tasks(linkability)
-    return families_in(summary), {
-        where: Level(
-            mechanism=where[0],
-            level=where[1],
-            numbers=_named(block.get(Source(predictor), {}), TARGETS)
-            | _named(block[AS_SHARED], DESCRIPTORS),
-            after_attack=_best_reconstruction(block),
-            tasks=tuple(_strongest(task, where, dataset=dataset) for task in tasks),
-        )
-        for where, block in blocks.items()
-        if AS_SHARED in block and (where[0] == "raw" or Source(predictor) in block)
-    }
-
-
-def _table(
-    path: Path, *, texts: Sequence[str], numbers: Sequence[str], way_out: str
-) -> pd.DataFrame | None:
-    """Return some columns of a table, texts first; None if there is no such file."""
-    columns = [*texts, *numbers]
-    try:
-        # A name may be "NA": only an empty number is unknown.
-        return pd.read_csv(
-            path,
-            usecols=columns,
-            dtype=dict.fromkeys(texts, str) | dict.fromkeys(numbers, float),
-            keep_default_na=False,
-            na_values={name: [""] for name in numbers},
-        )[columns]
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise DataError(f"{path} cannot be read ({reason}); {way_out}") from None
-
-
-def _best_reconstruction(block: Mapping[Source, Mapping[str, Estimate]]) -> Attacked | None:
-    """Return the strongest reconstruction at a level."""
-    best = strongest_of([{one: block[one].get(EXPOSURE, UNKNOWN).value for one in block}])
-    if best is None:
-        return None
-    return Attacked(best.consumer, best.knowledge, _named(block[best], DESCRIPTORS))
-
-
-def _strongest(task: LinkedTask, where: Where, *, dataset: str) -> Linked:
-    """Return the strongest linker at a level, of the valid ones if there are any."""
-    own = dataset_of(task.name, dataset=dataset)
-    rows = task.cells.get(where, {})
-    rank1 = {source: row[SUCCESS] for source, row in rows.items()}
-    valid = {
-        source: value
-        for source, value in rank1.items()
-        if rows[source]["outcome"] != WEAK and not rows[source]["invalid"]
-    }
-    best = strongest_of([valid]) or strongest_of([rank1])
-    if best is None:
-        return Linked(task.name, own, own == dataset)
-    row = rows[best]
-    return Linked(
-        *(task.name, own, own == dataset, best.consumer, best.knowledge),
-        rank1=Estimate(row[SUCCESS], row["ci_low"], row["ci_high"]),
-        **{name: row[name] for name in ("chance", "outcome", "invalid")},
-    )
-
-
-def _named(found: Mapping[str, Estimate], names: Iterable[str]) -> dict[str, Estimate]:
-    return {name: found.get(METRIC_OF[name], UNKNOWN) for name in names}
+    _refuse_missing(choice, is_attacked=any(one.after_attack for one in levels))
+    schemes = tuple(one for rule in adding for one in choice.schemes if one.adding == rule)
+    return replace(choice, schemes=schemes)
 
 
 def _predictor(out: Path, manifest: Mapping[str, Any], asked: str | None) -> str:
@@ -389,10 +291,88 @@ def _predictor(out: Path, manifest: Mapping[str, Any], asked: str | None) -> str
     return known[0] if asked is None else asked
 
 
-def _refuse_missing(choice: Choice, *, adding: Sequence[str], is_attacked: bool) -> None:
+def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
+    """Return some columns of a table of a run."""
+    again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
+    try:
+        # A name may be "NA": only an empty number is unknown.
+        return pd.read_csv(
+            out / name,
+            usecols=list(columns),
+            dtype={column: float if column in _NUMBERS else str for column in columns},
+            keep_default_na=False,
+            na_values={column: [""] for column in columns if column in _NUMBERS},
+        )
+    except FileNotFoundError:
+        raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
+    except (OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise DataError(f"{out / name} cannot be read ({reason}); {again}") from None
+
+
+def _level(
+    where: tuple[Any, ...],
+    rows: pd.DataFrame,
+    tasks: Sequence[LinkedTask],
+    predictor: str,
+    dataset: str,
+) -> Level | None:
+    """Return what a level comes to; None if it was not shared, or not to the predictor.
+
+    It has all tasks of the run; raw needs no predictor.
+    """
+    mechanism, level = where[0], None if math.isnan(where[1]) else where[1]
+    columns = ["consumer", "knowledge", "metric", "value", "ci_low", "ci_high"]
+    found = {
+        (Source(consumer, knowledge), metric): Estimate(*numbers)
+        for consumer, knowledge, metric, *numbers in rows[columns].itertuples(index=False)
+    }
+
+    def numbers(source: Source, names: Sequence[str]) -> dict[str, Estimate]:
+        return {name: found.get((source, METRIC_OF[name]), UNKNOWN) for name in names}
+
+    sources = {source for source, _ in found}
+    robot = Source(predictor)
+    if AS_SHARED not in sources or not (mechanism == RAW or robot in sources):
+        return None
+    exposed = {source: one.value for (source, metric), one in found.items() if metric == EXPOSURE}
+    best = strongest_of([exposed])
+    attacked = None
+    if best is not None:
+        attacked = Attacked(best.consumer, best.knowledge, numbers(best, DESCRIPTORS))
+    return Level(
+        mechanism=mechanism,
+        level=level,
+        numbers=numbers(robot, TARGETS) | numbers(AS_SHARED, DESCRIPTORS),
+        after_attack=attacked,
+        tasks=tuple(_strongest(task, (mechanism, level), dataset) for task in tasks),
+    )
+
+
+def _strongest(task: LinkedTask, where: Where, dataset: str) -> Linked:
+    """Return the strongest linker at a level, of the valid ones if there are any."""
+    own, rows = dataset_of(task.name, dataset=dataset), task.cells.get(where, {})
+    rank1 = {source: row[SUCCESS] for source, row in rows.items()}
+    valid = {
+        source: rank1[source]
+        for source, row in rows.items()
+        if row["outcome"] != WEAK and not row["invalid"]
+    }
+    best = strongest_of([valid]) or strongest_of([rank1])
+    if best is None:
+        return Linked(task.name, own, own == dataset)
+    row = rows[best]
+    return Linked(
+        *(task.name, own, own == dataset, best.consumer, best.knowledge),
+        rank1=Estimate(row[SUCCESS], row["ci_low"], row["ci_high"]),
+        **{name: row[name] for name in ("chance", "outcome", "invalid")},
+    )
+
+
+def _refuse_missing(choice: Choice, *, is_attacked: bool) -> None:
     """Refuse a question that no level of the run could answer."""
     out, have = choice.out, [scheme.adding for scheme in choice.asked]
-    for rule in adding:
+    for rule in choice.adding:
         if rule not in have:
             narrower = f", or ask for --adding {have[0]} alone" if have else ""
             option = f",adding={rule}" * (rule != ADDING_RULES[0])
@@ -415,43 +395,37 @@ def _refuse_missing(choice: Choice, *, adding: Sequence[str], is_attacked: bool)
 
 def _targets(level: Level, limits: Limits) -> list[Check]:
     """Return the checks that choose a level."""
-    return [_check(name, limit, level.numbers[name]) for name, limit in limits.of(*TARGETS).items()]
+    return [Check(name, limit, level.numbers[name]) for name, limit in limits.of(*TARGETS).items()]
 
 
 def _privacy(level: Level, limits: Limits) -> list[Check]:
     """Return the checks at the chosen level."""
-    source: Level | Attacked | None = level
-    whose, why = "as shared", ""
+    numbers, whose, missing = level.numbers, "as shared", ""
     if limits.after_attack:
-        source = attacked = level.after_attack
+        attacked = level.after_attack
         if attacked is None:
-            whose, why = "", "no reconstruction attack was run at this level"
+            numbers, whose, missing = {}, "", "no reconstruction attack was run at this level"
         else:
-            whose = f"after {attacked.attack} ({attacked.knowledge})"
-    numbers = {} if source is None else source.numbers
+            numbers, whose = attacked.numbers, f"after {attacked.attack} ({attacked.knowledge})"
     checks = [
-        _check(name, limit, numbers.get(name, UNKNOWN), whose=whose, why=why)
+        Check(name, limit, numbers.get(name, UNKNOWN), whose, missing)
         for name, limit in limits.of(*DESCRIPTORS).items()
     ]
-    for one in level.tasks:
-        for limit in limits.of(SUCCESS).values() if one.limited else ():
-            whose = f"in {one.task} by {one.attack} ({one.knowledge})" if one.attack else one.task
-            name = f"{SUCCESS}/{one.task}"
-            checks.append(_check(name, limit, one.rank1, whose=whose, why=one.why_unknown))
+    for one in level.tasks if SUCCESS in limits.given else ():
+        whose, missing = f"in {one.task} by {one.attack} ({one.knowledge})", ""
+        if not one.attack:
+            whose, missing = one.task, "no attack was run at this level"
+        elif one.invalid:
+            missing = f"a shortcut ({one.invalid}) gives people away: no measure of the attack"
+        elif one.outcome == WEAK:
+            missing = "every attack is too weak: it fails without any error, too"
+        if one.limited:
+            limit = limits.given[SUCCESS]
+            checks.append(Check(f"{SUCCESS}/{one.task}", limit, one.rank1, whose, missing))
     return checks
 
 
-def _check(name: str, limit: float, found: Estimate, *, whose: str = "", why: str = "") -> Check:
-    if not why and not math.isfinite(found.ci_high):
-        why = "the value or its interval is unknown"
-    return Check(name, limit, found, whose, why)
-
-
-def _descriptors(level: Level) -> list[Estimate]:
-    return [level.numbers[name] for name in DESCRIPTORS]
-
-
-def _scheme(found: Iterable[Level], *, family: Family, adding: str, limits: Limits) -> Scheme:
+def _scheme(found: Sequence[Level], family: Family, adding: str, limits: Limits) -> Scheme:
     """Return the answer for the levels of a mechanism."""
     levels = sorted(found, key=lambda one: one.level or 0.0)
     # A large eta adds little, a large error much; of anybody else's, what leaks less is stricter.
@@ -465,23 +439,16 @@ def _scheme(found: Iterable[Level], *, family: Family, adding: str, limits: Limi
     n_met = meets.index(False) if False in meets else len(meets)
     chosen = levels[n_met - 1] if n_met else None
     stricter = levels[n_met] if n_met < len(levels) else None
-    also = [
-        level.level
-        for level, fine in zip(levels[n_met:], meets[n_met:], strict=True)
-        if fine and level.level is not None
-    ]
-    strictest = [
-        [(one.value, one.ci_low, one.ci_high) for one in _descriptors(level)]
-        for level in levels[-2:]
-    ]
+    beyond = zip(levels[n_met:], meets[n_met:], strict=True)
+    shown = [[_interval(level.numbers[name]) for name in DESCRIPTORS] for level in levels[-2:]]
     return Scheme(
         adding=adding,
         family=family,
         falls=falls,
         chosen=chosen,
         stricter=stricter,
-        also_meets=tuple(also),
-        is_saturated=len(strictest) > 1 and strictest[0] == strictest[1],
+        also_meets=tuple(one.level for one, fine in beyond if fine and one.level is not None),
+        is_saturated=len(shown) > 1 and shown[0] == shown[1],
         checks=() if chosen is None else (*_targets(chosen, limits), *_privacy(chosen, limits)),
         missed=() if stricter is None else tuple(_targets(stricter, limits)),
     )

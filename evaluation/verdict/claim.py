@@ -1,4 +1,8 @@
-"""Section c of the verdict: whether FID has the advantage over fixed noise at equal missed rate."""
+"""Sections c and d of the verdict: what FID is worth, and what an attack makes of a descriptor.
+
+The paper's *claim* is that FID has the advantage over fixed noise at equal missed rate. *Inflation*
+is how much higher each descriptor is after the strongest attack than as shared.
+"""
 
 from __future__ import annotations
 
@@ -6,29 +10,20 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evaluation.analysis.families import FID
+from evaluation.analysis.families import ADDING_RULES, FID
 from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
-from evaluation.verdict.items import NAME, Draft, known, with_interval
-from evaluation.verdict.rules import (
-    CLAIM,
-    HOLDS,
-    REVERSED,
-    UNDECIDED,
-    Option,
-    is_known,
-    p_above,
-    p_below,
-)
+from evaluation.verdict import rules
+from evaluation.verdict.rules import NAME, UNDECIDED, Draft, known, with_interval
 from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Source
     from evaluation.analysis.matching import Comparison
+    from evaluation.analysis.sweeps import Sweeps
 
 _CRITERIA: Final = {
     MISSED: "equal missed-conflict rate",
@@ -40,7 +35,7 @@ AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"
 
 def claims(
     compared: Iterable[Comparison],
-    known_ones: Mapping[str, Family],
+    sweeps: Sweeps,
     *,
     success: Mapping[str, Source],
     attack: Source | None,
@@ -48,18 +43,8 @@ def claims(
     """Yield an item for everything that is compared at an equal missed rate.
 
     Descriptors as shared, after the strongest reconstruction, and what the strongest linkers
-    achieve; of any other mechanism of the run that has levels as of FID.
-
-    Parameters
-    ----------
-    compared : iterable of Comparison
-        By one predictor.
-    known_ones : mapping
-        The mechanisms of the run, from `families`.
-    success : mapping
-        By task its strongest linker.
-    attack : Source or None
-        The strongest reconstruction.
+    achieve; of any other mechanism of the run that has levels as of FID. `compared` is by one
+    predictor; `success` is by task its strongest linker.
     """
     wanted = {AS_SHARED.measure(descriptor): AS_IS for descriptor in DESCRIPTORS}
     if attack is not None:
@@ -67,16 +52,18 @@ def claims(
     wanted |= {linker.measure(SUCCESS): LINKED for linker in success.values()}
     for one in compared:
         if one.criterion in _CRITERIA and one.measure in wanted:
-            yield _claim(one, known_ones[one.mechanism], of=wanted[one.measure])
+            of, name = wanted[one.measure], sweeps.known[one.mechanism].name
+            yield _claim(one, of=of, mechanism="" if name == FID else name)
 
 
-def _claim(one: Comparison, mechanism: Family, *, of: str) -> Draft:
+def _claim(one: Comparison, *, of: str, mechanism: str) -> Draft:
+    """Return an item; the paper's mechanism has no name."""
     found = estimate_of(one.mean_difference, n=one.n)
     source = one.measure.source
     descriptor = "" if of == LINKED else one.measure.metric
     unit = METRICS[one.measure.metric].summary_unit
     where = f"At {_CRITERIA[one.criterion]} ({one.adding} adding)"
-    who = "FID" if mechanism.name == FID else mechanism.name
+    who = mechanism or "FID"
     what = {
         AS_IS: f"{NAME.get(descriptor, '')} as shared",
         AFTER: f"{NAME.get(descriptor, '')} after {source.consumer}",
@@ -85,9 +72,14 @@ def _claim(one: Comparison, mechanism: Family, *, of: str) -> Draft:
     gap = with_interval(found, unit, signed=True)
     relative = found.value / one.mean_fixed if one.mean_fixed else np.nan
     share = f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
-    reached = one.at[np.isfinite(one.difference[1])]
+    reached = one.points["at"][np.isfinite(one.points["ci_low"])]
+    if rules.is_known(found):
+        undecided = f"{where}, {who} less fixed noise in {what} is {gap}."
+        why = "the interval, adjusted, holds zero"
+    else:
+        undecided = f"{where}, {what} cannot be compared."
+        why = "the two mechanisms have no range in common that enough replicates reach"
     return Draft(
-        section=CLAIM,
         adding=one.adding,
         descriptor=descriptor,
         task=source.task,
@@ -95,25 +87,66 @@ def _claim(one: Comparison, mechanism: Family, *, of: str) -> Draft:
         criterion=one.criterion,
         effect=found,
         unit=unit,
-        options=(Option(HOLDS, p_below(found, 0.0)), Option(REVERSED, p_above(found, 0.0))),
+        options={rules.HOLDS: rules.p_below(found, 0.0), rules.REVERSED: rules.p_above(found, 0.0)},
         sentences={
             decision: f"{where}, {what} is {word} under {who} than under fixed noise: {gap}{share}."
-            for decision, word in ((HOLDS, "lower"), (REVERSED, "higher"))
+            for decision, word in ((rules.HOLDS, "lower"), (rules.REVERSED, "higher"))
         }
-        | {
-            UNDECIDED: f"{where}, {who} less fixed noise in {what} is {gap}."
-            if is_known(found)
-            else f"{where}, {what} cannot be compared.",
-        },
-        why_undecided="the interval, adjusted, holds zero"
-        if is_known(found)
-        else "the two mechanisms have no range in common that enough replicates reach",
+        | {UNDECIDED: undecided},
+        why_undecided=why,
         details={
             "of": of,
             "relative": known(float(relative)),
-            "range": [known(float(reached.min())), known(float(reached.max()))]
-            if reached.size
-            else None,
-        }
-        | ({} if mechanism.name == FID else {"mechanism": mechanism.name}),
+            "range": [float(reached.min()), float(reached.max())] if reached.size else None,
+            **({"mechanism": mechanism} if mechanism else {}),
+        },
+    )
+
+
+def inflation(sweeps: Sweeps, *, attack: Source | None) -> Iterator[Draft]:
+    """Yield an item for every adding rule, mechanism with levels, and descriptor.
+
+    `attack` is the strongest reconstruction; without one there are no items.
+    """
+    if attack is None:
+        return
+    for adding in ADDING_RULES:
+        for mechanism in sweeps.swept(adding):
+            for descriptor in DESCRIPTORS:
+                yield from _inflated(sweeps, mechanism, adding, descriptor, attack)
+
+
+def _inflated(
+    sweeps: Sweeps, mechanism: str, adding: str, descriptor: str, attack: Source
+) -> Iterator[Draft]:
+    measures = attack.measure(descriptor), AS_SHARED.measure(descriptor)
+    ratios = []
+    for level in sweeps.levels(mechanism):
+        after, before = (sweeps.point(mechanism, level, one) for one in measures)
+        if after is not None and before is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratios.append(np.log(after / before))
+    if not ratios:
+        return
+    mean = np.mean(ratios, axis=0)
+    n = sweeps.n(mechanism, measures[0])
+    in_logarithms, ratio = estimate_of(mean, n=n), estimate_of(np.exp(mean), n=n)
+    name = sweeps.known[mechanism].name
+    said = (
+        f"After {attack.label} {NAME[descriptor]} under {name} ({adding} adding) is "
+        f"{with_interval(ratio, 'ratio')} what it was as shared"
+    )
+    yield Draft(
+        adding=adding,
+        descriptor=descriptor,
+        subject=attack.label,
+        effect=ratio,
+        unit="ratio",
+        options={
+            rules.INFLATED: rules.p_above(in_logarithms, 0.0),
+            rules.DEFLATED: rules.p_below(in_logarithms, 0.0),
+        },
+        sentences={UNDECIDED: f"{said} (geometric mean over the levels)."},
+        why_undecided="the interval, adjusted, holds 1",
+        details={"of": name, "levels": len(ratios)},
     )

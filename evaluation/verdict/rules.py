@@ -1,5 +1,7 @@
 """What counts as decided: tests, adjustment and the names of decisions, set before looking.
 
+And what an item of the verdict is made of, and how its numbers are put into words and JSON.
+
 Every effect has a standard error from replicates that draw whole people (clusters), and is tested
 against a bound by t with one degree of freedom less than there are clusters. A decision may have
 several conditions; its p-value is then the largest of theirs. Items of one section are adjusted by
@@ -9,32 +11,29 @@ which there is nothing to find. docs/verdict.md says the same in words.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.special import stdtr
 
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS
 from evaluation.analysis.significance import holm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from isac_track.intervals import Estimate
 
+NAME: Final = {name: METRICS[name].head for name in DESCRIPTORS}
 TRACKS, WEAKLY, DOES_NOT = "tracks", "tracks weakly", "does not track"
 HOLDS, REVERSED = "holds", "reversed"
 INFLATED, DEFLATED = "inflated", "deflated"
 UNDECIDED = "undecided"
 SIGN: Final = {
-    TRACKS: 1,
-    WEAKLY: 1,
-    HOLDS: 1,
-    INFLATED: 1,
+    **dict.fromkeys((TRACKS, WEAKLY, HOLDS, INFLATED), 1),
     UNDECIDED: 0,
-    DOES_NOT: -1,
-    REVERSED: -1,
-    DEFLATED: -1,
+    **dict.fromkeys((DOES_NOT, REVERSED, DEFLATED), -1),
 }
 """Of a decision."""
 
@@ -90,16 +89,8 @@ def _tail(one: Estimate, distance: float) -> float:
     return float(stdtr(one.n - 1, distance / max(one.standard_error, _LEAST_SE)))
 
 
-@dataclass(frozen=True, slots=True)
-class Option:
-    """A decision that an item may come to, and the p-value of all its conditions."""
-
-    decision: str
-    p_value: float
-
-
 def decide(
-    items: Sequence[Sequence[Option]], *, alpha: float = SECTION_ALPHA
+    items: Sequence[Mapping[str, float]], *, alpha: float = SECTION_ALPHA
 ) -> list[tuple[str, float, float]]:
     """Return decision, p-value and adjusted p-value of every item of a section (Holm).
 
@@ -107,20 +98,71 @@ def decide(
     each other, and neither may be come to by chance. Of the options that pass at the item's place
     the first one named is the decision. Without one the item is undecided.
 
-    Parameters
-    ----------
-    items : sequence of sequence of Option
-        Of each item, in the order of precedence.
-    alpha : float
-        Share of studies in which the section may err.
+    `items` are of each item the decisions that it may come to, in the order of precedence, each
+    with the p-value of all its conditions; `alpha` is the share of studies in which it may err.
     """
-    p_values = np.array([min(1.0, 2.0 * min(one.p_value for one in options)) for options in items])
+    p_values = np.array([min(1.0, 2.0 * min(options.values())) for options in items])
     found = []
     for options, p_value, final in zip(items, p_values, holm(p_values), strict=True):
         decision = UNDECIDED
         if final <= alpha:
             # At its place in Holm's order an option passes if the item would with it alone.
             factor = final / p_value if p_value > 0 else 1.0
-            decision = next(one.decision for one in options if 2.0 * one.p_value * factor <= alpha)
+            decision = next(name for name, p in options.items() if 2.0 * p * factor <= alpha)
         found.append((decision, float(p_value), float(final)))
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """An item before the section it belongs to is adjusted and decided."""
+
+    adding: str
+    subject: str
+    """The attack that it is about, if it is about one."""
+    effect: Estimate
+    unit: str
+    options: Mapping[str, float]
+    """Decisions that it may come to, in the order of precedence: the p-value of each."""
+    sentences: Mapping[str, str]
+    """By decision; what an undecided item says is its number."""
+    why_undecided: str
+    descriptor: str = ""
+    task: str = ""
+    criterion: str = ""
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """What identifies the item in its section, the same in every run."""
+        of, mechanism = (str(self.details.get(name, "")) for name in ("of", "mechanism"))
+        every = (self.adding, self.criterion, of, self.descriptor, self.task, mechanism)
+        return [name for name in every if name]
+
+
+def numbers(one: Estimate) -> dict[str, Any]:
+    """Return an effect as in `verdict.json`."""
+    ends = {name: known(getattr(one, name)) for name in ("ci_low", "ci_high")}
+    return {"effect": known(one.value), **ends}
+
+
+def known(value: float) -> float | None:
+    """Return a number, or None for NaN, which JSON has not."""
+    return float(value) if np.isfinite(value) else None
+
+
+def with_interval(one: Estimate, unit: str, *, signed: bool = False, absolute: bool = False) -> str:
+    """Return an effect with its interval as people write it: +3.1 points [+1.0, +5.2].
+
+    `unit` is `fraction` in points of a hundred, `share` the same as a bare number, `s`, `ratio` or
+    `correlation`; `absolute` turns it so that the effect is positive.
+    """
+    scale, digits = (100.0, 1) if unit in {"fraction", "share"} else (1.0, 2)
+    found = [scale * number for number in (one.value, one.ci_low, one.ci_high)]
+    if absolute and one.value < 0:
+        found = [-found[0], -found[2], -found[1]]
+    if not np.isfinite(found[0]):
+        return "unknown"
+    value, low, high = (f"{number:{'+' if signed else ''}.{digits}f}" for number in found)
+    word = {"fraction": " points", "s": " s", "ratio": " times"}.get(unit, "")
+    return f"{value}{word} [{low}, {high}]"

@@ -9,37 +9,36 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, FID
-from evaluation.analysis.metrics import EXPOSURE, SUCCESS
-from evaluation.analysis.strongest import strongest
-from evaluation.verdict.answer import answer
-from evaluation.verdict.claim import claims
-from evaluation.verdict.inflation import inflation
-from evaluation.verdict.items import to_json
-from evaluation.verdict.rules import (
-    ALPHA,
-    LEAST_CLUSTERS,
-    LEAST_CORRELATION,
-    LEAST_SPAN,
-    SECTION_ALPHA,
-    SECTIONS,
-    SUCCESS_MARGIN,
-    WEAK_MARGIN,
-    decide,
-)
+from evaluation.analysis.matching import MISSED
+from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.verdict import rules
+from evaluation.verdict.claim import AFTER, AS_IS, LINKED, claims, inflation
+from evaluation.verdict.rules import DOES_NOT, NAME, TRACKS, UNDECIDED, WEAKLY
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from evaluation.analysis.keys import Source
     from evaluation.analysis.matching import Comparison
     from evaluation.analysis.sweeps import Sweeps
     from evaluation.verdict.within_level import LevelTracks
+
+    Items = Sequence[dict[str, Any]]
+
+
+_ORDER: Final = (DOES_NOT, WEAKLY, TRACKS)
+"""What is said of a descriptor that fares differently in different tasks: the worst."""
+_PLURAL: Final = {
+    DOES_NOT: ("does not track", "do not track"),
+    WEAKLY: ("tracks weakly", "track weakly"),
+    TRACKS: ("tracks", "track"),
+}
 
 
 def verdict(
@@ -47,38 +46,48 @@ def verdict(
     compared: Iterable[Comparison],
     levels: Mapping[str, Sequence[LevelTracks]],
     *,
+    strongest: Mapping[str, Source],
     manifest: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the verdict of a run as in `verdict.json`.
 
-    Parameters
-    ----------
-    sweeps : Sweeps
-        Of every metric of the run.
-    compared : iterable of Comparison
-        With fixed noise; the claim is read with the first predictor of the run.
-    levels : mapping
-        By task: who is linked at each level by its strongest linker.
-    manifest : mapping
-        As in `manifest.json`.
+    `compared` is with fixed noise: the claim is read with the first predictor of the run. `levels`
+    are by task who is linked at each level by its strongest linker, which `strongest` names; under
+    "" that is the strongest reconstruction.
     """
-    values = {key: one.value for key, one in sweeps.found.items()}
-    success = strongest(values, sweeps.known, metric=SUCCESS)
-    attack = strongest(values, sweeps.known, metric=EXPOSURE).get("")
-    drafts = (
-        *validity(sweeps, success=success, chance=_chances(sweeps, success)),
-        *within(levels, sweeps, success=success),
-        *claims(_of_reference(compared, manifest), sweeps.known, success=success, attack=attack),
-        *inflation(sweeps, attack=attack),
-    )
+    success = {task: linker for task, linker in strongest.items() if task}
+    attack = strongest.get("")
+    by_predictor = [one for one in compared if one.predictor]
+    predictors = manifest["settings"].get("predictors") or [one.predictor for one in by_predictor]
+    of_first = [one for one in by_predictor if one.predictor in predictors[:1]]
+    drafts = {
+        rules.VALIDITY: validity(sweeps, success=success),
+        rules.WITHIN: within(levels, sweeps, success=success),
+        rules.CLAIM: claims(of_first, sweeps, success=success, attack=attack),
+        rules.INFLATION: inflation(sweeps, attack=attack),
+    }
     items: list[dict[str, Any]] = []
-    for section in SECTIONS:
-        mine = [draft for draft in drafts if draft.section == section]
-        decided = decide([draft.options for draft in mine])
-        items += [
-            to_json(draft, decision=decision, p_value=p_value, p_adjusted=p_adjusted)
-            for draft, (decision, p_value, p_adjusted) in zip(mine, decided, strict=True)
-        ]
+    for section, mine in ((section, list(drafts[section])) for section in rules.SECTIONS):
+        decided = rules.decide([draft.options for draft in mine])
+        for draft, (decision, p_value, p_adjusted) in zip(mine, decided, strict=True):
+            about = ("adding", "descriptor", "task", "subject", "criterion")
+            items.append(
+                {
+                    "id": "/".join([section, *draft.names]),
+                    "section": section,
+                    **{name: getattr(draft, name) for name in about},
+                    "decision": decision,
+                    "sign": rules.SIGN[decision],
+                    **rules.numbers(draft.effect),
+                    "unit": draft.unit,
+                    "n": draft.effect.n,
+                    "p_value": p_value,
+                    "p_adjusted": p_adjusted,
+                    "sentence": draft.sentences.get(decision, draft.sentences[UNDECIDED]),
+                    "why_undecided": draft.why_undecided if decision == UNDECIDED else "",
+                    **draft.details,
+                }
+            )
     dataset = manifest["dataset"]
     fid = {sweeps.named(FID, adding=adding) for adding in ADDING_RULES}
     return {
@@ -88,31 +97,26 @@ def verdict(
         "seed": manifest["identity"]["seed"],
         "preset": manifest["settings"]["preset"],
         "scenes": manifest["settings"]["scenes"],
-        "rules": rules(),
+        "rules": {
+            "confidence": CONFIDENCE,
+            "alpha": rules.ALPHA,
+            "section_alpha": rules.SECTION_ALPHA,
+            "margins": {
+                "success": rules.SUCCESS_MARGIN,
+                "success_weak": rules.WEAK_MARGIN,
+                "correlation": rules.LEAST_CORRELATION,
+                "span": rules.LEAST_SPAN,
+                "clusters": rules.LEAST_CLUSTERS,
+            },
+            "text": "Decided is what passes its test after Holm's adjustment over the section, "
+            f"each section at {100 * rules.SECTION_ALPHA:g} %; all else is undecided, which is no "
+            "statement either way. Intervals are at 95 % and not adjusted.",
+        },
         "counts": {
             section: dict(Counter(one["decision"] for one in items if one["section"] == section))
-            for section in SECTIONS
+            for section in rules.SECTIONS
         },
         "items": items,
-    }
-
-
-def rules() -> dict[str, Any]:
-    """Return the rules of decision, as numbers and in a sentence."""
-    return {
-        "confidence": CONFIDENCE,
-        "alpha": ALPHA,
-        "section_alpha": SECTION_ALPHA,
-        "margins": {
-            "success": SUCCESS_MARGIN,
-            "success_weak": WEAK_MARGIN,
-            "correlation": LEAST_CORRELATION,
-            "span": LEAST_SPAN,
-            "clusters": LEAST_CLUSTERS,
-        },
-        "text": "Decided is what passes its test after Holm's adjustment over the section, each "
-        f"section at {100 * SECTION_ALPHA:g} %; all else is undecided, which is no statement "
-        "either way. Intervals are at 95 % and not adjusted.",
     }
 
 
@@ -122,19 +126,134 @@ def to_bytes(said: Mapping[str, Any]) -> bytes:
     return (text + "\n").encode()
 
 
-def _chances(sweeps: Sweeps, success: Mapping[str, Source]) -> dict[str, float]:
-    """Return by task what guessing achieves, the most over all levels."""
-    wanted = {linker.measure("chance"): task for task, linker in success.items()}
-    chances = dict.fromkeys(success, 0.0)
-    for key, one in sweeps.found.items():
-        if key.measure in wanted:
-            task = wanted[key.measure]
-            chances[task] = max(chances[task], one.value)
-    return chances
+def answer(items: Items, *, dataset: str, fid: Collection[str]) -> list[str]:
+    """Return three sentences for the first screen.
+
+    `items` are those of `verdict.json`, `fid` the names of the paper's mechanism under either rule.
+    """
+    return [_tracking(items, dataset=dataset, fid=fid), _claim(items), _inflation(items)]
 
 
-def _of_reference(compared: Iterable[Comparison], manifest: Mapping[str, Any]) -> list[Comparison]:
-    """Return the comparisons by the first predictor of the run."""
-    every = [one for one in compared if one.predictor]
-    predictors = manifest["settings"].get("predictors") or [one.predictor for one in every]
-    return [one for one in every if one.predictor in predictors[:1]]
+def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
+    mine = [one for one in items if one["section"] == rules.VALIDITY]
+    if not mine:
+        return (
+            f"Whether PLR, AEL and MEL track linkability in {dataset} was not tested: the run "
+            "has no sweep of fixed noise, or nobody links."
+        )
+    named: dict[str, list[str]] = {decision: [] for decision in (*_ORDER, UNDECIDED)}
+    for descriptor in DESCRIPTORS:
+        decided = {one["decision"] for one in mine if one["descriptor"] == descriptor}
+        worst = next((decision for decision in _ORDER if decision in decided), UNDECIDED)
+        named[worst].append(NAME[descriptor])
+    open_ones = named.pop(UNDECIDED)
+    parts = [
+        f"{_listed(names)} {_PLURAL[decision][len(names) > 1]} how linkable people are"
+        for decision, names in named.items()
+        if names
+    ]
+    if open_ones and parts:
+        parts.append(f"for {_listed(open_ones)} that is undecided")
+    elif open_ones:
+        parts = [f"whether {_listed(open_ones)} track how linkable people are is undecided"]
+    said = f"In {dataset}, " + "; ".join(parts)
+    against = [one for one in mine if one["decision"] == DOES_NOT]
+    if against:
+        said += f": {_evidence(against, fid=fid)}"
+    return said + "."
+
+
+def _evidence(against: Items, *, fid: Collection[str]) -> str:
+    """Return what speaks most against a descriptor: the largest differences either way."""
+    differing = [
+        (abs(gap["effect"]), gap, one)
+        for one in against
+        for gap in one["contrasts"]
+        if gap["reading"] == "differs"
+    ]
+    if not differing:
+        return f"they fall with the noise, success in {against[0]['task']} hardly does"
+    surest = max(differing, key=lambda one: one[0])[2]
+    effects = {gap["effect"]: gap for _, gap, one in reversed(differing) if one is surest}
+    words = []
+    for effect, word in ((max(effects), "more"), (min(effects), "fewer")):
+        if (effect > 0) == (word == "more"):
+            name, level = effects[effect]["mechanism"], effects[effect]["level"]
+            where = name if level is None else f"{name} {level:g}"
+            words.append(f"{where} lets {100 * abs(effect):.0f} of 100 people {word} be linked")
+    alike = any(
+        gap["mechanism"] in fid and gap["reading"] == "equal" for gap in surest["contrasts"]
+    )
+    margin = f"{100 * rules.SUCCESS_MARGIN:.0f} of 100"
+    return (
+        f"at equal {NAME[surest['descriptor']]}, {_listed(words)} than fixed noise "
+        f"({surest['task']}, {surest['adding']} adding"
+        + (f"; FID and fixed noise alone are alike to within {margin})" if alike else ")")
+    )
+
+
+def _claim(items: Items) -> str:
+    mine = [
+        one
+        for one in items
+        if one["section"] == rules.CLAIM and one["criterion"] == MISSED and "mechanism" not in one
+    ]
+    if not mine:
+        return "The run does not compare FID with fixed noise."
+    parts = []
+    for adding in ADDING_RULES:
+        words = []
+        for of, where in (
+            (AS_IS, "as shared"),
+            (AFTER, "after the strongest smoother"),
+            (LINKED, "in linkage"),
+        ):
+            one_rule = [one for one in mine if one["adding"] == adding and one["of"] == of]
+            if one_rule:
+                words.append(f"{where} {_fares(one_rule)}")
+        if words and all(word.endswith(UNDECIDED) for word in words):
+            parts.append(f"under {adding} adding it is undecided throughout")
+        elif words:
+            parts.append(f"under {adding} adding it is {_listed(words)}")
+    return "FID against fixed noise at equal missed-conflict rate: " + "; ".join(parts) + "."
+
+
+def _fares(items: Items) -> str:
+    better = [one for one in items if one["decision"] == rules.HOLDS]
+    worse = [one for one in items if one["decision"] == rules.REVERSED]
+    if not better and not worse:
+        return "undecided"
+    parts = []
+    for ones, word in ((better, "better"), (worse, "worse")):
+        if ones:
+            names = [str(NAME.get(one["descriptor"], one["task"])) for one in ones]
+            all_of = "" if len(ones) < len(items) or len(ones) == 1 else "all of "
+            parts.append(f"{word} in {all_of}{_listed(names)}")
+    return " but ".join(parts)
+
+
+def _inflation(items: Items) -> str:
+    every = [one for one in items if one["section"] == rules.INFLATION]
+    mine = [one for one in every if one["decision"] == rules.INFLATED]
+    if not every:
+        return "What an attack makes of the descriptors was not tested: no attack was run."
+    if not mine:
+        return "That an attack raises the descriptors is undecided."
+    subject = mine[0]["subject"]
+    parts = []
+    for descriptor in DESCRIPTORS:
+        ratios = [one["effect"] for one in mine if one["descriptor"] == descriptor]
+        if ratios:
+            low, high = min(ratios), max(ratios)
+            span = f"{low:.1f}" if f"{low:.1f}" == f"{high:.1f}" else f"{low:.1f} to {high:.1f}"
+            parts.append(f"{NAME[descriptor]} by {span} times")
+    return (
+        f"The values as shared understate what is left to an adversary: {subject} raises "
+        f"{_listed(parts)}."
+    )
+
+
+def _listed(words: Sequence[str]) -> str:
+    if len(words) == 1:
+        return words[0]
+    return ", ".join(words[:-1]) + " and " + words[-1]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote_plus, unquote_plus
 
 import pandas as pd
 
+from evaluation.analysis.run_changes import verdict_of
 from evaluation.experiment.variants import BASE, variants
 from evaluation.runs.files import write_whole
 from evaluation.runs.folder import read_manifest
@@ -20,28 +20,12 @@ if TYPE_CHECKING:
 
 FOLDER: Final = "sensitivity"
 TABLE: Final = "sensitivity.csv"
-SECTIONS: Final = ("validity", "within", "claim", "inflation")
 SAME, TURNED, LOST, GAINED, MISSING = "same", "changed sign", "lost", "gained", "missing"
 CHANGES: Final = (SAME, TURNED, LOST, GAINED, MISSING)
 COLUMNS: Final = (
-    "variant",
-    "id",
-    "section",
-    "adding",
-    "descriptor",
-    "task",
-    "subject",
-    "decision_base",
-    "decision",
-    "effect_base",
-    "effect",
-    "ci_low",
-    "ci_high",
-    "unit",
-    "n",
-    "sign_base",
-    "sign",
-    "changed",
+    *("variant", "id", "section", "adding", "descriptor", "task", "subject"),
+    *("decision_base", "decision", "effect_base", "effect", "ci_low", "ci_high", "unit", "n"),
+    *("sign_base", "sign", "changed"),
 )
 
 
@@ -49,12 +33,7 @@ def attacks_of(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
     """Return the SPECs of the attacks that a verdict is about, each with its tasks.
 
     Those are the subjects of its items, and of the contrasts in which a mechanism differs from
-    fixed noise. A reconstruction has the task "".
-
-    Parameters
-    ----------
-    items : iterable of mapping
-        As in `verdict.json`.
+    fixed noise. A reconstruction has the task "". `items` are as in `verdict.json`.
     """
     found: dict[str, set[str]] = {}
     for one in items:
@@ -65,43 +44,33 @@ def attacks_of(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
     return {spec: frozenset(tasks) for spec, tasks in found.items()}
 
 
-def change_of(sign_base: int, sign: int | None) -> str:
-    """Return what became of an item, from the signs of its decision; None: it is not there."""
-    if sign is None:
-        return MISSING
-    if sign == sign_base:
-        return SAME
-    if sign_base == 0:
-        return GAINED
-    return LOST if sign == 0 else TURNED
-
-
 def changes(
     variant: str, *, base: Mapping[str, Any], said: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return a row of `sensitivity.csv` for every item of the base.
-
-    Parameters
-    ----------
-    variant : str
-    base, said : mapping
-        Verdicts as in `verdict.json`.
-    """
+    """Return a row of `sensitivity.csv` for every item of the base; both are verdicts."""
     found = {one["id"]: one for one in said["items"]}
     rows = []
     for one in base["items"]:
         other = found.get(one["id"])
-        shared = {name: one[name] for name in ("id", "section", "adding", "descriptor", "task")}
+        before, after = one["sign"], other["sign"] if other else None
+        if after is None:
+            changed = MISSING
+        elif after == before:
+            changed = SAME
+        elif before == 0:
+            changed = GAINED
+        else:
+            changed = LOST if after == 0 else TURNED
+        shared = ("id", "section", "adding", "descriptor", "task", "unit")
         theirs = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
         rows.append(
             {
                 "variant": variant,
-                **shared,
                 "subject": (other or one)["subject"],
-                "unit": one["unit"],
+                **{name: one[name] for name in shared},
                 **{f"{name}_base": one[name] for name in ("decision", "effect", "sign")},
                 **{name: other[name] if other else None for name in theirs},
-                "changed": change_of(one["sign"], other["sign"] if other else None),
+                "changed": changed,
             }
         )
     return rows
@@ -113,40 +82,25 @@ def folder_of(out: Path, name: str) -> Path:
 
 
 def read_verdict(out: Path) -> dict[str, Any]:
-    """Return the verdict of a run folder.
+    """Return the verdict of a run folder, which has items.
 
     Raises
     ------
     DataError
-        If there is none or it cannot be read.
+        If there is none, it cannot be read, or it has no items.
     """
-    path = out / "verdict.json"
-    try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-        known = [one["id"] for one in said["items"]]
-    except FileNotFoundError:
-        raise DataError(
-            f"{out} has no verdict.json; run python -m evaluation.report {out} first"
-        ) from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} cannot be read: {error!r}; run evaluation.report again") from None
-    if not known:
+    said = verdict_of(out)
+    if not said["items"]:
         raise DataError(
             f"the verdict of {out} has no items: nothing was compared, nothing can change"
         )
-    assert isinstance(said, dict)
     return said
 
 
 def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Return all finished variants as one table, and which ones are left out, each with why.
+    """Return all finished variants of a run as one table, and which ones are left out, and why.
 
     The base is held against the verdict of OUT, every other variant against the base.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the run.
 
     Raises
     ------
@@ -156,33 +110,25 @@ def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
     base = read_verdict(folder_of(out, BASE))
     reference = read_manifest(folder_of(out, BASE))
     order = {one.name: place for place, one in enumerate(variants())}
-    names = [unquote_plus(one.name) for one in (out / FOLDER).iterdir() if one.is_dir()]
+    names = {unquote_plus(one.name) for one in (out / FOLDER).iterdir() if one.is_dir()} - {BASE}
     rows, left_out = changes(BASE, base=read_verdict(out), said=base), {}
     for name in sorted(names, key=lambda one: (order.get(one, len(order)), one)):
         folder = folder_of(out, name)
-        if name == BASE:
-            continue
         try:
             manifest, said = read_manifest(folder), read_verdict(folder)
         except DataError:
             manifest, said = {}, {}
-        why = _why_left_out(manifest, reference)
-        if why:
-            left_out[name] = why
+        if manifest.get("state") != "finished":
+            left_out[name] = "it is not finished"
+        elif any(
+            manifest["identity"][key] != reference["identity"][key] for key in ("seed", "scenes")
+        ):
+            left_out[name] = "it has another seed or number of scenes"
+        elif manifest["code"] != reference["code"]:
+            left_out[name] = "it is of another version of the code"
         else:
             rows += changes(name, base=base, said=said)
     return pd.DataFrame(rows, columns=list(COLUMNS)), left_out
-
-
-def _why_left_out(manifest: Mapping[str, Any], reference: Mapping[str, Any]) -> str:
-    """Return why a variant's run cannot be held against the base; empty if it can."""
-    if manifest.get("state") != "finished":
-        return "it is not finished"
-    if any(manifest["identity"][key] != reference["identity"][key] for key in ("seed", "scenes")):
-        return "it has another seed or number of scenes"
-    if manifest["code"] != reference["code"]:
-        return "it is of another version of the code"
-    return ""
 
 
 def counts(rows: pd.DataFrame) -> dict[str, dict[str, dict[str, int]]]:

@@ -18,24 +18,12 @@ from evaluation.analysis.families import ADDING_RULES, RAW
 from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
 from evaluation.runs.cell_files import read_probes, read_windows
-from evaluation.verdict.items import NAME, Draft, known, with_interval
-from evaluation.verdict.rules import (
-    DOES_NOT,
-    LEAST_CORRELATION,
-    SUCCESS_MARGIN,
-    TRACKS,
-    UNDECIDED,
-    WEAKLY,
-    WITHIN,
-    Option,
-    is_known,
-    p_above,
-    p_below,
-)
+from evaluation.verdict import rules
+from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import CONFIDENCE, Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from evaluation.analysis.sweeps import Sweeps
@@ -43,7 +31,7 @@ if TYPE_CHECKING:
 
 COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
 """Of either release: length, speed and mean noise."""
-_FEW = 3
+_FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,18 +52,11 @@ class LevelTracks:
 
 
 def read_levels(
-    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, *, success: Mapping[str, Source]
+    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, *, strongest: Mapping[str, Source]
 ) -> dict[str, list[LevelTracks]]:
     """Return the tracks of raw and of every level of a sweep, by task.
 
-    Parameters
-    ----------
-    out : Path
-    manifest : mapping
-    sweeps : Sweeps
-        Of the run.
-    success : mapping
-        By task: its strongest linker.
+    `strongest` is by task its strongest linker.
 
     Raises
     ------
@@ -87,7 +68,7 @@ def read_levels(
     }
     wanted = {RAW}.union(*(sweeps.swept(adding) for adding in ADDING_RULES))
     found: dict[str, list[LevelTracks]] = {}
-    for task, linker in success.items():
+    for task, linker in strongest.items():
         for (spec, consumer, _), windows in entries.items():
             linked = entries.get((spec, linker.consumer, linker.knowledge))
             is_of_task = windows["kind"] == "windows" and Source(consumer).task == task
@@ -100,11 +81,9 @@ def _level(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> 
     probes = read_probes(out, linked)
     probes = probes[probes["above"] >= 0]
     tracks = read_windows(out, windows)
-    keys = ["search", "source"]
-    sides = [
-        probes[keys].merge(tracks[tracks["side"] == side], on=keys, how="left", validate="m:1")
-        for side in ("probe", "gallery")
-    ]
+    tracks = tracks.set_index(tracks["search"] + "\n" + tracks["source"])
+    wanted = probes["search"] + "\n" + probes["source"]
+    sides = [tracks[tracks["side"] == side].reindex(wanted) for side in ("probe", "gallery")]
 
     def both(column: str) -> Floats:
         return np.column_stack([side[column].to_numpy(np.float64) for side in sides])
@@ -134,25 +113,20 @@ def within(
         By task: the linker that it is about.
     """
     for adding in ADDING_RULES:
-        wanted = sweeps.swept(adding)
+        wanted = (RAW, *sweeps.swept(adding))
         for descriptor in DESCRIPTORS:
             for task, linker in success.items():
-                mine = _distinct(
-                    one for one in levels.get(task, ()) if one.mechanism in (RAW, *wanted)
-                )
-                if any(one.mechanism != RAW for one in mine):
-                    yield _item(mine, adding=adding, descriptor=descriptor, linker=linker)
+                # Each release once: several eta may share the same.
+                mine: dict[bytes, LevelTracks] = {}
+                for one in levels.get(task, ()):
+                    if one.mechanism in wanted:
+                        release = np.column_stack([one.hit, *one.descriptors.values()])
+                        mine.setdefault(release.tobytes(), one)
+                if any(one.mechanism != RAW for one in mine.values()):
+                    yield _item([*mine.values()], adding, descriptor, linker)
 
 
-def _distinct(levels: Iterable[LevelTracks]) -> list[LevelTracks]:
-    """Return each release once: several eta may share the same."""
-    found: dict[bytes, LevelTracks] = {}
-    for one in levels:
-        found.setdefault(np.column_stack([one.hit, *one.descriptors.values()]).tobytes(), one)
-    return list(found.values())
-
-
-def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker: Source) -> Draft:
+def _item(levels: Sequence[LevelTracks], adding: str, descriptor: str, linker: Source) -> Draft:
     works = clustered_mean(
         np.concatenate([one.hit - one.chance for one in levels]),
         np.concatenate([one.cluster for one in levels]),
@@ -160,7 +134,7 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
     found = partial_correlation(
         [(one.descriptors[descriptor], one.hit, one.covariates, one.cluster) for one in levels]
     )
-    condition = p_above(works, SUCCESS_MARGIN)
+    condition = rules.p_above(works, rules.SUCCESS_MARGIN)
     name = NAME[descriptor]
     said = (
         f"In {linker.task}, among tracks of like length, speed and noise, a track's own {name} "
@@ -169,28 +143,27 @@ def _item(levels: Sequence[LevelTracks], *, adding: str, descriptor: str, linker
     )
     if condition > 0.05:  # noqa: PLR2004
         why = "the strongest attack hardly links anybody: nothing could be seen"
-    elif not is_known(found):
+    elif not rules.is_known(found):
         why = f"{name} hardly varies beyond length, speed and noise, or there are too few people"
     else:
         why = "the interval reaches on both sides of the bound"
     return Draft(
-        section=WITHIN,
         adding=adding,
         descriptor=descriptor,
         task=linker.task,
         subject=linker.attack.label,
         effect=found,
         unit="correlation",
-        options=(
-            Option(DOES_NOT, max(condition, p_below(found, LEAST_CORRELATION))),
-            Option(TRACKS, max(condition, p_above(found, LEAST_CORRELATION))),
-            Option(WEAKLY, max(condition, p_above(found, 0.0))),
-        ),
+        options={
+            rules.DOES_NOT: max(condition, rules.p_below(found, rules.LEAST_CORRELATION)),
+            rules.TRACKS: max(condition, rules.p_above(found, rules.LEAST_CORRELATION)),
+            rules.WEAKLY: max(condition, rules.p_above(found, 0.0)),
+        },
         sentences={
-            DOES_NOT: f"{said}: less than {LEAST_CORRELATION:g}, it does not tell.",
-            TRACKS: f"{said}: it tells.",
-            WEAKLY: f"{said}: it tells a little.",
-            UNDECIDED: f"{said}.",
+            rules.DOES_NOT: f"{said}: less than {rules.LEAST_CORRELATION:g}, it does not tell.",
+            rules.TRACKS: f"{said}: it tells.",
+            rules.WEAKLY: f"{said}: it tells a little.",
+            rules.UNDECIDED: f"{said}.",
         },
         why_undecided=why,
         details={"levels": len(levels), "linked": known(works.value)},
@@ -219,46 +192,39 @@ def partial_correlation(
     levels : sequence of (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,))
         Rows in which anything is unknown are left out.
     """
-    left: list[Floats] = []
-    right: list[Floats] = []
+    rests: list[Floats] = []
     clusters: list[Ints] = []
     for descriptor, hit, covariates, cluster in levels:
         whole = np.isfinite(descriptor).all(axis=1) & np.isfinite(covariates).all(axis=1)
         if whole.sum() < _FEW:
             continue
-        mine = _ranks(_ranks(descriptor[whole]).mean(axis=1, keepdims=True))[:, 0]
-        design = _design(_ranks(covariates[whole]))
+        ranks = _ranks(np.column_stack([descriptor, hit, covariates])[whole])
+        mine = _ranks(ranks[:, :2].mean(axis=1, keepdims=True))
+        columns = np.column_stack([ranks[:, 3:], ranks[:, 3:] ** 2])
+        varies = np.ptp(columns, axis=0) > _NOTHING
+        design = np.column_stack([np.ones(len(ranks)), columns[:, varies]])
         if whole.sum() <= design.shape[1] + _FEW:
             continue
-        both = np.column_stack([mine, _ranks(hit[whole, None])[:, 0]])
-        rest = both - design @ np.linalg.lstsq(design, both, rcond=None)[0]
-        left.append(rest[:, 0])
-        right.append(rest[:, 1])
+        both = np.column_stack([mine, ranks[:, 2]])
+        rests.append(both - design @ np.linalg.lstsq(design, both, rcond=None)[0])
         clusters.append(cluster[whole])
-    if not left:
+    if not rests:
         return Estimate(np.nan)
-    x, y, cluster = np.concatenate(left), np.concatenate(right), np.concatenate(clusters)
+    # Each in one piece: the sums below would otherwise be rounded in another order.
+    x, y = np.ascontiguousarray(np.concatenate(rests).T)
+    cluster = np.concatenate(clusters)
     scale = np.sqrt((x @ x) * (y @ y)) / x.size
-    few = 1e-12
-    if scale < few:
+    if scale < _NO_SPREAD:
         return Estimate(np.nan, n=int(np.unique(cluster).size))
     value = float(x @ y / x.size / scale)
     influence = x * y / scale - value / 2.0 * (x * x / (x @ x) + y * y / (y @ y)) * x.size
     return _with_error(value, influence / x.size, cluster)
 
 
-def _design(ranks: Floats) -> Floats:
-    """Return intercept, ranks and their squares, without columns that do not vary."""
-    columns = np.column_stack([ranks, ranks**2])
-    few = 1e-9
-    return np.column_stack([np.ones(len(ranks)), columns[:, np.ptp(columns, axis=0) > few]])
-
-
 def _ranks(values: Floats) -> Floats:
     """Return ranks of each column, ties at their mean, within -1..1."""
-    ranks = pd.DataFrame(values).rank().to_numpy()
     n = values.shape[0]
-    scaled: Floats = (2.0 * ranks - (n + 1.0)) / max(n - 1.0, 1.0)
+    scaled: Floats = (2.0 * pd.DataFrame(values).rank().to_numpy() - (n + 1.0)) / max(n - 1.0, 1.0)
     return scaled
 
 

@@ -15,6 +15,7 @@ from scipy.stats import norm
 from evaluation.analysis.keys import Key
 from evaluation.analysis.matching import comparisons
 from evaluation.analysis.metrics import EQUAL_ALARMS
+from evaluation.analysis.strongest import strongest
 from evaluation.experiment.presets import SHARED
 from evaluation.verdict.sections import verdict
 from evaluation.verdict.within_level import LevelTracks
@@ -89,7 +90,8 @@ def said_of(found, levels):
     }
     sweeps = sweeps_of(found)
     compared = tuple(comparisons(sweeps, predictors=[PREDICTOR]))
-    return verdict(sweeps, compared, levels, manifest=manifest)
+    best = strongest(found, sweeps.known)
+    return verdict(sweeps, compared, levels, strongest=best, manifest=manifest)
 
 
 def simulated(world, *, rng):

@@ -30,7 +30,7 @@ class TestDifference:
             metric="ael",
         )
         expected = ttest_rel(b, a)
-        assert found.value == pytest.approx((b - a).mean())
+        assert found.difference == pytest.approx((b - a).mean())
         assert found.t == pytest.approx(expected.statistic, rel=0.08)
         interval = expected.confidence_interval()
         assert [found.ci_low, found.ci_high] == pytest.approx(list(interval), abs=0.08)
@@ -47,9 +47,9 @@ class TestDifference:
         rng = np.random.default_rng(4)
         a, b = (estimate(rng.normal(mean, 1, 40), weights=self.weights) for mean in (0.0, 0.4))
         found = difference(a, b, paired=False, metric="ael")
-        assert found.value / (found.value - found.ci_low) * norm.ppf(0.975) == pytest.approx(
-            found.t
-        )
+        assert found.difference / (found.difference - found.ci_low) * norm.ppf(
+            0.975
+        ) == pytest.approx(found.t)
         back = difference(b, a, paired=False, metric="ael")
         assert back.t == pytest.approx(-found.t)
         assert [back.ci_low, back.ci_high] == pytest.approx([-found.ci_high, -found.ci_low])
@@ -58,7 +58,7 @@ class TestDifference:
         never = estimate(np.zeros(40), weights=self.weights, is_share=True)
         seldom = estimate(np.eye(40)[0], weights=self.weights, is_share=True)
         found = difference(never, seldom, paired=True, metric="missed_conflict_rate")
-        assert found.value == pytest.approx(1 / 40)
+        assert found.difference == pytest.approx(1 / 40)
         up = wilson(hits=0, n=40)[1]
         assert found.ci_low == pytest.approx(1 / 40 - np.hypot(1 / 40 - seldom.ci_low, up))
         assert found.p_value > 0.3
@@ -72,19 +72,21 @@ class TestDifference:
         ends = np.quantile(drawn, [0.025, 0.975])
         assert [found.ci_low, found.ci_high] == pytest.approx(ends)
         mirrored = difference(a, short, paired=True, metric="eer")
-        assert [mirrored.ci_low, mirrored.ci_high] == pytest.approx(2 * found.value - ends[::-1])
+        assert [mirrored.ci_low, mirrored.ci_high] == pytest.approx(
+            2 * found.difference - ends[::-1]
+        )
 
     @pytest.mark.parametrize(("n", "n_replicates"), [(0, 1000), (1, 1000), (40, 0)])
     def test_one_person_or_no_replicate_gives_no_interval(self, n, n_replicates):
         lonely = Estimate(0.5, np.nan, np.nan, n, np.full(n_replicates, 0.5))
         crowd = estimate(np.arange(40) / 40, weights=self.weights)
         found = difference(lonely, crowd, paired=True, metric="plr")
-        assert found.value == pytest.approx(crowd.value - 0.5)
+        assert found.difference == pytest.approx(crowd.value - 0.5)
         assert np.isnan([found.ci_low, found.ci_high, found.t, found.p_value]).all()
 
     def test_the_same_step_for_everybody_is_certain(self):
         values = np.arange(40) / 8
         a, b = (estimate(values + step, weights=self.weights) for step in (0.0, 0.25))
         found = difference(a, b, paired=True, metric="ael")
-        assert found.value == pytest.approx(0.25)
+        assert found.difference == pytest.approx(0.25)
         assert found.p_value < 1e-12

@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 
 from evaluation import matrix
-from evaluation.analysis.families import FID, Family, families, families_in, named
+from evaluation.analysis.families import FID, Family, families_in
+from evaluation.analysis.sweeps import Sweeps
 from isac_track.errors import PluginError
 from isac_track.plugins import parse
 
@@ -86,8 +87,9 @@ def test_the_paper_s_mechanism_is_the_one_with_nothing_else_changed():
         {"mechanism": name, "family": "fid", "adding": adding}
         for name, adding in (("fid:alpha=1.0", "linear"), ("fid", "linear"))
     ]
-    assert named(families(rows), family=FID, adding="linear") == "fid"
-    assert named(families(rows), family=FID, adding="independent") == ""
+    sweeps = Sweeps({}, families_in(rows))
+    assert sweeps.named(FID, adding="linear") == "fid"
+    assert sweeps.named(FID, adding="independent") == ""
     assert families_in(pd.DataFrame(rows).replace("linear", np.nan)) == {
         row["mechanism"]: Family(row["mechanism"], "fid", "") for row in rows
     }

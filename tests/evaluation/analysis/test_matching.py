@@ -108,8 +108,8 @@ def test_points_of_a_curve(table):
 
 def test_the_mean_difference_is_over_points_with_an_interval():
     for one in comparisons(sweeps_of(run(advantage=0.1)), predictors=PREDICTORS):
-        known = np.isfinite(one.difference[1])
-        assert one.mean_difference[0] == pytest.approx(one.difference[0][known].mean())
+        known = np.isfinite(one.points["ci_low"])
+        assert one.mean_difference[0] == pytest.approx(one.points["difference"][known].mean())
 
 
 def test_score_metrics_with_fewer_replicates_are_paired_with_the_first():

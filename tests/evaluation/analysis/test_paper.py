@@ -27,13 +27,8 @@ def matched(found, *, dataset, predictors):
 
 def claims(found, *, dataset="students03", points=366.0, interval_s=0.0834):
     at = matched(found, dataset=dataset, predictors=[PREDICTOR])
-    return paper.claims(
-        sweeps_of(found),
-        at,
-        dataset=dataset,
-        history_points=points,
-        history_interval_s=interval_s,
-    )
+    history = {"points": points, "interval_s": interval_s}
+    return paper.claims(sweeps_of(found), at, dataset=dataset, history=history)
 
 
 def estimate(value, spread=0.0, n=50):
@@ -65,18 +60,21 @@ def claim(found, text, adding="linear", **history):
     return rows.iloc[0]
 
 
-def test_with_few_people_nothing_is_decided():
+def test_with_few_people_nothing_is_decided_and_elsewhere_nothing_of_the_history():
     few = {key: replace(one, n=8) for key, one in results(advantage=0.05).items()}
-    table = claims(few, dataset="plaza")
+    table = claims(few, dataset="plaza", points=350.0)
     assert len(table) > 5
     assert set(table["answer"]) == {"undecided"}
+    assert not table["claim"].str.contains("history").any()
 
 
 @pytest.mark.parametrize(
     ("advantage", "answer"), [(0.05, "holds"), (-0.05, "does not hold"), (0.0, "undecided")]
 )
-def test_better_at_every_rate(advantage, answer):
-    assert claim(results(advantage=advantage), "lower PLR")["answer"] == answer
+def test_better_at_every_rate_under_either_rule(advantage, answer):
+    found = results() | results(suffix=":adding=independent", advantage=advantage)
+    assert claim(found, "lower PLR", adding="independent")["answer"] == answer
+    assert claim(found, "lower PLR", adding="linear")["answer"] == "undecided"
 
 
 @pytest.mark.parametrize(("rate", "answer"), [(0.12, "holds"), (0.19, "does not hold")])
@@ -102,36 +100,26 @@ def test_monotone_holds_fails_and_stays_undecided():
     assert claim(flat, "PLR rises")["answer"] == "undecided"
 
 
-def test_the_history_claim():
+@pytest.mark.parametrize(
+    ("history", "answer"),
+    [
+        ({}, "holds"),
+        ({"points": 361.0}, "does not hold"),
+        ({"interval_s": 0.0866}, "does not hold"),
+    ],
+)
+def test_the_history_claim(history, answer):
+    assert claim(results(), "history", adding="", **history)["answer"] == answer
+
+
+@pytest.mark.parametrize("spread", [0.001, 0.01])
+def test_the_paper_table_says_within_only_for_the_papers_recording(spread):
     found = results()
-    assert claim(found, "history", adding="")["answer"] == "holds"
-    assert claim(found, "history", adding="", points=361.0)["answer"] == "does not hold"
-    assert claim(found, "history", adding="", interval_s=0.0866)["answer"] == ("does not hold")
-
-
-def test_the_history_is_judged_on_the_papers_recording_only():
-    table = claims(results(), dataset="plaza", points=350.0)
-    assert not table["claim"].str.contains("history").any()
-    assert len(table) > 5
-
-
-def test_both_adding_rules_are_judged():
-    both = results() | results(suffix=":adding=independent", advantage=-0.05)
-    assert claim(both, "lower PLR", adding="independent")["answer"] == "does not hold"
-    assert claim(both, "lower PLR", adding="linear")["answer"] == "undecided"
-
-
-def test_the_paper_table_says_within_only_for_the_papers_recording():
-    found = results()
+    found[Key("raw", None, PREDICTOR, "missed_conflict_rate")] = estimate(0.10, spread)
     ours = paper.paper_table(sweeps_of(found), dataset="students03")
     raw = ours[(ours["mechanism"] == "raw") & (ours["metric"] == "missed_conflict_rate")].iloc[0]
-    assert raw["paper"] == 0.105
-    assert raw["ours"] == 0.10
-    assert raw["within"] is False or not raw["within"]
-    wide = dict(found)
-    wide[Key("raw", None, PREDICTOR, "missed_conflict_rate")] = estimate(0.10, 0.01)
-    table = paper.paper_table(sweeps_of(wide), dataset="students03")
-    assert bool(table.iloc[0]["within"])
+    assert (raw["paper"], raw["ours"]) == (0.105, 0.10)
+    assert raw["within"] == (spread == 0.01)
     assert paper.paper_table(sweeps_of(found), dataset="plaza")["within"].isna().all()
 
 
@@ -148,17 +136,21 @@ def test_published_numbers_are_those_of_the_reference():
     found = {
         (mechanism, level, metric): value for mechanism, level, metric, value in paper.PUBLISHED
     }
-    assert found.keys() == expected.keys()
-    for key, value in expected.items():
-        assert found[key] == pytest.approx(value)
+    assert found == pytest.approx(expected)
 
 
-def test_tolerances():
-    assert paper.tolerance("raw", "missed_conflict_rate", 0.105) == 0.04
-    assert paper.tolerance("fid", "plr", 0.2) == 0.015
-    assert paper.tolerance("fid", "mel", 0.3) == 0.05
-    assert paper.tolerance("raw", "mel", 5.12) == pytest.approx(0.768)
-    assert paper.tolerance("raw", "ael", 2.93) == pytest.approx(0.879)
+@pytest.mark.parametrize(
+    ("mechanism", "metric", "published", "goal"),
+    [
+        ("raw", "missed_conflict_rate", 0.105, 0.04),
+        ("fid", "plr", 0.2, 0.015),
+        ("fid", "mel", 0.3, 0.05),
+        ("raw", "mel", 5.12, 0.768),
+        ("raw", "ael", 2.93, 0.879),
+    ],
+)
+def test_tolerances(mechanism, metric, published, goal):
+    assert paper.tolerance(mechanism, metric, published) == pytest.approx(goal)
 
 
 def test_what_attacks_get_changes_no_match_and_no_claim():
@@ -173,11 +165,9 @@ def test_what_attacks_get_changes_no_match_and_no_claim():
             other = Key(key.mechanism, key.level + 0.5, PREDICTOR, key.metric, "oracle")
             attacked[other] = estimate(0.5, n=0)
     attacked[Key("fid", 5.0, SHARED, "plr", "blind")] = estimate(0.5)
-    at, expected = (
-        matched(one, dataset="students03", predictors=[PREDICTOR]) for one in (attacked, found)
-    )
-    assert at.equals(expected)
-    assert claims(attacked).equals(claims(found))
-    assert paper.paper_table(sweeps_of(attacked), dataset="students03").equals(
-        paper.paper_table(sweeps_of(found), dataset="students03")
-    )
+    for made in (
+        lambda one: matched(one, dataset="students03", predictors=[PREDICTOR]),
+        claims,
+        lambda one: paper.paper_table(sweeps_of(one), dataset="students03"),
+    ):
+        assert made(attacked).equals(made(found))

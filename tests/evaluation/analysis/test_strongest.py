@@ -1,12 +1,12 @@
-"""The strongest attack: one definition, from estimates and from a summary."""
+"""The strongest attack: one definition."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers.mechanisms import families_of
 
-from evaluation.analysis.keys import Key, Source
-from evaluation.analysis.strongest import strongest, strongest_of, values_in
+from evaluation.analysis.keys import Source
+from evaluation.analysis.strongest import strongest, strongest_of
+from isac_track.intervals import Estimate
 
 SHAPE, DTW = Source("rerelease/shape", "blind"), Source("rerelease/dtw", "informed")
 LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
@@ -15,15 +15,15 @@ LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
 def values(by, *, metric="rank1", levels=LEVELS):
     """Return what each attack achieves at each level: a number for all, or one for each."""
     return {
-        Key(*where, source.consumer, metric, source.knowledge): achieved
+        source.measure(metric).at(*where): Estimate(achieved)
         for source, found in by.items()
         for where, achieved in zip(levels, np.broadcast_to(found, len(levels)), strict=True)
         if np.isfinite(achieved) or metric == "plr"
     }
 
 
-def best(found, metric="rank1"):
-    return strongest(found, families_of(found), metric=metric)
+def best(found):
+    return strongest(found, families_of(found))
 
 
 def test_it_has_the_highest_mean_over_raw_fixed_and_fid():
@@ -46,7 +46,7 @@ def test_who_takes_positions_as_they_are_is_no_reconstruction():
     smoother = Source("kalman_rts", "informed")
     shared, control = Source("shared"), Source("identity", "blind")
     found = values({shared: 0.9, control: 0.8, smoother: 0.3}, metric="plr")
-    assert best(found, "plr") == {"": smoother}
+    assert best(found) == {"": smoother}
 
 
 def test_it_ran_at_all_levels_that_any_did_and_its_mean_is_a_number():
@@ -65,20 +65,3 @@ def test_other_mechanisms_do_not_move_it_unless_there_is_nothing_else():
 
 def test_of_equals_the_first_of_the_run_counts():
     assert best(values({DTW: 0.4, SHAPE: 0.4})) == {"rerelease": DTW}
-
-
-def test_a_summary_tells_the_same(tmp_path):
-    found = values({SHAPE: 0.5, DTW: 0.4, Source("rerelease/control-times"): 0.9})
-    rows = [
-        {
-            "mechanism": key.mechanism,
-            "level": key.level,
-            "consumer": key.consumer,
-            "knowledge": key.knowledge,
-            "metric": key.metric,
-            "value": value,
-        }
-        for key, value in found.items()
-    ]
-    pd.DataFrame(rows).to_csv(tmp_path / "summary.csv", index=False)
-    assert values_in(pd.read_csv(tmp_path / "summary.csv")) == found

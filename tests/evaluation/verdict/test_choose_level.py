@@ -8,8 +8,13 @@ import pytest
 from helpers.summaries import FID, FIXED, USUAL, asked, edited, scheme, statuses, write_run
 
 from evaluation.reporting.design_words import closer, notes, reasons, sentence, to_json
-from evaluation.verdict.choose_level import Limits
+from evaluation.verdict.choose_level import WEAK, Limits
 from isac_track.errors import SettingsError
+
+
+def linear(out, **question):
+    """The answer under linear adding, with the usual target."""
+    return asked(out, adding=("linear",), **({"missed": 0.23} | question))
 
 
 @pytest.fixture
@@ -17,14 +22,37 @@ def made(tmp_path):
     return partial(write_run, tmp_path / "run")
 
 
+BUMPED = USUAL | {"fid": {1.0: 0.18, 10.0: 0.30, 100.0: 0.20, 1000.0: 0.15}}
+OTHER = {"predictor": "kalman_cv"}
+
+
 class TestLevel:
-    def test_is_the_least_strict_one_whose_upper_end_meets_the_target(self, made):
-        answer = asked(made(), missed=0.23)
-        assert scheme(answer).chosen.level == 100.0  # 0.20 + 0.02; 10 has 0.25
-        assert scheme(answer).stricter.level == 10.0
-        assert scheme(answer, adding="independent").chosen.level == 100.0  # 0.17; 10: 0.24
-        assert scheme(answer, "fixed").chosen.level == 0.5
-        assert scheme(answer, "fixed").stricter.level == 1.0
+    @pytest.mark.parametrize(
+        ("run", "question", "whose", "levels"),
+        [
+            ({}, {"missed": 0.23}, {}, (100, 10)),  # 0.20 + 0.02; 10 has 0.25
+            ({}, {"missed": 0.23}, {"adding": "independent"}, (100, 10)),  # 0.17; 10: 0.24
+            ({}, {"missed": 0.23}, {"family": "fixed"}, (0.5, 1)),
+            # The estimate alone does not do: 100 has 0.20 [0.16, 0.24].
+            ({"half": 0.04}, {"missed": 0.21}, {}, (1000, 100)),
+            # False alarms of eta = 10, 100 and 1000: 0.125, 0.10, 0.075, each + 0.02.
+            ({}, {"missed": 0.30, "false_alarm": 0.13}, {}, (100, 10)),
+            # Nor does a level beyond one that fails.
+            ({"rates": BUMPED}, {"missed": 0.23}, {}, (100, 10)),
+            ({}, {"missed": 0.16}, {}, (None, 1000)),
+            ({}, {"missed": 0.16} | OTHER, {}, (10, 1)),  # 0.125 + 0.02; 1 has 0.15
+        ],
+    )
+    def test_is_the_strictest_whose_upper_end_meets_the_targets(
+        self, made, run, question, whose, levels
+    ):
+        one = scheme(asked(made(**run), **question), **whose)
+        assert tuple(each and each.level for each in (one.chosen, one.stricter)) == levels
+
+    def test_says_why_a_stricter_one_is_not_chosen(self, made):
+        (line, *_) = reasons(scheme(asked(made(), missed=0.30, false_alarm=0.13)))
+        assert "eta = 10 does not (false alarm 12.5 % [10.5, 14.5]" in line
+        assert "missed" not in line
 
     def test_with_an_upper_end_at_the_target_meets_it(self, made):
         out = made()
@@ -36,40 +64,21 @@ class TestLevel:
         below = np.nextafter(at, 0)
         assert scheme(asked(out, missed=below)).chosen.level == 1000.0
 
-    def test_does_not_meet_the_target_with_its_estimate_alone(self, made):
-        answer = asked(made(half=0.04), missed=0.21)
-        assert scheme(answer).chosen.level == 1000.0  # 100 has 0.20 [0.16, 0.24]
-
-    def test_meets_the_false_alarms_as_well(self, made):
-        # False alarms of eta = 10, 100 and 1000: 0.125, 0.10, 0.075, each + 0.02.
-        answer = asked(made(), missed=0.30, false_alarm=0.13)
-        assert scheme(answer).chosen.level == 100.0
-        (line, *_) = reasons(scheme(answer))
-        assert "eta = 10 does not (false alarm 12.5 % [10.5, 14.5]" in line
-        assert "missed" not in line
-
-    def test_beyond_one_that_fails_is_not_chosen(self, made):
-        rates = USUAL | {"fid": {1.0: 0.18, 10.0: 0.30, 100.0: 0.20, 1000.0: 0.15}}
-        answer = asked(made(rates), missed=0.23)
-        assert scheme(answer).chosen.level == 100.0
-        assert scheme(answer).also_meets == (1.0,)
-        assert any("eta = 1 would meet the targets" in line for line in reasons(scheme(answer)))
+    def test_beyond_one_that_fails_is_told(self, made):
+        one = scheme(asked(made(BUMPED), missed=0.23))
+        assert one.also_meets == (1.0,)
+        assert any("eta = 1 would meet the targets" in line for line in reasons(one))
 
     def test_is_judged_by_the_predictor_asked_for_where_it_was_run(self, made):
         out = made()
-        usual = asked(out, missed=0.16)
-        assert usual.predictor == "least_squares"
-        assert scheme(usual).chosen is None
-        other = asked(out, missed=0.16, predictor="kalman_cv")
-        assert scheme(other).chosen.level == 10.0  # 0.125 + 0.02; 1 has 0.15
+        assert asked(out, missed=0.16).predictor == "least_squares"
 
         def without(frame):
-            here = (frame["mechanism"] == "fid") & (frame["level"] == "100.0")
+            here = (frame["mechanism"] == "fid") & (frame["level"] == "10.0")
             return frame[~(here & (frame["consumer"] == "kalman_cv"))]
 
         edited(out, "summary.csv", without)
-        answer = asked(out, missed=0.16, predictor="kalman_cv")
-        assert scheme(answer).chosen.level == 10.0
+        assert scheme(asked(out, missed=0.16, **OTHER)).chosen.level == 100.0
 
     def test_with_an_unknown_rate_meets_nothing(self, made):
         out = made()
@@ -87,7 +96,7 @@ class TestLevel:
         assert to_json(answer)["schemes"][0]["stricter"]["missed"]["value"] is None
 
     def test_none_says_by_how_much_the_least_strict_one_fails(self, made):
-        answer = asked(made(), missed=0.10, adding=("linear",))
+        answer = linear(made(), missed=0.10)
         assert scheme(answer).chosen is None
         (line,) = reasons(scheme(answer))
         assert line == (
@@ -100,31 +109,35 @@ class TestLevel:
 
 
 class TestLimits:
-    def test_hold_for_the_upper_end_of_what_was_shared(self, made):
+    @pytest.mark.parametrize(
+        ("limits", "failing"),
+        [
+            ("plr .42, ael .22, mel .91", ""),
+            ("plr .405", "plr"),
+            ("ael .205", "ael"),
+            ("mel .85", "mel"),
+        ],
+    )
+    def test_hold_for_the_upper_end_of_what_was_shared(self, made, limits, failing):
         # PLR at eta = 100: 0.4 + 0.01, AEL 0.2 + 0.01, MEL 0.8 + 0.1.
-        out = made()
-        answer = asked(out, adding=("linear",), missed=0.23, plr=0.42, ael=0.22, mel=0.91)
-        assert statuses(scheme(answer)) == dict.fromkeys(("missed", "plr", "ael", "mel"), "met")
-        assert answer.met
-        for limit in ({"plr": 0.405}, {"ael": 0.205}, {"mel": 0.85}):
-            answer = asked(out, adding=("linear",), missed=0.23, **limit)
-            assert statuses(scheme(answer)) == {"missed": "met"} | dict.fromkeys(limit, "not met")
-            assert not answer.met
+        given = {name: float(limit) for name, limit in map(str.split, limits.split(", "))}
+        answer = linear(made(), **given)
+        not_met = {name for name, status in statuses(scheme(answer)).items() if status == "not met"}
+        assert not_met == set(failing.split())
+        assert statuses(scheme(answer)).keys() == {"missed", *given}
+        assert answer.met == (not failing)
 
     def test_after_an_attack_are_those_of_the_strongest_but_the_oracles(self, made):
         out = made()
-        answer = asked(out, adding=("linear",), missed=0.23, plr=0.72, mel=4.2, after_attack=True)
+        answer = linear(out, plr=0.72, mel=4.2, after_attack=True)
         found = scheme(answer).chosen.after_attack
         assert (found.attack, found.knowledge) == ("radial_rts", "informed")
-        assert (found.numbers["plr"].value, found.numbers["mel"].value) == (
-            pytest.approx(0.70),
-            4.0,
-        )
+        shown = [found.numbers[name].value for name in ("plr", "mel")]
+        assert shown == pytest.approx([0.70, 4.0])
         assert answer.met
-        limits = {"missed": 0.23, "plr": 0.70, "after_attack": True}
-        below = asked(out, adding=("linear",), **limits)
-        assert statuses(scheme(below))["plr"] == "not met"
-        assert any("PLR after radial_rts (informed) 70.0 %" in x for x in reasons(scheme(below)))
+        below = scheme(linear(out, plr=0.70, after_attack=True))
+        assert statuses(below)["plr"] == "not met"
+        assert any("PLR after radial_rts (informed) 70.0 %" in line for line in reasons(below))
 
     def test_after_an_attack_that_was_not_run_there_cannot_be_said(self, made):
         out = made()
@@ -133,7 +146,7 @@ class TestLimits:
             return frame[(frame["level"] != "100.0") | (frame["knowledge"] == "")]
 
         edited(out, "summary.csv", without)
-        answer = asked(out, adding=("linear",), missed=0.23, plr=0.99, after_attack=True)
+        answer = linear(out, plr=0.99, after_attack=True)
         assert statuses(scheme(answer))["plr"] == "cannot say"
         assert not answer.met
         assert "cannot be judged by PLR" in sentence(answer)
@@ -144,26 +157,27 @@ class TestLimits:
         assert scheme(answer).chosen.level == 100.0
 
     @pytest.mark.parametrize(
-        ("given", "after_attack", "message"),
+        ("name", "limit", "message"),
         [
-            ({"missed": 20.0}, False, "--max-missed is a fraction from 0 to 1"),
-            ({"missed": np.nan}, False, "--max-missed is a fraction"),
-            ({"missed": 0.2, "false_alarm": -0.1}, False, "--max-false-alarm is a fraction"),
-            ({"missed": 0.2, "rank1": 1.1}, False, "--max-rank1 is a fraction"),
-            ({"missed": 0.2, "mel": -1.0}, False, "--max-mel is a time in s"),
-            ({"missed": 0.2, "ael": np.inf}, False, "--max-ael is a time in s"),
-            ({"missed": 0.2}, True, "--after-attack says where"),
+            ("missed", 20.0, "--max-missed is a fraction from 0 to 1"),
+            ("missed", np.nan, "--max-missed is a fraction"),
+            ("false_alarm", -0.1, "--max-false-alarm is a fraction"),
+            ("rank1", 1.1, "--max-rank1 is a fraction"),
+            ("mel", -1.0, "--max-mel is a time in s"),
+            ("ael", np.inf, "--max-ael is a time in s"),
+            ("after_attack", True, "--after-attack says where"),
         ],
     )
-    def test_that_make_no_sense_are_refused(self, given, after_attack, message):
+    def test_that_make_no_sense_are_refused(self, name, limit, message):
+        given = {"missed": 0.2, name: limit}
         with pytest.raises(SettingsError, match=message):
-            Limits(given, after_attack=after_attack)
+            Limits(after_attack=given.pop("after_attack", False), given=given)
 
 
 class TestRank1:
     def test_is_of_the_strongest_attack_but_the_oracles(self, made):
         out = made()
-        answer = asked(out, missed=0.23, rank1=0.46, adding=("linear",))
+        answer = linear(out, rank1=0.46)
         (rerelease, simulated) = scheme(answer).chosen.tasks
         assert (rerelease.attack, rerelease.knowledge) == ("shape", "informed")
         assert (rerelease.rank1.value, rerelease.chance) == (0.40, 0.01)
@@ -171,18 +185,28 @@ class TestRank1:
         assert (simulated.attack, simulated.knowledge) == ("shape", "blind")
         assert statuses(scheme(answer)) == {"missed": "met", "rank1/rerelease": "met"}
         assert answer.met
-        answer = asked(out, missed=0.23, rank1=0.44, adding=("linear",))  # below its upper end
+        answer = linear(out, rank1=0.44)  # below its upper end
         assert statuses(scheme(answer))["rank1/rerelease"] == "not met"
         assert "exceeds the limits of rank 1 in rerelease" in sentence(answer)
 
-    def test_is_of_the_blind_adversary_where_nobody_links_better(self, made):
+    @pytest.mark.parametrize(
+        ("rows", "best"),
+        [
+            # Nobody links better than the blind adversary.
+            ({("shape", "blind"): (0.20, "links"), ("shape", "informed"): (0.10, "links")}, 0.20),
+            # A valid attack, not a stronger one that is none.
+            ({("shape", "informed"): (0.30, WEAK), ("dtw", "informed"): (0.20, "links")}, 0.20),
+        ],
+    )
+    def test_is_of_the_best_that_counts(self, made, rows, best):
         cells = {
-            ("split", "shape", "blind"): {"rank1": 0.20},
-            ("split", "shape", "informed"): {"rank1": 0.10},
+            ("split", *who): {"rank1": rank1, "outcome": outcome}
+            for who, (rank1, outcome) in rows.items()
         }
-        answer = asked(made(cells=cells), missed=0.23, adding=("linear",))
+        answer = linear(made(cells=cells), rank1=0.26)
         (split,) = scheme(answer).chosen.tasks
-        assert (split.attack, split.knowledge, split.rank1.value) == ("shape", "blind", 0.20)
+        assert split.rank1.value == best == rows[split.attack, split.knowledge][0]
+        assert answer.met
 
     @pytest.mark.parametrize(
         ("row", "reason"),
@@ -195,33 +219,20 @@ class TestRank1:
     )
     def test_cannot_be_said_from_what_is_no_measure(self, made, row, reason):
         cells = {("split", "shape", "informed"): {"rank1": 0.01} | row}
-        answer = asked(made(cells=cells), adding=("linear",), missed=0.23, rank1=0.9)
+        answer = linear(made(cells=cells), rank1=0.9)
         assert statuses(scheme(answer))["rank1/split"] == "cannot say"
         assert not answer.met
         assert any(reason in line for line in reasons(scheme(answer)))
 
-    def test_without_a_detected_link_is_still_limited_by_its_upper_end(self, made):
+    @pytest.mark.parametrize(("limit", "met"), [(0.07, True), (0.05, False)])
+    def test_without_a_detected_link_is_still_limited_by_its_upper_end(self, made, limit, met):
         cells = {("split", "shape", "informed"): {"rank1": 0.01, "outcome": "no link detected"}}
-        out = made(cells=cells)
-        fine = asked(out, missed=0.23, rank1=0.07, adding=("linear",))
-        assert fine.met
-        tight = asked(out, missed=0.23, rank1=0.05, adding=("linear",))
-        assert not tight.met
-
-    def test_prefers_a_valid_attack_to_a_stronger_one_that_is_not(self, made):
-        cells = {
-            ("split", "shape", "informed"): {"rank1": 0.30, "outcome": "attack too weak"},
-            ("split", "dtw", "informed"): {"rank1": 0.20},
-        }
-        answer = asked(made(cells=cells), missed=0.23, rank1=0.26, adding=("linear",))
-        (split,) = scheme(answer).chosen.tasks
-        assert split.attack == "dtw"
-        assert answer.met
+        assert linear(made(cells=cells), rank1=limit).met == met
 
     def test_cannot_be_said_at_a_level_where_nothing_was_linked(self, made):
         out = made()
         edited(out, "linkability.csv", lambda frame: frame[frame["level"] != "100.0"])
-        answer = asked(out, missed=0.23, rank1=0.9, adding=("linear",))
+        answer = linear(out, rank1=0.9)
         assert statuses(scheme(answer))["rank1/rerelease"] == "cannot say"
 
 
@@ -242,12 +253,10 @@ class TestFamilies:
         ]
         assert answer.asked == [scheme(answer), scheme(answer, adding="independent")]
         assert answer.met
-
-    def test_one_without_a_declared_rule_is_judged_under_both_and_told(self, made):
-        answer = asked(made(USUAL | {"mine": MINE}), missed=0.23)
+        # One without a declared rule is judged under both, and that is told.
         both = [scheme(answer, "mine", rule) for rule in ("linear", "independent")]
         assert [one.chosen.level for one in both] == [0.5, 0.5]
-        assert any("mine: declares no adding rule" in note for note in notes(answer))
+        assert any("mine, mine:k=2: declares no adding rule" in note for note in notes(answer))
 
     def test_without_fid_it_is_what_is_asked_about(self, made):
         out = made({"mine": MINE, "fixed": {0.1: 0.9}})
@@ -275,11 +284,7 @@ class TestFamilies:
         assert scheme(answer, "mine").chosen.level == 0.1
 
     def test_without_levels_it_is_judged_as_it_is(self, made):
-        answer = asked(
-            made({"fid": FID, "fixed": FIXED, "mine": {np.nan: 0.1}}),
-            missed=0.23,
-            adding=("linear",),
-        )
+        answer = linear(made({"fid": FID, "fixed": FIXED, "mine": {np.nan: 0.1}}))
         one = scheme(answer, "mine")
         assert (one.met, one.chosen.level, one.stricter) == (True, None, None)
         assert "--mechanism mine" not in closer(answer)

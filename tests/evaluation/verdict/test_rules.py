@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import false_discovery_control, t
 
 from evaluation.verdict import rules
-from evaluation.verdict.rules import Option, decide
+from evaluation.verdict.rules import decide
 from isac_track.intervals import Estimate
 
 
@@ -45,19 +45,19 @@ def test_too_few_people_or_no_spread_decide_nothing(one):
 
 def test_holm_by_hand():
     p = [0.001, 0.02, 0.004]  # doubled: .002, .04, .008; Holm: .006, .04, .016
-    found = decide([[Option("holds", one)] for one in p], alpha=0.0125)
+    found = decide([{"holds": one} for one in p], alpha=0.0125)
     assert [one[2] for one in found] == pytest.approx([0.006, 0.04, 0.016])
     assert [one[0] for one in found] == ["holds", "undecided", "undecided"]
 
 
 def test_it_is_at_least_as_strict_as_benjamini_and_hochberg():
     p = np.random.default_rng(1).uniform(0, 0.05, 30)
-    found = np.array([one[2] for one in decide([[Option("x", one)] for one in p])])
+    found = np.array([one[2] for one in decide([{"x": one} for one in p])])
     assert (found >= false_discovery_control(2 * p) - 1e-12).all()
 
 
 def test_the_first_option_that_passes_is_the_decision():
-    options = [Option("does not", 0.3), Option("tracks", 0.01), Option("weakly", 1e-6)]
+    options = {"does not": 0.3, "tracks": 0.01, "weakly": 1e-6}
     assert decide([options], alpha=0.05)[0][0] == "tracks"
     assert decide([options], alpha=0.015)[0][0] == "weakly"
 

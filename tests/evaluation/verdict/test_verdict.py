@@ -34,32 +34,30 @@ def decisions(said, section):
 class TestPlantedTruths:
     """What the verdict says where the truth is known; 3,000 people, so that it can be seen."""
 
-    def test_a_descriptor_that_is_valid_by_construction_tracks(self, planted):
-        assert decisions(planted["valid"], "validity") <= {"tracks", "tracks weakly"}
-        assert "tracks" in decisions(planted["valid"], "validity")
-        assert decisions(planted["valid"], "within") == {"tracks"}
+    @pytest.mark.parametrize(
+        ("kind", "section", "must", "may"),
+        [
+            ("valid", "validity", {"tracks"}, {"tracks weakly"}),
+            ("valid", "within", {"tracks"}, set()),
+            ("fooled", "validity", {"does not track"}, set()),
+            ("fooled", "within", {"does not track"}, set()),
+            ("flat", "validity", {"does not track"}, {"undecided"}),
+            ("flat", "within", {"does not track"}, set()),
+            # The advantage of FID was planted as well.
+            ("valid", "claim", {"holds"}, {"undecided"}),
+            ("fooled", "claim", {"holds"}, {"undecided"}),
+            ("valid", "inflation", {"inflated"}, set()),
+        ],
+    )
+    def test_is_found(self, planted, kind, section, must, may):
+        assert must <= decisions(planted[kind], section) <= must | may
 
-    def test_one_that_controls_fool_does_not_track(self, planted):
-        assert decisions(planted["fooled"], "validity") == {"does not track"}
-        assert decisions(planted["fooled"], "within") == {"does not track"}
+    def test_what_speaks_against_is_named_and_measured(self, planted):
         worst = next(one for one in planted["fooled"]["items"] if one["section"] == "validity")
         assert worst["against"].startswith(("correlated", "offset"))
         assert worst["effect"] > 0.2  # 0.75 - (0.75 - 1.2 * 0.4 * 0.8) = 0.38 for correlated
-
-    def test_one_that_falls_while_success_stays_does_not_track(self, planted):
-        assert "does not track" in decisions(planted["flat"], "validity")
-        assert decisions(planted["flat"], "validity") <= {"does not track", "undecided"}
-        assert decisions(planted["flat"], "within") == {"does not track"}
-
-    def test_the_advantage_of_fid_that_was_planted_is_found(self, planted):
-        for kind in ("valid", "fooled"):
-            assert decisions(planted[kind], "claim") <= {"holds", "undecided"}
-            assert "holds" in decisions(planted[kind], "claim")
-
-    def test_inflation_that_was_planted_is_found(self, planted):
         for one in planted["valid"]["items"]:
             if one["section"] == "inflation":
-                assert one["decision"] == "inflated"
                 assert one["effect"] == pytest.approx(1.5, abs=0.02)
 
     @pytest.mark.parametrize(

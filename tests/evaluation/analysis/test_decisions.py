@@ -7,7 +7,7 @@ import pytest
 from sklearn.metrics import roc_auc_score, roc_curve
 
 import evaluation
-from evaluation.analysis.curves import N_BINS, curve
+from evaluation.analysis.decisions import N_BINS, curve
 from evaluation.experiment.settings import Settings
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
