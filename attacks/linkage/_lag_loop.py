@@ -146,15 +146,8 @@ def _add(weights: Floats, begin: int, cells: Floats, first: int, last: int, row:
         for i in range(n):
             row[i] += (w0 * c0[i] + w1 * c1[i]) + (w2 * c2[i] + w3 * c3[i])
         j += 4
-    if j + 2 <= last:
-        at = begin + j - first
-        w0, w1 = weights[at], weights[at + 1]
-        c0, c1 = cells[j], cells[j + 1]
-        for i in range(n):
-            row[i] += w0 * c0[i] + w1 * c1[i]
-        j += 2
-    if j < last:
-        w0, c0 = weights[begin + j - first], cells[j]
+    for k in range(j, last):
+        w0, c0 = weights[begin + k - first], cells[k]
         for i in range(n):
             row[i] += w0 * c0[i]
 
@@ -174,12 +167,11 @@ def _add_both(
             dot[i] += (a0 * c0[i] + a1 * c1[i]) + (a2 * c2[i] + a3 * c3[i])
             cross[i] += (b0 * c0[i] + b1 * c1[i]) + (b2 * c2[i] + b3 * c3[i])
         j += 4
-    if j < last:
-        a0, a1, b0, b1 = along[j], along[j + 1], across[j], across[j + 1]
-        c0, c1 = cells[j], cells[j + 1]
+    for k in range(j, last):
+        a0, b0, c0 = along[k], across[k], cells[k]
         for i in range(n):
-            dot[i] += a0 * c0[i] + a1 * c1[i]
-            cross[i] += b0 * c0[i] + b1 * c1[i]
+            dot[i] += a0 * c0[i]
+            cross[i] += b0 * c0[i]
 
 
 @part_of_loop
@@ -198,54 +190,41 @@ def _project(
                 norm[i] += row[i] * row[i]
 
 
-@compiled(
-    FLOATS3,
-    FLOATS3,
-    FLOATS1,
-    INTS1,
-    INTS1,
-    FLOATS1,
-    FLOAT,
-    INT,
-    INT,
-    FLOAT,
-    BOOL,
-    OUT_FLOATS3,
-)
-def least_costs(  # noqa: C901, PLR0917 - one loop, for speed
+@compiled(FLOATS3, FLOATS3, FLOATS1, INTS1, FLOATS1, FLOATS1, INT, INT, BOOL, OUT_FLOATS3)
+def least_costs(  # noqa: C901 - one loop, for speed
     probe: Floats,
     gallery: Floats,
     basis: Floats,
     begin: Ints,
-    ranks: Ints,
     floors: Floats,
-    exponent: float,
+    weight: Floats,
     reach: int,
     least: int,
-    full: float,
     rotated: bool,  # noqa: FBT001 - numba passes by position
     out: Floats,
 ) -> None:
-    """Fill `out` (E, P, G) with the least cost over all lags; see `alignment.aligned_costs`."""
+    """Fill `out` (E, P, G) with the least cost over all lags; see `alignment.aligned_costs`.
+
+    `weight` is the factor of an overlap of 1 cell, 2 cells and so on.
+    """
     channels, long_p, n_probe = probe.shape
     _, long_g, n_gallery = gallery.shape
-    most = channels * max(ranks.max(), 1)
+    longest = min(long_p, long_g)
+    most = channels * max((begin[longest + 1] - begin[longest]) // longest, 1)
     p_parts, g_parts = np.empty((most, n_probe)), np.empty((most, n_gallery))
     p_norm, g_norm = np.empty(n_probe), np.empty(n_gallery)
     dot, cross, gap = np.empty(n_gallery), np.empty(n_gallery), np.empty(n_gallery)
     along, across = np.empty(most), np.empty(most)
-    least = min(least, long_p, long_g)
     out[:] = np.inf
     for lag in range(-reach - max(long_g - long_p, 0), reach + max(long_p - long_g, 0) + 1):
         start_p, start_g = max(lag, 0), max(-lag, 0)
         m = min(long_p - start_p, long_g - start_g)
-        if m < least:
+        if m < min(least, longest):
             continue
-        rank = ranks[m]
         here = basis[begin[m] : begin[m + 1]]
+        rank = here.size // m
         _project(probe, start_p, m, here, rank, p_parts, p_norm)
         _project(gallery, start_g, m, here, rank, g_parts, g_norm)
-        factor = (full / m) ** exponent
         for i in range(n_probe):
             dot[:] = 0.0
             if rotated:
@@ -261,12 +240,12 @@ def least_costs(  # noqa: C901, PLR0917 - one loop, for speed
                 for k in range(channels * rank):
                     along[k] = p_parts[k, i]
                 _add(along, 0, g_parts, 0, channels * rank, dot)
-            own, scale = p_norm[i], factor / m
+            own, scale = p_norm[i], weight[m - 1] / m
             for j in range(n_gallery):
                 left = own + g_norm[j] - 2.0 * dot[j]
                 gap[j] = max(left, 0.0) * scale
             for e in range(floors.size):
-                best, more = out[e, i], floors[e] * factor
+                best, more = out[e, i], floors[e] * weight[m - 1]
                 for j in range(n_gallery):
                     cost = gap[j] + more
                     best[j] = min(best[j], cost)

@@ -91,8 +91,7 @@ class Behaviour:
 def _score(probe: Release, gallery: Release, *, metric: Floats) -> Floats:
     a, b = features(probe), features(gallery)
     through = product(a, metric)
-    own_b = (product(b, metric) * b).sum(axis=1)
-    own_a = (through * a).sum(axis=1)
+    own_a, own_b = (through * a).sum(axis=1), (product(b, metric) * b).sum(axis=1)
     score: Floats = 2.0 * product(through, b.T) - own_a[:, None] - own_b[None, :]
     return score
 
@@ -108,9 +107,9 @@ def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     everybody = np.concatenate([a, b])
     spread = np.maximum(everybody.std(axis=0), _LEAST_SCALE)
     # With units in the diagonal, its mean is what scikit-learn shrinks towards.
-    within = shrunk_covariance(_second_moments(between / scale), shrinkage)
-    total = shrunk_covariance(
-        _second_moments((everybody - everybody.mean(axis=0)) / spread), shrinkage
+    apart = (everybody - everybody.mean(axis=0)) / spread
+    within, total = (
+        shrunk_covariance(_second_moments(each), shrinkage) for each in (between / scale, apart)
     )
     strangers = 2.0 * total * np.outer(spread / scale, spread / scale)
     value, vector = np.linalg.eigh(np.linalg.inv(within) - np.linalg.inv(strangers))
@@ -128,7 +127,7 @@ def _second_moments(x: Floats) -> Floats:
 def features(release: Release) -> Floats:
     """Return what describes each walk, (N, F) in the order of `FEATURES`."""
     walks = on_grid(release)
-    going = motion(walks, width_s=widths_s(release)[0])
+    going = motion(walks, width_s=widths_s(release))
     cells = np.arange(walks.z.shape[1])
     live = cells[None, :] < walks.count[:, None]
 
@@ -139,7 +138,7 @@ def features(release: Release) -> Floats:
     level = mean(going.speed)
     spread = np.sqrt(np.maximum(mean(going.speed**2) - level**2, 0.0))
     in_order = np.sort(np.where(live, going.speed, np.inf), axis=1)
-    rows = np.arange(len(walks))
+    rows = np.arange(walks.count.size)
     slow, middle, fast = (
         in_order[rows, ((walks.count - 1) * share).astype(np.int64)] for share in (0.1, 0.5, 0.9)
     )
@@ -176,7 +175,7 @@ def sway(release: Release, walks: Walks) -> Floats:
     variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
     in_cell = np.maximum(np.diff(release.offsets) / walks.count, 1.0)
     noise_m2 = variance_m2 / in_cell
-    power_m2 = np.zeros((len(walks), len(_BANDS_HZ)))
+    power_m2 = np.zeros((walks.count.size, len(_BANDS_HZ)))
     for cells, rows in lengths(walks.count):
         if cells < _LEAST_CELLS:
             continue

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn_motion, tried
-from attacks.linkage.signals import FACTORS, loops, motions
+from attacks.linkage.learning import learn, tried
+from attacks.linkage.signals import FACTORS, loops, motion_of
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
@@ -66,26 +66,17 @@ class Histogram:
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
         """Return what scores walks like those in the training set."""
-        factor, speeds = learn_motion(
+        factor, speeds = learn(
             context,
-            (tried(self.factor, FACTORS), tried(self.speeds, SPEEDS)),
+            (tried(self.factor, FACTORS), tried(self.speeds, (self.DEFAULT_SPEEDS, 24))),
             most=_TAUGHT_BY,
-            score=_of_motion,
+            scores=lambda train: partial(_score, train.probe, train.gallery),
         )
-        return partial(_score, factor=factor, speeds=int(speeds))
+        return partial(_score, factor=factor, speeds=speeds)
 
 
-SPEEDS: tuple[int, ...] = (Histogram.DEFAULT_SPEEDS, 24)
-"""The default first."""
-
-
-def _score(probe: Release, gallery: Release, *, factor: float, speeds: int) -> Floats:
-    a, b = (motions(release, factors=(factor,))[0] for release in (probe, gallery))
-    return _of_motion(a, b, speeds)
-
-
-def _of_motion(probe: Motion, gallery: Motion, speeds: float) -> Floats:
-    a, b = (counts_of(each, speeds=int(speeds)) for each in (probe, gallery))
+def _score(probe: Release, gallery: Release, factor: float, speeds: int) -> Floats:
+    a, b = (counts_of(motion_of(one, factor), speeds=speeds) for one in (probe, gallery))
     return one_source(a, b)
 
 
@@ -98,19 +89,15 @@ def counts_of(walks: Motion, *, speeds: int) -> Floats:
     low_turn, share_turn = _between(walks.turn[live], _TURNS_RAD_S)
     size = speeds * _TURNS_RAD_S.size
     cell = owner * size + low_speed * _TURNS_RAD_S.size + low_turn
-    corners = (
+    corners = [
         (cell, (1.0 - share_speed) * (1.0 - share_turn)),
         (cell + 1, (1.0 - share_speed) * share_turn),
         (cell + _TURNS_RAD_S.size, share_speed * (1.0 - share_turn)),
         (cell + _TURNS_RAD_S.size + 1, share_speed * share_turn),
-    )
-    counts = np.bincount(
-        np.concatenate([index for index, _ in corners]),
-        np.concatenate([share for _, share in corners]),
-        n_tracks * size,
-    ).astype(np.float64)
-    table: Floats = counts.reshape(n_tracks, size)
-    return table
+    ]
+    index, share = (np.concatenate(each) for each in zip(*corners, strict=True))
+    counts: Floats = np.bincount(index, share, n_tracks * size).astype(np.float64)
+    return counts.reshape(n_tracks, size)
 
 
 def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
@@ -123,15 +110,10 @@ def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
 
 def one_source(a: Floats, b: Floats) -> Floats:
     """Return the log likelihood ratio of one source to two, (P, G), of counts (P, K) and (G, K)."""
-    all_a, all_b = a.sum(axis=1), b.sum(axis=1)
-    ratio: Floats = (
-        _x_log_x(all_a)[:, None]
-        + _x_log_x(all_b)[None, :]
-        - _x_log_x(all_a[:, None] + all_b[None, :])
-    )
-    shared = np.empty(ratio.shape)
+    all_a, all_b = a.sum(axis=1)[:, None], b.sum(axis=1)[None, :]
+    shared = np.empty((len(a), len(b)))
     loops().shared_cells(a, b, _x_log_x(a), _x_log_x(b), shared)
-    ratio += shared
+    ratio: Floats = _x_log_x(all_a) + _x_log_x(all_b) - _x_log_x(all_a + all_b) + shared
     return ratio
 
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, log_rank, mated, teaches, tried
+from attacks.linkage.learning import learn, mated, tried
 from attacks.parameters import positive
+from attacks.reconstruction.kalman_rts import at_rest
 from isac_track.kalman import kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
@@ -17,9 +18,8 @@ from isac_track.types import Knowledge
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from isac_track.kalman import LastState
     from isac_track.protocols import AttackContext, LinkageTrainingSet
-    from isac_track.types import Bools, Floats, Ints, Release
+    from isac_track.types import Bools, Floats, Release
 
 _PRIOR_STD = (100.0, 1.4)
 """m around the first sample and m/s around rest: people walk, they do not run."""
@@ -70,27 +70,22 @@ class Kinematic:
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
         """Return what scores walks like those in the training set."""
-        densities, floors = tried(self.q, QS), tried(self.floor_m2, FLOORS_M2)
-        q, floor_m2 = densities[0], floors[0]
-        if teaches(context):
-            train = context.train
-            elsewhere = ~rivals(train)
-            ends = Ends.of(train.probe, train.gallery)
+        q, floor_m2 = (
+            tried(given, tuple(default * step**power for power in (0, -1, 1)))
+            for given, default, step in (
+                (self.q, self.DEFAULT_Q, 4.0),
+                (self.floor_m2, self.DEFAULT_FLOOR_M2, 10.0),
+            )
+        )
 
-            def loss(choice: tuple[float, ...]) -> float:
-                scores = ends.densities(q=choice[0], floor_m2=choice[1])
-                scores[elsewhere] = -np.inf
-                return log_rank(scores, mate=train.mate)
+        def scores(train: LinkageTrainingSet) -> Callable[[float, float], Floats]:
+            near = rivals(train)
+            return lambda q, floor_m2: np.where(
+                near, continuations(train.probe, train.gallery, q, floor_m2), -np.inf
+            )
 
-            q, floor_m2 = learn((densities, floors), loss=loss)
-        return partial(continuations, q=q, floor_m2=floor_m2)
-
-
-QS: tuple[float, ...] = tuple(Kinematic.DEFAULT_Q * 4.0**power for power in (0, -1, 1))
-FLOORS_M2: tuple[float, ...] = tuple(
-    Kinematic.DEFAULT_FLOOR_M2 * 10.0**power for power in (0, -1, 1)
-)
-"""Of both the default first."""
+        best_q, best_floor_m2 = learn(context, (q, floor_m2), scores=scores)
+        return partial(continuations, q=best_q, floor_m2=best_floor_m2)
 
 
 def rivals(train: LinkageTrainingSet) -> Bools:
@@ -103,87 +98,61 @@ def rivals(train: LinkageTrainingSet) -> Bools:
     ended_s = train.probe.t[train.probe.offsets[1:] - 1]
     gap_s = begun_s[None, :] - ended_s[:, None]
     rows = mated(train)
-    if rows.size == 0:
-        return np.ones(gap_s.shape, dtype=np.bool_)
     known_s = gap_s[rows, train.mate[rows]]
     near: Bools = (gap_s >= known_s.min() - _SLACK_S) & (gap_s <= known_s.max() + _SLACK_S)
     return near
 
 
-def continuations(probe: Release, gallery: Release, *, q: float, floor_m2: float) -> Floats:
-    """Return the log density of every gallery walk as the continuation of every probe, (P, G)."""
-    return Ends.of(probe, gallery).densities(q=q, floor_m2=floor_m2)
+def continuations(probe: Release, gallery: Release, q: float, floor_m2: float) -> Floats:
+    """Return the log density of each gallery walk as the continuation of each probe, (P, G).
 
+    Up to a constant. P probes and, back in time, G gallery walks are tracks of one batch: one call
+    of the filter, whose checks take longer than its loop.
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Ends:
-    """P probes and, back in time, G gallery walks as tracks of one batch; what fits any filter.
-
-    Together they cost one call of the filter, whose checks take longer than its loop.
+    Parameters
+    ----------
+    probe, gallery : Release
+    q : float
+        m^2/s^3
+    floor_m2 : float
+        m^2, least error variance per axis.
     """
-
-    t: Floats
-    """(M,) s, negated in the gallery"""
-    xy: Floats
-    """(M, 2) m"""
-    offsets: Ints
-    """(P + G + 1,)"""
-    variance_m2: Floats
-    """(P + G,) per axis, as the innovations have it."""
-    n_probe: int
-
-    @classmethod
-    def of(cls, probe: Release, gallery: Release) -> Ends:
-        """Return the walks of two releases on both sides of a gap."""
-        turned_t, turned_xy = backwards(gallery)
-        t = np.concatenate([probe.t, turned_t])
-        xy = np.concatenate([probe.xy, turned_xy])
-        offsets = np.concatenate([probe.offsets, gallery.offsets[1:] + probe.offsets[-1]])
-        variance_m2 = innovation_variance_m2(t=t, xy=xy, offsets=offsets)
-        return cls(t, xy, offsets, variance_m2, len(probe))
-
-    def states(self, *, q: float, floor_m2: float) -> LastState:
-        """Return the filtered state of every track after its last sample."""
-        n_tracks = self.variance_m2.size
-        mean = np.zeros((n_tracks, 2, 2))
-        mean[:, :, 0] = self.xy[self.offsets[:-1]]
-        variance_m2 = np.maximum(self.variance_m2, floor_m2)
-        return kalman_last(
-            model="cv",
-            t=self.t,
-            xy=self.xy,
-            variance=np.repeat(variance_m2, np.diff(self.offsets)),
-            offsets=self.offsets,
-            q=q,
-            initial_mean=mean,
-            initial_cov=np.broadcast_to(np.diag(_PRIOR_STD) ** 2, (n_tracks, 2, 2)),
-        )
-
-    def densities(self, *, q: float, floor_m2: float) -> Floats:
-        """Return the log density of every pair, (P, G), up to a constant."""
-        state, n = self.states(q=q, floor_m2=floor_m2), self.n_probe
-        until_s = self.t[self.offsets[1:] - 1]
-        # Backwards in time, clock and velocity have the other sign.
-        gap_s = np.clip(-until_s[None, n:] - until_s[:n, None], -_LONGEST_S, _LONGEST_S)
-        grown = q * np.abs(gap_s)
-        (p00, g00), (p01, g01), (p11, g11) = (
-            (state.cov[:n, i, j][:, None], state.cov[n:, i, j][None, :])
-            for i, j in ((0, 0), (0, 1), (1, 1))
-        )
-        place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s**2 / 3.0 + g00
-        both = p01 + gap_s * p11 + grown * gap_s / 2.0 - g01
-        pace = p11 + grown + g11
-        determinant = place * pace - both**2
-        square = np.zeros_like(gap_s)
-        for axis in range(2):
-            position, velocity = (state.mean[:n, axis, k][:, None] for k in range(2))
-            off = position + gap_s * velocity - state.mean[n:, axis, 0][None, :]
-            drift = velocity + state.mean[n:, axis, 1][None, :]
-            square += (pace * off - 2.0 * both * drift) * off + place * drift**2
-        square /= determinant
-        # Of four dimensions.
-        density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
-        return density
+    n = len(probe)
+    turned_t, turned_xy = backwards(gallery)
+    t, xy = np.concatenate([probe.t, turned_t]), np.concatenate([probe.xy, turned_xy])
+    offsets = np.concatenate([probe.offsets, gallery.offsets[1:] + probe.offsets[-1]])
+    variance_m2 = np.maximum(innovation_variance_m2(t=t, xy=xy, offsets=offsets), floor_m2)
+    state = kalman_last(
+        model="cv",
+        t=t,
+        xy=xy,
+        variance=np.repeat(variance_m2, np.diff(offsets)),
+        offsets=offsets,
+        q=q,
+        **at_rest(xy, offsets, std=_PRIOR_STD),
+    )
+    until_s = t[offsets[1:] - 1]
+    # Backwards in time, clock and velocity have the other sign.
+    gap_s = np.clip(-until_s[None, n:] - until_s[:n, None], -_LONGEST_S, _LONGEST_S)
+    grown = q * np.abs(gap_s)
+    (p00, g00), (p01, g01), (p11, g11) = (
+        (state.cov[:n, i, j][:, None], state.cov[n:, i, j][None, :])
+        for i, j in ((0, 0), (0, 1), (1, 1))
+    )
+    place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s**2 / 3.0 + g00
+    both = p01 + gap_s * p11 + grown * gap_s / 2.0 - g01
+    pace = p11 + grown + g11
+    determinant = place * pace - both**2
+    square = np.zeros_like(gap_s)
+    for axis in range(2):
+        position, velocity = (state.mean[:n, axis, k][:, None] for k in range(2))
+        off = position + gap_s * velocity - state.mean[n:, axis, 0][None, :]
+        drift = velocity + state.mean[n:, axis, 1][None, :]
+        square += (pace * off - 2.0 * both * drift) * off + place * drift**2
+    square /= determinant
+    # Of four dimensions.
+    density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
+    return density
 
 
 def backwards(release: Release) -> tuple[Floats, Floats]:

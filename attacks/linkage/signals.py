@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isac_track.noise import innovation_variance_m2
-from isac_track.types import read_only
+from isac_track.types import Floats, Ints, read_only
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from types import ModuleType
 
-    from isac_track.types import Floats, Ints, Release
+    from isac_track.types import Release
 
 Complexes: TypeAlias = NDArray[np.complex128]
+Signals: TypeAlias = tuple[Floats, Ints]
+"""(C, N, K) channels of N walks on the grid, and how many cells of each count, (N,)."""
 
 STEP_S = 0.25
 """Of the grid: 4 Hz, above what is left of a walk behind the noise of any network."""
@@ -33,6 +34,14 @@ LONGEST_S = 60.0
 _ALONE = 2**18
 """Multiplications: OpenBLAS's SMP_THRESHOLD_MIN times its GEMM_MULTITHREAD_THRESHOLD."""
 _CLOCK_S = 1e-6
+SLOW_M_S = 0.4
+"""Below it a walk hardly has a direction; its turning rate is damped."""
+_WIDTH_S = 3.0
+"""Of smoothing at errors of 1 m: tuned on the bundled crowd."""
+WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
+"""0.5 s to 4 s, in steps of a factor of 1.4: few, so that walks are smoothed together."""
+FACTORS = (1.0, 0.5, 2.0)
+"""Of the widths that an informed adversary tries, the default first."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -44,8 +53,9 @@ class Walks:
     count: Ints
     """(N,) cells, 1 to K."""
 
-    def __len__(self) -> int:
-        return self.count.size
+    def path(self) -> Signals:
+        """Return the two signals of a path: x and y."""
+        return np.stack([self.z.real, self.z.imag]), self.count
 
 
 def on_grid(release: Release) -> Walks:
@@ -89,19 +99,14 @@ def _local_lines(cells: int, width_s: float) -> tuple[Floats, Floats]:
     at_s = np.arange(cells) * STEP_S
     gap_s = at_s[None, :] - at_s[:, None]
     weight = np.exp(-0.5 * (gap_s / width_s) ** 2)
-    moments = [(weight * gap_s**power).sum(axis=1) for power in range(5)]
-    degree = min(2, cells - 1)
-    normal = np.empty((cells, degree + 1, degree + 1))
-    for row in range(degree + 1):
-        for column in range(degree + 1):
-            normal[:, row, column] = moments[row + column]
-    powers = np.stack([weight * gap_s**power for power in range(degree + 1)], axis=1)
+    degrees = np.arange(min(3, cells))
+    moments = np.stack([(weight * gap_s**power).sum(axis=1) for power in range(5)], axis=1)
+    normal = moments[:, degrees[:, None] + degrees]
+    powers = np.stack([weight * gap_s**power for power in degrees], axis=1)
     fitted = np.zeros((cells, 3, cells))
-    fitted[:, : degree + 1] = np.linalg.solve(normal, powers)
-    return (
-        read_only(np.ascontiguousarray(fitted[:, 1].T)),
-        read_only(np.ascontiguousarray(2.0 * fitted[:, 2].T)),
-    )
+    fitted[:, degrees] = np.linalg.solve(normal, powers)
+    velocity, acceleration = fitted[:, 1].T, 2.0 * fitted[:, 2].T
+    return tuple(read_only(np.ascontiguousarray(each)) for each in (velocity, acceleration))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -115,13 +120,9 @@ class Motion:
     count: Ints
     """(N,)"""
 
-    def profile(self, turn_m: float) -> Floats:
-        """Return the two signals of a profile, (2, N, K): speed, and turning times `turn_m`."""
-        return np.stack([self.speed, turn_m * self.turn])
-
-
-SLOW_M_S = 0.4
-"""Below it a walk hardly has a direction; its turning rate is damped."""
+    def profile(self, turn_m: float) -> Signals:
+        """Return the two signals of a profile: speed, and turning times `turn_m`."""
+        return np.stack([self.speed, turn_m * self.turn]), self.count
 
 
 def motion(walks: Walks, *, width_s: Floats) -> Motion:
@@ -147,33 +148,21 @@ def motion(walks: Walks, *, width_s: Floats) -> Motion:
     return Motion(speed, turn, walks.count)
 
 
-def widths_s(release: Release, *, factors: Sequence[float] = (1.0,)) -> Floats:
-    """Return over how long to smooth each walk, (F, N) s for F factors: the noisier, the longer.
+def widths_s(release: Release, factor: float = 1.0) -> Floats:
+    """Return over how long to smooth each walk, (N,) s: the noisier, the longer.
 
     ``factor * 3 s * v^(1/4)`` of the error variance per axis v in m^2, as the innovations have it,
     rounded to `WIDTHS_S`. Behind a smoother there is nothing left to smooth and v is next to 0.
     """
     variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    wanted = np.multiply.outer(np.array(factors), _WIDTH_S * variance_m2**0.25)
+    wanted = factor * (_WIDTH_S * variance_m2**0.25)
     rounded: Floats = WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), wanted)]
     return rounded
 
 
-def motions(release: Release, *, factors: Sequence[float] = (1.0,)) -> list[Motion]:
-    """Return how the walks of a release go, smoothed over `widths_s`, for each factor.
-
-    Grid and noise are those of the release, and found once for all factors.
-    """
-    walks = on_grid(release)
-    return [motion(walks, width_s=width_s) for width_s in widths_s(release, factors=factors)]
-
-
-_WIDTH_S = 3.0
-"""At errors of 1 m: tuned on the bundled crowd."""
-WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
-"""0.5 s to 4 s, in steps of a factor of 1.4: few, so that walks are smoothed together."""
-FACTORS = (1.0, 0.5, 2.0)
-"""Of the widths that an informed adversary tries, the default first."""
+def motion_of(release: Release, factor: float) -> Motion:
+    """Return how the walks of a release go, smoothed over `widths_s`."""
+    return motion(on_grid(release), width_s=widths_s(release, factor))
 
 
 def product(a: Floats, b: Floats) -> Floats:

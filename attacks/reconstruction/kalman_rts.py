@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from isac_track.protocols import AttackContext
-    from isac_track.types import Floats, Release
+    from isac_track.types import Floats, Ints, Release
 
 PRIOR_STD = (100.0, 10.0)
 """m around the first sample and m/s around rest: far more than any walk."""
@@ -53,24 +53,23 @@ def smooth(
 
     `passes` and `anneal` are those of `isac_track.kalman.smooth_positions`.
     """
-    mean, cov = diffuse_prior(release)
     position, spread = smooth_positions(
         t=release.t,
         xy=release.xy,
         variance=variance,
         offsets=release.offsets,
         q=q,
-        initial_mean=mean,
-        initial_cov=cov,
+        **at_rest(release.xy, release.offsets),
         passes=passes,
         anneal=anneal,
     )
     return Reconstruction(position, np.sqrt(spread))
 
 
-def diffuse_prior(release: Release) -> tuple[Floats, Floats]:
-    """Return mean (N, 2, 2) and covariance (N, 2, 2): at rest at the first sample, hardly sure."""
-    mean = np.zeros((len(release), 2, 2))
-    mean[:, :, 0] = release.xy[release.offsets[:-1]]
-    cov = np.diag(PRIOR_STD) ** 2
-    return mean, np.broadcast_to(cov, (len(release), 2, 2))
+def at_rest(
+    xy: Floats, offsets: Ints, *, std: tuple[float, float] = PRIOR_STD
+) -> dict[str, Floats]:
+    """Return the prior of N tracks, at rest at the first sample: (N, 2, 2) mean and covariance."""
+    first = xy[offsets[:-1]]
+    cov = np.broadcast_to(np.diag(std) ** 2, (len(first), 2, 2))
+    return {"initial_mean": np.stack([first, np.zeros_like(first)], axis=2), "initial_cov": cov}
