@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.parameters import positive
-from attacks.reconstruction.kalman_rts import diffuse_prior
+from attacks.reconstruction.kalman_rts import at_rest
 from attacks.reconstruction.learning import around, smoother
 from isac_track.kalman import imm_filter, imm_smoother
 from isac_track.types import Knowledge, Reconstruction
@@ -66,17 +66,16 @@ class ImmRTS:
             context,
             partial(smooth, stay_s=(self.walk_s, self.turn_s)),
             given=None if self.q is None or self.q_turn is None else (self.q, self.q_turn),
-            candidates=CANDIDATES,
+            candidates=list(
+                zip(*(around(density, factor=4.0) for density in self.DEFAULT_Q), strict=True)
+            ),
         )
-
-
-CANDIDATES = tuple(zip(*(around(density, factor=4.0) for density in ImmRTS.DEFAULT_Q), strict=True))
 
 
 def smooth(
     release: Release,
     variance: Floats,
-    density: tuple[float, float],
+    density: tuple[float, ...],
     *,
     stay_s: tuple[float, float],
 ) -> Reconstruction:
@@ -87,29 +86,27 @@ def smooth(
     release : Release
     variance : (M,) m^2
         Error variance per axis.
-    density : tuple of two floats
+    density : two floats
         m^2/s^3, spectral density of the acceleration while walking on and while turning.
-    stay_s : tuple of two floats
+    stay_s : two floats
         Mean time of walking on and of turning.
     """
-    mean, cov = diffuse_prior(release)
     stay = np.array(stay_s)
     leave, come = 1.0 / stay
-    q, rates = np.array(density), np.array([[-leave, leave], [come, -come]])
+    model = {
+        "t": release.t,
+        "offsets": release.offsets,
+        "q": np.array(density),
+        "rates": np.array([[-leave, leave], [come, -come]]),
+    }
     filtered = imm_filter(
-        t=release.t,
+        **model,
         xy=release.xy,
         variance=variance,
-        offsets=release.offsets,
-        q=q,
-        rates=rates,
-        initial_mean=mean,
-        initial_cov=cov,
+        **at_rest(release.xy, release.offsets),
         initial_probability=stay / stay.sum(),  # what the chain tends to
     )
-    smoothed = imm_smoother(
-        t=release.t, offsets=release.offsets, q=q, rates=rates, filtered=filtered
-    )
+    smoothed = imm_smoother(**model, filtered=filtered)
     spread = smoothed.mixed_cov
     # The spread between the modes couples the axes; what is claimed is their mean variance.
     std = np.sqrt((spread[:, 0, 0] + spread[:, 2, 2]) / 2.0)

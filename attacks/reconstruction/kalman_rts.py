@@ -40,10 +40,8 @@ class KalmanRTS:
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the smoother of releases like those in the training set."""
-        return smoother(context, smooth, given=self.q, candidates=CANDIDATES)
-
-
-CANDIDATES = around(KalmanRTS.DEFAULT_Q, factor=4.0)
+        candidates = around(self.DEFAULT_Q, factor=4.0)
+        return smoother(context, smooth, given=self.q, candidates=candidates)
 
 
 def smooth(

@@ -51,12 +51,12 @@ def choose(
     """
     if Knowledge.TRAIN not in context.granted:
         return default
-    train = context.train
+    release, truth = context.train.release, context.train.truth
     losses = [
         exposure_loss(
-            xy=reconstruct(candidate, train.release),
-            truth=train.truth,
-            offsets=train.release.offsets,
+            xy=reconstruct(candidate, release),
+            truth=truth,
+            offsets=release.offsets,
             epsilon_m=context.epsilon_m,
         )
         for candidate in candidates
@@ -64,42 +64,12 @@ def choose(
     return candidates[int(np.argmin(losses))]
 
 
-def fitted(
-    context: AttackContext,
-    smooth: Callable[[Release, _Choice], Reconstruction],
-    *,
-    given: _Choice | None,
-    candidates: tuple[_Choice, ...],
-) -> Callable[[Release], Reconstruction]:
-    """Return what smooths releases like those in the training set.
-
-    Parameters
-    ----------
-    context : AttackContext
-    smooth : callable
-        From a release and a choice.
-    given : object or None
-        The choice; None: learnt.
-    candidates : tuple of objects
-        The default in the middle, as from `around`.
-    """
-    choice = given
-    if choice is None:
-        choice = choose(
-            context,
-            default=candidates[len(candidates) // 2],
-            candidates=candidates,
-            reconstruct=lambda candidate, release: smooth(release, candidate).xy,
-        )
-    return lambda release: smooth(release, choice)
-
-
 def smoother(
     context: AttackContext,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
     *,
     given: _Choice | None,
-    candidates: tuple[_Choice, ...],
+    candidates: Sequence[_Choice],
     tried: Callable[[Release, Floats, _Choice], Reconstruction] | None = None,
 ) -> Callable[[Release], Reconstruction]:
     """Return what smooths releases like those in the training set, by the noise of each sample.
@@ -109,22 +79,24 @@ def smoother(
     context : AttackContext
     smooth : callable
         From a release, the error variance per axis, (M,) m^2, and a choice.
-    given, candidates
-        As in `fitted`.
+    given : object or None
+        The choice; None: learnt.
+    candidates : sequence of objects
+        The default in the middle, as from `around`.
     tried : callable, optional
         In place of `smooth` where candidates are compared.
     """
     variance = learn_variance(context)
-    choice = candidates[len(candidates) // 2] if given is None else given
-    if given is None and Knowledge.TRAIN in context.granted:
-        known = variance(context.train.release)  # once for all candidates
-        attempt = smooth if tried is None else tried
-        choice = choose(
-            context,
-            default=choice,
-            candidates=candidates,
-            reconstruct=lambda candidate, release: attempt(release, known, candidate).xy,
-        )
+    if given is not None:
+        return lambda release: smooth(release, variance(release), given)
+    attempt = smooth if tried is None else tried
+    known = variance(context.train.release) if Knowledge.TRAIN in context.granted else None
+    choice = choose(
+        context,
+        default=candidates[len(candidates) // 2],
+        candidates=candidates,
+        reconstruct=lambda candidate, release: attempt(release, known, candidate).xy,
+    )
     return lambda release: smooth(release, variance(release), choice)
 
 

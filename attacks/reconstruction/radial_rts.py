@@ -44,7 +44,5 @@ class RadialRTS:
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
         """Return the smoother of releases like those in the training set."""
         reweighted = partial(smooth, passes=self.passes, anneal=self.anneal)
-        return smoother(context, reweighted, given=self.q, candidates=CANDIDATES)
-
-
-CANDIDATES = around(RadialRTS.DEFAULT_Q, factor=4.0)
+        candidates = around(self.DEFAULT_Q, factor=4.0)
+        return smoother(context, reweighted, given=self.q, candidates=candidates)

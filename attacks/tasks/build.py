@@ -11,8 +11,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from attacks.tasks.draft import Draft
 from attacks.tasks.sessions import N_FOLDS
 from attacks.tasks.task_list import task_named
@@ -36,10 +34,10 @@ def sessions_of(task: Task, *, tracks: Tracks, stages: StageSettings, seed: int)
     DataError
         If there are too few people for the task.
     """
-    if not task.simulated:
-        return build(task, tracks=tracks, later=None, settings=stages, seed=seed)
-    first, second = _crowd(stages.linkage.trait_strength)
-    return build(task, tracks=first, later=second, settings=stages, seed=seed)
+    later = None
+    if task.simulated:
+        tracks, later = _crowd(stages.linkage.trait_strength)
+    return build(task, tracks=tracks, later=later, settings=stages, seed=seed)
 
 
 def _crowd(trait_strength: float) -> tuple[Tracks, Tracks]:
@@ -72,32 +70,22 @@ def build(
     Raises
     ------
     DataError
-        If the recording has too few people for the task.
+        If the recording has too few people for the task, or a half of them has nobody to link, or
+        nobody to learn from.
     SettingsError
         If there is no task of this name.
     """
     module, _, function = task_named(task.name).maker.partition(":")
     make: Callable[[Draft], Sessions] = getattr(import_module(module), function)
     found = make(Draft(task=task, tracks=tracks, later=later, settings=settings, seed=seed))
-    _need_halves(found)
-    return found
-
-
-def _need_halves(sessions: Sessions) -> None:
-    """Refuse a task where a half has nobody to link, or nobody to learn from.
-
-    Raises
-    ------
-    DataError
-    """
-    mated = np.flatnonzero(sessions.mate >= 0)
-    fold = sessions.fold[sessions.probe.search[mated]]
-    person = sessions.probe.person[mated]
+    mated = found.mate >= 0
+    fold, person = found.fold[found.probe.search[mated]], found.probe.person[mated]
     for half in range(N_FOLDS):
         mine, others = person[fold == half], person[fold != half]
-        if mine.size < 2 or not sessions.learns[half][others].any():  # noqa: PLR2004 - one alone has no other
+        if mine.size < 2 or not found.learns[half][others].any():  # noqa: PLR2004 - one alone has no other
             raise DataError(
-                f"task {sessions.task.name}: half of the people has nobody to link, or nobody "
+                f"task {task.name}: half of the people has nobody to link, or nobody "
                 "else to learn from: too many belong to one walking group, or are there all the "
                 "time; use a recording of more people or leave the task out (--task)"
             )
+    return found

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from attacks.tasks.sessions import Windows
+from attacks.tasks.roles import alone, roles
+from attacks.tasks.sessions import Sessions, Windows
+from isac_track.datasets.summary import summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
     from attacks.tasks.task_list import Task
     from isac_track.config import StageSettings
-    from isac_track.types import Floats, Ints, Tracks
+    from isac_track.types import Bools, Floats, Ints, Tracks
 
 LEAST_PEOPLE = 24
 """Fewer cannot be split into people to learn from, to calibrate on and to attack, twice."""
@@ -55,25 +57,6 @@ class Draft:
         """Return the tracks that are long enough."""
         return np.flatnonzero(self.end_s - self.start_s >= duration_s - CLOCK_S)
 
-    def chosen(self, rows: Ints, what: str) -> Ints:
-        """Return who of these is linked: all, or as many as the settings allow.
-
-        Raises
-        ------
-        DataError
-            If they are too few; `what` says of whom.
-        SettingsError
-            If the settings allow too few.
-        """
-        if self.settings.linkage.most_people < LEAST_PEOPLE:
-            raise SettingsError(
-                f"linkage.most_people must be at least {LEAST_PEOPLE}, "
-                f"got {self.settings.linkage.most_people}"
-            )
-        self.need_people(rows.size, what)
-        drawn = self.rng("people").permutation(rows)[: self.settings.linkage.most_people]
-        return np.sort(drawn)
-
     def need_people(self, found: int, what: str) -> None:
         """Refuse a recording with too few people for the task; `what` says which were counted.
 
@@ -87,66 +70,85 @@ class Draft:
                 "recording, shorter windows (--set linkage....) or leave the task out (--task)"
             )
 
+    def chosen(self, rows: Ints, what: str) -> Ints:
+        """Return who of these is linked: all, or as many as the settings allow.
 
-def windows_of(
-    draft: Draft,
-    side: str,
-    tracks: Tracks,
-    *,
-    rows: Ints,
-    start_s: Floats,
-    length_s: Floats | float,
-    person: Ints,
-    search: Ints,
-    keys: Sequence[str] | None = None,
-) -> Windows:
-    """Return stretches of walks, each at sampling instants of its own.
+        Raises
+        ------
+        DataError
+            If they are too few; `what` says of whom.
+        SettingsError
+            If the settings allow too few.
+        """
+        most = self.settings.linkage.most_people
+        if most < LEAST_PEOPLE:
+            raise SettingsError(f"linkage.most_people must be at least {LEAST_PEOPLE}, got {most}")
+        self.need_people(rows.size, what)
+        return np.sort(self.rng("people").permutation(rows)[:most])
 
-    Parameters
-    ----------
-    draft : Draft
-    side : str
-        "probe" or "gallery".
-    tracks : Tracks
-        Where they are cut from.
-    rows : (N,) int
-        Tracks; one may be there more than once.
-    start_s, length_s : (N,) float, or float for a length that all share
-    person, search : (N,) int
-        As in `Windows`.
-    keys : sequence of N str, optional
-        Names of windows, needed where a track is cut more than once.
-    """
-    walks = {row: walk(tracks[row]) for row in np.unique(rows).tolist()}
-    lengths = np.broadcast_to(np.asarray(length_s, dtype=np.float64), rows.shape)
-    t_parts, xy_parts = [], []
-    for row, start, length, key in zip(
-        rows.tolist(), start_s, lengths, keys or [""] * rows.size, strict=True
-    ):
-        rng = draft.rng("sampling", side, tracks.source[row], key)
+    def windows(
+        self,
+        side: str,
+        rows: Ints,
+        *,
+        start_s: Floats,
+        length_s: Floats | float,
+        person: Ints,
+        search: Ints,
+        keys: Sequence[str] | None = None,
+    ) -> Windows:
+        """Return stretches of walks, each at sampling instants of its own.
+
+        Parameters
+        ----------
+        side : str
+            "probe" or "gallery".
+        rows : (N,) int
+            Tracks; one may be there more than once.
+        start_s, length_s : (N,) float, or float for a length that all share
+        person, search : (N,) int
+            As in `Windows`.
+        keys : sequence of N str, optional
+            Names of windows, needed where a track is cut more than once.
+        """
+        walks = {row: walk(self.tracks[row]) for row in np.unique(rows).tolist()}
         # A recorded duration carries the rounding of the frame clock, and so may the last window.
-        end = min(start + length, float(tracks.t[tracks.offsets[row + 1] - 1]))
-        t = sampling_times(start_s=start, end_s=end, settings=draft.settings.resample, rng=rng)
-        t_parts.append(t)
-        xy_parts.append(walks[row](t))
-    return Windows(
-        t=np.concatenate(t_parts),
-        xy=np.concatenate(xy_parts),
-        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
-        person=person,
-        search=search,
-    )
+        end_s = np.minimum(start_s + length_s, self.end_s[rows])
+        t_parts, xy_parts = [], []
+        for row, start, end, key in zip(
+            rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True
+        ):
+            rng = self.rng("sampling", side, self.tracks.source[row], key)
+            t = sampling_times(start_s=start, end_s=end, settings=self.settings.resample, rng=rng)
+            t_parts.append(t)
+            xy_parts.append(walks[row](t))
+        return Windows(
+            t=np.concatenate(t_parts),
+            xy=np.concatenate(xy_parts),
+            offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
+            person=person,
+            search=search,
+        )
 
-
-def elsewhere(
-    draft: Draft, side: str, tracks: Tracks, windows: Windows, source: tuple[str, ...]
-) -> Windows:
-    """Return windows whose middles lie where somebody, anybody, once was."""
-    shift_m = np.empty((len(windows), 2))
-    middle_m = np.add.reduceat(windows.xy, windows.offsets[:-1])
-    middle_m /= np.diff(windows.offsets)[:, None]
-    for row, person in enumerate(windows.person):
-        rng = draft.rng("place", side, source[person])
-        shift_m[row] = tracks.xy[int(rng.random() * tracks.t.size)] - middle_m[row]
-    moved = windows.xy + np.repeat(shift_m, np.diff(windows.offsets), axis=0)
-    return replace(windows, xy=moved)
+    def sessions(
+        self, rows: Ints, *, group: tuple[str, ...], may_teach: Bools, **found: Any
+    ) -> Sessions:
+        """Return the sessions of the people of these tracks; `found` is what else they hold."""
+        learns, calibrates = roles(group, may_teach=may_teach, rng=self.rng("roles"))
+        source = tuple(self.tracks.source[row] for row in rows)
+        by_itself, frozen = alone(self.tracks, rows), summarise(self.tracks).frozen[rows]
+        if self.later is not None:
+            there = {name: row for row, name in enumerate(self.later.source)}
+            rows_later = np.array([there[name] for name in source])
+            by_itself &= alone(self.later, rows_later)
+            frozen |= summarise(self.later).frozen[rows_later]
+        return Sessions(
+            task=self.task,
+            source=source,
+            group=group,
+            alone=by_itself,
+            moving=~frozen,
+            learns=learns,
+            calibrates=calibrates,
+            **found,
+        )

@@ -72,19 +72,14 @@ class Sessions:
     def __post_init__(self) -> None:
         for name in ("alone", "moving", "mate", "fold", "learns", "calibrates"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
-        _assert_apart(self)
-
-
-def _assert_apart(sessions: Sessions) -> None:
-    """Assert that nobody is attacked by who learnt from them or from their group."""
-    cluster = np.unique(sessions.group, return_inverse=True)[1]
-    for fold in range(N_FOLDS):
-        teaches = sessions.learns[fold] | sessions.calibrates[fold]
-        for side in (sessions.probe, sessions.gallery):
-            attacked = side.person[sessions.fold[side.search] == fold]
-            if np.intersect1d(cluster[attacked], cluster[teaches]).size:
-                raise AssertionError("a victim's group is among the training people")
-    if np.intersect1d(
-        cluster[sessions.learns.any(axis=0)], cluster[sessions.calibrates.any(axis=0)]
-    ).size:
-        raise AssertionError("scores are calibrated on people who were learnt from")
+        # Nobody is attacked by who learnt from them or from their group.
+        cluster = np.unique(self.group, return_inverse=True)[1]
+        for fold in range(N_FOLDS):
+            teaches = cluster[self.learns[fold] | self.calibrates[fold]]
+            for side in (self.probe, self.gallery):
+                attacked = side.person[self.fold[side.search] == fold]
+                if np.intersect1d(cluster[attacked], teaches).size:
+                    raise AssertionError("a victim's group is among the training people")
+        learnt, known = (cluster[each.any(axis=0)] for each in (self.learns, self.calibrates))
+        if np.intersect1d(learnt, known).size:
+            raise AssertionError("scores are calibrated on people who were learnt from")
