@@ -8,17 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.alignment import EXPONENT, FULL_CELLS, blocks
 from attacks.linkage.learning import learn, tried
-from attacks.linkage.signals import FACTORS, loops, motion_of
+from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motion_of
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from attacks.linkage.signals import Signals
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Linker
     from isac_track.types import Floats, Release
 
 _STRIDE = 2
@@ -69,7 +65,7 @@ class DTW:
         if not 0 <= self.band <= 1:
             raise ValueError(f"band must lie in [0, 1], got {self.band}")
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
         factor, penalty = learn(
             context,
@@ -80,7 +76,7 @@ class DTW:
         return partial(self._score, factor=factor, penalty=penalty)
 
     def _score(self, probe: Release, gallery: Release, factor: float, penalty: float) -> Floats:
-        p, g = (motion_of(release, factor).profile(self.turn_m) for release in (probe, gallery))
+        p, g = (motion_of(release, factor, self.turn_m) for release in (probe, gallery))
         costs = warped_costs(p, g, band=self.band, penalty=penalty, floor=self.floor)
         score: Floats = -np.log(costs)
         return score
@@ -90,8 +86,11 @@ def warped_costs(
     probe: Signals, gallery: Signals, *, band: float, penalty: float, floor: float
 ) -> Floats:
     """Return the cost of warping each of P profiles onto each of G, (P, G); see `DTW`."""
-    costs = np.empty((probe[1].size, gallery[1].size))
-    p, g = ((each[0][:, :, ::_STRIDE], -(-each[1] // _STRIDE)) for each in (probe, gallery))
+    costs = np.empty((probe.sizes.size, gallery.sizes.size))
+    p, g = (
+        Signals(each.values[:, :, ::_STRIDE], -(-each.sizes // _STRIDE))
+        for each in (probe, gallery)
+    )
     for rows, columns, part, other in blocks(p, g):
         shorter, longer = sorted((part.shape[1], other.shape[1]))
         reach = round(band * longer)

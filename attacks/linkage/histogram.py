@@ -14,10 +14,8 @@ from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from attacks.linkage.signals import Motion
-    from isac_track.protocols import AttackContext
+    from attacks.linkage.signals import Signals
+    from isac_track.protocols import AttackContext, Linker
     from isac_track.types import Floats, Ints, Release
 
 _FASTEST_M_S = 2.2
@@ -64,7 +62,7 @@ class Histogram:
         if self.speeds is not None and self.speeds < 2:  # noqa: PLR2004 - both ends
             raise ValueError(f"speeds must be at least 2, got {self.speeds}")
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
         factor, speeds = learn(
             context,
@@ -80,13 +78,13 @@ def _score(probe: Release, gallery: Release, factor: float, speeds: int) -> Floa
     return one_source(a, b)
 
 
-def counts_of(walks: Motion, *, speeds: int) -> Floats:
+def counts_of(motion: Signals, *, speeds: int) -> Floats:
     """Return how often each walk is at each speed and turning rate, (N, speeds * 5)."""
-    n_tracks, n_cells = walks.speed.shape
-    live = np.arange(n_cells)[None, :] < walks.count[:, None]
-    owner = np.repeat(np.arange(n_tracks), walks.count)
-    low_speed, share_speed = _between(walks.speed[live], np.linspace(0.0, _FASTEST_M_S, speeds))
-    low_turn, share_turn = _between(walks.turn[live], _TURNS_RAD_S)
+    _, n_tracks, n_cells = motion.values.shape
+    speed, turn = motion.values[:, np.arange(n_cells) < motion.sizes[:, None]]
+    owner = np.repeat(np.arange(n_tracks), motion.sizes)
+    low_speed, share_speed = _between(speed, np.linspace(0.0, _FASTEST_M_S, speeds))
+    low_turn, share_turn = _between(turn, _TURNS_RAD_S)
     size = speeds * _TURNS_RAD_S.size
     cell = owner * size + low_speed * _TURNS_RAD_S.size + low_turn
     corners = [
@@ -110,7 +108,7 @@ def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
 
 def one_source(a: Floats, b: Floats) -> Floats:
     """Return the log likelihood ratio of one source to two, (P, G), of counts (P, K) and (G, K)."""
-    all_a, all_b = a.sum(axis=1)[:, None], b.sum(axis=1)[None, :]
+    all_a, all_b = a.sum(axis=1)[:, None], b.sum(axis=1)
     shared = np.empty((len(a), len(b)))
     loops().shared_cells(a, b, _x_log_x(a), _x_log_x(b), shared)
     ratio: Floats = _x_log_x(all_a) + _x_log_x(all_b) - _x_log_x(all_a + all_b) + shared

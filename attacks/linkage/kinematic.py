@@ -18,7 +18,7 @@ from isac_track.types import Knowledge
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from isac_track.protocols import AttackContext, LinkageTrainingSet
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
     from isac_track.types import Bools, Floats, Release
 
 _PRIOR_STD = (100.0, 1.4)
@@ -68,14 +68,11 @@ class Kinematic:
     def __post_init__(self) -> None:
         positive(q=self.q, floor_m2=self.floor_m2)
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        q, floor_m2 = (
-            tried(given, tuple(default * step**power for power in (0, -1, 1)))
-            for given, default, step in (
-                (self.q, self.DEFAULT_Q, 4.0),
-                (self.floor_m2, self.DEFAULT_FLOOR_M2, 10.0),
-            )
+        options = (
+            tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2)),
+            tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1)),
         )
 
         def scores(train: LinkageTrainingSet) -> Callable[[float, float], Floats]:
@@ -84,8 +81,8 @@ class Kinematic:
                 near, continuations(train.probe, train.gallery, q, floor_m2), -np.inf
             )
 
-        best_q, best_floor_m2 = learn(context, (q, floor_m2), scores=scores)
-        return partial(continuations, q=best_q, floor_m2=best_floor_m2)
+        q, floor_m2 = learn(context, options, scores=scores)
+        return partial(continuations, q=q, floor_m2=floor_m2)
 
 
 def rivals(train: LinkageTrainingSet) -> Bools:
@@ -106,22 +103,19 @@ def rivals(train: LinkageTrainingSet) -> Bools:
 def continuations(probe: Release, gallery: Release, q: float, floor_m2: float) -> Floats:
     """Return the log density of each gallery walk as the continuation of each probe, (P, G).
 
-    Up to a constant. P probes and, back in time, G gallery walks are tracks of one batch: one call
-    of the filter, whose checks take longer than its loop.
-
-    Parameters
-    ----------
-    probe, gallery : Release
-    q : float
-        m^2/s^3
-    floor_m2 : float
-        m^2, least error variance per axis.
+    Up to a constant; `q` in m^2/s^3, `floor_m2` the least error variance per axis. P probes and,
+    back in time, G gallery walks are tracks of one batch: one call of the filter, whose checks take
+    longer than its loop.
     """
     n = len(probe)
-    turned_t, turned_xy = backwards(gallery)
-    t, xy = np.concatenate([probe.t, turned_t]), np.concatenate([probe.xy, turned_xy])
+    # From its last sample to its first.
+    ends = gallery.offsets[:-1] + gallery.offsets[1:] - 1
+    turned = np.repeat(ends, np.diff(gallery.offsets)) - np.arange(gallery.t.size)
+    t = np.concatenate([probe.t, -gallery.t[turned]])
+    xy = np.concatenate([probe.xy, gallery.xy[turned]])
     offsets = np.concatenate([probe.offsets, gallery.offsets[1:] + probe.offsets[-1]])
     variance_m2 = np.maximum(innovation_variance_m2(t=t, xy=xy, offsets=offsets), floor_m2)
+    mean, cov = at_rest(xy, offsets, std=_PRIOR_STD)
     state = kalman_last(
         model="cv",
         t=t,
@@ -129,7 +123,8 @@ def continuations(probe: Release, gallery: Release, q: float, floor_m2: float) -
         variance=np.repeat(variance_m2, np.diff(offsets)),
         offsets=offsets,
         q=q,
-        **at_rest(xy, offsets, std=_PRIOR_STD),
+        initial_mean=mean,
+        initial_cov=cov,
     )
     until_s = t[offsets[1:] - 1]
     # Backwards in time, clock and velocity have the other sign.
@@ -153,10 +148,3 @@ def continuations(probe: Release, gallery: Release, q: float, floor_m2: float) -
     # Of four dimensions.
     density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
     return density
-
-
-def backwards(release: Release) -> tuple[Floats, Floats]:
-    """Return times, negated, and positions with every track from its last sample to its first."""
-    ends = release.offsets[:-1] + release.offsets[1:] - 1
-    turned = np.repeat(ends, np.diff(release.offsets)) - np.arange(release.t.size)
-    return -release.t[turned], release.xy[turned]

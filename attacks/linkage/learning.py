@@ -61,8 +61,7 @@ def learn(
     ----------
     context : AttackContext
         Where it teaches nothing the defaults are returned.
-    options : one sequence for each parameter
-        The default first.
+    options : a sequence for each parameter, the default first
     scores : callable
         From a training set to what turns a value for each parameter into scores, (P, G).
     most : int, optional

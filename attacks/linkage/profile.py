@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.alignment import aligned_costs
 from attacks.linkage.learning import learn, tried
-from attacks.linkage.signals import FACTORS, motion_of
+from attacks.linkage.signals import FACTORS, aligned_costs, motion_of
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isac_track.protocols import AttackContext, LinkageTrainingSet
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
     from isac_track.types import Floats, Release
 
 _RANK = 8
@@ -53,7 +52,7 @@ class Profile:
     def __post_init__(self) -> None:
         positive(factor=self.factor, turn_m=self.turn_m, floor=self.floor, reach_s=self.reach_s)
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
         factors = tried(self.factor, FACTORS)
         floors = tried(self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2))
@@ -71,7 +70,7 @@ class Profile:
         self, probe: Release, gallery: Release, factor: float, floors: Sequence[float]
     ) -> Floats:
         """Return the score of every pair, (E, P, G), one per floor."""
-        p, g = (motion_of(release, factor).profile(self.turn_m) for release in (probe, gallery))
+        p, g = (motion_of(release, factor, self.turn_m) for release in (probe, gallery))
         score: Floats = -np.log(
             aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=self.reach_s)
         )

@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.alignment import aligned_costs
 from attacks.linkage.learning import learn, tried
-from attacks.linkage.signals import on_grid
+from attacks.linkage.signals import aligned_costs, on_grid
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Linker
     from isac_track.types import Floats, Release
 
 
@@ -59,7 +58,7 @@ class Shape:
         if self.rank < 1:
             raise ValueError(f"rank must be at least 1, got {self.rank}")
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
         floors = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1))
         (best,) = learn(
@@ -71,7 +70,7 @@ class Shape:
 
     def _scores(self, probe: Release, gallery: Release, floors: Sequence[float]) -> Floats:
         """Return the score of every pair, (E, P, G), one per floor."""
-        p, g = (on_grid(release).path() for release in (probe, gallery))
+        p, g = (on_grid(release) for release in (probe, gallery))
         costs = aligned_costs(
             p, g, floors=floors, rank=self.rank, reach_s=self.reach_s, rotated=True
         )

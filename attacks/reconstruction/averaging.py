@@ -10,9 +10,7 @@ import numpy as np
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Release
 
 
@@ -24,7 +22,7 @@ class Averaging:
     """SCENE, too: releases in frames of their own cannot be laid upon each other."""
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SIGMA})
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return what averages a release with the repeats of its walks."""
         repeats = context.repeats
 

@@ -15,9 +15,7 @@ from attacks.reconstruction.learning import around, smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Ints, Release
 
 Smoothness: TypeAlias = Literal["matern32", "matern52"]
@@ -70,7 +68,7 @@ class GaussianProcess:
                     f"{name} must be one of {get_args(known)}, got {getattr(self, name)!r}"
                 )
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the regression of releases like those in the training set."""
         by_filter = partial(smooth, smoothness=self.smoothness)
         by_sklearn = partial(solve_sklearn, smoothness=self.smoothness)
@@ -91,16 +89,8 @@ def smooth(
 ) -> Reconstruction:
     """Return the posterior of every track at its samples, by filter and smoother.
 
-    Step k of all tracks that are so long is taken at once.
-
-    Parameters
-    ----------
-    release : Release
-    variance : (M,) m^2
-        Error variance per axis.
-    kernel : tuple of two floats
-        Length, s, and scale, m.
-    smoothness : {"matern32", "matern52"}
+    Step k of all tracks that are so long is taken at once. `variance`, (M,) m^2, is that of the
+    errors per axis, `kernel` length, s, and scale, m.
     """
     rows, starts = _by_step(release.offsets)
     first = release.offsets[:-1]
@@ -147,22 +137,18 @@ def solve_sklearn(
     release: Release, variance: Floats, kernel: tuple[float, float], *, smoothness: Smoothness
 ) -> Reconstruction:
     """Return what `smooth` does, track by track with scikit-learn's regressor."""
-    # Only where it is asked for: the import takes a second.
-    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415 - see above
-    from sklearn.gaussian_process.kernels import (  # noqa: PLC0415 - see above
-        ConstantKernel,
-        DotProduct,
-        Matern,
-    )
+    from sklearn import gaussian_process as gp  # noqa: PLC0415 - seldom asked for, and a second
 
+    kernels = gp.kernels
     length_s, scale_m = kernel
-    offset, slope = (ConstantKernel(std**2, "fixed") for std in TREND_STD)
-    curve = Matern(length_s, "fixed", nu=1.5 if smoothness == "matern32" else 2.5)
-    covariance = offset + slope * DotProduct(0.0, "fixed") + ConstantKernel(scale_m**2) * curve
+    offset, slope = (kernels.ConstantKernel(std**2, "fixed") for std in TREND_STD)
+    curve = kernels.Matern(length_s, "fixed", nu=1.5 if smoothness == "matern32" else 2.5)
+    line = offset + slope * kernels.DotProduct(0.0, "fixed")
+    covariance = line + kernels.ConstantKernel(scale_m**2) * curve
     place, std = np.empty_like(release.xy), np.empty(release.t.size)
     for lo, hi in pairwise(release.offsets):
         clock = (release.t[lo:hi] - release.t[lo])[:, None]
-        regressor = GaussianProcessRegressor(
+        regressor = gp.GaussianProcessRegressor(
             kernel=covariance, alpha=variance[lo:hi], optimizer=None
         )
         regressor.fit(clock, release.xy[lo:hi] - release.xy[lo])

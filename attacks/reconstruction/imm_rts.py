@@ -15,9 +15,7 @@ from isac_track.kalman import imm_filter, imm_smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Release
 
 
@@ -60,7 +58,7 @@ class ImmRTS:
             raise ValueError("give both q and q_turn, or neither to have them learnt")
         positive(q=self.q, q_turn=self.q_turn, walk_s=self.walk_s, turn_s=self.turn_s)
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
         return smoother(
             context,
@@ -79,34 +77,29 @@ def smooth(
     *,
     stay_s: tuple[float, float],
 ) -> Reconstruction:
-    """Return smoothed positions of a release.
+    """Return smoothed positions of a release with error variance per axis `variance`, (M,) m^2.
 
-    Parameters
-    ----------
-    release : Release
-    variance : (M,) m^2
-        Error variance per axis.
-    density : two floats
-        m^2/s^3, spectral density of the acceleration while walking on and while turning.
-    stay_s : two floats
-        Mean time of walking on and of turning.
+    `density`, m^2/s^3, is that of the acceleration while walking on and while turning, `stay_s`
+    how long either lasts.
     """
     stay = np.array(stay_s)
     leave, come = 1.0 / stay
-    model = {
-        "t": release.t,
-        "offsets": release.offsets,
-        "q": np.array(density),
-        "rates": np.array([[-leave, leave], [come, -come]]),
-    }
+    q, rates = np.array(density), np.array([[-leave, leave], [come, -come]])
+    mean, cov = at_rest(release.xy, release.offsets)
     filtered = imm_filter(
-        **model,
+        t=release.t,
         xy=release.xy,
         variance=variance,
-        **at_rest(release.xy, release.offsets),
+        offsets=release.offsets,
+        q=q,
+        rates=rates,
+        initial_mean=mean,
+        initial_cov=cov,
         initial_probability=stay / stay.sum(),  # what the chain tends to
     )
-    smoothed = imm_smoother(**model, filtered=filtered)
+    smoothed = imm_smoother(
+        t=release.t, offsets=release.offsets, q=q, rates=rates, filtered=filtered
+    )
     spread = smoothed.mixed_cov
     # The spread between the modes couples the axes; what is claimed is their mean variance.
     std = np.sqrt((spread[:, 0, 0] + spread[:, 2, 2]) / 2.0)

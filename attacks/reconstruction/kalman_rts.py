@@ -13,9 +13,7 @@ from isac_track.kalman import smooth_positions
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Ints, Release
 
 PRIOR_STD = (100.0, 10.0)
@@ -38,7 +36,7 @@ class KalmanRTS:
     def __post_init__(self) -> None:
         positive(q=self.q)
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
         candidates = around(self.DEFAULT_Q, factor=4.0)
         return smoother(context, smooth, given=self.q, candidates=candidates)
@@ -51,13 +49,15 @@ def smooth(
 
     `passes` and `anneal` are those of `isac_track.kalman.smooth_positions`.
     """
+    mean, cov = at_rest(release.xy, release.offsets)
     position, spread = smooth_positions(
         t=release.t,
         xy=release.xy,
         variance=variance,
         offsets=release.offsets,
         q=q,
-        **at_rest(release.xy, release.offsets),
+        initial_mean=mean,
+        initial_cov=cov,
         passes=passes,
         anneal=anneal,
     )
@@ -66,8 +66,8 @@ def smooth(
 
 def at_rest(
     xy: Floats, offsets: Ints, *, std: tuple[float, float] = PRIOR_STD
-) -> dict[str, Floats]:
-    """Return the prior of N tracks, at rest at the first sample: (N, 2, 2) mean and covariance."""
+) -> tuple[Floats, Floats]:
+    """Return mean and covariance of N tracks at rest at the first sample, (N, 2, 2) each."""
     first = xy[offsets[:-1]]
-    cov = np.broadcast_to(np.diag(std) ** 2, (len(first), 2, 2))
-    return {"initial_mean": np.stack([first, np.zeros_like(first)], axis=2), "initial_cov": cov}
+    mean = np.stack([first, np.zeros_like(first)], axis=2)
+    return mean, np.broadcast_to(np.diag(std) ** 2, mean.shape)

@@ -12,9 +12,7 @@ from attacks.reconstruction.learning import around, smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Ints, Release
 
 REFERENCE_STD_M = 0.5
@@ -43,7 +41,7 @@ class MovingAverage:
     def __post_init__(self) -> None:
         positive(width_s=self.width_s)
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the average over releases like those in the training set."""
         candidates = around(self.DEFAULT_WIDTH_S, factor=2.0)
         return smoother(context, smooth, given=self.width_s, candidates=candidates)
@@ -64,15 +62,8 @@ def half_windows(release: Release, variance: Floats, *, width_s: float, bias_ord
     h^(2p + 1) = a s^2 / (2 p b^2): the best width grows as s^(2 / (2p + 1)), from `width_s` at
     `REFERENCE_STD_M`. It is rounded to an odd number of samples of the track's mean interval.
 
-    Parameters
-    ----------
-    release : Release
-    variance : (M,) m^2
-        Squares of s, alike along a track.
-    width_s : float
-        s, of a track of the reference noise.
-    bias_order : int
-        p: 2 for a centred mean, 4 for a local parabola or cubic.
+    `bias_order` is p, 2 for a centred mean and 4 for a local parabola or cubic; `variance`, (M,)
+    m^2, is that of s, alike along a track.
 
     References
     ----------
@@ -93,13 +84,6 @@ def centred_means(*, xy: Floats, offsets: Ints, half: Ints) -> Floats:
 
     Near the ends of a track both sides are as short as the shorter one, down to the sample
     itself: a lopsided mean would lag behind the walk.
-
-    Parameters
-    ----------
-    xy : (M, 2) m
-    offsets : (N + 1,) int
-    half : (N,) int
-        Not negative.
     """
     sizes = np.diff(offsets)
     # x + iy: one array to sum and to look up in place of two.
@@ -111,4 +95,5 @@ def centred_means(*, xy: Floats, offsets: Ints, half: Ints) -> Floats:
     side = np.minimum(row - np.repeat(offsets[:-1], sizes), np.repeat(offsets[1:] - 1, sizes) - row)
     side = np.minimum(side, np.repeat(half, sizes))
     mean = (total[row + side + 1] - total[row - side]) / (2 * side + 1) + origin
-    return mean.view(np.float64).reshape(-1, 2)
+    planar: Floats = mean.view(np.float64).reshape(-1, 2)
+    return planar

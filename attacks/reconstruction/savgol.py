@@ -14,9 +14,7 @@ from attacks.reconstruction.moving_average import half_windows
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Ints, Release
 
 
@@ -50,7 +48,7 @@ class Savgol:
     def __post_init__(self) -> None:
         positive(width_s=self.width_s)
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the filter of releases like those in the training set."""
         candidates = around(self.DEFAULT_WIDTH_S, factor=2.0)
         return smoother(context, smooth, given=self.width_s, candidates=candidates)
@@ -67,16 +65,8 @@ def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction
 def parabolas(*, t: Floats, xy: Floats, offsets: Ints, half: Ints) -> Floats:
     """Return positions filtered with a window of ``2 half + 1`` samples for each track, (M, 2) m.
 
-    On the grid equal to ``scipy.signal.savgol_filter(..., 2 * half + 1, 2, mode="interp")``; a
-    track with `half` 0 stays as it is.
-
-    Parameters
-    ----------
-    t : (M,) s
-    xy : (M, 2) m
-    offsets : (N + 1,) int
-    half : (N,) int
-        Samples on each side of the middle; no window exceeds its track.
+    On the grid equal to ``scipy.signal.savgol_filter(..., 2 * half + 1, 2, mode="interp")``. No
+    window may exceed its track; a track with `half`, (N,), 0 stays as it is.
     """
     out = np.empty_like(xy)
     arrays = (np.ascontiguousarray(each) for each in (t, xy, offsets, half))

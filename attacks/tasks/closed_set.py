@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.tasks.roles import halves, joined
-from attacks.tasks.sessions import N_FOLDS, Sessions, Windows
+from attacks.tasks.build import rows_of
+from attacks.tasks.sessions import N_FOLDS, halves, joined
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.random import Generator
 
-    from attacks.tasks.draft import Draft
+    from attacks.tasks.build import Draft
+    from attacks.tasks.sessions import Sessions, Windows
     from isac_track.types import Floats, Ints
 
 
@@ -101,54 +102,42 @@ def _closed(
     later = draft if draft.later is None else replace(draft, tracks=draft.later)
     rows = draft.chosen(long, what)
     source = [tracks.source[row] for row in rows]
-    there = {name: row for row, name in enumerate(later.tracks.source)}
-    rows_later = np.array([there[name] for name in source])
-    probe_s, gallery_s = np.array(
-        [starts_s(row, draft.rng("windows", tracks.source[row])) for row in rows.tolist()]
-    ).T
+    rows_later = rows_of(later.tracks, source)
+    starts = np.array(
+        [starts_s(row, draft.rng("windows", name)) for row, name in zip(rows, source, strict=True)]
+    )
     group = joined(
         [tracks.group[row] for row in rows], [later.tracks.group[row] for row in rows_later]
     )
     fold_of = halves(group, rng=draft.rng("folds"))
+
+    def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
+        cut = day.windows(
+            side,
+            track[person],
+            start_s=start_s[person],
+            length_s=length_s,
+            person=person,
+            search=fold_of[person],
+        )
+        # Put where somebody, anybody, once was.
+        sizes = np.diff(cut.offsets)
+        middle_m = np.add.reduceat(cut.xy, cut.offsets[:-1]) / sizes[:, None]
+        draws = [draft.rng("place", side, source[one]).random() for one in person]
+        there_m = day.tracks.xy[(np.array(draws) * day.tracks.t.size).astype(np.int64)]
+        return replace(cut, xy=cut.xy + np.repeat(there_m - middle_m, sizes, axis=0))
+
     # In an order of its own, lest a place in the list tell who is who.
     order = draft.rng("order").permutation(rows.size)
-    probe, gallery = (
-        _elsewhere(
-            draft,
-            side,
-            day.windows(
-                side,
-                track[who],
-                start_s=start_s[who],
-                length_s=length_s,
-                person=who,
-                search=fold_of[who],
-            ),
-            source,
-        )
-        for side, day, track, start_s, who in (
-            ("probe", draft, rows, probe_s, np.arange(rows.size)),
-            ("gallery", later, rows_later, gallery_s, order),
-        )
-    )
     return draft.sessions(
         rows,
         group=group,
         may_teach=np.stack([fold_of == 1, fold_of == 0]),
-        probe=probe,
-        gallery=gallery,
+        probe=windows("probe", draft, rows, starts[:, 0], np.arange(rows.size)),
+        gallery=windows("gallery", later, rows_later, starts[:, 1], order),
         mate=np.argsort(order),
         fold=np.arange(N_FOLDS),
         searches=("half 1", "half 2"),
         too_short=len(tracks) - long.size,
         not_drawn=long.size - rows.size,
     )
-
-
-def _elsewhere(draft: Draft, side: str, windows: Windows, source: Sequence[str]) -> Windows:
-    """Return windows whose middles lie where somebody, anybody, once was."""
-    sizes = np.diff(windows.offsets)
-    middle_m = np.add.reduceat(windows.xy, windows.offsets[:-1]) / sizes[:, None]
-    draws = [draft.rng("place", side, source[person]).random() for person in windows.person]
-    there_m = draft.tracks.xy[(np.array(draws) * draft.tracks.t.size).astype(np.int64)]
-    return replace(windows, xy=windows.xy + np.repeat(there_m - middle_m, sizes, axis=0))

@@ -54,10 +54,6 @@ class Control:
         return self.in_scene if task.shows_scene and self.in_scene is not None else self.score
 
 
-def _random(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    return rng.standard_normal((len(probe), len(gallery)))
-
-
 def _alike(features: Callable[[Release], Floats]) -> Score:
     """Return what scores minus the distance of features, each scaled by its spread.
 
@@ -73,18 +69,6 @@ def _alike(features: Callable[[Release], Floats]) -> Score:
         return closeness
 
     return score
-
-
-def _starts(release: Release) -> Floats:
-    return release.t[release.offsets[:-1]]
-
-
-def _duration(release: Release) -> Floats:
-    return release.t[release.offsets[1:] - 1] - _starts(release)
-
-
-def _sample_count(release: Release) -> Floats:
-    return np.diff(release.offsets).astype(np.float64)
 
 
 def _means(values: Floats, release: Release) -> Floats:
@@ -145,10 +129,20 @@ def _frame(release: Release) -> Floats:
 
 
 CONTROLS: Final[Mapping[str, Control]] = {
-    "random": Control("random scores", _random, is_audit=False),
+    "random": Control(
+        "random scores",
+        lambda probe, gallery, rng: rng.standard_normal((len(probe), len(gallery))),
+        is_audit=False,
+    ),
     "shuffled": Control("an attack's scores with shuffled mates", None, is_audit=False),
-    "duration": Control("how long a release lasts", _alike(_duration), sees_times_only=True),
-    "sample_count": Control("how many samples it has", _alike(_sample_count), sees_times_only=True),
+    "duration": Control(
+        "how long a release lasts",
+        _alike(lambda one: one.t[one.offsets[1:] - 1] - one.t[one.offsets[:-1]]),
+        sees_times_only=True,
+    ),
+    "sample_count": Control(
+        "how many samples it has", _alike(lambda one: np.diff(one.offsets)), sees_times_only=True
+    ),
     "sampling_times": Control(
         "how its sampling steps vary", _alike(_sampling_times), sees_times_only=True
     ),
@@ -159,6 +153,9 @@ CONTROLS: Final[Mapping[str, Control]] = {
     ),
     "frame": Control("where it lies and heads in its frame", _alike(_frame), hides_in_scene=True),
     "clock": Control(
-        "when it starts on its clock", _alike(_starts), hides_in_scene=True, sees_times_only=True
+        "when it starts on its clock",
+        _alike(lambda one: one.t[one.offsets[:-1]]),
+        hides_in_scene=True,
+        sees_times_only=True,
     ),
 }
