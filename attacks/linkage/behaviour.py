@@ -152,7 +152,7 @@ def features(release: Release) -> Floats:
             np.log(mean(np.abs(turn)) + 0.03),
             np.log(np.sqrt(mean(turn**2)) + 0.03),
             np.log(np.abs(mean(turn)) + 0.02),
-            np.hypot(*chord_m) / (np.maximum(count - 1, 1) * STEP_S),
+            np.abs(chord_m[0] + 1j * chord_m[1]) / (np.maximum(count - 1, 1) * STEP_S),
             np.log(np.sqrt((steps**2).sum(axis=1) / count) + 0.03),
             sway(release, walks),
         ]

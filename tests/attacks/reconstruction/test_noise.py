@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.walks import context, release_of
 
-from attacks.reconstruction.noise import learn_variance
+from attacks.reconstruction.learning import learn_variance
 from isac_track.noise import MIN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, innovation_variance_m2
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream

@@ -6,10 +6,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.strategies import reproducible
 from helpers.walks import release_of
+from hypothesis import given
+from hypothesis import strategies as st
 
-from attacks.tasks.build import build
-from attacks.tasks.draft import LEAST_PEOPLE
+from attacks.tasks.build import LEAST_PEOPLE, sessions_of
+from attacks.tasks.sessions import joined
 from attacks.tasks.task_list import TASKS, task_named
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
@@ -38,33 +41,31 @@ def crowd(*, n=60, groups=(3, 2, 2), session=0):
 
 
 def tracks_of(walks, *, source, group):
-    release = release_of(walks)
-    return Tracks(
-        t=release.t,
-        xy=release.xy,
-        offsets=release.offsets,
-        source=tuple(source),
-        group=tuple(group),
-    )
+    flat = release_of(walks)
+    return Tracks(flat.t, flat.xy, flat.offsets, source=tuple(source), group=tuple(group))
 
 
 @cache
 def sessions(name, *, tracks=None, stages=STAGES, seed=0):
     tracks = tracks if tracks is not None else crowd()
     later = crowd(session=1, groups=(2, 2)) if TASKS[name].simulated else None
-    return build(TASKS[name], tracks=tracks, later=later, settings=stages, seed=seed)
+    return sessions_of(TASKS[name], tracks=tracks, stages=stages, seed=seed, later=later)
 
 
 def spans(windows):
     return windows.t[windows.offsets[:-1]], windows.t[windows.offsets[1:] - 1]
 
 
+def both_sides(found):
+    return found.probe, found.gallery
+
+
 def without(tracks, row):
     stay = [place for place in range(len(tracks)) if place != row]
     return tracks_of(
         [(tracks[place].t, tracks[place].xy) for place in stay],
-        source=[tracks.source[place] for place in stay],
-        group=[tracks.group[place] for place in stay],
+        source=np.array(tracks.source)[stay].tolist(),
+        group=np.array(tracks.group)[stay].tolist(),
     )
 
 
@@ -112,7 +113,7 @@ class TestRerelease:
         lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
         assert len(found.source) == (lasts >= WINDOW_S - 1e-9).sum()
         assert found.too_short == (lasts < WINDOW_S - 1e-9).sum()
-        for side in (found.probe, found.gallery):
+        for side in both_sides(found):
             starts, ends = spans(side)
             # The last instant lies within one step of the end.
             assert (ends - starts <= WINDOW_S + 1e-9).all()
@@ -137,7 +138,7 @@ class TestSplit:
         gap = second_start[found.mate] - first_end
         assert (gap >= STAGES.linkage.split_gap_s - 1e-9).all()
         assert gap.max() > 5.0
-        for side in (found.probe, found.gallery):
+        for side in both_sides(found):
             starts, ends = spans(side)
             assert np.ptp(ends - starts) < 1 / 8 + 1e-9
             assert (ends - starts <= STAGES.linkage.split_window_s + 1e-9).all()
@@ -152,27 +153,18 @@ class TestHandover:
         start, end = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
         for number, label in enumerate(found.searches):
             at = float(label.removesuffix(" s"))
-            before = {
-                tracks.source[row]
-                for row in np.flatnonzero((start <= at - least_s) & (end >= at - 1e-9))
-            }
-            after = {
-                tracks.source[row]
-                for row in np.flatnonzero(
-                    (start <= at + gap_s) & (end >= at + gap_s + least_s - 1e-9)
-                )
-            }
-            for side, expected in ((found.probe, before), (found.gallery, after)):
+            before = (start <= at - least_s) & (end >= at - 1e-9)
+            after = (start <= at + gap_s) & (end >= at + gap_s + least_s - 1e-9)
+            for side, there in ((found.probe, before), (found.gallery, after)):
                 seen = [found.source[one] for one in side.person[side.search == number]]
                 # Labels are rounded: allow for those on the very edge.
-                assert len(expected ^ set(seen)) <= 1
+                assert len(set(np.array(tracks.source)[there]) ^ set(seen)) <= 1
                 assert len(set(seen)) == len(seen)
 
     def test_pseudonyms_rotate_at_one_instant_after_a_silent_gap(self, name):
         found = sessions(name)
+        (_, ends), (starts, _) = spans(found.probe), spans(found.gallery)
         for number in range(len(found.searches)):
-            _, ends = spans(found.probe)
-            starts, _ = spans(found.gallery)
             last = ends[found.probe.search == number].max()
             first = starts[found.gallery.search == number].min()
             assert first - last >= TASKS[name].gap_s - 1e-9
@@ -203,30 +195,43 @@ class TestNewTraversal:
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
 class TestRoles:
-    def test_nobody_is_attacked_by_who_learnt_from_them_or_their_company(self, name):
+    def test_nobody_is_attacked_or_calibrated_by_who_learnt_from_them_or_their_company(self, name):
         found = sessions(name)
+        group = np.array(found.group)
         for fold in (0, 1):
-            attacked = set()
-            for side in (found.probe, found.gallery):
-                attacked |= set(side.person[found.fold[side.search] == fold].tolist())
-            taught = np.flatnonzero(found.learns[fold] | found.calibrates[fold])
-            assert taught.size
-            groups = {found.group[one] for one in attacked}
-            assert not any(found.group[one] in groups for one in taught)
-
-    def test_scores_are_calibrated_on_people_who_were_not_learnt_from(self, name):
-        found = sessions(name)
-        for fold in (0, 1):
-            learnt = {found.group[one] for one in np.flatnonzero(found.learns[fold])}
-            known = {found.group[one] for one in np.flatnonzero(found.calibrates[fold])}
+            attacked, learnt, known = (
+                set(group[who])
+                for who in (
+                    np.concatenate(
+                        [one.person[found.fold[one.search] == fold] for one in both_sides(found)]
+                    ),
+                    found.learns[fold],
+                    found.calibrates[fold],
+                )
+            )
             assert learnt
             assert known
+            assert not attacked & (learnt | known)
             assert not learnt & known
 
     def test_who_breaks_that_is_stopped(self, name):
         found = sessions(name)
         with pytest.raises(AssertionError, match="among the training people"):
             replace(found, learns=np.ones_like(found.learns), calibrates=found.calibrates)
+
+
+def by_person(found):
+    """Of either side the instants of each window, by whose it is and, of a handover, when."""
+    closed = found.task.name in CLOSED
+    return [
+        {
+            (found.source[who], "" if closed else found.searches[number]): tuple(one)
+            for who, number, one in zip(
+                side.person, side.search, np.split(side.t, side.offsets[1:-1]), strict=True
+            )
+        }
+        for side in both_sides(found)
+    ]
 
 
 @pytest.mark.parametrize("name", ["rerelease", "split", "handover-2s"])
@@ -243,22 +248,7 @@ def test_leaving_one_person_out_changes_no_other_window(name):
     )
     part = sessions(name, tracks=without(tracks, lost))
 
-    def by_person(found, side):
-        windows = getattr(found, side)
-        closed = name in CLOSED
-        return {
-            (found.source[who], "" if closed else found.searches[number]): tuple(windows.t[lo:hi])
-            for who, number, lo, hi in zip(
-                windows.person,
-                windows.search,
-                windows.offsets[:-1],
-                windows.offsets[1:],
-                strict=True,
-            )
-        }
-
-    for side in ("probe", "gallery"):
-        before, after = by_person(whole, side), by_person(part, side)
+    for before, after in zip(by_person(whole), by_person(part), strict=True):
         gone = {key for key in before if key[0] == tracks.source[lost]}
         assert gone
         if name in CLOSED:
@@ -301,7 +291,7 @@ def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
     found = sessions("rerelease", tracks=tracks)
     middles = [
         np.add.reduceat(side.xy, side.offsets[:-1]) / np.diff(side.offsets)[:, None]
-        for side in (found.probe, found.gallery)
+        for side in both_sides(found)
     ]
     at_all = tracks.xy.min(axis=0) - 1e-9, tracks.xy.max(axis=0) + 1e-9
     for middle in middles:
@@ -357,7 +347,7 @@ def test_an_unknown_task_is_refused_with_what_may_be_meant(name, hint):
         task_named(name)
     unknown = replace(TASKS["split"], name=name)
     with pytest.raises(SettingsError, match="unknown task"):
-        build(unknown, tracks=crowd(), later=None, settings=STAGES, seed=0)
+        sessions_of(unknown, tracks=crowd(), stages=STAGES, seed=0)
 
 
 def test_too_small_a_draw_is_refused():
@@ -366,17 +356,7 @@ def test_too_small_a_draw_is_refused():
 
 
 def test_windows_before_the_gap_are_the_same_whatever_the_gap():
-    short, long = sessions("handover-1s"), sessions("handover-5s")
-
-    def starts(found):
-        return {
-            (found.source[who], found.searches[search]): tuple(found.probe.t[lo : lo + 3])
-            for who, search, lo in zip(
-                found.probe.person, found.probe.search, found.probe.offsets, strict=False
-            )
-        }
-
-    ours, others = starts(short), starts(long)
+    ours, others = (by_person(sessions(f"handover-{gap_s}s"))[0] for gap_s in (1, 5))
     both = ours.keys() & others.keys()
     assert both
     assert all(ours[key] == others[key] for key in both)
@@ -385,3 +365,37 @@ def test_windows_before_the_gap_are_the_same_whatever_the_gap():
 def test_other_seeds_are_other_windows():
     one, other = sessions("rerelease"), sessions("rerelease", seed=1)
     assert not np.array_equal(one.probe.t[:10], other.probe.t[:10])
+
+
+GROUP = st.sampled_from("abcdef")
+PEOPLE = st.lists(st.tuples(GROUP, GROUP), min_size=1, max_size=12)
+
+
+def reached(people, one):
+    """Brute force: whoever shares a group with somebody reached, again and again."""
+    found = {one}
+    while True:
+        more = {
+            other
+            for other, (first, second) in enumerate(people)
+            if any(first == people[known][0] or second == people[known][1] for known in found)
+        }
+        if more == found:
+            return found
+        found = more
+
+
+@reproducible
+@given(PEOPLE)
+def test_a_cluster_is_whoever_can_be_reached_over_shared_groups(people):
+    """It has the first name of its groups in the first session."""
+    cluster = joined([first for first, _ in people], [second for _, second in people])
+    for one, name in enumerate(cluster):
+        within = reached(people, one)
+        assert {k for k in range(len(people)) if cluster[k] == name} == within
+        assert type(name) is str
+        assert name == min(people[other][0] for other in within)
+
+
+def test_groups_of_the_same_name_in_different_sessions_are_different_groups():
+    assert joined(["a", "b"], ["b", "c"]) == ("a", "b")
