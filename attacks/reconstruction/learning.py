@@ -128,7 +128,12 @@ def exposure_loss(*, xy: Floats, truth: Floats, offsets: Ints, epsilon_m: float)
 def learn_variance(context: AttackContext) -> Callable[[Release], Floats]:
     """Return what tells the error variance per axis of every sample of a release, (M,) m^2."""
     if Knowledge.SIGMA in context.granted:
-        share = _share_per_axis(context)
+        share = RADIAL_PER_AXIS
+        if Knowledge.TRAIN in context.granted:
+            release, truth = context.train.release, context.train.truth
+            declared_m2 = float((_declared(release) ** 2).sum())
+            if declared_m2 > 0.0:
+                share = float(((release.xy - truth) ** 2).sum()) / 2.0 / declared_m2
         return lambda release: np.maximum(share * _declared(release) ** 2, MIN_VARIANCE_M2)
     knows = {Knowledge.MECHANISM, Knowledge.TRAIN} <= context.granted
     if knows and isinstance(context.mechanism, Fid):
@@ -144,17 +149,6 @@ def _estimated(release: Release) -> Floats:
 def _declared(release: Release) -> Floats:
     assert release.sigma is not None  # granted
     return release.sigma
-
-
-def _share_per_axis(context: AttackContext) -> float:
-    """Return which share of a squared standard deviation falls on either axis."""
-    if Knowledge.TRAIN not in context.granted:
-        return RADIAL_PER_AXIS
-    train = context.train
-    declared_m2 = float((_declared(train.release) ** 2).sum())
-    if declared_m2 == 0.0:
-        return RADIAL_PER_AXIS
-    return float(((train.release.xy - train.truth) ** 2).sum()) / 2.0 / declared_m2
 
 
 def _learn_fid(train: TrainingSet, *, rule: Fid) -> Callable[[Release], Floats]:

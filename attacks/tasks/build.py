@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, alone, roles
+from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, roles
 from attacks.tasks.task_list import task_named
 from isac_track.datasets import load
 from isac_track.datasets.summary import summarise
@@ -130,17 +130,18 @@ class Draft:
         """Return the sessions of the people of these tracks; `found` is what else they hold."""
         learns, calibrates = roles(group, may_teach=may_teach, rng=self.rng("roles"))
         source = tuple(self.tracks.source[row] for row in rows)
-        by_itself, frozen = alone(self.tracks, rows), summarise(self.tracks).frozen[rows]
-        if self.later is not None:
-            rows_later = rows_of(self.later, source)
-            by_itself &= alone(self.later, rows_later)
-            frozen |= summarise(self.later).frozen[rows_later]
+        by_itself, moving = np.ones((2, rows.size), dtype=bool)
+        for tracks in (self.tracks, self.later or self.tracks):
+            there = rows_of(tracks, source)
+            _, cluster, sizes = np.unique(tracks.group, return_inverse=True, return_counts=True)
+            by_itself &= sizes[cluster][there] == 1
+            moving &= ~summarise(tracks).frozen[there]
         return Sessions(
             task=self.task,
             source=source,
             group=group,
             alone=by_itself,
-            moving=~frozen,
+            moving=moving,
             learns=learns,
             calibrates=calibrates,
             **found,  # type: ignore[arg-type]  # the other fields of Sessions

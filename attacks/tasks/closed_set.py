@@ -1,4 +1,7 @@
-"""Tasks in which everybody is in both releases: a closed set."""
+"""Tasks in which everybody is in both releases: a closed set.
+
+Each raises `DataError` if too few tracks are long enough.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +24,7 @@ if TYPE_CHECKING:
 
 
 def rerelease(draft: Draft) -> Sessions:
-    """Return two windows of each walk, which may overlap: the same walk is shared twice.
-
-    Raises
-    ------
-    DataError
-        If too few tracks are long enough.
-    """
+    """Return two windows of each walk, which may overlap: the same walk is shared twice."""
     length_s = draft.settings.linkage.window_s
 
     def starts_s(row: int, rng: Generator) -> Floats:
@@ -42,13 +39,7 @@ def rerelease(draft: Draft) -> Sessions:
 
 
 def split(draft: Draft) -> Sessions:
-    """Return two windows of each walk with a gap between them.
-
-    Raises
-    ------
-    DataError
-        If too few tracks are long enough.
-    """
+    """Return two windows of each walk with a gap between them."""
     length_s, gap_s = draft.settings.linkage.split_window_s, draft.settings.linkage.split_gap_s
     needed_s = 2.0 * length_s + gap_s
 
@@ -63,13 +54,7 @@ def split(draft: Draft) -> Sessions:
 
 
 def new_traversal(draft: Draft) -> Sessions:
-    """Return a window of each person's walk in either session of a crowd.
-
-    Raises
-    ------
-    DataError
-        If too few people walk for long enough in both.
-    """
+    """Return a window of each person's walk in either session of a crowd."""
     assert draft.later is not None
     length_s, later = draft.settings.linkage.window_s, replace(draft, tracks=draft.later)
     source = draft.tracks.source

@@ -73,8 +73,8 @@ def _alike(features: Callable[[Release], Floats]) -> Score:
 
 def _means(values: Floats, release: Release) -> Floats:
     """Return the mean of each track's values, (N,) or (N, 2)."""
-    sizes = np.diff(release.offsets).reshape(-1, *[1] * (values.ndim - 1))
-    means: Floats = np.add.reduceat(values, release.offsets[:-1]) / sizes
+    total = np.add.reduceat(values, release.offsets[:-1])
+    means: Floats = (total.T / np.diff(release.offsets)).T
     return means
 
 

@@ -19,10 +19,7 @@ if TYPE_CHECKING:
 def handover(draft: Draft) -> Sessions:
     """Return windows before and after each instant at which pseudonyms rotate.
 
-    Raises
-    ------
-    DataError
-        If too few people are there at these instants, or there are too few instants.
+    It raises `DataError` if too few people are there then, or there are too few instants.
     """
     tracks, settings, gap_s = draft.tracks, draft.settings.linkage, draft.task.gap_s
     least_s, window_s = settings.handover_least_s, settings.handover_window_s

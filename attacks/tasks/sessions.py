@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from attacks.tasks.task_list import Task
-    from isac_track.types import Bools, Floats, Ints, Tracks
+    from isac_track.types import Bools, Floats, Ints
 
 N_FOLDS = 2
 CALIBRATING_SHARE = 1 / 3
@@ -134,10 +134,3 @@ def roles(group: tuple[str, ...], *, may_teach: Bools, rng: Generator) -> tuple[
         few = min(max(round(CALIBRATING_SHARE * clusters.size), 1), clusters.size - 1)
         calibrates[fold] = teachers & np.isin(cluster, clusters[: max(few, 0)])
     return may_teach & ~calibrates, calibrates
-
-
-def alone(tracks: Tracks, rows: Ints) -> Bools:
-    """Return which of these tracks are the only ones of their group in the recording."""
-    _, cluster, sizes = np.unique(tracks.group, return_inverse=True, return_counts=True)
-    alone: Bools = sizes[cluster][rows] == 1
-    return alone

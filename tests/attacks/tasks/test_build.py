@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -106,42 +107,33 @@ def test_windows_are_stretches_of_the_walk_at_instants_of_their_own(name):
         assert np.abs(apart).max() < 0.1
 
 
-class TestRerelease:
-    def test_everybody_long_enough_has_two_windows_of_one_length(self):
-        tracks = crowd()
-        found = sessions("rerelease", tracks=tracks)
-        lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
-        assert len(found.source) == (lasts >= WINDOW_S - 1e-9).sum()
-        assert found.too_short == (lasts < WINDOW_S - 1e-9).sum()
-        for side in both_sides(found):
-            starts, ends = spans(side)
-            # The last instant lies within one step of the end.
-            assert (ends - starts <= WINDOW_S + 1e-9).all()
-            assert (ends - starts > WINDOW_S - 1 / 8 - 1e-9).all()
-
-    def test_the_windows_of_a_walk_start_apart_but_mostly_overlap(self):
-        found = sessions("rerelease")
-        apart = np.abs(spans(found.probe)[0] - spans(found.gallery)[0][found.mate])
-        assert (apart <= STAGES.linkage.rerelease_shift_s).all()
-        assert apart.max() > 2.0
-        assert (apart > 0).mean() > 0.8  # a track of just 12 s has no room to shift
-
-    def test_the_place_in_the_list_does_not_tell_who_is_who(self):
-        found = sessions("rerelease")
-        assert (found.mate == np.arange(found.mate.size)).mean() < 0.2
+def test_a_rerelease_is_two_windows_of_one_length_that_mostly_overlap_of_everybody():
+    tracks = crowd()
+    found = sessions("rerelease", tracks=tracks)
+    lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
+    assert len(found.source) == (lasts >= WINDOW_S - 1e-9).sum()
+    assert found.too_short == (lasts < WINDOW_S - 1e-9).sum()
+    for starts, ends in map(spans, both_sides(found)):
+        # The last instant lies within one step of the end.
+        assert (ends - starts <= WINDOW_S + 1e-9).all()
+        assert (ends - starts > WINDOW_S - 1 / 8 - 1e-9).all()
+    apart = np.abs(spans(found.probe)[0] - spans(found.gallery)[0][found.mate])
+    assert (apart <= STAGES.linkage.rerelease_shift_s).all()
+    assert apart.max() > 2.0
+    assert (apart > 0).mean() > 0.8  # a track of just 12 s has no room to shift
+    # The place in the list does not tell who is who.
+    assert (found.mate == np.arange(found.mate.size)).mean() < 0.2
 
 
-class TestSplit:
-    def test_the_halves_are_of_one_length_and_do_not_touch(self):
-        found = sessions("split")
-        (_, first_end), (second_start, _) = spans(found.probe), spans(found.gallery)
-        gap = second_start[found.mate] - first_end
-        assert (gap >= STAGES.linkage.split_gap_s - 1e-9).all()
-        assert gap.max() > 5.0
-        for side in both_sides(found):
-            starts, ends = spans(side)
-            assert np.ptp(ends - starts) < 1 / 8 + 1e-9
-            assert (ends - starts <= STAGES.linkage.split_window_s + 1e-9).all()
+def test_the_halves_of_a_split_are_of_one_length_and_do_not_touch():
+    found = sessions("split")
+    (_, first_end), (second_start, _) = map(spans, both_sides(found))
+    gap = second_start[found.mate] - first_end
+    assert (gap >= STAGES.linkage.split_gap_s - 1e-9).all()
+    assert gap.max() > 5.0
+    for starts, ends in map(spans, both_sides(found)):
+        assert np.ptp(ends - starts) < 1 / 8 + 1e-9
+        assert (ends - starts <= STAGES.linkage.split_window_s + 1e-9).all()
 
 
 @pytest.mark.parametrize("name", HANDOVERS)
@@ -176,21 +168,19 @@ class TestHandover:
         assert np.setdiff1d(np.arange(len(found.gallery)), found.mate).size
 
 
-class TestNewTraversal:
-    def test_company_of_either_day_is_one_cluster(self):
-        found = sessions("new_traversal")
-        first, later = crowd(), crowd(session=1, groups=(2, 2))
-        group = dict(zip(found.source, found.group, strict=True))
-        for tracks in (first, later):
-            for one, other in zip(tracks.source, tracks.source[1:], strict=False):
-                company = dict(zip(tracks.source, tracks.group, strict=True))
-                if {one, other} <= group.keys() and company[one] == company[other]:
-                    assert group[one] == group[other]
+def test_company_of_either_day_is_one_cluster():
+    found = sessions("new_traversal")
+    group = dict(zip(found.source, found.group, strict=True))
+    for tracks in (crowd(), crowd(session=1, groups=(2, 2))):
+        company = dict(zip(tracks.source, tracks.group, strict=True))
+        for one, other in pairwise(tracks.source):
+            if {one, other} <= group.keys() and company[one] == company[other]:
+                assert group[one] == group[other]
 
-    def test_no_more_people_than_asked_for(self):
-        fewer = STAGES.changed({"linkage.most_people": 30})
-        found = sessions("new_traversal", stages=fewer)
-        assert len(found.source) == 30
+
+def test_no_more_people_than_asked_for():
+    fewer = STAGES.changed({"linkage.most_people": 30})
+    assert len(sessions("new_traversal", stages=fewer).source) == 30
 
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
@@ -289,17 +279,15 @@ def test_every_setting_changes_what_is_linked(setting, value, name):
 def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
     tracks = crowd(n=400)
     found = sessions("rerelease", tracks=tracks)
-    middles = [
+    first, second = (
         np.add.reduceat(side.xy, side.offsets[:-1]) / np.diff(side.offsets)[:, None]
         for side in both_sides(found)
-    ]
-    at_all = tracks.xy.min(axis=0) - 1e-9, tracks.xy.max(axis=0) + 1e-9
-    for middle in middles:
-        assert (middle >= at_all[0]).all()
-        assert (middle <= at_all[1]).all()
-    for axis in (0, 1):
-        together = np.corrcoef(middles[0][:, axis], middles[1][found.mate][:, axis])[0, 1]
-        assert abs(together) < 4 / np.sqrt(found.mate.size)
+    )
+    for middle in (first, second):
+        assert (middle >= tracks.xy.min(axis=0) - 1e-9).all()
+        assert (middle <= tracks.xy.max(axis=0) + 1e-9).all()
+    for one, other in zip(first.T, second[found.mate].T, strict=True):
+        assert abs(np.corrcoef(one, other)[0, 1]) < 4 / np.sqrt(found.mate.size)
 
 
 def test_frozen_people_and_company_are_marked():
