@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.linkage.learning import mated, teaches
-from attacks.linkage.signals import STEP_S, lengths, motion, on_grid, product, widths_s
+from attacks.linkage.signals import STEP_S, motion, on_grid, product, widths_s
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
 
@@ -171,9 +171,8 @@ def sway(release: Release, walks: Signals) -> Floats:
     in_cell = np.maximum(np.diff(release.offsets) / walks.sizes, 1.0)
     noise_m2 = variance_m2 / in_cell
     power_m2 = np.zeros((walks.sizes.size, len(_BANDS_HZ)))
-    for cells, rows in lengths(walks.sizes):
-        if cells < _LEAST_CELLS:
-            continue
+    for cells in np.unique(walks.sizes[walks.sizes >= _LEAST_CELLS]):
+        rows = np.flatnonzero(walks.sizes == cells)
         x, y = walks.values[:, rows, :cells]
         z = x + 1j * y
         bend = z[:, 2:] - 2.0 * z[:, 1:-1] + z[:, :-2]

@@ -38,13 +38,6 @@ def tried(given: _Value | None, candidates: Sequence[_Value]) -> Sequence[_Value
     return candidates if given is None else (given,)
 
 
-def few_mates(train: LinkageTrainingSet, *, most: int) -> LinkageTrainingSet:
-    """Return the first `most` mated pairs of a training set, and nobody else."""
-    rows = mated(train)[:most]
-    gallery = train.gallery.tracks(train.mate[rows])
-    return LinkageTrainingSet(train.probe.tracks(rows), gallery, mate=np.arange(rows.size))
-
-
 def learn(
     context: AttackContext,
     options: Sequence[Sequence[Any]],
@@ -65,12 +58,17 @@ def learn(
     scores : callable
         From a training set to what turns a value for each parameter into scores, (P, G).
     most : int, optional
-        Mated pairs to learn from: many candidates on all would cost more than the attack.
+        Mated pairs to learn from, and nobody else: many candidates on all would cost more than
+        the attack.
     """
     best = tuple(values[0] for values in options)
     if not teaches(context) or all(len(values) == 1 for values in options):
         return best
-    train = context.train if most is None else few_mates(context.train, most=most)
+    train = context.train
+    if most is not None:
+        rows = mated(train)[:most]
+        gallery = train.gallery.tracks(train.mate[rows])
+        train = LinkageTrainingSet(train.probe.tracks(rows), gallery, np.arange(rows.size))
     score = scores(train)
     least = log_rank(score(*best), mate=train.mate)
     for which, values in enumerate(options):

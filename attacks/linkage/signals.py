@@ -74,11 +74,6 @@ def loops() -> ModuleType:
     return import_module("attacks.linkage._lag_loop")
 
 
-def lengths(count: Ints) -> list[tuple[int, Ints]]:
-    """Return ``(cells, rows)`` for every length that occurs: rows of one length go together."""
-    return [(int(size), np.flatnonzero(count == size)) for size in np.unique(count)]
-
-
 @lru_cache(maxsize=192)
 def _local_lines(cells: int, width_s: float) -> tuple[Floats, Floats]:
     """Return what takes a walk of that many cells to its velocity and acceleration, (K, K) each.
@@ -213,7 +208,8 @@ def blocks(probe: Signals, gallery: Signals) -> Iterator[tuple[Ints, Ints, Float
     def by_cell(signals: Signals) -> list[tuple[Ints, Floats]]:
         return [
             (rows, np.ascontiguousarray(signals.values[:, rows, :cells].transpose(0, 2, 1)))
-            for cells, rows in lengths(signals.sizes)
+            for cells in np.unique(signals.sizes)
+            for rows in [np.flatnonzero(signals.sizes == cells)]
         ]
 
     parts = by_cell(gallery)

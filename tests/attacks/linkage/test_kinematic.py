@@ -25,13 +25,12 @@ def gap(n=10, *, seed=0, gap_s=2.0, noise_m=0.1, same_start=True, **habits):
     for person in people:
         person.xy = person.xy + rng.uniform(-4, 4, 2)
     order = rng.permutation(n)
-    probe = [person.seen(rng, start_s=1.0, length_s=4.0, noise_m=noise_m) for person in people]
+    window = {"length_s": 4.0, "noise_m": noise_m}
+    probe = [person.seen(rng, start_s=1.0, **window) for person in people]
+    again_s = 5.0 + gap_s
     gallery = [
         people[k].seen(
-            rng,
-            start_s=5.0 + gap_s + (0.0 if same_start else rng.uniform(0, 2.0)),
-            length_s=4.0,
-            noise_m=noise_m,
+            rng, start_s=again_s + (0.0 if same_start else rng.uniform(0, 2.0)), **window
         )
         for k in order
     ]

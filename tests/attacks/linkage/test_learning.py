@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.walks import context, moved, odd_release, two_releases
 
-from attacks.linkage.learning import MARGIN, few_mates, learn, log_rank
+from attacks.linkage.learning import MARGIN, learn, log_rank
 from isac_track.protocols import LinkageTrainingSet
 
 N = 12
@@ -24,7 +24,7 @@ def ranked(n_ahead):
     return of
 
 
-def learnt(options, n_ahead, *, train=TRAIN, most=None):
+def learnt(options, n_ahead, *, train=TRAIN):
     """What is learnt where a choice has so many people ahead, and what was asked for."""
     asked = []
 
@@ -35,7 +35,7 @@ def learnt(options, n_ahead, *, train=TRAIN, most=None):
 
         return score
 
-    return learn(context(train), options, scores=scores, most=most), asked
+    return learn(context(train), options, scores=scores), asked
 
 
 def test_log_rank_by_hand():
@@ -78,11 +78,18 @@ def test_without_a_choice_or_a_teacher_nothing_is_asked():
 
 
 def test_few_mates_are_the_mates():
-    known = np.where(np.arange(N) % 2 == 0, TRAIN.mate, -1)
-    few = few_mates(LinkageTrainingSet(TRAIN.probe, TRAIN.gallery, known), most=4)
-    rows = np.array([0, 2, 4, 6])
-    assert few.probe.pseudonym == tuple(TRAIN.probe.pseudonym[row] for row in rows)
-    assert few.gallery.pseudonym == tuple(TRAIN.gallery.pseudonym[TRAIN.mate[row]] for row in rows)
+    train, taught = LinkageTrainingSet(*two_releases(24)), []
+    known = np.where(np.arange(24) % 2 == 0, train.mate, -1)
+    train = LinkageTrainingSet(train.probe, train.gallery, known)
+
+    def scores(few):
+        taught.append(few)
+        return lambda _: ranked(1)(few.mate)
+
+    learn(context(train), ((1, 2),), scores=scores, most=4)
+    (few,), rows = taught, [0, 2, 4, 6]
+    assert few.probe.pseudonym == tuple(train.probe.pseudonym[row] for row in rows)
+    assert few.gallery.pseudonym == tuple(train.gallery.pseudonym[known[row]] for row in rows)
     assert few.mate.tolist() == [0, 1, 2, 3]
 
 

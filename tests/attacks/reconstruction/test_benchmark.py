@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from helpers.walks import context, cv_walks, flat_release
 
-from attacks.reconstruction.kalman_rts import KalmanRTS
+from attacks.reconstruction.kalman_rts import KalmanRTS, at_rest
 from isac_track import plugins as registry
 from isac_track.kalman import smooth_positions
 from isac_track.protocols import TrainingSet, grants
@@ -30,7 +30,6 @@ N_TRACKS = 800
 MANY_TRACKS = 2400
 """Their mean square error is known to 1 % (one standard error)."""
 N_REPEATS = 2
-PRIOR = np.diag([100.0, 10.0]) ** 2
 
 
 @cache
@@ -52,8 +51,7 @@ def release_of(n_tracks=N_TRACKS, seed=0, again=0):
 def posterior(n_releases=1, n_tracks=N_TRACKS):
     """P of every sample, (M,), given so many releases of the walk."""
     truth, t, offsets, std = walks(n_tracks)
-    mean = np.zeros((n_tracks, 2, 2))
-    mean[:, :, 0] = truth[offsets[:-1]]
+    mean, cov = at_rest(truth, offsets)
     _, variance = smooth_positions(
         t=t,
         xy=truth,
@@ -61,7 +59,7 @@ def posterior(n_releases=1, n_tracks=N_TRACKS):
         offsets=offsets,
         q=Q,
         initial_mean=mean,
-        initial_cov=np.broadcast_to(PRIOR, (n_tracks, 2, 2)),
+        initial_cov=cov,
     )
     return variance
 
