@@ -42,6 +42,10 @@ def scene(train=None):
     return context(train, granted=granted)
 
 
+def variance_of(release):
+    return innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
+
+
 def filtered(t, xy, variance_m2):
     """filterpy's state (x, vx, y, vy) after the last sample, and its covariance."""
     mean, cov = np.stack([xy[0], np.zeros(2)], axis=1), np.diag([100.0, 1.4]) ** 2
@@ -53,21 +57,22 @@ def filtered(t, xy, variance_m2):
 def test_it_is_filterpy_across_the_gap():
     probe, gallery, _ = gap(4, same_start=False)
     scores = continuations(probe, gallery, q=Q, floor_m2=FLOOR_M2)
-    noise = [
-        np.maximum(innovation_variance_m2(t=r.t, xy=r.xy, offsets=r.offsets), FLOOR_M2)
-        for r in (probe, gallery)
-    ]
-    for i, before in enumerate(probe):
-        for j, after in enumerate(gallery):
-            past, spread = filtered(before.t, before.xy, noise[0][i])
-            future, more = filtered(-after.t[::-1], after.xy[::-1], noise[1][j])
-            turn = np.diag([1.0, -1, 1, -1])
-            f, grown = oracle.motion(after.t[0] - before.t[-1], Q)
-            cov = f @ spread @ f.T + grown + turn @ more @ turn
-            off = f @ past - turn @ future
-            square = off @ np.linalg.solve(cov, off)
-            by_hand = -0.5 * np.linalg.slogdet(cov)[1] - 4.5 * np.log1p(square / 5)
-            assert scores[i, j] == pytest.approx(by_hand, rel=1e-6)
+    past, future = (
+        [
+            filtered(sign * one.t[::sign], one.xy[::sign], np.maximum(variance, FLOOR_M2))
+            for one, variance in zip(side, variance_of(side), strict=True)
+        ]
+        for side, sign in ((probe, 1), (gallery, -1))
+    )
+    turn = np.diag([1.0, -1, 1, -1])
+    for i, j in np.ndindex(scores.shape):
+        (mean, cov), (later, more) = past[i], future[j]
+        f, grown = oracle.motion(gallery[j].t[0] - probe[i].t[-1], Q)
+        cov = f @ cov @ f.T + grown + turn @ more @ turn
+        off = f @ mean - turn @ later
+        square = off @ np.linalg.solve(cov, off)
+        by_hand = -0.5 * np.linalg.slogdet(cov)[1] - 4.5 * np.log1p(square / 5)
+        assert scores[i, j] == pytest.approx(by_hand, rel=1e-6)
 
 
 def test_a_common_motion_changes_nothing():
