@@ -28,12 +28,12 @@ from isac_track.protocols import AttackContext
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense
-from isac_track.types import Knowledge, Release
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isac_track.types import Floats, Ints
+    from isac_track.types import Knowledge, Release
+
 
 LINKERS = ("shape", "profile", "dtw", "behaviour", "histogram", "kinematic")
 WINDOW_S = 12.0
@@ -55,10 +55,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{'linker':<12}{'G':>8}{'us / pair':>12}{'exponent':>10}{'peak MB':>10}")
     for name in LINKERS:
         fitted = fit(name)
-        check_blocks(fitted, probe, part(gallery, np.arange(sizes[0])))
+        check_blocks(fitted, probe, gallery.tracks(np.arange(sizes[0])))
         times = []
         for size in sizes:
-            seconds = search_s(fitted, probe, part(gallery, np.arange(size)))
+            seconds = search_s(fitted, probe, gallery.tracks(np.arange(size)))
             times.append(seconds)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             each_us = 1e6 * seconds / (N_PROBES * size)
@@ -96,7 +96,7 @@ def blocks(fitted: Any, probe: Release, gallery: Release) -> Any:  # noqa: ANN40
     """Yield the rows of each block of the gallery, and the scores, (P, B)."""
     for first in range(0, len(gallery), BLOCK):
         rows = np.arange(first, min(first + BLOCK, len(gallery)))
-        yield rows, fitted(probe, part(gallery, rows))
+        yield rows, fitted(probe, gallery.tracks(rows))
 
 
 def check_blocks(fitted: Any, probe: Release, gallery: Release) -> None:  # noqa: ANN401
@@ -104,7 +104,7 @@ def check_blocks(fitted: Any, probe: Release, gallery: Release) -> None:  # noqa
     whole = fitted(probe, gallery)
     half = np.arange(len(gallery) // 2)
     spread = float(whole.std()) or 1.0
-    assert np.allclose(fitted(probe, part(gallery, half)), whole[:, half], atol=1e-6 * spread)
+    assert np.allclose(fitted(probe, gallery.tracks(half)), whole[:, half], atol=1e-6 * spread)
 
 
 def released(*, n: int, side: str) -> Release:
@@ -135,19 +135,6 @@ def released(*, n: int, side: str) -> Release:
     (mechanism,) = plugins.parse("mechanisms", LEVEL)
     release: Release = mechanism.instance.share(sensed, rng)
     return release.without_sigma()
-
-
-def part(release: Release, rows: Ints) -> Release:
-    """Return some tracks of a release, neighbours in their order."""
-    low, high = release.offsets[rows[0]], release.offsets[rows[-1] + 1]
-    t: Floats = release.t[low:high]
-    return Release(
-        t=t,
-        xy=release.xy[low:high],
-        sigma=None,
-        offsets=release.offsets[rows[0] : rows[-1] + 2] - low,
-        pseudonym=release.pseudonym[rows[0] : rows[-1] + 1],
-    )
 
 
 if __name__ == "__main__":

@@ -412,7 +412,7 @@ def gallery_search_s(*, n: int) -> float:
 
     probe = linkage.released(n=linkage.N_PROBES, side="probe")
     gallery = linkage.released(n=n, side="gallery")
-    few = linkage.part(gallery, np.arange(min(n, 100)))
+    few = gallery.tracks(range(min(n, 100)))
     total_s = 0.0
     for name in linkage.LINKERS:
         search = linkage.fit(name)

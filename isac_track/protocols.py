@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
     from isac_track.types import Floats, Ints, Prediction, Reconstruction, Release, Sensed
 
+Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
+"""What turns a release into a reconstruction, sample for sample."""
+Linker: TypeAlias = "Callable[[Release, Release], Floats]"
+"""What scores P probes against G gallery tracks: (P, G), higher = same person."""
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),
     "informed": frozenset({Knowledge.MECHANISM, Knowledge.TRAIN}),

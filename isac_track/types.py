@@ -209,6 +209,18 @@ class Release:
 
     __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
 
+    def tracks(self, rows: Ints | Sequence[int]) -> Release:
+        """Return some of the tracks, in the order of `rows`."""
+        rows = np.asarray(rows, dtype=np.int64)
+        samples, offsets = stretches(self.offsets[rows], np.diff(self.offsets)[rows])
+        return Release(
+            t=self.t[samples],
+            xy=self.xy.take(samples, axis=0),
+            sigma=None if self.sigma is None else self.sigma[samples],
+            offsets=offsets,
+            pseudonym=tuple(self.pseudonym[row] for row in rows),
+        )
+
     def without_sigma(self) -> Release:
         """Return the same release as a receiver without `Knowledge.SIGMA` gets it."""
         return replace(self, sigma=None)
@@ -330,6 +342,12 @@ def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
         array = array.view()
         array.flags.writeable = False
     return array
+
+
+def stretches(first: Ints, sizes: Ints) -> tuple[Ints, Ints]:
+    """Return so many samples from each first one on, end to end, and the offsets among them."""
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    return np.repeat(first - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
 
 
 def check_offsets(offsets: Ints, n_samples: int) -> None:

@@ -133,53 +133,22 @@ def warp(
 
 
 @part_of_loop
-def _add(weights: Floats, begin: int, cells: Floats, first: int, last: int, row: Floats) -> None:
-    """Add cells ``first:last`` of (K, N), times the weights from `begin` on, to a row of N."""
-    n = row.size
-    j = first
+def _add(weights: Floats, cells: Floats, row: Floats) -> None:
+    """Add cells (K, N), times K weights, to a row of N."""
+    last = weights.size
     # Walk by walk in the innermost loop: it becomes vector code. By fours, since it is the loads
     # and stores of the row that take the time.
-    while j + 4 <= last:
-        at = begin + j - first
-        w0, w1, w2, w3 = weights[at], weights[at + 1], weights[at + 2], weights[at + 3]
+    for j in range(0, last - 3, 4):
+        w0, w1, w2, w3 = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
         c0, c1, c2, c3 = cells[j], cells[j + 1], cells[j + 2], cells[j + 3]
-        for i in range(n):
+        for i in range(row.size):
             row[i] += (w0 * c0[i] + w1 * c1[i]) + (w2 * c2[i] + w3 * c3[i])
-        j += 4
-    if j + 2 <= last:
-        at = begin + j - first
-        w0, w1 = weights[at], weights[at + 1]
-        c0, c1 = cells[j], cells[j + 1]
-        for i in range(n):
-            row[i] += w0 * c0[i] + w1 * c1[i]
-        j += 2
-    if j < last:
-        w0, c0 = weights[begin + j - first], cells[j]
-        for i in range(n):
-            row[i] += w0 * c0[i]
-
-
-@part_of_loop
-def _add_both(
-    along: Floats, across: Floats, cells: Floats, last: int, dot: Floats, cross: Floats
-) -> None:
-    """Add the first cells of (K, N), times either weights, to two rows of N: loaded once."""
-    n = dot.size
-    j = 0
-    while j + 4 <= last:
-        a0, a1, a2, a3 = along[j], along[j + 1], along[j + 2], along[j + 3]
-        b0, b1, b2, b3 = across[j], across[j + 1], across[j + 2], across[j + 3]
-        c0, c1, c2, c3 = cells[j], cells[j + 1], cells[j + 2], cells[j + 3]
-        for i in range(n):
-            dot[i] += (a0 * c0[i] + a1 * c1[i]) + (a2 * c2[i] + a3 * c3[i])
-            cross[i] += (b0 * c0[i] + b1 * c1[i]) + (b2 * c2[i] + b3 * c3[i])
-        j += 4
-    if j < last:
-        a0, a1, b0, b1 = along[j], along[j + 1], across[j], across[j + 1]
-        c0, c1 = cells[j], cells[j + 1]
-        for i in range(n):
-            dot[i] += a0 * c0[i] + a1 * c1[i]
-            cross[i] += b0 * c0[i] + b1 * c1[i]
+    for j in range(last - last % 4, last - 1, 2):
+        for i in range(row.size):
+            row[i] += weights[j] * cells[j, i] + weights[j + 1] * cells[j + 1, i]
+    if last % 2:
+        for i in range(row.size):
+            row[i] += weights[last - 1] * cells[last - 1, i]
 
 
 @part_of_loop
@@ -187,86 +156,70 @@ def _project(
     signal: Floats, start: int, m: int, basis: Floats, rank: int, parts: Floats, norm: Floats
 ) -> None:
     """Project cells ``start:start + m`` of (C, K, N) signals on the basis: (C * rank, N), (N,)."""
-    channels, _, n = signal.shape
     norm[:] = 0.0
-    for c in range(channels):
+    for c in range(signal.shape[0]):
         for k in range(rank):
             row = parts[c * rank + k]
             row[:] = 0.0
-            _add(basis, k * m, signal[c], start, start + m, row)
-            for i in range(n):
+            _add(basis[k * m : (k + 1) * m], signal[c, start : start + m], row)
+            for i in range(norm.size):
                 norm[i] += row[i] * row[i]
 
 
-@compiled(
-    FLOATS3,
-    FLOATS3,
-    FLOATS1,
-    INTS1,
-    INTS1,
-    FLOATS1,
-    FLOAT,
-    INT,
-    INT,
-    FLOAT,
-    BOOL,
-    OUT_FLOATS3,
-)
-def least_costs(  # noqa: C901, PLR0917 - one loop, for speed
+@compiled(FLOATS3, FLOATS3, FLOATS1, INTS1, FLOATS1, FLOATS1, INT, INT, BOOL, OUT_FLOATS3)
+def least_costs(  # noqa: C901 - one loop, for speed
     probe: Floats,
     gallery: Floats,
     basis: Floats,
     begin: Ints,
-    ranks: Ints,
     floors: Floats,
-    exponent: float,
+    weight: Floats,
     reach: int,
     least: int,
-    full: float,
     rotated: bool,  # noqa: FBT001 - numba passes by position
     out: Floats,
 ) -> None:
-    """Fill `out` (E, P, G) with the least cost over all lags; see `alignment.aligned_costs`."""
+    """Fill `out` (E, P, G) with the least cost over all lags; see `alignment.aligned_costs`.
+
+    `weight` is the factor of an overlap of 1 cell, 2 cells and so on.
+    """
     channels, long_p, n_probe = probe.shape
     _, long_g, n_gallery = gallery.shape
-    most = channels * max(ranks.max(), 1)
+    longest = min(long_p, long_g)
+    most = channels * max((begin[longest + 1] - begin[longest]) // longest, 1)
     p_parts, g_parts = np.empty((most, n_probe)), np.empty((most, n_gallery))
     p_norm, g_norm = np.empty(n_probe), np.empty(n_gallery)
     dot, cross, gap = np.empty(n_gallery), np.empty(n_gallery), np.empty(n_gallery)
-    along, across = np.empty(most), np.empty(most)
-    least = min(least, long_p, long_g)
+    along = np.empty(most)
     out[:] = np.inf
     for lag in range(-reach - max(long_g - long_p, 0), reach + max(long_p - long_g, 0) + 1):
         start_p, start_g = max(lag, 0), max(-lag, 0)
         m = min(long_p - start_p, long_g - start_g)
-        if m < least:
+        if m < min(least, longest):
             continue
-        rank = ranks[m]
         here = basis[begin[m] : begin[m + 1]]
+        rank = here.size // m
         _project(probe, start_p, m, here, rank, p_parts, p_norm)
         _project(gallery, start_g, m, here, rank, g_parts, g_norm)
-        factor = (full / m) ** exponent
         for i in range(n_probe):
             dot[:] = 0.0
+            for k in range(channels * rank):
+                along[k] = p_parts[k, i]
+            _add(along[: channels * rank], g_parts, dot)
             if rotated:
                 # The modulus of a b*: the rotation that fits best, which no reflection can enter.
                 cross[:] = 0.0
                 for k in range(rank):
-                    along[k], along[rank + k] = p_parts[k, i], p_parts[rank + k, i]
-                    across[k], across[rank + k] = p_parts[rank + k, i], -p_parts[k, i]
-                _add_both(along, across, g_parts, 2 * rank, dot, cross)
+                    along[k], along[rank + k] = p_parts[rank + k, i], -p_parts[k, i]
+                _add(along[: 2 * rank], g_parts, cross)
                 for j in range(n_gallery):
                     dot[j] = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
-            else:
-                for k in range(channels * rank):
-                    along[k] = p_parts[k, i]
-                _add(along, 0, g_parts, 0, channels * rank, dot)
-            own, scale = p_norm[i], factor / m
+            own, scale = p_norm[i], weight[m - 1] / m
             for j in range(n_gallery):
                 left = own + g_norm[j] - 2.0 * dot[j]
                 gap[j] = max(left, 0.0) * scale
             for e in range(floors.size):
-                best, more = out[e, i], floors[e] * factor
+                best, more = out[e, i], floors[e] * weight[m - 1]
                 for j in range(n_gallery):
                     cost = gap[j] + more
                     best[j] = min(best[j], cost)

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.linkage.learning import mated, teaches
-from attacks.linkage.signals import STEP_S, lengths, motion, on_grid, product, widths_s
+from attacks.linkage.signals import STEP_S, motion, on_grid, product, widths_s
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from attacks.linkage.signals import Walks
-    from isac_track.protocols import AttackContext, LinkageTrainingSet
+    from attacks.linkage.signals import Signals
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
     from isac_track.types import Floats, Release
 
 _STOPPED_M_S = 0.3
@@ -81,7 +79,7 @@ class Behaviour:
         if not 0 <= self.shrinkage <= 1:
             raise ValueError(f"shrinkage must lie in [0, 1], got {self.shrinkage}")
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
         if not teaches(context):
             return partial(_score, metric=np.diag(1.0 / np.array(list(FEATURES.values())) ** 2))
@@ -91,8 +89,7 @@ class Behaviour:
 def _score(probe: Release, gallery: Release, *, metric: Floats) -> Floats:
     a, b = features(probe), features(gallery)
     through = product(a, metric)
-    own_b = (product(b, metric) * b).sum(axis=1)
-    own_a = (through * a).sum(axis=1)
+    own_a, own_b = (through * a).sum(axis=1), (product(b, metric) * b).sum(axis=1)
     score: Floats = 2.0 * product(through, b.T) - own_a[:, None] - own_b[None, :]
     return score
 
@@ -108,9 +105,9 @@ def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     everybody = np.concatenate([a, b])
     spread = np.maximum(everybody.std(axis=0), _LEAST_SCALE)
     # With units in the diagonal, its mean is what scikit-learn shrinks towards.
-    within = shrunk_covariance(_second_moments(between / scale), shrinkage)
-    total = shrunk_covariance(
-        _second_moments((everybody - everybody.mean(axis=0)) / spread), shrinkage
+    apart = (everybody - everybody.mean(axis=0)) / spread
+    within, total = (
+        shrunk_covariance(_second_moments(each), shrinkage) for each in (between / scale, apart)
     )
     strangers = 2.0 * total * np.outer(spread / scale, spread / scale)
     value, vector = np.linalg.eigh(np.linalg.inv(within) - np.linalg.inv(strangers))
@@ -128,25 +125,22 @@ def _second_moments(x: Floats) -> Floats:
 def features(release: Release) -> Floats:
     """Return what describes each walk, (N, F) in the order of `FEATURES`."""
     walks = on_grid(release)
-    going = motion(walks, width_s=widths_s(release)[0])
-    cells = np.arange(walks.z.shape[1])
-    live = cells[None, :] < walks.count[:, None]
+    (speed, turn), count = motion(walks, width_s=widths_s(release))
+    live = np.arange(speed.shape[1]) < count[:, None]
 
     def mean(values: Floats) -> Floats:
-        average: Floats = np.einsum("ij,ij->i", values, live) / walks.count
+        average: Floats = np.einsum("ij,ij->i", values, live) / count
         return average
 
-    level = mean(going.speed)
-    spread = np.sqrt(np.maximum(mean(going.speed**2) - level**2, 0.0))
-    in_order = np.sort(np.where(live, going.speed, np.inf), axis=1)
-    rows = np.arange(len(walks))
+    level = mean(speed)
+    spread = np.sqrt(np.maximum(mean(speed**2) - level**2, 0.0))
+    in_order = np.sort(np.where(live, speed, np.inf), axis=1)
+    rows = np.arange(count.size)
     slow, middle, fast = (
-        in_order[rows, ((walks.count - 1) * share).astype(np.int64)] for share in (0.1, 0.5, 0.9)
+        in_order[rows, ((count - 1) * share).astype(np.int64)] for share in (0.1, 0.5, 0.9)
     )
-    turning = np.abs(going.turn)
-    steps = np.where(live[:, 1:], np.diff(going.speed, axis=1), 0.0) / STEP_S
-    changes = np.sqrt((steps**2).sum(axis=1) / walks.count)
-    chord_m = np.abs(walks.z[rows, walks.count - 1] - walks.z[:, 0])
+    steps = np.where(live[:, 1:], np.diff(speed, axis=1), 0.0) / STEP_S
+    chord_m = walks.values[:, rows, count - 1] - walks.values[:, :, 0]
     return np.column_stack(
         [
             level,
@@ -154,18 +148,18 @@ def features(release: Release) -> Floats:
             slow,
             middle,
             fast,
-            np.sqrt(mean((going.speed < _STOPPED_M_S).astype(np.float64))),
-            np.log(mean(turning) + 0.03),
-            np.log(np.sqrt(mean(turning**2)) + 0.03),
-            np.log(np.abs(mean(going.turn)) + 0.02),
-            chord_m / (np.maximum(walks.count - 1, 1) * STEP_S),
-            np.log(changes + 0.03),
+            np.sqrt(mean((speed < _STOPPED_M_S).astype(np.float64))),
+            np.log(mean(np.abs(turn)) + 0.03),
+            np.log(np.sqrt(mean(turn**2)) + 0.03),
+            np.log(np.abs(mean(turn)) + 0.02),
+            np.abs(chord_m[0] + 1j * chord_m[1]) / (np.maximum(count - 1, 1) * STEP_S),
+            np.log(np.sqrt((steps**2).sum(axis=1) / count) + 0.03),
             sway(release, walks),
         ]
     )
 
 
-def sway(release: Release, walks: Walks) -> Floats:
+def sway(release: Release, walks: Signals) -> Floats:
     """Return the log power of lateral sway in each band, relative to `_SWAY_M2`, (N, 4).
 
     The second difference of the positions, across the heading: walking straight on or speeding up
@@ -174,13 +168,13 @@ def sway(release: Release, walks: Walks) -> Floats:
     is above `_SWAY_M2`.
     """
     variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    in_cell = np.maximum(np.diff(release.offsets) / walks.count, 1.0)
+    in_cell = np.maximum(np.diff(release.offsets) / walks.sizes, 1.0)
     noise_m2 = variance_m2 / in_cell
-    power_m2 = np.zeros((len(walks), len(_BANDS_HZ)))
-    for cells, rows in lengths(walks.count):
-        if cells < _LEAST_CELLS:
-            continue
-        z = walks.z[rows, :cells]
+    power_m2 = np.zeros((walks.sizes.size, len(_BANDS_HZ)))
+    for cells in np.unique(walks.sizes[walks.sizes >= _LEAST_CELLS]):
+        rows = np.flatnonzero(walks.sizes == cells)
+        x, y = walks.values[:, rows, :cells]
+        z = x + 1j * y
         bend = z[:, 2:] - 2.0 * z[:, 1:-1] + z[:, :-2]
         along = z[:, 2:] - z[:, :-2]
         along /= np.maximum(np.abs(along), 2.0 * STEP_S * 0.2)

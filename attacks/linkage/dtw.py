@@ -8,24 +8,19 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.alignment import FULL_CELLS, blocks
-from attacks.linkage.learning import learn_motion, tried
-from attacks.linkage.signals import FACTORS, loops, motions
+from attacks.linkage.learning import learn, tried
+from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motion_of
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from attacks.linkage.signals import Motion
-    from isac_track.protocols import AttackContext
-    from isac_track.types import Floats, Ints, Release
+    from isac_track.protocols import AttackContext, Linker
+    from isac_track.types import Floats, Release
 
 _STRIDE = 2
 """Cells between those compared: 2 Hz of signals that are smoothed over more than that."""
 _TAUGHT_BY = 48
 """Mated pairs to learn from: five candidates on all would cost more than the attack."""
-_EXPONENT = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,60 +65,39 @@ class DTW:
         if not 0 <= self.band <= 1:
             raise ValueError(f"band must lie in [0, 1], got {self.band}")
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        factor, penalty = learn_motion(
+        factor, penalty = learn(
             context,
-            (tried(self.factor, FACTORS), tried(self.penalty, PENALTIES)),
+            (tried(self.factor, FACTORS), tried(self.penalty, (self.DEFAULT_PENALTY, 0.02, 0.5))),
             most=_TAUGHT_BY,
-            score=lambda probe, gallery, penalty: -self._costs(probe, gallery, penalty=penalty),
+            scores=lambda train: partial(self._score, train.probe, train.gallery),
         )
         return partial(self._score, factor=factor, penalty=penalty)
 
-    def _score(self, probe: Release, gallery: Release, *, factor: float, penalty: float) -> Floats:
-        p, g = (motions(release, factors=(factor,))[0] for release in (probe, gallery))
-        score: Floats = -np.log(self._costs(p, g, penalty=penalty))
+    def _score(self, probe: Release, gallery: Release, factor: float, penalty: float) -> Floats:
+        p, g = (motion_of(release, factor, self.turn_m) for release in (probe, gallery))
+        costs = warped_costs(p, g, band=self.band, penalty=penalty, floor=self.floor)
+        score: Floats = -np.log(costs)
         return score
-
-    def _costs(self, probe: Motion, gallery: Motion, *, penalty: float) -> Floats:
-        """Return ``(d^2 / m + floor) (L / m)^3`` of every pair, (P, G)."""
-        p, g = (each.profile(self.turn_m)[:, :, ::_STRIDE] for each in (probe, gallery))
-        n_p, n_g = ((each.count + _STRIDE - 1) // _STRIDE for each in (probe, gallery))
-        return warped_costs(p, g, n_p, n_g, band=self.band, penalty=penalty, floor=self.floor)
-
-
-PENALTIES: tuple[float, ...] = (DTW.DEFAULT_PENALTY, 0.02, 0.5)
-"""The default first."""
 
 
 def warped_costs(
-    probe: Floats,
-    gallery: Floats,
-    probe_count: Ints,
-    gallery_count: Ints,
-    *,
-    band: float,
-    penalty: float,
-    floor: float,
+    probe: Signals, gallery: Signals, *, band: float, penalty: float, floor: float
 ) -> Floats:
-    """Return the cost of warping each of P profiles onto each of G, (P, G); see `DTW`.
-
-    Parameters
-    ----------
-    probe, gallery : (2, P, K) float, (2, G, K) float
-    probe_count, gallery_count : (P,) int, (G,) int
-        Points of each that count.
-    band, penalty, floor
-        Of `DTW`.
-    """
-    costs = np.empty((probe_count.size, gallery_count.size))
-    for rows, columns, part, other in blocks(probe, probe_count, gallery, gallery_count):
+    """Return the cost of warping each of P profiles onto each of G, (P, G); see `DTW`."""
+    costs = np.empty((probe.sizes.size, gallery.sizes.size))
+    p, g = (
+        Signals(each.values[:, :, ::_STRIDE], -(-each.sizes // _STRIDE))
+        for each in (probe, gallery)
+    )
+    for rows, columns, part, other in blocks(p, g):
         shorter, longer = sorted((part.shape[1], other.shape[1]))
         reach = round(band * longer)
         # What is left out at the ends must leave something, and lie within the band.
         loose = min(reach, (shorter - 1) // 2)
         square = np.empty((rows.size, columns.size))
         loops().warp(part, other, reach, loose, penalty**2, square)
-        overlap = (FULL_CELLS / _STRIDE / shorter) ** _EXPONENT
+        overlap = (FULL_CELLS / _STRIDE / shorter) ** EXPONENT
         costs[rows[:, None], columns[None, :]] = (square / shorter + floor) * overlap
     return costs

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn_motion, tried
-from attacks.linkage.signals import FACTORS, loops, motions
+from attacks.linkage.learning import learn, tried
+from attacks.linkage.signals import FACTORS, loops, motion_of
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from attacks.linkage.signals import Motion
-    from isac_track.protocols import AttackContext
+    from attacks.linkage.signals import Signals
+    from isac_track.protocols import AttackContext, Linker
     from isac_track.types import Floats, Ints, Release
 
 _FASTEST_M_S = 2.2
@@ -64,53 +62,40 @@ class Histogram:
         if self.speeds is not None and self.speeds < 2:  # noqa: PLR2004 - both ends
             raise ValueError(f"speeds must be at least 2, got {self.speeds}")
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        factor, speeds = learn_motion(
+        factor, speeds = learn(
             context,
-            (tried(self.factor, FACTORS), tried(self.speeds, SPEEDS)),
+            (tried(self.factor, FACTORS), tried(self.speeds, (self.DEFAULT_SPEEDS, 24))),
             most=_TAUGHT_BY,
-            score=_of_motion,
+            scores=lambda train: partial(_score, train.probe, train.gallery),
         )
-        return partial(_score, factor=factor, speeds=int(speeds))
+        return partial(_score, factor=factor, speeds=speeds)
 
 
-SPEEDS: tuple[int, ...] = (Histogram.DEFAULT_SPEEDS, 24)
-"""The default first."""
-
-
-def _score(probe: Release, gallery: Release, *, factor: float, speeds: int) -> Floats:
-    a, b = (motions(release, factors=(factor,))[0] for release in (probe, gallery))
-    return _of_motion(a, b, speeds)
-
-
-def _of_motion(probe: Motion, gallery: Motion, speeds: float) -> Floats:
-    a, b = (counts_of(each, speeds=int(speeds)) for each in (probe, gallery))
+def _score(probe: Release, gallery: Release, factor: float, speeds: int) -> Floats:
+    a, b = (counts_of(motion_of(one, factor), speeds=speeds) for one in (probe, gallery))
     return one_source(a, b)
 
 
-def counts_of(walks: Motion, *, speeds: int) -> Floats:
+def counts_of(motion: Signals, *, speeds: int) -> Floats:
     """Return how often each walk is at each speed and turning rate, (N, speeds * 5)."""
-    n_tracks, n_cells = walks.speed.shape
-    live = np.arange(n_cells)[None, :] < walks.count[:, None]
-    owner = np.repeat(np.arange(n_tracks), walks.count)
-    low_speed, share_speed = _between(walks.speed[live], np.linspace(0.0, _FASTEST_M_S, speeds))
-    low_turn, share_turn = _between(walks.turn[live], _TURNS_RAD_S)
+    _, n_tracks, n_cells = motion.values.shape
+    speed, turn = motion.values[:, np.arange(n_cells) < motion.sizes[:, None]]
+    owner = np.repeat(np.arange(n_tracks), motion.sizes)
+    low_speed, share_speed = _between(speed, np.linspace(0.0, _FASTEST_M_S, speeds))
+    low_turn, share_turn = _between(turn, _TURNS_RAD_S)
     size = speeds * _TURNS_RAD_S.size
     cell = owner * size + low_speed * _TURNS_RAD_S.size + low_turn
-    corners = (
+    corners = [
         (cell, (1.0 - share_speed) * (1.0 - share_turn)),
         (cell + 1, (1.0 - share_speed) * share_turn),
         (cell + _TURNS_RAD_S.size, share_speed * (1.0 - share_turn)),
         (cell + _TURNS_RAD_S.size + 1, share_speed * share_turn),
-    )
-    counts = np.bincount(
-        np.concatenate([index for index, _ in corners]),
-        np.concatenate([share for _, share in corners]),
-        n_tracks * size,
-    ).astype(np.float64)
-    table: Floats = counts.reshape(n_tracks, size)
-    return table
+    ]
+    index, share = (np.concatenate(each) for each in zip(*corners, strict=True))
+    counts: Floats = np.bincount(index, share, n_tracks * size).astype(np.float64)
+    return counts.reshape(n_tracks, size)
 
 
 def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
@@ -123,15 +108,10 @@ def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
 
 def one_source(a: Floats, b: Floats) -> Floats:
     """Return the log likelihood ratio of one source to two, (P, G), of counts (P, K) and (G, K)."""
-    all_a, all_b = a.sum(axis=1), b.sum(axis=1)
-    ratio: Floats = (
-        _x_log_x(all_a)[:, None]
-        + _x_log_x(all_b)[None, :]
-        - _x_log_x(all_a[:, None] + all_b[None, :])
-    )
-    shared = np.empty(ratio.shape)
+    all_a, all_b = a.sum(axis=1)[:, None], b.sum(axis=1)
+    shared = np.empty((len(a), len(b)))
     loops().shared_cells(a, b, _x_log_x(a), _x_log_x(b), shared)
-    ratio += shared
+    ratio: Floats = _x_log_x(all_a) + _x_log_x(all_b) - _x_log_x(all_a + all_b) + shared
     return ratio
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, log_rank, mated, teaches, tried
+from attacks.linkage.learning import learn, mated, tried
 from attacks.parameters import positive
 from isac_track.kalman import Batch, kalman_last
 from isac_track.noise import innovation_variance_m2
@@ -17,9 +17,8 @@ from isac_track.types import Knowledge
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from isac_track.kalman import LastState
-    from isac_track.protocols import AttackContext, LinkageTrainingSet
-    from isac_track.types import Bools, Floats, Ints, Release
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
+    from isac_track.types import Bools, Floats, Release
 
 _PRIOR_STD = (100.0, 1.4)
 """m around the first sample and m/s around rest: people walk, they do not run."""
@@ -68,29 +67,21 @@ class Kinematic:
     def __post_init__(self) -> None:
         positive(q=self.q, floor_m2=self.floor_m2)
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        densities, floors = tried(self.q, QS), tried(self.floor_m2, FLOORS_M2)
-        q, floor_m2 = densities[0], floors[0]
-        if teaches(context):
-            train = context.train
-            elsewhere = ~rivals(train)
-            ends = Ends.of(train.probe, train.gallery)
+        options = (
+            tried(self.q, (self.DEFAULT_Q, 0.0125, 0.2)),
+            tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1)),
+        )
 
-            def loss(choice: tuple[float, ...]) -> float:
-                scores = ends.densities(q=choice[0], floor_m2=choice[1])
-                scores[elsewhere] = -np.inf
-                return log_rank(scores, mate=train.mate)
+        def scores(train: LinkageTrainingSet) -> Callable[[float, float], Floats]:
+            near = rivals(train)
+            return lambda q, floor_m2: np.where(
+                near, continuations(train.probe, train.gallery, q, floor_m2), -np.inf
+            )
 
-            q, floor_m2 = learn((densities, floors), loss=loss)
+        q, floor_m2 = learn(context, options, scores=scores)
         return partial(continuations, q=q, floor_m2=floor_m2)
-
-
-QS: tuple[float, ...] = tuple(Kinematic.DEFAULT_Q * 4.0**power for power in (0, -1, 1))
-FLOORS_M2: tuple[float, ...] = tuple(
-    Kinematic.DEFAULT_FLOOR_M2 * 10.0**power for power in (0, -1, 1)
-)
-"""Of both the default first."""
 
 
 def rivals(train: LinkageTrainingSet) -> Bools:
@@ -103,79 +94,47 @@ def rivals(train: LinkageTrainingSet) -> Bools:
     ended_s = train.probe.t[train.probe.offsets[1:] - 1]
     gap_s = begun_s[None, :] - ended_s[:, None]
     rows = mated(train)
-    if rows.size == 0:
-        return np.ones(gap_s.shape, dtype=np.bool_)
     known_s = gap_s[rows, train.mate[rows]]
     near: Bools = (gap_s >= known_s.min() - _SLACK_S) & (gap_s <= known_s.max() + _SLACK_S)
     return near
 
 
-def continuations(probe: Release, gallery: Release, *, q: float, floor_m2: float) -> Floats:
-    """Return the log density of every gallery walk as the continuation of every probe, (P, G)."""
-    return Ends.of(probe, gallery).densities(q=q, floor_m2=floor_m2)
+def continuations(probe: Release, gallery: Release, q: float, floor_m2: float) -> Floats:
+    """Return the log density of each gallery walk as the continuation of each probe, (P, G).
 
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Ends:
-    """P probes and, back in time, G gallery walks as tracks of one batch; what fits any filter.
-
-    Together they cost one call of the filter, whose checks take longer than its loop.
+    Up to a constant; `q` in m^2/s^3, `floor_m2` the least error variance per axis. P probes and,
+    back in time, G gallery walks are tracks of one batch: one call of the filter, whose checks take
+    longer than its loop.
     """
-
-    t: Floats
-    """(M,) s, negated in the gallery"""
-    xy: Floats
-    """(M, 2) m"""
-    offsets: Ints
-    """(P + G + 1,)"""
-    variance_m2: Floats
-    """(P + G,) per axis, as the innovations have it."""
-    n_probe: int
-
-    @classmethod
-    def of(cls, probe: Release, gallery: Release) -> Ends:
-        """Return the walks of two releases on both sides of a gap."""
-        turned_t, turned_xy = backwards(gallery)
-        t = np.concatenate([probe.t, turned_t])
-        xy = np.concatenate([probe.xy, turned_xy])
-        offsets = np.concatenate([probe.offsets, gallery.offsets[1:] + probe.offsets[-1]])
-        variance_m2 = innovation_variance_m2(t=t, xy=xy, offsets=offsets)
-        return cls(t, xy, offsets, variance_m2, len(probe))
-
-    def states(self, *, q: float, floor_m2: float) -> LastState:
-        """Return the filtered state of every track after its last sample."""
-        variance = np.repeat(np.maximum(self.variance_m2, floor_m2), np.diff(self.offsets))
-        return kalman_last(Batch(self.t, self.xy, variance, self.offsets, _PRIOR_STD), q=q)
-
-    def densities(self, *, q: float, floor_m2: float) -> Floats:
-        """Return the log density of every pair, (P, G), up to a constant."""
-        state, n = self.states(q=q, floor_m2=floor_m2), self.n_probe
-        until_s = self.t[self.offsets[1:] - 1]
-        # Backwards in time, clock and velocity have the other sign.
-        gap_s = np.clip(-until_s[None, n:] - until_s[:n, None], -_LONGEST_S, _LONGEST_S)
-        grown = q * np.abs(gap_s)
-        (p00, g00), (p01, g01), (p11, g11) = (
-            (state.cov[:n, i, j][:, None], state.cov[n:, i, j][None, :])
-            for i, j in ((0, 0), (0, 1), (1, 1))
-        )
-        place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s**2 / 3.0 + g00
-        both = p01 + gap_s * p11 + grown * gap_s / 2.0 - g01
-        pace = p11 + grown + g11
-        determinant = place * pace - both**2
-        square = np.zeros_like(gap_s)
-        for axis in range(2):
-            position, velocity = (state.mean[:n, axis, k][:, None] for k in range(2))
-            off = position + gap_s * velocity - state.mean[n:, axis, 0][None, :]
-            drift = velocity + state.mean[n:, axis, 1][None, :]
-            square += (pace * off - 2.0 * both * drift) * off + place * drift**2
-        square /= determinant
-        # Of four dimensions.
-        density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
-        return density
-
-
-def backwards(release: Release) -> tuple[Floats, Floats]:
-    """Return times, negated, and positions with every track from its last sample to its first."""
-    ends = release.offsets[:-1] + release.offsets[1:] - 1
-    turned = np.repeat(ends, np.diff(release.offsets)) - np.arange(release.t.size)
-    return -release.t[turned], release.xy[turned]
+    n = len(probe)
+    # From its last sample to its first.
+    ends = gallery.offsets[:-1] + gallery.offsets[1:] - 1
+    turned = np.repeat(ends, np.diff(gallery.offsets)) - np.arange(gallery.t.size)
+    t = np.concatenate([probe.t, -gallery.t[turned]])
+    xy = np.concatenate([probe.xy, gallery.xy[turned]])
+    offsets = np.concatenate([probe.offsets, gallery.offsets[1:] + probe.offsets[-1]])
+    variance_m2 = np.maximum(innovation_variance_m2(t=t, xy=xy, offsets=offsets), floor_m2)
+    batch = Batch(t, xy, np.repeat(variance_m2, np.diff(offsets)), offsets, _PRIOR_STD)
+    state = kalman_last(batch, q=q)
+    until_s = t[offsets[1:] - 1]
+    # Backwards in time, clock and velocity have the other sign.
+    gap_s = np.clip(-until_s[None, n:] - until_s[:n, None], -_LONGEST_S, _LONGEST_S)
+    grown = q * np.abs(gap_s)
+    (p00, g00), (p01, g01), (p11, g11) = (
+        (state.cov[:n, i, j][:, None], state.cov[n:, i, j][None, :])
+        for i, j in ((0, 0), (0, 1), (1, 1))
+    )
+    place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s**2 / 3.0 + g00
+    both = p01 + gap_s * p11 + grown * gap_s / 2.0 - g01
+    pace = p11 + grown + g11
+    determinant = place * pace - both**2
+    square = np.zeros_like(gap_s)
+    for axis in range(2):
+        position, velocity = (state.mean[:n, axis, k][:, None] for k in range(2))
+        off = position + gap_s * velocity - state.mean[n:, axis, 0][None, :]
+        drift = velocity + state.mean[n:, axis, 1][None, :]
+        square += (pace * off - 2.0 * both * drift) * off + place * drift**2
+    square /= determinant
+    # Of four dimensions.
+    density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
+    return density

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from attacks.linkage.signals import motions
 from isac_track.protocols import LinkageTrainingSet
-from isac_track.types import Knowledge, Release
+from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -39,62 +38,46 @@ def tried(given: _Value | None, candidates: Sequence[_Value]) -> Sequence[_Value
     return candidates if given is None else (given,)
 
 
-def few_mates(train: LinkageTrainingSet, *, most: int) -> LinkageTrainingSet:
-    """Return the first `most` mated pairs of a training set, and nobody else."""
-    rows = mated(train)[:most]
-    return LinkageTrainingSet(
-        probe=tracks_of(train.probe, rows),
-        gallery=tracks_of(train.gallery, train.mate[rows]),
-        mate=np.arange(rows.size),
-    )
-
-
-def tracks_of(release: Release, rows: Ints) -> Release:
-    """Return some tracks of a release, in the order of `rows`."""
-    sizes = np.diff(release.offsets)[rows]
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    samples = np.repeat(release.offsets[rows] - offsets[:-1], sizes) + np.arange(offsets[-1])
-    return Release(
-        t=release.t[samples],
-        xy=release.xy[samples],
-        sigma=None if release.sigma is None else release.sigma[samples],
-        offsets=offsets,
-        pseudonym=tuple(release.pseudonym[row] for row in rows),
-    )
-
-
 def learn(
-    options: Sequence[Sequence[float]], *, loss: Callable[[tuple[float, ...]], float]
-) -> tuple[float, ...]:
-    """Return a value for each of some parameters, chosen one after the other; see `chosen`.
+    context: AttackContext,
+    options: Sequence[Sequence[Any]],
+    *,
+    scores: Callable[[LinkageTrainingSet], Callable[..., Floats]],
+    most: int | None = None,
+) -> tuple[Any, ...]:
+    """Return a value for each of some parameters, chosen one after the other by `log_rank`.
 
-    Of each parameter the first option is the default, which those after it are tried with. All
-    combinations would cost their product in place of their sum, and be more likely to find one
-    that is best by chance.
+    All combinations would cost their product in place of their sum, and be more likely to find one
+    that is best by chance. Another value than the default is taken if it gains `MARGIN`.
 
     Parameters
     ----------
-    options : one sequence for each parameter
-    loss : callable
-        The `log_rank` under one value for each parameter.
+    context : AttackContext
+        Where it teaches nothing the defaults are returned.
+    options : a sequence for each parameter, the default first
+    scores : callable
+        From a training set to what turns a value for each parameter into scores, (P, G).
+    most : int, optional
+        Mated pairs to learn from, and nobody else: many candidates on all would cost more than
+        the attack.
     """
     best = tuple(values[0] for values in options)
-    least = None
+    if not teaches(context) or all(len(values) == 1 for values in options):
+        return best
+    train = context.train
+    if most is not None:
+        rows = mated(train)[:most]
+        gallery = train.gallery.tracks(train.mate[rows])
+        train = LinkageTrainingSet(train.probe.tracks(rows), gallery, np.arange(rows.size))
+    score = scores(train)
+    least = log_rank(score(*best), mate=train.mate)
     for which, values in enumerate(options):
-        if len(values) == 1:
-            continue
-        least = loss(best) if least is None else least
-        tried = [(*best[:which], value, *best[which + 1 :]) for value in values[1:]]
-        losses = [least, *(loss(choice) for choice in tried)]
-        winner = chosen(losses)
-        best, least = [best, *tried][winner], losses[winner]
+        choices = [best, *((*best[:which], value, *best[which + 1 :]) for value in values[1:])]
+        losses = [least, *(log_rank(score(*choice), mate=train.mate) for choice in choices[1:])]
+        winner = int(np.argmin(losses))
+        if losses[winner] < least - MARGIN:
+            best, least = choices[winner], losses[winner]
     return best
-
-
-def chosen(losses: Sequence[float]) -> int:
-    """Return which of some `log_rank` is least, but 0, the default, unless the gain is `MARGIN`."""
-    best = int(np.argmin(losses))
-    return best if losses[best] < losses[0] - MARGIN else 0
 
 
 def log_rank(scores: Floats, *, mate: Ints) -> float:
@@ -107,34 +90,3 @@ def log_rank(scores: Floats, *, mate: Ints) -> float:
     own = scores[rows, mate[rows]][:, None]
     above = (scores[rows] > own).sum(axis=1) + ((scores[rows] == own).sum(axis=1) - 1) / 2.0
     return float(np.log1p(above).mean())
-
-
-def learn_motion(
-    context: AttackContext,
-    options: Sequence[Sequence[float]],
-    *,
-    most: int,
-    score: Callable[..., Floats],
-) -> tuple[float, ...]:
-    """Return a factor of the widths of smoothing and other parameters, learnt; see `learn`.
-
-    Parameters
-    ----------
-    context : AttackContext
-        Where its training set has too few mates the first options are returned.
-    options : one sequence for each parameter
-        Of the first, factors in `attacks.linkage.signals.motions`.
-    most : int
-        Mated pairs to learn from: many candidates on all would cost more than the attack.
-    score : callable
-        From a probe's `Motion`, a gallery's and the other parameters to scores, (P, G).
-    """
-    if not teaches(context):
-        return tuple(values[0] for values in options)
-    train, factors = few_mates(context.train, most=most), options[0]
-    probe, gallery = (motions(one, factors=factors) for one in (train.probe, train.gallery))
-    walks = dict(zip(factors, zip(probe, gallery, strict=True), strict=True))
-    return learn(
-        options,
-        loss=lambda choice: log_rank(score(*walks[choice[0]], *choice[1:]), mate=train.mate),
-    )

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.alignment import aligned_costs
-from attacks.linkage.learning import chosen, few_mates, log_rank, teaches, tried
-from attacks.linkage.signals import FACTORS, motions
+from attacks.linkage.learning import learn, tried
+from attacks.linkage.signals import FACTORS, aligned_costs, motion_of
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
     from isac_track.types import Floats, Release
 
-_EXPONENT = 3.0
 _RANK = 8
 _TAUGHT_BY = 80
 """Mated pairs to learn from: three widths of smoothing on all would cost more than the attack."""
@@ -54,53 +52,26 @@ class Profile:
     def __post_init__(self) -> None:
         positive(factor=self.factor, turn_m=self.turn_m, floor=self.floor, reach_s=self.reach_s)
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        floors, factors = tried(self.floor, FLOORS), tried(self.factor, FACTORS)
-        best = 0
-        if teaches(context) and len(floors) * len(factors) > 1:
-            train = few_mates(context.train, most=_TAUGHT_BY)
-            best = chosen(
-                [
-                    log_rank(-cost, mate=train.mate)
-                    for costs in self._costs(
-                        train.probe, train.gallery, factors=factors, floors=floors
-                    )
-                    for cost in costs
-                ]
-            )
-        factor, floor = factors[best // len(floors)], floors[best % len(floors)]
-        return partial(self._score, factor=factor, floor=floor)
+        factors = tried(self.factor, FACTORS)
+        floors = tried(self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2))
+        pairs = list(product(factors, floors))
 
-    def _score(self, probe: Release, gallery: Release, *, factor: float, floor: float) -> Floats:
-        costs = next(self._costs(probe, gallery, factors=(factor,), floors=(floor,)))
-        score: Floats = -np.log(costs[0])
+        def scores(train: LinkageTrainingSet) -> Callable[[int], Floats]:
+            each = [self._scores(train.probe, train.gallery, one, floors) for one in factors]
+            return np.concatenate(each).__getitem__
+
+        (best,) = learn(context, (range(len(pairs)),), most=_TAUGHT_BY, scores=scores)
+        factor, floor = pairs[best]
+        return lambda probe, gallery: self._scores(probe, gallery, factor, (floor,))[0]
+
+    def _scores(
+        self, probe: Release, gallery: Release, factor: float, floors: Sequence[float]
+    ) -> Floats:
+        """Return the score of every pair, (E, P, G), one per floor."""
+        p, g = (motion_of(release, factor, self.turn_m) for release in (probe, gallery))
+        score: Floats = -np.log(
+            aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=self.reach_s)
+        )
         return score
-
-    def _costs(
-        self,
-        probe: Release,
-        gallery: Release,
-        *,
-        factors: Sequence[float],
-        floors: Sequence[float],
-    ) -> Iterator[Floats]:
-        """Yield ``(d + floor) (L / m)^3`` at the best lag of every pair, (E, P, G), per factor."""
-        for p, g in zip(
-            motions(probe, factors=factors), motions(gallery, factors=factors), strict=True
-        ):
-            yield aligned_costs(
-                probe=p.profile(self.turn_m),
-                probe_count=p.count,
-                gallery=g.profile(self.turn_m),
-                gallery_count=g.count,
-                floors=floors,
-                rank=_RANK,
-                exponent=_EXPONENT,
-                reach_s=self.reach_s,
-                rotated=False,
-            )
-
-
-FLOORS: tuple[float, ...] = (Profile.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2)
-"""The default first."""

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.alignment import aligned_costs
-from attacks.linkage.learning import chosen, log_rank, teaches, tried
-from attacks.linkage.signals import on_grid
+from attacks.linkage.learning import learn, tried
+from attacks.linkage.signals import aligned_costs, on_grid
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
-    from attacks.linkage.signals import Walks
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Linker
     from isac_track.types import Floats, Release
-
-_EXPONENT = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,49 +58,21 @@ class Shape:
         if self.rank < 1:
             raise ValueError(f"rank must be at least 1, got {self.rank}")
 
-    def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
+    def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
-        floors = tried(self.floor_m2, CANDIDATES_M2)
-        best = 0
-        if teaches(context) and len(floors) > 1:
-            train = context.train
-            costs = path_costs(
-                on_grid(train.probe),
-                on_grid(train.gallery),
-                floors=floors,
-                rank=self.rank,
-                reach_s=self.reach_s,
-            )
-            best = chosen([log_rank(-cost, mate=train.mate) for cost in costs])
-        return partial(_score, floor_m2=floors[best], rank=self.rank, reach_s=self.reach_s)
+        floors = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1))
+        (best,) = learn(
+            context,
+            (range(len(floors)),),
+            scores=lambda train: self._scores(train.probe, train.gallery, floors).__getitem__,
+        )
+        return lambda probe, gallery: self._scores(probe, gallery, (floors[best],))[0]
 
-
-CANDIDATES_M2: tuple[float, ...] = (Shape.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1)
-"""The default first."""
-
-
-def _score(
-    probe: Release, gallery: Release, *, floor_m2: float, rank: int, reach_s: float
-) -> Floats:
-    costs = path_costs(
-        on_grid(probe), on_grid(gallery), floors=(floor_m2,), rank=rank, reach_s=reach_s
-    )
-    score: Floats = -np.log(costs[0])
-    return score
-
-
-def path_costs(
-    probe: Walks, gallery: Walks, *, floors: Sequence[float], rank: int, reach_s: float
-) -> Floats:
-    """Return ``(d + floor) (L / m)^3`` at the best lag of every pair, (E, P, G), one per floor."""
-    return aligned_costs(
-        probe=np.stack([probe.z.real, probe.z.imag]),
-        probe_count=probe.count,
-        gallery=np.stack([gallery.z.real, gallery.z.imag]),
-        gallery_count=gallery.count,
-        floors=floors,
-        rank=rank,
-        exponent=_EXPONENT,
-        reach_s=reach_s,
-        rotated=True,
-    )
+    def _scores(self, probe: Release, gallery: Release, floors: Sequence[float]) -> Floats:
+        """Return the score of every pair, (E, P, G), one per floor."""
+        p, g = (on_grid(release) for release in (probe, gallery))
+        costs = aligned_costs(
+            p, g, floors=floors, rank=self.rank, reach_s=self.reach_s, rotated=True
+        )
+        score: Floats = -np.log(costs)
+        return score

@@ -1,30 +1,25 @@
-"""What the linkage attacks share: walks on a common grid, and their motion.
+"""What the linkage attacks share: walks on a common grid, their motion, and the best lag of two.
 
 A walk of a release comes in a frame and on a clock of its own. Everything here starts from its
-first sample, in space and in time, and is complex-valued in the plane (x + iy), where turning the
-frame is multiplying by a number of modulus one.
+first sample, in space and in time.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from isac_track.noise import innovation_variance_m2
-from isac_track.types import read_only
+from isac_track.types import Floats, Ints, read_only
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from types import ModuleType
 
-    from isac_track.types import Floats, Ints, Release
-
-Complexes: TypeAlias = NDArray[np.complex128]
+    from isac_track.types import Release
 
 STEP_S = 0.25
 """Of the grid: 4 Hz, above what is left of a walk behind the noise of any network."""
@@ -33,48 +28,50 @@ LONGEST_S = 60.0
 _ALONE = 2**18
 """Multiplications: OpenBLAS's SMP_THRESHOLD_MIN times its GEMM_MULTITHREAD_THRESHOLD."""
 _CLOCK_S = 1e-6
+SLOW_M_S = 0.4
+"""Below it a walk hardly has a direction; its turning rate is damped."""
+_WIDTH_S = 3.0
+"""Of smoothing at errors of 1 m: tuned on the bundled crowd."""
+WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
+"""0.5 s to 4 s, in steps of a factor of 1.4: few, so that walks are smoothed together."""
+FACTORS = (1.0, 0.5, 2.0)
+"""Of the widths that an informed adversary tries, the default first."""
+FULL_CELLS = 48.0
+"""12 s: the overlap by which others are measured."""
+EXPONENT = 3.0
+"""Of the ratio to an overlap, by which its cost grows: a short overlap fits anybody."""
+LEAST_OVERLAP = 8
+"""Cells, 2 s: a shorter overlap is tried only where a walk is no longer."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Walks:
-    """N walks as the means over the cells of a grid of `STEP_S`, from each one's first sample."""
+class Signals(NamedTuple):
+    """N walks, or how they go, on a grid of `STEP_S` from each one's first sample."""
 
-    z: Complexes
-    """(N, K) m, x + iy less the first sample; only the first `count` cells of a row count."""
-    count: Ints
-    """(N,) cells, 1 to K."""
-
-    def __len__(self) -> int:
-        return self.count.size
+    values: Floats
+    """(C, N, K) channels."""
+    sizes: Ints
+    """(N,) 1 to K, how many cells of each walk count, the first ones."""
 
 
-def on_grid(release: Release) -> Walks:
-    """Return the walks of a release on the common grid.
+def on_grid(release: Release) -> Signals:
+    """Return x and y of the walks of a release less their first samples, in m.
 
     A cell's value is the mean over the cell of the line through the samples, so that no sample
     in it is wasted and a step longer than a cell is bridged. Whole cells only, in the middle of
     what there is; a walk shorter than one cell is one cell.
     """
-    t = np.ascontiguousarray(release.t)
-    offsets = release.offsets.astype(np.int64, copy=False)
+    t, xy, offsets = (np.ascontiguousarray(x) for x in (release.t, release.xy, release.offsets))
     lasts_s = t[offsets[1:] - 1] - t[offsets[:-1]]
     count = np.floor(np.minimum(lasts_s, LONGEST_S) / STEP_S + _CLOCK_S).astype(np.int64)
     count = np.maximum(count, 1)
     cells = np.empty((count.size, int(count.max(initial=1)), 2))
-    loops().cell_means(
-        t, np.ascontiguousarray(release.xy), offsets, count, STEP_S, LONGEST_S, _CLOCK_S, cells
-    )
-    return Walks(cells.view(np.complex128)[..., 0], count)
+    loops().cell_means(t, xy, offsets, count, STEP_S, LONGEST_S, _CLOCK_S, cells)
+    return Signals(np.ascontiguousarray(cells.transpose(2, 0, 1)), count)
 
 
 def loops() -> ModuleType:
     """Return the compiled loops, imported at first use: numba takes its time."""
     return import_module("attacks.linkage._lag_loop")
-
-
-def lengths(count: Ints) -> list[tuple[int, Ints]]:
-    """Return ``(cells, rows)`` for every length that occurs: rows of one length go together."""
-    return [(int(size), np.flatnonzero(count == size)) for size in np.unique(count)]
 
 
 @lru_cache(maxsize=192)
@@ -89,91 +86,54 @@ def _local_lines(cells: int, width_s: float) -> tuple[Floats, Floats]:
     at_s = np.arange(cells) * STEP_S
     gap_s = at_s[None, :] - at_s[:, None]
     weight = np.exp(-0.5 * (gap_s / width_s) ** 2)
-    moments = [(weight * gap_s**power).sum(axis=1) for power in range(5)]
-    degree = min(2, cells - 1)
-    normal = np.empty((cells, degree + 1, degree + 1))
-    for row in range(degree + 1):
-        for column in range(degree + 1):
-            normal[:, row, column] = moments[row + column]
-    powers = np.stack([weight * gap_s**power for power in range(degree + 1)], axis=1)
+    degrees = np.arange(min(3, cells))
+    moments = np.stack([(weight * gap_s**power).sum(axis=1) for power in range(5)], axis=1)
+    normal = moments[:, degrees[:, None] + degrees]
+    powers = np.stack([weight * gap_s**power for power in range(degrees.size)], axis=1)
     fitted = np.zeros((cells, 3, cells))
-    fitted[:, : degree + 1] = np.linalg.solve(normal, powers)
-    return (
-        read_only(np.ascontiguousarray(fitted[:, 1].T)),
-        read_only(np.ascontiguousarray(2.0 * fitted[:, 2].T)),
-    )
+    fitted[:, degrees] = np.linalg.solve(normal, powers)
+    velocity, acceleration = np.ascontiguousarray(fitted[:, 1:].transpose(1, 2, 0))
+    return read_only(velocity), read_only(2.0 * acceleration)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Motion:
-    """How N walks go, on the grid; nothing of it depends on the frame."""
+def motion(walks: Signals, *, width_s: Floats) -> Signals:
+    """Return speed, m/s, and turning rate, rad/s, each smoothed over its walk's `width_s`, (N,).
 
-    speed: Floats
-    """(N, K) m/s"""
-    turn: Floats
-    """(N, K) rad/s, anticlockwise positive, damped where the speed is small."""
-    count: Ints
-    """(N,)"""
-
-    def profile(self, turn_m: float) -> Floats:
-        """Return the two signals of a profile, (2, N, K): speed, and turning times `turn_m`."""
-        return np.stack([self.speed, turn_m * self.turn])
-
-
-SLOW_M_S = 0.4
-"""Below it a walk hardly has a direction; its turning rate is damped."""
-
-
-def motion(walks: Walks, *, width_s: Floats) -> Motion:
-    """Return speed and turning rate of walks, each smoothed over its `width_s`, (N,) s.
-
-    The turning rate is Im(v* a) / (|v|^2 + `SLOW_M_S`^2) of velocity v and acceleration a.
+    The turning rate, anticlockwise positive, is Im(v* a) / (|v|^2 + `SLOW_M_S`^2) of velocity v
+    and acceleration a. Nothing of it depends on the frame.
     """
-    speed = np.zeros(walks.z.shape)
-    turn = np.zeros(walks.z.shape)
-    for cells, rows_of_length in lengths(walks.count):
-        for width in np.unique(width_s[rows_of_length]):
-            rows = rows_of_length[width_s[rows_of_length] == width]
-            to_velocity, to_acceleration = _local_lines(cells, float(width))
-            z = walks.z[rows, :cells]
-            parts = np.concatenate([z.real, z.imag])
-            velocity = product(parts, to_velocity)
-            acceleration = product(parts, to_acceleration)
-            vx, vy = velocity[: rows.size], velocity[rows.size :]
-            ax, ay = acceleration[: rows.size], acceleration[rows.size :]
-            square = vx**2 + vy**2
-            speed[rows, :cells] = np.sqrt(square)
-            turn[rows, :cells] = (vx * ay - vy * ax) / (square + SLOW_M_S**2)
-    return Motion(speed, turn, walks.count)
+    going = np.zeros(walks.values.shape)
+    kinds = np.column_stack([walks.sizes, width_s])
+    for kind in np.unique(kinds, axis=0):
+        rows, cells = np.flatnonzero((kinds == kind).all(axis=1)), int(kind[0])
+        xy = walks.values[:, rows, :cells].reshape(-1, cells)
+        (vx, vy), (ax, ay) = (
+            product(xy, derivative).reshape(2, -1, cells)
+            for derivative in _local_lines(cells, float(kind[1]))
+        )
+        square = vx**2 + vy**2
+        going[0, rows, :cells] = np.sqrt(square)
+        going[1, rows, :cells] = (vx * ay - vy * ax) / (square + SLOW_M_S**2)
+    return Signals(going, walks.sizes)
 
 
-def widths_s(release: Release, *, factors: Sequence[float] = (1.0,)) -> Floats:
-    """Return over how long to smooth each walk, (F, N) s for F factors: the noisier, the longer.
+def widths_s(release: Release, factor: float = 1.0) -> Floats:
+    """Return over how long to smooth each walk, (N,) s: the noisier, the longer.
 
     ``factor * 3 s * v^(1/4)`` of the error variance per axis v in m^2, as the innovations have it,
     rounded to `WIDTHS_S`. Behind a smoother there is nothing left to smooth and v is next to 0.
     """
     variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    wanted = np.multiply.outer(np.array(factors), _WIDTH_S * variance_m2**0.25)
+    wanted = factor * (_WIDTH_S * variance_m2**0.25)
     rounded: Floats = WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), wanted)]
     return rounded
 
 
-def motions(release: Release, *, factors: Sequence[float] = (1.0,)) -> list[Motion]:
-    """Return how the walks of a release go, smoothed over `widths_s`, for each factor.
-
-    Grid and noise are those of the release, and found once for all factors.
-    """
-    walks = on_grid(release)
-    return [motion(walks, width_s=width_s) for width_s in widths_s(release, factors=factors)]
-
-
-_WIDTH_S = 3.0
-"""At errors of 1 m: tuned on the bundled crowd."""
-WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
-"""0.5 s to 4 s, in steps of a factor of 1.4: few, so that walks are smoothed together."""
-FACTORS = (1.0, 0.5, 2.0)
-"""Of the widths that an informed adversary tries, the default first."""
+def motion_of(release: Release, factor: float, turn_m: float = 1.0) -> Signals:
+    """Return how the walks of a release go, smoothed over `widths_s`; turning times `turn_m`."""
+    values, count = motion(on_grid(release), width_s=widths_s(release, factor))
+    values[1] *= turn_m
+    return Signals(values, count)
 
 
 def product(a: Floats, b: Floats) -> Floats:
@@ -187,3 +147,72 @@ def product(a: Floats, b: Floats) -> Floats:
     for first in range(0, a.shape[0], rows):
         np.matmul(a[first : first + rows], b, out=out[first : first + rows])
     return out
+
+
+def aligned_costs(
+    probe: Signals,
+    gallery: Signals,
+    *,
+    floors: Sequence[float],
+    rank: int,
+    reach_s: float,
+    rotated: bool = False,
+) -> Floats:
+    """Return how badly P signals fit G signals where they fit best, (E, P, G), one per floor.
+
+    For every lag the overlap, of m cells, is projected on its first `rank` polynomials; d is the
+    mean squared difference of what is left. The cost is the least over all lags of
+    ``(d + floor) * (L / m)^3`` with L the cells of 12 s, and a floor in the signal's unit squared.
+    Walks of one length lag by `reach_s` at most; a shorter one may lie anywhere within a longer.
+
+    If `rotated`, of x and y, the mean and a rotation (no reflection) of the overlap are left out of
+    the difference; `rank` does not count the mean.
+    """
+    levels = np.array(floors, dtype=np.float64)
+    out = np.empty((levels.size, probe.sizes.size, gallery.sizes.size))
+    most = int(max(probe.sizes.max(initial=1), gallery.sizes.max(initial=1)))
+    basis, begin = polynomials(most, rank, 1 if rotated else 0)
+    weight = (FULL_CELLS / np.arange(1, most + 1)) ** EXPONENT
+    reach = round(reach_s / STEP_S)
+    for rows, columns, part, other in blocks(probe, gallery):
+        block = np.empty((levels.size, rows.size, columns.size))
+        loops().least_costs(
+            part, other, basis, begin, levels, weight, reach, LEAST_OVERLAP, rotated, block
+        )
+        out[:, rows[:, None], columns[None, :]] = block
+    return out
+
+
+@lru_cache(maxsize=64)
+def polynomials(most: int, rank: int, first: int) -> tuple[Floats, Ints]:
+    """Return orthonormal polynomials on 1 to `most` cells: values, and where each begins.
+
+    Those on m cells are of degree `first` to ``first + rank - 1``, as far as m cells bear them;
+    they lie from ``begin[m]`` to ``begin[m + 1]``, cell by cell for each degree.
+    """
+    parts = []
+    for m in range(1, most + 1):
+        at = np.linspace(-1.0, 1.0, m) if m > 1 else np.zeros(1)
+        powers = np.polynomial.legendre.legvander(at, min(first + rank, m) - 1)
+        parts.append(np.linalg.qr(powers)[0][:, first:].T.ravel())
+    begin = np.cumsum([0, 0, *(part.size for part in parts)])
+    return read_only(np.concatenate(parts)), read_only(begin)
+
+
+def blocks(probe: Signals, gallery: Signals) -> Iterator[tuple[Ints, Ints, Floats, Floats]]:
+    """Yield probes and gallery walks of one length each: rows, columns and signals of either.
+
+    Signals come as (C, P, K) and (C, G, K), and go as (C, cells, rows) and (C, cells, columns).
+    """
+
+    def by_cell(signals: Signals) -> list[tuple[Ints, Floats]]:
+        return [
+            (rows, np.ascontiguousarray(signals.values[:, rows, :cells].transpose(0, 2, 1)))
+            for cells in np.unique(signals.sizes)
+            for rows in [np.flatnonzero(signals.sizes == cells)]
+        ]
+
+    parts = by_cell(gallery)
+    for rows, part in by_cell(probe):
+        for columns, other in parts:
+            yield rows, columns, part, other

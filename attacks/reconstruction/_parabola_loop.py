@@ -69,15 +69,9 @@ def _slide(grid: Floats, half: int, fitted: Floats) -> None:
             s2 += m * m * come
         bend = (s2 - s0 * j2 / count) / spread
         level = (s0 - bend * j2) / count
-        fitted[middle] = level
-        if middle in (m, n - 1 - m):
-            slope = s1 / j2
-            if middle == m:
-                for j in range(-m, 0):
-                    fitted[middle + j] = level + j * (slope + j * bend)
-            if middle == n - 1 - m:
-                for j in range(1, m + 1):
-                    fitted[middle + j] = level + j * (slope + j * bend)
+        before, after = (m if middle == m else 0), (m if middle == n - 1 - m else 0)
+        for j in range(-before, after + 1):
+            fitted[middle + j] = level + j * (s1 / j2 + j * bend)
 
 
 @compiled(FLOATS1, FLOATS2, INTS1, INTS1, OUT_FLOATS2)
@@ -91,15 +85,9 @@ def fit_parabolas(t: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats)
             continue
         clock = t[first:end]
         step_s = (clock[n - 1] - clock[0]) / (n - 1)
-        grid = np.empty(n)
-        fitted = np.empty(n)
-        values = np.empty(n)
-        back = np.empty(n)
+        grid, fitted = np.empty(n), np.empty(n)
         for axis in range(2):
-            for k in range(n):
-                values[k] = xy[first + k, axis]
+            values = xy[first:end, axis]
             _to_grid(clock, values, step_s, grid)
             _slide(grid, half[i], fitted)
-            _from_grid(clock, fitted, step_s, values[0], back)
-            for k in range(n):
-                out[first + k, axis] = back[k]
+            _from_grid(clock, fitted, step_s, values[0], out[first:end, axis])

@@ -10,12 +10,8 @@ import numpy as np
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
-    from isac_track.types import Floats, Release
-
-_LEAST_VARIANCE_M2 = 1e-12
+    from isac_track.protocols import AttackContext, Reconstructor
+    from isac_track.types import Release
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,25 +22,17 @@ class Averaging:
     """SCENE, too: releases in frames of their own cannot be laid upon each other."""
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SIGMA})
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return what averages a release with the repeats of its walks."""
         repeats = context.repeats
 
         def reconstruct(release: Release) -> Reconstruction:
-            total = np.zeros_like(release.xy)
-            weight = np.zeros_like(release.t)
+            total, weight = np.zeros_like(release.xy), np.zeros_like(release.t)
             for one in (release, *repeats):
-                trust = _trust(one)
+                sigma_m = np.ones_like(one.t) if one.sigma is None else one.sigma
+                trust = 1.0 / np.maximum(sigma_m**2, 1e-12)
                 total += trust[:, None] * one.xy
                 weight += trust
             return Reconstruction(total / weight[:, None])
 
         return reconstruct
-
-
-def _trust(release: Release) -> Floats:
-    """Return the weight of every sample, (M,): one over its variance, or 1 where it is unknown."""
-    if release.sigma is None:
-        return np.ones_like(release.t)
-    trust: Floats = 1.0 / np.maximum(release.sigma**2, _LEAST_VARIANCE_M2)
-    return trust

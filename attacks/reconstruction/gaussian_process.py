@@ -15,9 +15,7 @@ from attacks.reconstruction.learning import around, smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Ints, Release
 
 Smoothness: TypeAlias = Literal["matern32", "matern52"]
@@ -70,25 +68,20 @@ class GaussianProcess:
                     f"{name} must be one of {get_args(known)}, got {getattr(self, name)!r}"
                 )
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the regression of releases like those in the training set."""
         by_filter = partial(smooth, smoothness=self.smoothness)
         by_sklearn = partial(solve_sklearn, smoothness=self.smoothness)
+        default_s, default_m = self.DEFAULT
         return smoother(
             context,
             by_filter if self.engine == "state_space" else by_sklearn,
             given=None
             if self.length_s is None or self.scale_m is None
             else (self.length_s, self.scale_m),
-            candidates=CANDIDATES,
+            candidates=[(default_s, scale_m) for scale_m in around(default_m, factor=2.0)],
             tried=by_filter,  # the engines agree, and the candidates are many
         )
-
-
-CANDIDATES = tuple(
-    (GaussianProcess.DEFAULT[0], scale_m)
-    for scale_m in around(GaussianProcess.DEFAULT[1], factor=2.0)
-)
 
 
 def smooth(
@@ -96,33 +89,21 @@ def smooth(
 ) -> Reconstruction:
     """Return the posterior of every track at its samples, by filter and smoother.
 
-    Step k of all tracks that are so long is taken at once.
-
-    Parameters
-    ----------
-    release : Release
-    variance : (M,) m^2
-        Error variance per axis.
-    kernel : tuple of two floats
-        Length, s, and scale, m.
-    smoothness : {"matern32", "matern52"}
+    Step k of all tracks that are so long is taken at once. `variance`, (M,) m^2, is that of the
+    errors per axis, `kernel` length, s, and scale, m.
     """
-    offsets = release.offsets
-    rows, starts = _by_step(offsets)
-    first = release.xy[offsets[:-1]]
-    xy = (release.xy - np.repeat(first, np.diff(offsets), axis=0))[rows]
-    noise = variance[rows]
+    rows, starts = _by_step(release.offsets)
+    first = release.offsets[:-1]
+    origin = np.repeat(release.xy[first], np.diff(release.offsets), axis=0)
+    xy, noise = (release.xy - origin)[rows], variance[rows]
     elapsed_s = np.diff(release.t, prepend=release.t[0])
-    elapsed_s[offsets[:-1]] = 0.0  # not since the end of another track
-    step_s = elapsed_s[rows]
-    prior = _prior(kernel, smoothness)
+    elapsed_s[first] = 0.0  # not since the end of another track
+    prior, move = _model(elapsed_s[rows], kernel=kernel, smoothness=smoothness)
     size = prior.shape[0]
     measured = np.r_[1.0, 0.0, 1.0, np.zeros(size - 3)]  # position on the line plus the process
-    mean = np.zeros((rows.size, 2, size))
-    cov = np.empty((rows.size, size, size))
+    mean, cov = np.zeros((rows.size, 2, size)), np.empty((rows.size, size, size))
     ahead_mean, ahead_cov = np.zeros_like(mean), np.empty_like(cov)
     ahead_cov[: starts[1]] = prior
-    move = _transitions(step_s, kernel=kernel, smoothness=smoothness)
     process = prior.copy()
     process[:2] = 0.0  # the line does not move
     grown = process - move @ process @ move.swapaxes(1, 2)
@@ -146,9 +127,8 @@ def smooth(
         back = np.linalg.solve(ahead_cov[later], move[later] @ cov[here])  # gain, transposed
         mean[here] += (mean[later] - ahead_mean[later]) @ back
         cov[here] += back.swapaxes(1, 2) @ (cov[later] - ahead_cov[later]) @ back
-    place = np.empty_like(release.xy)
-    place[rows] = mean @ measured + first[_owners(offsets)[rows]]
-    std = np.empty(rows.size)
+    place, std = origin.copy(), np.empty(rows.size)
+    place[rows] += mean @ measured
     std[rows] = np.sqrt(np.maximum((cov @ measured) @ measured, 0.0))
     return Reconstruction(place, std)
 
@@ -157,22 +137,18 @@ def solve_sklearn(
     release: Release, variance: Floats, kernel: tuple[float, float], *, smoothness: Smoothness
 ) -> Reconstruction:
     """Return what `smooth` does, track by track with scikit-learn's regressor."""
-    # Only where it is asked for: the import takes a second.
-    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415 - see above
-    from sklearn.gaussian_process.kernels import (  # noqa: PLC0415 - see above
-        ConstantKernel,
-        DotProduct,
-        Matern,
-    )
+    from sklearn import gaussian_process as gp  # noqa: PLC0415 - seldom asked for, and a second
 
+    kernels = gp.kernels
     length_s, scale_m = kernel
-    offset, slope = (ConstantKernel(std**2, "fixed") for std in TREND_STD)
-    curve = Matern(length_s, "fixed", nu=1.5 if smoothness == "matern32" else 2.5)
-    covariance = offset + slope * DotProduct(0.0, "fixed") + ConstantKernel(scale_m**2) * curve
+    offset, slope = (kernels.ConstantKernel(std**2, "fixed") for std in TREND_STD)
+    curve = kernels.Matern(length_s, "fixed", nu=1.5 if smoothness == "matern32" else 2.5)
+    line = offset + slope * kernels.DotProduct(0.0, "fixed")
+    covariance = line + kernels.ConstantKernel(scale_m**2) * curve
     place, std = np.empty_like(release.xy), np.empty(release.t.size)
     for lo, hi in pairwise(release.offsets):
         clock = (release.t[lo:hi] - release.t[lo])[:, None]
-        regressor = GaussianProcessRegressor(
+        regressor = gp.GaussianProcessRegressor(
             kernel=covariance, alpha=variance[lo:hi], optimizer=None
         )
         regressor.fit(clock, release.xy[lo:hi] - release.xy[lo])
@@ -182,43 +158,35 @@ def solve_sklearn(
     return Reconstruction(place, std)
 
 
-def _prior(kernel: tuple[float, float], smoothness: Smoothness) -> Floats:
-    """Return the covariance of (offset, slope, process and its derivatives), (d, d)."""
+def _model(
+    step_s: Floats, *, kernel: tuple[float, float], smoothness: Smoothness
+) -> tuple[Floats, Floats]:
+    """Return the prior covariance (d, d) and exp(F step), (M, d, d), of line and process.
+
+    The state is offset and slope of the line, then the process and its derivatives.
+    """
     length_s, scale_m = kernel
-    if smoothness == "matern32":
-        rate = np.sqrt(3.0) / length_s
+    n = 2 if smoothness == "matern32" else 3
+    rate = np.sqrt(2.0 * n - 1.0) / length_s
+    if n == 2:  # noqa: PLR2004 - process and velocity
         process = np.diag([1.0, rate**2])
     else:
-        rate = np.sqrt(5.0) / length_s
         cross = rate**2 / 3.0
         process = np.array([[1.0, 0.0, -cross], [0.0, cross, 0.0], [-cross, 0.0, rate**4]])
-    prior = np.diag(np.r_[np.square(TREND_STD), np.zeros(len(process))])
+    prior = np.diag(np.r_[np.square(TREND_STD), np.zeros(n)])
     prior[2:, 2:] = scale_m**2 * process
-    return prior
-
-
-def _transitions(step_s: Floats, *, kernel: tuple[float, float], smoothness: Smoothness) -> Floats:
-    """Return exp(F step), (M, d, d): of the line and of the process with its derivatives."""
-    length_s = kernel[0]
-    nilpotent = 2 if smoothness == "matern32" else 3
-    rate = np.sqrt(2.0 * nilpotent - 1.0) / length_s
-    drift = np.diag(np.ones(nilpotent - 1), k=1)
+    drift = np.diag(np.ones(n - 1), k=1)
     # Characteristic polynomial (s + rate)^n: F + rate 1 is nilpotent, its exponential finite.
-    powers = np.arange(nilpotent, 0, -1)
-    drift[-1] = -comb(nilpotent, powers) * rate**powers
-    rest = drift + rate * np.eye(nilpotent)
+    powers = np.arange(n, 0, -1)
+    drift[-1] = -comb(n, powers) * rate**powers
+    rest = drift + rate * np.eye(n)
     tau = step_s[:, None, None]
-    series = np.eye(nilpotent) + tau * rest + tau**2 / 2.0 * (rest @ rest)  # the rest is zero
-    move = np.zeros((step_s.size, nilpotent + 2, nilpotent + 2))
+    series = np.eye(n) + tau * rest + tau**2 / 2.0 * (rest @ rest)  # the rest is zero
+    move = np.zeros((step_s.size, n + 2, n + 2))
     move[:, :2, :2] = np.eye(2)
     move[:, 0, 1] = step_s
     move[:, 2:, 2:] = np.exp(-rate * tau) * series
-    return move
-
-
-def _owners(offsets: Ints) -> Ints:
-    owners: Ints = np.repeat(np.arange(offsets.size - 1), np.diff(offsets))
-    return owners
+    return prior, move
 
 
 def _by_step(offsets: Ints) -> tuple[Ints, Ints]:
@@ -227,10 +195,6 @@ def _by_step(offsets: Ints) -> tuple[Ints, Ints]:
     Within a step the longest tracks come first: those that go on are the first ones of it.
     """
     sizes = np.diff(offsets)
-    rank = np.empty_like(sizes)
-    rank[np.argsort(-sizes, kind="stable")] = np.arange(sizes.size)
-    owners = _owners(offsets)
-    step = np.arange(owners.size) - offsets[owners]
-    rows = np.lexsort((rank[owners], step))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(step))])
-    return rows, starts
+    step = np.arange(offsets[-1]) - np.repeat(offsets[:-1], sizes)
+    rows = np.lexsort((np.repeat(-sizes, sizes), step))  # stable: of equals the first
+    return rows, np.concatenate([[0], np.cumsum(np.bincount(step))])

@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
-    from isac_track.types import Release
+    from isac_track.protocols import AttackContext, Reconstructor
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +18,7 @@ class Identity:
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = frozenset()
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return what hands a release back."""
         del context
         return lambda release: Reconstruction(release.xy)

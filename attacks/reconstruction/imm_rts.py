@@ -15,9 +15,7 @@ from isac_track.kalman import Batch, Moods, imm_smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Release
 
 
@@ -60,37 +58,25 @@ class ImmRTS:
             raise ValueError("give both q and q_turn, or neither to have them learnt")
         positive(q=self.q, q_turn=self.q_turn, walk_s=self.walk_s, turn_s=self.turn_s)
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
         return smoother(
             context,
             partial(smooth, stay_s=(self.walk_s, self.turn_s)),
             given=None if self.q is None or self.q_turn is None else (self.q, self.q_turn),
-            candidates=CANDIDATES,
+            candidates=list(
+                zip(*(around(density, factor=4.0) for density in self.DEFAULT_Q), strict=True)
+            ),
         )
 
 
-CANDIDATES = tuple(zip(*(around(density, factor=4.0) for density in ImmRTS.DEFAULT_Q), strict=True))
-
-
 def smooth(
-    release: Release,
-    variance: Floats,
-    density: tuple[float, float],
-    *,
-    stay_s: tuple[float, float],
+    release: Release, variance: Floats, density: tuple[float, ...], *, stay_s: tuple[float, float]
 ) -> Reconstruction:
-    """Return smoothed positions of a release.
+    """Return smoothed positions of a release with error variance per axis `variance`, (M,) m^2.
 
-    Parameters
-    ----------
-    release : Release
-    variance : (M,) m^2
-        Error variance per axis.
-    density : tuple of two floats
-        m^2/s^3, spectral density of the acceleration while walking on and while turning.
-    stay_s : tuple of two floats
-        Mean time of walking on and of turning.
+    `density`, m^2/s^3, is that of the acceleration while walking on and while turning, `stay_s`
+    how long either lasts.
     """
     batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
     # The spread between the modes couples the axes; what is claimed is their mean variance.

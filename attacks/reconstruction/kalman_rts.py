@@ -13,10 +13,8 @@ from isac_track.kalman import Batch, smooth_positions
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
-    from isac_track.types import Floats, Release
+    from isac_track.protocols import AttackContext, Reconstructor
+    from isac_track.types import Floats, Ints, Release
 
 PRIOR_STD = (100.0, 10.0)
 """m around the first sample and m/s around rest: far more than any walk."""
@@ -38,12 +36,10 @@ class KalmanRTS:
     def __post_init__(self) -> None:
         positive(q=self.q)
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
-        return smoother(context, smooth, given=self.q, candidates=CANDIDATES)
-
-
-CANDIDATES = around(KalmanRTS.DEFAULT_Q, factor=4.0)
+        candidates = around(self.DEFAULT_Q, factor=4.0)
+        return smoother(context, smooth, given=self.q, candidates=candidates)
 
 
 def smooth(

@@ -1,4 +1,14 @@
-"""Hyper-parameters from other people: what an adversary with a training set does first."""
+"""What an adversary finds out first: hyper-parameters from other people, and how noisy samples are.
+
+Blind, an adversary reads one level of noise for each track off its innovations. With the declared
+standard deviations (the oracle) nothing is left to guess but the error law. In between, under
+FID-controlled sharing, the rule itself tells: a sample gets error if the information that it
+carries per second, ``(gap / sigma_raw)^2 / interval``, exceeds the public threshold. The
+intervals are in the release; what an informed adversary finds is one raw standard deviation for
+each track, the one under which the rule explains best how the track's errors differ between short
+and long intervals (one is a simplification: the beam fluctuates from sample to sample). The gap of
+the network's estimator is a constant, learnt from other people.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +16,30 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from attacks.reconstruction.noise import learn_variance
+from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
+from isac_track.sensing import intervals_before
+from isac_track.sharing import Fid, fid_d_sigma
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor, TrainingSet
     from isac_track.types import Floats, Ints, Reconstruction, Release
 
 _Choice = TypeVar("_Choice")
 _POWERS = (-1.0, 0.0, 1.0)
 N_CANDIDATES = len(_POWERS)
 """What a built-in attack tries before it attacks."""
+RADIAL_PER_AXIS = 0.5
+"""Variance per axis of a radial error of standard deviation 1: the paper's law, if nobody tells."""
+_SIGMAS_M = np.geomspace(0.01, 8.0, 80)
+_FINE_SIGMAS_M = np.geomspace(0.01, 8.0, 240)
+"""For a fit over whole tracks: steps well below what hundreds of samples can tell apart."""
+_GAPS = np.geomspace(1.0, 32.0, 16)
+_N_BINS = 6
+_LONE_S = 1.0
+"""s, in place of the interval that a lone sample does not have."""
 
 
 def around(default: float, *, factor: float) -> tuple[float, ...]:
@@ -51,12 +72,12 @@ def choose(
     """
     if Knowledge.TRAIN not in context.granted:
         return default
-    train = context.train
+    release, truth = context.train.release, context.train.truth
     losses = [
         exposure_loss(
-            xy=reconstruct(candidate, train.release),
-            truth=train.truth,
-            offsets=train.release.offsets,
+            xy=reconstruct(candidate, release),
+            truth=truth,
+            offsets=release.offsets,
             epsilon_m=context.epsilon_m,
         )
         for candidate in candidates
@@ -64,61 +85,25 @@ def choose(
     return candidates[int(np.argmin(losses))]
 
 
-def fitted(
-    context: AttackContext,
-    smooth: Callable[[Release, _Choice], Reconstruction],
-    *,
-    given: _Choice | None,
-    candidates: tuple[_Choice, ...],
-) -> Callable[[Release], Reconstruction]:
-    """Return what smooths releases like those in the training set.
-
-    Parameters
-    ----------
-    context : AttackContext
-    smooth : callable
-        From a release and a choice.
-    given : object or None
-        The choice; None: learnt.
-    candidates : tuple of objects
-        The default in the middle, as from `around`.
-    """
-    choice = given
-    if choice is None:
-        choice = choose(
-            context,
-            default=candidates[len(candidates) // 2],
-            candidates=candidates,
-            reconstruct=lambda candidate, release: smooth(release, candidate).xy,
-        )
-    return lambda release: smooth(release, choice)
-
-
 def smoother(
     context: AttackContext,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
     *,
     given: _Choice | None,
-    candidates: tuple[_Choice, ...],
+    candidates: Sequence[_Choice],
     tried: Callable[[Release, Floats, _Choice], Reconstruction] | None = None,
-) -> Callable[[Release], Reconstruction]:
+) -> Reconstructor:
     """Return what smooths releases like those in the training set, by the noise of each sample.
 
-    Parameters
-    ----------
-    context : AttackContext
-    smooth : callable
-        From a release, the error variance per axis, (M,) m^2, and a choice.
-    given, candidates
-        As in `fitted`.
-    tried : callable, optional
-        In place of `smooth` where candidates are compared.
+    `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice: the one that was
+    given or, if that is None, the best of the candidates, the default in the middle as from
+    `around`. Where they are compared `tried` is used instead, if there is one.
     """
     variance = learn_variance(context)
+    attempt = smooth if tried is None else tried
     choice = candidates[len(candidates) // 2] if given is None else given
     if given is None and Knowledge.TRAIN in context.granted:
         known = variance(context.train.release)  # once for all candidates
-        attempt = smooth if tried is None else tried
         choice = choose(
             context,
             default=choice,
@@ -131,16 +116,128 @@ def smoother(
 def exposure_loss(*, xy: Floats, truth: Floats, offsets: Ints, epsilon_m: float) -> float:
     """Return a smooth stand-in for 1 - PLR: the mean of d^2 / (d^2 + epsilon^2).
 
-    The mean is over the samples of a track, then over tracks, as for PLR. One person with
+    Of (M, 2) positions, over the samples of a track, then over tracks, as for PLR. One person with
     hopeless errors does not outweigh all others, as in a mean square.
-
-    Parameters
-    ----------
-    xy, truth : (M, 2) m
-    offsets : (N + 1,) int
-    epsilon_m : float
     """
     gap = xy - truth
     square = gap[:, 0] ** 2 + gap[:, 1] ** 2
     share = np.add.reduceat(square / (square + epsilon_m**2), offsets[:-1]) / np.diff(offsets)
     return float(share.mean())
+
+
+def learn_variance(context: AttackContext) -> Callable[[Release], Floats]:
+    """Return what tells the error variance per axis of every sample of a release, (M,) m^2."""
+    if Knowledge.SIGMA in context.granted:
+        share = RADIAL_PER_AXIS
+        if Knowledge.TRAIN in context.granted:
+            release, truth = context.train.release, context.train.truth
+            declared_m2 = float((_declared(release) ** 2).sum())
+            if declared_m2 > 0.0:
+                share = float(((release.xy - truth) ** 2).sum()) / 2.0 / declared_m2
+        return lambda release: np.maximum(share * _declared(release) ** 2, MIN_VARIANCE_M2)
+    knows = {Knowledge.MECHANISM, Knowledge.TRAIN} <= context.granted
+    if knows and isinstance(context.mechanism, Fid):
+        return _learn_fid(context.train, rule=context.mechanism)
+    return _estimated
+
+
+def _estimated(release: Release) -> Floats:
+    level = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
+    return np.repeat(level, np.diff(release.offsets))
+
+
+def _declared(release: Release) -> Floats:
+    assert release.sigma is not None  # granted
+    return release.sigma
+
+
+def _learn_fid(train: TrainingSet, *, rule: Fid) -> Callable[[Release], Floats]:
+    """Learn the gap of the estimator, and return what finds the raw error of every track."""
+    interval_s = _intervals(train.release)
+    edges = np.unique(np.quantile(interval_s, np.linspace(0.0, 1.0, _N_BINS + 1)[1:-1]))
+    which = np.searchsorted(edges, interval_s, side="right")
+    count = np.bincount(which, minlength=edges.size + 1)
+    total_s = np.bincount(which, interval_s, edges.size + 1)
+    # An empty bin (equal quantiles) is nobody's; any positive time will do.
+    middle_s = np.where(count > 0, total_s / np.maximum(count, 1), interval_s.mean())
+    square_m2 = ((train.release.xy - train.truth) ** 2).sum(axis=1)
+    errors = _binned(train.release, square_m2, np.ones_like(square_m2), edges=edges)
+    fits = [
+        _log_likelihood(*errors, _total_m2(_FINE_SIGMAS_M[:, None], middle_s, gap=gap, rule=rule))
+        .max(axis=1)
+        .sum()
+        for gap in _GAPS
+    ]
+    gap = float(_GAPS[int(np.argmax(fits))])
+
+    def inferred(release: Release) -> Floats:
+        errors = _binned(release, *_innovation_squares(release), edges=edges)
+        model_m2 = _total_m2(_SIGMAS_M[:, None], middle_s, gap=gap, rule=rule)
+        best_m = _SIGMAS_M[_log_likelihood(*errors, model_m2).argmax(axis=1)]
+        sizes = np.diff(release.offsets)
+        total_m2 = _total_m2(np.repeat(best_m, sizes), _intervals(release), gap=gap, rule=rule)
+        # The rule says how the samples of a track differ, the track itself how large they are.
+        owner = np.repeat(np.arange(sizes.size), sizes)
+        mean_m2 = (np.bincount(owner, total_m2, sizes.size) / sizes)[owner]
+        return np.maximum(_estimated(release) / mean_m2 * total_m2, MIN_VARIANCE_M2)
+
+    return inferred
+
+
+def _total_m2(sigma_raw_m: Floats, interval_s: Floats, *, gap: float, rule: Fid) -> Floats:
+    """Return the squared standard deviation as shared, by eqs. swarm_fid and fid_error_control."""
+    fid = (gap / sigma_raw_m) ** 2 / interval_s
+    added_m = fid_d_sigma(fid=fid, eta=rule.eta, alpha_m=rule.alpha, beta=rule.beta)
+    total_m2: Floats = (
+        (sigma_raw_m + added_m) ** 2 if rule.adding == "linear" else sigma_raw_m**2 + added_m**2
+    )
+    return total_m2
+
+
+def _log_likelihood(count: Floats, total_m2: Floats, square_m2: Floats) -> Floats:
+    """Return the log likelihood of each track under each hypothesis, (N, S), up to a factor.
+
+    The length of a radial error is |N(0, sigma)|: -log sigma - r^2 / (2 sigma^2) a sample. An
+    isotropic error has twice that, which moves no maximum. `square_m2`, (S, B), is the mean
+    squared length in each bin under each hypothesis.
+    """
+    likelihood: Floats = -(count @ np.log(square_m2).T + total_m2 @ (1.0 / square_m2).T)
+    return likelihood
+
+
+def _intervals(release: Release) -> Floats:
+    interval_s = intervals_before(t=release.t, offsets=release.offsets)
+    return np.where(interval_s > 0.0, interval_s, _LONE_S)
+
+
+def _innovation_squares(release: Release) -> tuple[Floats, Floats]:
+    """Return squared innovations scaled to the squared length of one error, (M,), and which count.
+
+    As in `isac_track.noise`. An innovation spans three samples and counts for the middle one, which
+    weighs most in it; the first and the last of a track have none.
+    """
+    counts = np.ones_like(release.t)
+    counts[release.offsets[:-1]] = counts[release.offsets[1:] - 1] = 0.0
+    square_m2 = np.zeros_like(release.t)
+    before_s, after_s = np.diff(release.t)[:-1], np.diff(release.t)[1:]
+    if after_s.size:
+        ratio = np.where(counts[1:-1] > 0, after_s / np.where(before_s > 0, before_s, 1), 0)
+        step = np.diff(release.xy, axis=0)
+        gap = step[1:] - ratio[:, None] * step[:-1]
+        scale = 1.0 + (1.0 + ratio) ** 2 + ratio**2
+        square_m2[1:-1] = (gap[:, 0] ** 2 + gap[:, 1] ** 2) / scale
+    return square_m2 * counts, counts
+
+
+def _binned(
+    release: Release, square_m2: Floats, counts: Floats, *, edges: Floats
+) -> tuple[Floats, Floats]:
+    """Return counts and sums of squares of each track by sampling interval, (N, B) each."""
+    n_tracks, n_bins = len(release), edges.size + 1
+    owner = np.repeat(np.arange(n_tracks), np.diff(release.offsets))
+    cell = owner * n_bins + np.searchsorted(edges, _intervals(release), side="right")
+    count, total_m2 = (
+        np.bincount(cell, values, n_tracks * n_bins).astype(np.float64).reshape(n_tracks, n_bins)
+        for values in (counts, square_m2)
+    )
+    return count, total_m2

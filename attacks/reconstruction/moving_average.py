@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.parameters import positive
-from attacks.reconstruction.learning import around, fitted
-from attacks.reconstruction.windows import half_windows
+from attacks.reconstruction.learning import around, smoother
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Ints, Release
 
-_BIAS_ORDER = 2
+REFERENCE_STD_M = 0.5
+"""Noise per axis at which a window has its nominal width; no matter but a scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,25 +41,42 @@ class MovingAverage:
     def __post_init__(self) -> None:
         positive(width_s=self.width_s)
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the average over releases like those in the training set."""
-        return fitted(context, smooth, given=self.width_s, candidates=CANDIDATES)
+        candidates = around(self.DEFAULT_WIDTH_S, factor=2.0)
+        return smoother(context, smooth, given=self.width_s, candidates=candidates)
 
 
-CANDIDATES = around(MovingAverage.DEFAULT_WIDTH_S, factor=2.0)
-
-
-def smooth(release: Release, width_s: float) -> Reconstruction:
-    """Return the average of every track over windows fit for its noise.
-
-    Parameters
-    ----------
-    release : Release
-    width_s : float
-        s, at errors of 0.5 m per axis.
-    """
-    half = half_windows(release, width_s=width_s, bias_order=_BIAS_ORDER)
+def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction:
+    """Return the average of every track over windows fit for its noise."""
+    half = half_windows(release, variance, width_s=width_s, bias_order=2)
     return Reconstruction(centred_means(xy=release.xy, offsets=release.offsets, half=half))
+
+
+def half_windows(release: Release, variance: Floats, *, width_s: float, bias_order: int) -> Ints:
+    """Return the samples on either side of the middle of each track's window, (N,).
+
+    A window of width h over independent errors of standard deviation s leaves the variance
+    a s^2 / h; a linear filter whose bias on a smooth walk is b h^p then has the mean square error
+    a s^2 / h + b^2 h^(2p). Its derivative vanishes at
+    h^(2p + 1) = a s^2 / (2 p b^2): the best width grows as s^(2 / (2p + 1)), from `width_s` at
+    `REFERENCE_STD_M`. It is rounded to an odd number of samples of the track's mean interval.
+
+    `bias_order` is p, 2 for a centred mean and 4 for a local parabola or cubic; `variance`, (M,)
+    m^2, is that of s, alike along a track.
+
+    References
+    ----------
+    Fan, Gijbels, *Local Polynomial Modelling and Its Applications*, 1996: section 3.2.3.
+    """
+    first, last = release.offsets[:-1], release.offsets[1:] - 1
+    growth = (variance[first] / REFERENCE_STD_M**2) ** (1.0 / (2 * bias_order + 1))
+    interval_s = np.ones(first.size)  # of a single sample any will do
+    lasts_s = release.t[last] - release.t[first]
+    np.divide(lasts_s, last - first, out=interval_s, where=last > first)
+    half = np.rint((width_s * growth / interval_s - 1.0) / 2.0)
+    longest = np.diff(release.offsets)  # wider than any window that fits
+    return np.minimum(half, longest).clip(0).astype(np.int64)
 
 
 def centred_means(*, xy: Floats, offsets: Ints, half: Ints) -> Floats:
@@ -69,31 +84,16 @@ def centred_means(*, xy: Floats, offsets: Ints, half: Ints) -> Floats:
 
     Near the ends of a track both sides are as short as the shorter one, down to the sample
     itself: a lopsided mean would lag behind the walk.
-
-    Parameters
-    ----------
-    xy : (M, 2) m
-    offsets : (N + 1,) int
-    half : (N,) int
-        Not negative.
     """
     sizes = np.diff(offsets)
+    # x + iy: one array to sum and to look up in place of two.
+    z = np.ascontiguousarray(xy).view(np.complex128)[:, 0]
     # Sums of small numbers lose less: every track is summed up from its own first position.
-    origin = np.repeat(_planar(xy[offsets[:-1]]), sizes)
-    total = np.empty(xy.shape[0] + 1, dtype=np.complex128)
-    total[0] = 0.0
-    np.cumsum(_planar(xy) - origin, out=total[1:])
-    row = np.arange(xy.shape[0])
+    origin = np.repeat(z[offsets[:-1]], sizes)
+    total = np.concatenate([[0.0], np.cumsum(z - origin)])
+    row = np.arange(z.size)
     side = np.minimum(row - np.repeat(offsets[:-1], sizes), np.repeat(offsets[1:] - 1, sizes) - row)
-    np.minimum(side, np.repeat(half, sizes), out=side)
-    mean = total[row + side + 1]
-    mean -= total[row - side]
-    mean /= 2 * side + 1
-    mean += origin
+    side = np.minimum(side, np.repeat(half, sizes))
+    mean = (total[row + side + 1] - total[row - side]) / (2 * side + 1) + origin
     planar: Floats = mean.view(np.float64).reshape(-1, 2)
     return planar
-
-
-def _planar(xy: Floats) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
-    """Return x + iy, (M,): one array to sum and to look up in place of two."""
-    return np.ascontiguousarray(xy).view(np.complex128)[:, 0]

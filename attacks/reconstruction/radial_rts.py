@@ -12,10 +12,7 @@ from attacks.reconstruction.learning import around, smoother
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
-    from isac_track.types import Reconstruction, Release
+    from isac_track.protocols import AttackContext, Reconstructor
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +38,8 @@ class RadialRTS:
         if not 0 <= self.anneal < 1:
             raise ValueError(f"anneal must lie in [0, 1), got {self.anneal}")
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
         reweighted = partial(smooth, passes=self.passes, anneal=self.anneal)
-        return smoother(context, reweighted, given=self.q, candidates=CANDIDATES)
-
-
-CANDIDATES = around(RadialRTS.DEFAULT_Q, factor=4.0)
+        candidates = around(self.DEFAULT_Q, factor=4.0)
+        return smoother(context, reweighted, given=self.q, candidates=candidates)

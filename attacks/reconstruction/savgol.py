@@ -9,19 +9,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.parameters import positive
-from attacks.reconstruction.learning import around, fitted
-from attacks.reconstruction.windows import half_windows
+from attacks.reconstruction.learning import around, smoother
+from attacks.reconstruction.moving_average import half_windows
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from isac_track.protocols import AttackContext
+    from isac_track.protocols import AttackContext, Reconstructor
     from isac_track.types import Floats, Ints, Release
-
-_BIAS_ORDER = 4
-_LEAST_HALF = 2
-"""A parabola through three samples smooths nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,49 +48,27 @@ class Savgol:
     def __post_init__(self) -> None:
         positive(width_s=self.width_s)
 
-    def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
+    def fit(self, context: AttackContext) -> Reconstructor:
         """Return the filter of releases like those in the training set."""
-        return fitted(context, smooth, given=self.width_s, candidates=CANDIDATES)
+        candidates = around(self.DEFAULT_WIDTH_S, factor=2.0)
+        return smoother(context, smooth, given=self.width_s, candidates=candidates)
 
 
-CANDIDATES = around(Savgol.DEFAULT_WIDTH_S, factor=2.0)
-
-
-def smooth(release: Release, width_s: float) -> Reconstruction:
-    """Return every track filtered over windows fit for its noise.
-
-    Parameters
-    ----------
-    release : Release
-    width_s : float
-        s, at errors of 0.5 m per axis.
-    """
-    half = half_windows(release, width_s=width_s, bias_order=_BIAS_ORDER)
-    half = np.minimum(np.maximum(half, _LEAST_HALF), (np.diff(release.offsets) - 1) // 2)
+def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction:
+    """Return every track filtered over windows fit for its noise."""
+    half = half_windows(release, variance, width_s=width_s, bias_order=4)
+    # A parabola through three samples smooths nothing.
+    half = np.minimum(np.maximum(half, 2), (np.diff(release.offsets) - 1) // 2)
     return Reconstruction(parabolas(t=release.t, xy=release.xy, offsets=release.offsets, half=half))
 
 
 def parabolas(*, t: Floats, xy: Floats, offsets: Ints, half: Ints) -> Floats:
     """Return positions filtered with a window of ``2 half + 1`` samples for each track, (M, 2) m.
 
-    On the grid equal to ``scipy.signal.savgol_filter(..., 2 * half + 1, 2, mode="interp")``; a
-    track with `half` 0 stays as it is.
-
-    Parameters
-    ----------
-    t : (M,) s
-    xy : (M, 2) m
-    offsets : (N + 1,) int
-    half : (N,) int
-        Samples on each side of the middle; no window exceeds its track.
+    On the grid equal to ``scipy.signal.savgol_filter(..., 2 * half + 1, 2, mode="interp")``. No
+    window may exceed its track; a track with `half`, (N,), 0 stays as it is.
     """
     out = np.empty_like(xy)
-    loop = import_module("attacks.reconstruction._parabola_loop")
-    loop.fit_parabolas(
-        np.ascontiguousarray(t),
-        np.ascontiguousarray(xy),
-        np.ascontiguousarray(offsets),
-        np.ascontiguousarray(half),
-        out,
-    )
+    arrays = (np.ascontiguousarray(each) for each in (t, xy, offsets, half))
+    import_module("attacks.reconstruction._parabola_loop").fit_parabolas(*arrays, out)
     return out

@@ -1,157 +1,128 @@
-"""Tasks in which everybody is in both releases: a closed set."""
+"""Tasks in which everybody is in both releases: a closed set.
+
+Each raises `DataError` if too few tracks are long enough.
+"""
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.tasks.draft import CLOCK_S, elsewhere, windows_of
-from attacks.tasks.roles import alone, halves, joined, roles
-from attacks.tasks.sessions import N_FOLDS, Sessions
-from isac_track.datasets.summary import summarise
+from attacks.tasks.build import rows_of
+from attacks.tasks.sessions import N_FOLDS, halves, joined
 
 if TYPE_CHECKING:
-    from attacks.tasks.draft import Draft
+    from collections.abc import Callable, Sequence
+
+    from numpy.random import Generator
+
+    from attacks.tasks.build import Draft
+    from attacks.tasks.sessions import Sessions, Windows
     from isac_track.types import Floats, Ints
 
 
 def rerelease(draft: Draft) -> Sessions:
-    """Return two windows of each walk, which may overlap: the same walk is shared twice.
-
-    Raises
-    ------
-    DataError
-        If too few tracks are long enough.
-    """
+    """Return two windows of each walk, which may overlap: the same walk is shared twice."""
     length_s = draft.settings.linkage.window_s
-    shift_s = draft.settings.linkage.rerelease_shift_s
-    long = draft.lasting(length_s)
-    rows = draft.chosen(long, f"of {len(draft.tracks)} tracks last {length_s:g} s")
-    starts = np.empty((2, rows.size))
-    for place, row in enumerate(rows):
-        rng = draft.rng("windows", draft.tracks.source[row])
+
+    def starts_s(row: int, rng: Generator) -> Floats:
         slack_s = max(float(draft.end_s[row] - draft.start_s[row]) - length_s, 0.0)
-        reach_s = min(slack_s, shift_s)
+        reach_s = min(slack_s, draft.settings.linkage.rerelease_shift_s)
         base_s = draft.start_s[row] + rng.uniform(0.0, slack_s - reach_s)
-        starts[:, place] = base_s + rng.uniform(0.0, reach_s, 2)
-    return _closed(draft, rows=rows, starts=starts, length_s=length_s, n_long=long.size)
+        starts: Floats = base_s + rng.uniform(0.0, reach_s, 2)
+        return starts
+
+    what = f"of {len(draft.tracks)} tracks last {length_s:g} s"
+    return _closed(draft, draft.lasting(length_s), what, starts_s=starts_s, length_s=length_s)
 
 
 def split(draft: Draft) -> Sessions:
-    """Return two windows of each walk with a gap between them.
-
-    Raises
-    ------
-    DataError
-        If too few tracks are long enough.
-    """
+    """Return two windows of each walk with a gap between them."""
     length_s, gap_s = draft.settings.linkage.split_window_s, draft.settings.linkage.split_gap_s
     needed_s = 2.0 * length_s + gap_s
-    long = draft.lasting(needed_s)
-    rows = draft.chosen(long, f"of {len(draft.tracks)} tracks last {needed_s:g} s")
-    starts = np.empty((2, rows.size))
-    for place, row in enumerate(rows):
-        rng = draft.rng("windows", draft.tracks.source[row])
-        slack_s = max(float(draft.end_s[row] - draft.start_s[row]) - needed_s, 0.0)
-        first_s, second_s = np.sort(rng.uniform(0.0, slack_s, 2))
-        starts[:, place] = (
-            draft.start_s[row] + first_s,
-            (draft.start_s[row] + length_s + gap_s + second_s),
-        )
-    return _closed(draft, rows=rows, starts=starts, length_s=length_s, n_long=long.size)
+
+    def starts_s(row: int, rng: Generator) -> tuple[float, float]:
+        start_s = float(draft.start_s[row])
+        slack_s = max(float(draft.end_s[row]) - start_s - needed_s, 0.0)
+        first_s, second_s = np.sort(rng.uniform(0.0, slack_s, 2)).tolist()
+        return start_s + first_s, start_s + length_s + gap_s + second_s
+
+    what = f"of {len(draft.tracks)} tracks last {needed_s:g} s"
+    return _closed(draft, draft.lasting(needed_s), what, starts_s=starts_s, length_s=length_s)
 
 
 def new_traversal(draft: Draft) -> Sessions:
-    """Return a window of each person's walk in either session of a crowd.
-
-    Raises
-    ------
-    DataError
-        If too few people walk for long enough in both.
-    """
+    """Return a window of each person's walk in either session of a crowd."""
     assert draft.later is not None
-    length_s, later = draft.settings.linkage.window_s, draft.later
-    row_later = {source: row for row, source in enumerate(later.source)}
-    lasts_s = later.t[later.offsets[1:] - 1] - later.t[later.offsets[:-1]]
-    both = [
-        row
-        for row in draft.lasting(length_s)
-        if draft.tracks.source[row] in row_later  # who stays at home on the second day is left out
-        and lasts_s[row_later[draft.tracks.source[row]]] >= length_s - CLOCK_S
-    ]
-    rows = draft.chosen(
-        np.array(both, dtype=np.int64), f"people walk for {length_s:g} s in both sessions"
-    )
-    rows_later = np.array([row_later[draft.tracks.source[row]] for row in rows])
-    starts = np.empty((2, rows.size))
-    for place, row in enumerate(rows):
-        rng = draft.rng("windows", draft.tracks.source[row])
-        slack_s = float(draft.end_s[row] - draft.start_s[row]) - length_s
-        slack_later_s = float(lasts_s[rows_later[place]]) - length_s
-        start_later_s = later.t[later.offsets[rows_later[place]]]
-        starts[0, place] = draft.start_s[row] + rng.uniform(0.0, max(slack_s, 0.0))
-        starts[1, place] = start_later_s + rng.uniform(0.0, max(slack_later_s, 0.0))
-    return _closed(
-        draft,
-        rows=rows,
-        starts=starts,
-        length_s=length_s,
-        n_long=len(both),
-        rows_later=rows_later,
-    )
+    length_s, later = draft.settings.linkage.window_s, replace(draft, tracks=draft.later)
+    source = draft.tracks.source
+    row_later = {draft.later.source[row]: row for row in later.lasting(length_s)}
+    # Who stays at home on the second day is left out.
+    both = [row for row in draft.lasting(length_s) if source[row] in row_later]
+
+    def starts_s(row: int, rng: Generator) -> list[float]:
+        starts = []
+        for day, place in ((draft, row), (later, row_later[source[row]])):
+            slack_s = float(day.end_s[place] - day.start_s[place]) - length_s
+            starts.append(day.start_s[place] + rng.uniform(0.0, max(slack_s, 0.0)))
+        return starts
+
+    what = f"people walk for {length_s:g} s in both sessions"
+    long = np.array(both, dtype=np.int64)
+    return _closed(draft, long, what, starts_s=starts_s, length_s=length_s)
 
 
 def _closed(
     draft: Draft,
+    long: Ints,
+    what: str,
     *,
-    rows: Ints,
-    starts: Floats,
+    starts_s: Callable[[int, Generator], Floats | Sequence[float]],
     length_s: float,
-    n_long: int,
-    rows_later: Ints | None = None,
 ) -> Sessions:
     """Return sessions in which everybody is in both: one search for each half of the people."""
-    tracks, later = draft.tracks, draft.tracks if draft.later is None else draft.later
-    rows_later = rows if rows_later is None else rows_later
-    source = tuple(tracks.source[row] for row in rows)
-    group = joined([tracks.group[row] for row in rows], [later.group[row] for row in rows_later])
+    tracks = draft.tracks
+    later = draft if draft.later is None else replace(draft, tracks=draft.later)
+    rows = draft.chosen(long, what)
+    source = [tracks.source[row] for row in rows]
+    rows_later = rows_of(later.tracks, source)
+    starts = np.array(
+        [starts_s(row, draft.rng("windows", name)) for row, name in zip(rows, source, strict=True)]
+    )
+    group = joined(
+        [tracks.group[row] for row in rows], [later.tracks.group[row] for row in rows_later]
+    )
     fold_of = halves(group, rng=draft.rng("folds"))
-    cut = partial(windows_of, draft, length_s=length_s)
-    everybody = np.arange(rows.size)
-    probe = cut("probe", tracks, rows=rows, start_s=starts[0], person=everybody, search=fold_of)
+
+    def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
+        cut = day.windows(
+            side,
+            track[person],
+            start_s=start_s[person],
+            length_s=length_s,
+            person=person,
+            search=fold_of[person],
+        )
+        # Put where somebody, anybody, once was.
+        sizes = np.diff(cut.offsets)
+        middle_m = np.add.reduceat(cut.xy, cut.offsets[:-1]) / sizes[:, None]
+        draws = [draft.rng("place", side, source[one]).random() for one in person]
+        there_m = day.tracks.xy[(np.array(draws) * day.tracks.t.size).astype(np.int64)]
+        return replace(cut, xy=cut.xy + np.repeat(there_m - middle_m, sizes, axis=0))
+
     # In an order of its own, lest a place in the list tell who is who.
     order = draft.rng("order").permutation(rows.size)
-    probe = elsewhere(draft, "probe", tracks, probe, source)
-    gallery = cut(
-        "gallery",
-        later,
-        rows=rows_later[order],
-        start_s=starts[1][order],
-        person=order,
-        search=fold_of[order],
-    )
-    gallery = elsewhere(draft, "gallery", later, gallery, source)
-    learns, calibrates = roles(
-        group, may_teach=np.stack([fold_of == 1, fold_of == 0]), rng=draft.rng("roles")
-    )
-    return Sessions(
-        task=draft.task,
-        source=source,
+    return draft.sessions(
+        rows,
         group=group,
-        alone=alone(tracks, rows) & alone(later, rows_later),
-        moving=~(
-            summarise(tracks).frozen.to_numpy()[rows]
-            | summarise(later).frozen.to_numpy()[rows_later]
-        ),
-        probe=probe,
-        gallery=gallery,
+        may_teach=np.stack([fold_of == 1, fold_of == 0]),
+        probe=windows("probe", draft, rows, starts[:, 0], np.arange(rows.size)),
+        gallery=windows("gallery", later, rows_later, starts[:, 1], order),
         mate=np.argsort(order),
         fold=np.arange(N_FOLDS),
         searches=("half 1", "half 2"),
-        learns=learns,
-        calibrates=calibrates,
-        too_short=len(tracks) - n_long,
-        not_drawn=n_long - rows.size,
+        too_short=len(tracks) - long.size,
+        not_drawn=long.size - rows.size,
     )

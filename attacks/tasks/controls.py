@@ -9,7 +9,6 @@ away by a side door, and what an attack achieves there is no measure of anything
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
@@ -55,47 +54,34 @@ class Control:
         return self.in_scene if task.shows_scene and self.in_scene is not None else self.score
 
 
-def _random(probe: Release, gallery: Release, rng: Generator) -> Floats:
-    return rng.standard_normal((len(probe), len(gallery)))
+def _alike(features: Callable[[Release], Floats]) -> Score:
+    """Return what scores minus the distance of features, each scaled by its spread.
+
+    `features` takes a release to those of its tracks, (N,) or (N, F).
+    """
+
+    def score(probe: Release, gallery: Release, rng: Generator) -> Floats:
+        del rng
+        first, second = (features(one).reshape(len(one), -1) for one in (probe, gallery))
+        spread = np.concatenate([first, second]).std(axis=0)
+        gap = (first[:, None, :] - second[None, :, :]) / np.where(spread > 0, spread, 1.0)
+        closeness: Floats = -np.sqrt((gap**2).sum(axis=2))
+        return closeness
+
+    return score
 
 
-def _duration(release: Release) -> Floats:
-    return release.t[release.offsets[1:] - 1] - _starts(release)
-
-
-def _sample_count(release: Release) -> Floats:
-    return np.diff(release.offsets).astype(np.float64)
+def _means(values: Floats, release: Release) -> Floats:
+    """Return the mean of each track's values, (N,) or (N, 2)."""
+    total = np.add.reduceat(values, release.offsets[:-1])
+    means: Floats = (total.T / np.diff(release.offsets)).T
+    return means
 
 
 def _sampling_times(release: Release) -> Floats:
-    step_s = intervals_before(t=release.t, offsets=release.offsets)
-    starts = release.offsets[:-1]
-    return np.column_stack(
-        [
-            _means(step_s, release),
-            _means(step_s**2, release),
-            np.minimum.reduceat(step_s, starts),
-            np.maximum.reduceat(step_s, starts),
-        ]
-    )
-
-
-def _over_neighbours(release: Release) -> Floats:
-    """Return each track's noise level less the mean of its nearest few, (N, 1), of one release.
-
-    Where the true frame shows, so does the place, and noise grows with the distance from the base
-    station: that is no shortcut but the place once more.
-    """
-    level = _noise(release)
-    few = min(_NEIGHBOURS, len(release) - 1)
-    # Of levels that are all alike only rounding would be left, which goes by the place.
-    if few == 0 or np.ptp(level) < _NO_SIGMA_M:
-        return np.zeros_like(level)
-    middle_m = _middles(release)
-    nearest: Ints = np.asarray(cKDTree(middle_m).query(middle_m, k=few + 1)[1])
-    # The first is the track itself, or somebody in the very same place.
-    over: Floats = level - level[nearest[:, 1:], 0].mean(axis=1)[:, None]
-    return over
+    step_s, starts = intervals_before(t=release.t, offsets=release.offsets), release.offsets[:-1]
+    extremes = (each.reduceat(step_s, starts) for each in (np.minimum, np.maximum))
+    return np.column_stack([_means(step_s, release), _means(step_s**2, release), *extremes])
 
 
 def _noise(release: Release) -> Floats:
@@ -109,84 +95,67 @@ def _noise(release: Release) -> Floats:
     return _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)[:, None]
 
 
+def _over_neighbours(release: Release) -> Floats:
+    """Return each track's noise level less the mean of its nearest few, (N, 1), of one release.
+
+    Where the true frame shows, so does the place, and noise grows with the distance from the base
+    station: that is no shortcut but the place once more.
+    """
+    level = _noise(release)
+    few = min(_NEIGHBOURS, len(release) - 1)
+    # Of levels that are all alike only rounding would be left, which goes by the place.
+    if few == 0 or np.ptp(level) < _NO_SIGMA_M:
+        return np.zeros_like(level)
+    middle_m = _means(release.xy, release)
+    nearest: Ints = np.asarray(cKDTree(middle_m).query(middle_m, k=few + 1)[1])
+    # The first is the track itself, or somebody in the very same place.
+    over: Floats = level - level[nearest[:, 1:], 0].mean(axis=1)[:, None]
+    return over
+
+
 def _frame(release: Release) -> Floats:
-    early, late = _half_means(release)
+    """Return where each track lies and where it heads: from its first half to its second."""
+    first, sizes = release.offsets[:-1], np.diff(release.offsets)[:, None]
+    total = np.add.reduceat(release.xy, first)
+    halves = np.column_stack([first, first + sizes[:, 0] // 2]).ravel()
+    late = np.add.reduceat(release.xy, halves)[1::2]
+    # A track of one sample has no first half: it stands where it is.
+    early = np.where(sizes > 1, total - late, total) / np.maximum(sizes // 2, 1)
+    late /= sizes - sizes // 2
     way = late - early
     length_m = np.hypot(way[:, 0], way[:, 1])[:, None]
     heading = np.divide(way, length_m, out=np.zeros_like(way), where=length_m > 0)
     return np.column_stack([(early + late) / 2.0, heading])
 
 
-def _starts(release: Release) -> Floats:
-    return release.t[release.offsets[:-1]]
-
-
-def _alike(
-    probe: Release, gallery: Release, rng: Generator, *, of: Callable[[Release], Floats]
-) -> Floats:
-    """Return minus the distance of features, (P, G), each scaled by its spread.
-
-    `of` takes a release to the features of its tracks, (N,) or (N, F).
-    """
-    del rng
-    first, second = (of(one).reshape(len(one), -1) for one in (probe, gallery))
-    spread = np.concatenate([first, second]).std(axis=0)
-    scale = np.where(spread > 0, spread, 1.0)
-    gap = (first[:, None, :] - second[None, :, :]) / scale
-    closeness: Floats = -np.sqrt((gap**2).sum(axis=2))
-    return closeness
-
-
-def _by(features: Callable[[Release], Floats]) -> Score:
-    return partial(_alike, of=features)
-
-
 CONTROLS: Final[Mapping[str, Control]] = {
-    "random": Control("random scores", _random, is_audit=False),
+    "random": Control(
+        "random scores",
+        lambda probe, gallery, rng: rng.standard_normal((len(probe), len(gallery))),
+        is_audit=False,
+    ),
     "shuffled": Control("an attack's scores with shuffled mates", None, is_audit=False),
-    "duration": Control("how long a release lasts", _by(_duration), sees_times_only=True),
-    "sample_count": Control("how many samples it has", _by(_sample_count), sees_times_only=True),
+    "duration": Control(
+        "how long a release lasts",
+        _alike(lambda one: one.t[one.offsets[1:] - 1] - one.t[one.offsets[:-1]]),
+        sees_times_only=True,
+    ),
+    "sample_count": Control(
+        "how many samples it has", _alike(lambda one: np.diff(one.offsets)), sees_times_only=True
+    ),
     "sampling_times": Control(
-        "how its sampling steps vary", _by(_sampling_times), sees_times_only=True
+        "how its sampling steps vary", _alike(_sampling_times), sees_times_only=True
     ),
     "noise_level": Control(
         "the standard deviations declared with it",
-        _by(_noise),
-        in_scene=_by(_over_neighbours),
+        _alike(_noise),
+        in_scene=_alike(_over_neighbours),
     ),
-    "frame": Control("where it lies and heads in its frame", _by(_frame), hides_in_scene=True),
+    "frame": Control("where it lies and heads in its frame", _alike(_frame), hides_in_scene=True),
     "clock": Control(
         "when it starts on its clock",
-        _by(_starts),
+        _alike(lambda one: one.t[one.offsets[:-1]]),
         hides_in_scene=True,
         sees_times_only=True,
     ),
 }
-
-
-def _means(values: Floats, release: Release) -> Floats:
-    """Return the mean of each track's values, (N,)."""
-    means: Floats = np.add.reduceat(values, release.offsets[:-1]) / np.diff(release.offsets)
-    return means
-
-
-def _middles(release: Release) -> Floats:
-    """Return the mean position of each track, (N, 2) m."""
-    sizes = np.diff(release.offsets)[:, None]
-    middle: Floats = np.add.reduceat(release.xy, release.offsets[:-1]) / sizes
-    return middle
-
-
-def _half_means(release: Release) -> tuple[Floats, Floats]:
-    """Return the mean position of each track's first and of its second half, (N, 2) m each."""
-    sizes = np.diff(release.offsets)
-    middle = release.offsets[:-1] + sizes // 2
-    total = np.add.reduceat(release.xy, release.offsets[:-1])
-    late = np.add.reduceat(release.xy, np.column_stack([middle, release.offsets[1:]]).ravel()[:-1])[
-        ::2
-    ]
-    n_late = sizes - sizes // 2
-    # A track of one sample has no first half: it stands where it is.
-    n_early = np.maximum(sizes // 2, 1)
-    early = np.where((sizes > 1)[:, None], total - late, total)
-    return early / n_early[:, None], late / n_late[:, None]

@@ -1,4 +1,8 @@
-"""The two releases of a linkage task, still true: windows of walks, and who is who in them."""
+"""The two releases of a linkage task, still true, and who may learn from whom.
+
+Windows of walks, and who is who in them. Walking groups stay whole, whoever is attacked, teaches
+the adversary or calibrates it.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from isac_track.types import read_only
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.random import Generator
+
     from attacks.tasks.task_list import Task
     from isac_track.types import Bools, Floats, Ints
 
 N_FOLDS = 2
+CALIBRATING_SHARE = 1 / 3
+"""Of the people to learn from, who are kept apart for the calibration of scores."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,19 +84,53 @@ class Sessions:
     def __post_init__(self) -> None:
         for name in ("alone", "moving", "mate", "fold", "learns", "calibrates"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
-        _assert_apart(self)
+        # Nobody is attacked by who learnt from them or from their group.
+        cluster = np.unique(self.group, return_inverse=True)[1]
+        for fold in range(N_FOLDS):
+            teaches = cluster[self.learns[fold] | self.calibrates[fold]]
+            for side in (self.probe, self.gallery):
+                attacked = side.person[self.fold[side.search] == fold]
+                if np.intersect1d(cluster[attacked], teaches).size:
+                    raise AssertionError("a victim's group is among the training people")
+        learnt, known = (cluster[each.any(axis=0)] for each in (self.learns, self.calibrates))
+        if np.intersect1d(learnt, known).size:
+            raise AssertionError("scores are calibrated on people who were learnt from")
 
 
-def _assert_apart(sessions: Sessions) -> None:
-    """Assert that nobody is attacked by who learnt from them or from their group."""
-    cluster = np.unique(sessions.group, return_inverse=True)[1]
-    for fold in range(N_FOLDS):
-        teaches = sessions.learns[fold] | sessions.calibrates[fold]
-        for side in (sessions.probe, sessions.gallery):
-            attacked = side.person[sessions.fold[side.search] == fold]
-            if np.intersect1d(cluster[attacked], cluster[teaches]).size:
-                raise AssertionError("a victim's group is among the training people")
-    if np.intersect1d(
-        cluster[sessions.learns.any(axis=0)], cluster[sessions.calibrates.any(axis=0)]
-    ).size:
-        raise AssertionError("scores are calibrated on people who were learnt from")
+def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
+    """Return the cluster of each person: who shares a group in either session, or over others.
+
+    Each is called by the first name, in alphabetical order, of its groups in the first session.
+    """
+    names, one = np.unique(first, return_inverse=True)
+    names_later, other = np.unique(second, return_inverse=True)
+    size = names.size + names_later.size
+    people = coo_array((np.ones(one.size), (one, names.size + other)), shape=(size, size))
+    component = connected_components(people, directed=False)[1][: names.size]
+    first_name = names[np.unique(component, return_index=True)[1]]
+    return tuple(first_name[component[one]].tolist())
+
+
+def halves(group: tuple[str, ...], *, rng: Generator) -> Ints:
+    """Return the half of each person, (K,) 0 or 1: groups stay whole, halves are of like size."""
+    names, cluster, sizes = np.unique(group, return_inverse=True, return_counts=True)
+    half = np.empty(names.size, dtype=np.int64)
+    count = [0, 0]
+    # Large groups first, each to the smaller half.
+    drawn = rng.permutation(names.size)
+    for name in drawn[np.argsort(-sizes[drawn], kind="stable")]:
+        half[name] = int(count[1] < count[0])
+        count[half[name]] += sizes[name]
+    return half[cluster]
+
+
+def roles(group: tuple[str, ...], *, may_teach: Bools, rng: Generator) -> tuple[Bools, Bools]:
+    """Return who is learnt from and who calibrates, (2, K) each: groups stay whole."""
+    cluster = np.unique(group, return_inverse=True)[1]
+    calibrates = np.zeros_like(may_teach)
+    for fold, teachers in enumerate(may_teach):
+        clusters = rng.permutation(np.unique(cluster[teachers]))
+        # One at least, where there is another one to learn from.
+        few = min(max(round(CALIBRATING_SHARE * clusters.size), 1), clusters.size - 1)
+        calibrates[fold] = teachers & np.isin(cluster, clusters[: max(few, 0)])
+    return may_teach & ~calibrates, calibrates

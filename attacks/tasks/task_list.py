@@ -1,13 +1,8 @@
 """Which linkage tasks there are, and what each tells an adversary about frame and clock.
 
-Every task shows walks twice, before and after the pseudonyms change: as probe and as gallery.
-
-- ``rerelease``: one walk, sensed and shared twice. The walk itself is duplicated: an upper bound.
-- ``split``: two windows of one walk that do not touch. Nothing but behaviour is shared.
-- ``handover-1s``, ``-2s``, ``-5s``: all pseudonyms of the live recording rotate at one instant,
-  after a silent gap, in the true frame and on the true clock. Who left has no mate, who is new is
-  a candidate all the same.
-- ``new_traversal``: the same person walks again another day. Simulated: nobody recorded that.
+Every task shows walks twice, before and after the pseudonyms change: as probe and as gallery. In a
+handover those of the live recording rotate at one instant, in the true frame and on the true clock:
+who left has no mate, who is new is a candidate all the same. In the others everybody is in both.
 """
 
 from __future__ import annotations
@@ -31,7 +26,7 @@ class Task:
     name: str
     about: str
     maker: str
-    """``module:function`` that makes its sessions from an `attacks.tasks.draft.Draft`."""
+    """``module:function`` that makes its sessions from an `attacks.tasks.build.Draft`."""
     shows_scene: bool = False
     """Whether the releases come in the true frame and on the true clock."""
     gap_s: float = 0.0
@@ -49,15 +44,14 @@ class Task:
         """What every adversary is granted."""
         from isac_track.types import Knowledge  # noqa: PLC0415 - a list of names needs no numpy
 
-        return frozenset({Knowledge.SCENE}) if self.shows_scene else frozenset()
+        return frozenset({Knowledge.SCENE} if self.shows_scene else ())
 
     @property
     def nobody(self) -> frozenset[Knowledge]:
         """What no adversary is granted: it would turn the task into another one."""
         from isac_track.types import Knowledge  # noqa: PLC0415 - as above
 
-        withheld = {Knowledge.REPEATS, Knowledge.SCENE}
-        return frozenset(withheld - self.everyone)
+        return frozenset({Knowledge.REPEATS, Knowledge.SCENE}) - self.everyone
 
 
 TASKS: Final[Mapping[str, Task]] = {

@@ -1,6 +1,7 @@
 """Features of walks whose features are known, and a metric that learns what lasts."""
 
 import numpy as np
+import pytest
 from helpers.walks import Person, context, release_of
 
 from attacks.linkage.behaviour import FEATURES, Behaviour, features, learnt_metric
@@ -52,27 +53,21 @@ def test_sway_shows_in_its_band():
 
 
 def test_noise_hides_the_sway():
-    noisy = features(release_of([line(1.2, sway_m=0.05, noise_m=1.0, seed=k) for k in range(20)]))
-    quiet = features(release_of([line(1.2, noise_m=1.0, seed=k + 50) for k in range(20)]))
-    assert np.abs(noisy[:, -4:]).max() < 0.2
-    assert np.abs(quiet[:, -4:]).max() < 0.2
+    for sway_m, first in ((0.05, 0), (0.0, 50)):
+        walks = [line(1.2, sway_m=sway_m, noise_m=1.0, seed=first + k) for k in range(20)]
+        assert np.abs(features(release_of(walks))[:, -4:]).max() < 0.2
 
 
 def crowd(n, *, seed):
     """Two days of people who turn as is their habit and hurry as it happens."""
     rng = stream(seed, "test", "crowd")
     habit = np.exp(rng.uniform(np.log(0.02), np.log(1.0), n))
-    days = [
-        release_of(
-            [
-                Person(rng, turn_rad_s=turn, speed_m_s=rng.uniform(0.8, 1.6)).seen(
-                    rng, start_s=0.0, length_s=12.0
-                )
-                for turn in habit
-            ]
-        )
-        for _ in range(2)
-    ]
+
+    def walk(turn):
+        person = Person(rng, turn_rad_s=turn, speed_m_s=rng.uniform(0.8, 1.6))
+        return person.seen(rng, start_s=0.0, length_s=12.0)
+
+    days = [release_of([walk(turn) for turn in habit]) for _ in range(2)]
     return (*days, np.arange(n))
 
 
@@ -84,18 +79,22 @@ def test_it_learns_what_lasts():
     assert learnt < blind - 0.2
 
 
-def test_the_metric_is_a_metric():
-    train = LinkageTrainingSet(*crowd(30, seed=3))
-    for shrinkage in (0.0, 0.7, 1.0):
-        metric = learnt_metric(train, shrinkage=shrinkage)
-        assert np.allclose(metric, metric.T)
-        assert np.linalg.eigvalsh(metric).min() > -1e-6 * np.abs(metric).max()
+def metric_of(n, *, seed, shrinkage):
+    """A learnt metric, and the features of either day that it was learnt from."""
+    probe, gallery, mate = crowd(n, seed=seed)
+    train = LinkageTrainingSet(probe, gallery, mate)
+    return learnt_metric(train, shrinkage=shrinkage), features(probe), features(gallery)
+
+
+@pytest.mark.parametrize("shrinkage", [0.0, 0.7, 1.0])
+def test_the_metric_is_a_metric(shrinkage):
+    metric, _, _ = metric_of(30, seed=3, shrinkage=shrinkage)
+    assert np.allclose(metric, metric.T)
+    assert np.linalg.eigvalsh(metric).min() > -1e-6 * np.abs(metric).max()
 
 
 def test_shrunk_to_the_diagonal_it_is_the_formula():
-    probe, gallery, mate = crowd(60, seed=4)
-    metric = learnt_metric(LinkageTrainingSet(probe, gallery, mate), shrinkage=1.0)
-    a, b = features(probe), features(gallery)
+    metric, a, b = metric_of(60, seed=4, shrinkage=1.0)
     within = ((a - b) ** 2).mean(axis=0)
     total = 2.0 * np.concatenate([a, b]).var(axis=0)
     varies = within > 0.02**2
@@ -105,7 +104,6 @@ def test_shrunk_to_the_diagonal_it_is_the_formula():
 
 
 def test_unshrunk_it_sees_how_features_go_together():
-    probe, gallery, mate = crowd(60, seed=4)
-    metric = learnt_metric(LinkageTrainingSet(probe, gallery, mate), shrinkage=0.0)
+    metric, _, _ = metric_of(60, seed=4, shrinkage=0.0)
     pair = NAMES.index("mean speed"), NAMES.index("median speed")
     assert abs(metric[pair]) > 0.1 * np.sqrt(metric[pair[0], pair[0]] * metric[pair[1], pair[1]])

@@ -6,6 +6,7 @@ from dtaidistance import dtw_ndim
 from helpers.walks import context, hits, two_releases
 
 from attacks.linkage.dtw import DTW, warped_costs
+from attacks.linkage.signals import Signals
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 
@@ -29,18 +30,21 @@ def plain(a, b, *, band, psi, penalty):
     return min(best[n, m - psi :].min(), best[n - psi :, m].min())
 
 
-def costs_of(probe, gallery, *counts, floor=0.01, **settings):
-    """Of (P, K, 2) and (G, K, 2) signals."""
-    signals = (one.transpose(2, 0, 1) for one in (probe, gallery))
-    return warped_costs(*signals, *counts, floor=floor, **settings)
+def costs_of(probe, gallery, sizes_p, sizes_g, **settings):
+    """Of (P, K, 2) and (G, K, 2) profiles of which every second cell is compared."""
+    signals = (
+        Signals(np.repeat(each.transpose(2, 0, 1), 2, axis=2), 2 * sizes)
+        for each, sizes in ((probe, sizes_p), (gallery, sizes_g))
+    )
+    return warped_costs(*signals, floor=0.01, **settings)
 
 
-def cost_by_hand(a, b, *, band, penalty, floor):
+def cost_by_hand(a, b, *, band, penalty):
     shorter, longer = sorted((len(a), len(b)))
     reach = round(band * longer)
     psi = min(reach, (shorter - 1) // 2)
     square = plain(a, b, band=reach, psi=psi, penalty=penalty)
-    return (square / shorter + floor) * (24 / shorter) ** 3
+    return (square / shorter + 0.01) * (24 / shorter) ** 3
 
 
 @pytest.mark.parametrize("penalty", [1e-9, 0.3])
@@ -52,9 +56,7 @@ def test_it_is_a_plain_dynamic_programme(band, penalty):
     costs = costs_of(probe, gallery, sizes_p, sizes_g, band=band, penalty=penalty)
     for i, n in enumerate(sizes_p):
         for j, m in enumerate(sizes_g):
-            slow = cost_by_hand(
-                probe[i, :n], gallery[j, :m], band=band, penalty=penalty, floor=0.01
-            )
+            slow = cost_by_hand(probe[i, :n], gallery[j, :m], band=band, penalty=penalty)
             assert costs[i, j] == pytest.approx(slow, rel=1e-9), (n, m)
 
 

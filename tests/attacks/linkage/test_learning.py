@@ -4,17 +4,38 @@ import numpy as np
 import pytest
 from helpers.walks import context, moved, odd_release, two_releases
 
-from attacks.linkage.learning import (
-    MARGIN,
-    chosen,
-    few_mates,
-    learn,
-    learn_motion,
-    log_rank,
-    tracks_of,
-)
-from attacks.linkage.signals import motions
+from attacks.linkage.learning import MARGIN, learn, log_rank
 from isac_track.protocols import LinkageTrainingSet
+
+N = 12
+TRAIN = LinkageTrainingSet(*two_releases(N))
+
+
+def ranked(n_ahead):
+    """Scores in which so many people, 0 to N - 1, come before each mate of TRAIN or of a few."""
+
+    def of(mate):
+        scores = np.zeros((mate.size, mate.size))
+        for row, own in enumerate(mate):
+            scores[row, np.delete(np.arange(mate.size), own)[:n_ahead]] = 1.0
+            scores[row, own] = 0.5
+        return scores
+
+    return of
+
+
+def learnt(options, n_ahead, *, train=TRAIN):
+    """What is learnt where a choice has so many people ahead, and what was asked for."""
+    asked = []
+
+    def scores(known):
+        def score(*choice):
+            asked.append(choice)
+            return ranked(n_ahead(*choice))(known.mate)
+
+        return score
+
+    return learn(context(train), options, scores=scores), asked
 
 
 def test_log_rank_by_hand():
@@ -23,66 +44,59 @@ def test_log_rank_by_hand():
     assert log_rank(scores, mate=mate) == pytest.approx(np.log([1.0, 1.5, 3.0]).mean())
 
 
-def test_only_a_gain_moves_from_the_default():
-    assert chosen([1.0, 1.0 - MARGIN / 2, 2.0]) == 0
-    assert chosen([1.0, 1.0 - 2 * MARGIN, 0.5]) == 2
-    assert chosen([1.0, 1.5]) == 0
-
-
 def test_learning_takes_one_parameter_after_the_other():
-    asked = []
-
-    def loss(choice):
-        asked.append(choice)
-        return abs(choice[0] - 5.0) + abs(choice[1] - 2.0)
-
-    assert learn(((1.0, 4.0, 9.0), (7.0,), (3.0, 8.0)), loss=lambda c: loss(c[::2])) == (4, 7, 3)
+    found, asked = learnt(
+        ((1, 4, 9), (7,), (3, 8)), lambda a, b, c: abs(a - 5) + abs(c - 7) + b - 7
+    )
+    assert found == (4, 7, 8)
     # What was found for the first is not asked for again.
-    assert asked == [(1.0, 3.0), (4.0, 3.0), (9.0, 3.0), (4.0, 8.0)]
+    assert asked == [(1, 7, 3), (4, 7, 3), (9, 7, 3), (4, 7, 8)]
 
 
-def test_learning_keeps_a_default_that_is_as_good():
-    assert learn(((1.0, 2.0), (3.0, 4.0)), loss=lambda choice: 1.0 - sum(choice) / 1e4) == (1, 3)
-    assert learn(((1.0,), (3.0,)), loss=lambda _: pytest.fail("nothing to choose")) == (1, 3)
+@pytest.mark.parametrize(("share", "found"), [(0.5, 1), (2.0, 2)])
+def test_only_a_gain_of_the_margin_moves_from_the_default(share, found):
+    # One mate of ROWS has one person less before it: a gain of log 2 / rows.
+    rows = int(np.log(2) / (share * MARGIN))
+    train = LinkageTrainingSet(*two_releases(rows))
+
+    def scores(known):
+        default = ranked(1)(known.mate)
+        better = default.copy()
+        better[0] = ranked(0)(known.mate)[0]
+        return {1: default, 2: better}.__getitem__
+
+    assert learn(context(train), ((1, 2),), scores=scores) == (found,)
+
+
+def test_without_a_choice_or_a_teacher_nothing_is_asked():
+    few = LinkageTrainingSet(TRAIN.probe, TRAIN.gallery, np.where(np.arange(N) < 7, TRAIN.mate, -1))
+    for options, train in ((((1,), (3,)), TRAIN), (((1, 2), (3, 4)), None), (((1, 2), (3,)), few)):
+        assert learnt(options, lambda *_: pytest.fail("nothing to choose"), train=train) == (
+            (1, 3),
+            [],
+        )
 
 
 def test_few_mates_are_the_mates():
-    probe, gallery, mate = two_releases(12)
-    known = np.where(np.arange(12) % 2 == 0, mate, -1)
-    few = few_mates(LinkageTrainingSet(probe, gallery, known), most=4)
-    assert few.probe.pseudonym == tuple(probe.pseudonym[row] for row in (0, 2, 4, 6))
-    assert few.gallery.pseudonym == tuple(gallery.pseudonym[mate[row]] for row in (0, 2, 4, 6))
+    train, taught = LinkageTrainingSet(*two_releases(24)), []
+    known = np.where(np.arange(24) % 2 == 0, train.mate, -1)
+    train = LinkageTrainingSet(train.probe, train.gallery, known)
+
+    def scores(few):
+        taught.append(few)
+        return lambda _: ranked(1)(few.mate)
+
+    learn(context(train), ((1, 2),), scores=scores, most=4)
+    (few,), rows = taught, [0, 2, 4, 6]
+    assert few.probe.pseudonym == tuple(train.probe.pseudonym[row] for row in rows)
+    assert few.gallery.pseudonym == tuple(train.gallery.pseudonym[known[row]] for row in rows)
     assert few.mate.tolist() == [0, 1, 2, 3]
 
 
-def test_tracks_of_a_release():
+def test_some_tracks_of_a_release():
     release = moved(odd_release(0))
-    some = tracks_of(release, np.array([5, 0, 9]))
+    some = release.tracks([5, 0, 9])
     for row, source in enumerate((5, 0, 9)):
         assert np.array_equal(some[row].xy, release[source].xy)
         assert np.array_equal(some[row].t, release[source].t)
     assert some.pseudonym == tuple(release.pseudonym[row] for row in (5, 0, 9))
-
-
-def test_motion_is_learnt_from_pairs_of_mates_and_blind_it_is_the_default():
-    probe, gallery, mate = two_releases(12, noise_m=1.0)
-    train = LinkageTrainingSet(probe, gallery, mate)
-    few, asked = few_mates(train, most=9), []
-
-    def score(a, b, other):
-        factor = next(
-            factor
-            for factor in (1.0, 2.0)
-            if all(
-                np.array_equal(each.turn, motions(release, factors=(factor,))[0].turn)
-                for each, release in ((a, few.probe), (b, few.gallery))
-            )
-        )
-        asked.append((factor, other))
-        return np.eye(9) if (factor, other) == (2.0, 4.0) else np.zeros((9, 9))
-
-    options = ((1.0, 2.0), (4.0, 3.0))
-    assert learn_motion(context(), options, most=9, score=score) == (1.0, 4.0)
-    assert not asked
-    assert learn_motion(context(train), options, most=9, score=score) == (2.0, 4.0)
-    assert asked == [(1.0, 4.0), (2.0, 4.0), (2.0, 3.0)]

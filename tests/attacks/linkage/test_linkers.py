@@ -8,7 +8,7 @@ from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
-from attacks.linkage.learning import LEAST_MATES, log_rank, tracks_of
+from attacks.linkage.learning import LEAST_MATES, log_rank
 from attacks.linkage.profile import Profile
 from attacks.linkage.shape import Shape
 from isac_track.protocols import LinkageTrainingSet
@@ -63,10 +63,10 @@ def test_a_pair_is_scored_for_itself(attack):
     score = fitted(attack)
     scores = score(probe, gallery)
     for row in (0, 1, 5, 13):
-        one = score(tracks_of(probe, np.array([row])), gallery)
+        one = score(probe.tracks([row]), gallery)
         assert np.allclose(one[0], scores[row], rtol=1e-6, atol=1e-6)
     for column in (0, 2, 8):
-        one = score(probe, tracks_of(gallery, np.array([column])))
+        one = score(probe, gallery.tracks([column]))
         assert one.shape == (14, 1)
         assert np.allclose(one[:, 0], scores[:, column], rtol=1e-6, atol=1e-6)
 

@@ -1,17 +1,22 @@
-"""The common grid, and motion on it."""
+"""The common grid, motion on it, and the search for the best lag against brute force."""
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from helpers.walks import odd_release, release_of, two_releases
+from scipy.optimize import minimize_scalar
 
 from attacks.linkage.signals import (
+    EXPONENT,
+    FULL_CELLS,
+    LEAST_OVERLAP,
     LONGEST_S,
     STEP_S,
     WIDTHS_S,
+    Signals,
+    aligned_costs,
     motion,
-    motions,
     on_grid,
     product,
     widths_s,
@@ -30,10 +35,10 @@ def test_a_straight_walk_is_straight_on_the_grid():
     t = np.cumsum(stream(0, "test", "line").uniform(1 / 16, 1 / 8, 100))
     walks = on_grid(release_of([(t, np.stack([1.2 * t, -0.5 * t], axis=1))]))
     lasts_s = t[-1] - t[0]
-    assert walks.count[0] == int(lasts_s / STEP_S)
-    middle_s = (lasts_s - walks.count[0] * STEP_S) / 2 + STEP_S * (np.arange(walks.count[0]) + 0.5)
+    assert walks.sizes[0] == int(lasts_s / STEP_S)
+    middle_s = (lasts_s - walks.sizes[0] * STEP_S) / 2 + STEP_S * (np.arange(walks.sizes[0]) + 0.5)
     # A line's mean over a cell is its value in the middle.
-    assert np.allclose(walks.z[0], (1.2 - 0.5j) * middle_s, atol=1e-9)
+    assert np.allclose(walks.values[:, 0], np.outer([1.2, -0.5], middle_s), atol=1e-9)
 
 
 def test_a_cell_is_the_mean_of_the_line_through_the_samples():
@@ -42,9 +47,9 @@ def test_a_cell_is_the_mean_of_the_line_through_the_samples():
     for row, (lo, hi) in enumerate(pairwise(release.offsets)):
         t, xy = release.t[lo:hi] - release.t[lo], release.xy[lo:hi] - release.xy[lo]
         cells = max(int(min(t[-1], LONGEST_S) / STEP_S + 1e-6), 1)
-        assert walks.count[row] == cells
+        assert walks.sizes[row] == cells
         if t.size < 2:
-            assert np.allclose(walks.z[row, 0], 0)
+            assert np.allclose(walks.values[:, row, 0], 0)
             continue
         start_s = max((min(t[-1], LONGEST_S) - cells * STEP_S) / 2, 0)
         for cell in range(cells):
@@ -52,41 +57,31 @@ def test_a_cell_is_the_mean_of_the_line_through_the_samples():
             corners = np.concatenate([[low], t[(t > low) & (t < high)], [high]])
             values = np.interp(corners, t, xy[:, 0])
             mean = np.trapezoid(values, corners) / (high - low)
-            assert walks.z[row, cell].real == pytest.approx(mean, abs=1e-5)
+            assert walks.values[0, row, cell] == pytest.approx(mean, abs=1e-5)
 
 
 def test_the_longest_walk_is_cut():
     t = np.arange(0.0, 200.0, 0.5)
-    assert on_grid(release_of([(t, np.zeros((t.size, 2)))])).count[0] == LONGEST_S / STEP_S
+    assert on_grid(release_of([(t, np.zeros((t.size, 2)))])).sizes[0] == LONGEST_S / STEP_S
 
 
 @pytest.mark.parametrize(("radius_m", "rad_s"), [(3.0, 0.4), (3.0, -0.4), (8.0, 0.15)])
 def test_motion_on_a_circle(radius_m, rad_s):
     walks = on_grid(release_of([circle(radius_m, rad_s)]))
-    going = motion(walks, width_s=np.array([0.5]))
-    inside = slice(3, int(walks.count[0]) - 3)
-    assert np.allclose(going.speed[0, inside], radius_m * abs(rad_s), rtol=0.05)
+    speed, turn = motion(walks, width_s=np.array([0.5])).values[:, 0]
+    inside = slice(3, int(walks.sizes[0]) - 3)
+    assert np.allclose(speed[inside], radius_m * abs(rad_s), rtol=0.05)
     damped = 1 / (1 + (0.4 / (radius_m * rad_s)) ** 2)
-    assert np.allclose(going.turn[0, inside], rad_s * damped, rtol=0.15)
+    assert np.allclose(turn[inside], rad_s * damped, rtol=0.15)
 
 
 def test_noise_asks_for_width():
     probe, _, _ = two_releases(6, noise_m=0.0)
     noisy, _, _ = two_releases(6, noise_m=1.0)
-    assert np.array_equal(widths_s(probe), np.full((1, 6), WIDTHS_S[0]))
-    usual, half = widths_s(noisy, factors=(1.0, 0.5))
+    assert np.array_equal(widths_s(probe), np.full(6, WIDTHS_S[0]))
+    usual, half = (widths_s(noisy, factor) for factor in (1.0, 0.5))
     assert (usual > 2.0).all()
     assert (half < usual).all()
-
-
-def test_motions_of_several_factors_are_those_of_each():
-    release = odd_release(1)
-    several = motions(release, factors=(1.0, 2.0))
-    for each, width_s in zip(several, widths_s(release, factors=(1.0, 2.0)), strict=True):
-        alone = motion(on_grid(release), width_s=width_s)
-        assert np.array_equal(each.speed, alone.speed)
-        assert np.array_equal(each.turn, alone.turn)
-    assert not np.array_equal(several[0].speed, several[1].speed)
 
 
 @pytest.mark.parametrize("shape", [(700, 50, 60), (3, 600, 900), (5, 1, 2), (0, 4, 4)])
@@ -96,3 +91,52 @@ def test_a_product_in_pieces_is_the_product(shape):
     a, b = rng.normal(size=(n, k)), rng.normal(size=(k, m))
     assert np.allclose(product(a, b), a @ b)
     assert np.allclose(product(a, b.T.copy().T), a @ b)
+
+
+def slow_cost(a, b, *, floor, rank, reach, rotated):
+    """One pair, lag by lag; the rotation by search."""
+    least = min(LEAST_OVERLAP, a.size, b.size)
+    best = np.inf
+    for start_a in range(a.size):
+        for start_b in range(b.size) if start_a == 0 else (0,):
+            m = min(a.size - start_a, b.size - start_b)
+            lag = start_a - start_b
+            allowed = -reach - max(b.size - a.size, 0) <= lag <= reach + max(a.size - b.size, 0)
+            if m < least or not allowed:
+                continue
+            x, y = a[start_a : start_a + m], b[start_b : start_b + m]
+            if rotated:
+                x, y = x - x.mean(), y - y.mean()
+            degree = min(rank if rotated else rank - 1, m - 1)
+            fit = np.polynomial.legendre.legvander(np.linspace(-1, 1, m), degree)
+            x, y = (fit @ np.linalg.lstsq(fit, each, rcond=None)[0] for each in (x, y))
+
+            def misfit(angle, x=x, y=y):
+                return float((np.abs(x - np.exp(1j * angle) * y) ** 2).mean())
+
+            d = misfit(0.0)
+            if rotated:
+                angles = np.linspace(-np.pi, np.pi, 25)
+                start = angles[np.argmin([misfit(angle) for angle in angles])]
+                near = {"bounds": (start - 0.3, start + 0.3), "method": "bounded"}
+                d = minimize_scalar(misfit, **near, options={"xatol": 1e-9}).fun
+            best = min(best, (d + floor) * (FULL_CELLS / m) ** EXPONENT)
+    return best
+
+
+@pytest.mark.parametrize("rotated", [True, False])
+def test_the_best_lag_by_brute_force(rotated):
+    rng = stream(0, "test", "lags")
+    sizes_p, sizes_g = np.array([20, 14, 20, 3, 1]), np.array([20, 9, 26])
+    steps = [rng.normal(size=(n, 26)) + 1j * rng.normal(size=(n, 26)) for n in (5, 3)]
+    z_p, z_g = (np.cumsum(step, axis=1) for step in steps)
+    settings = {"rank": 4, "rotated": rotated}
+    probe, gallery = (
+        Signals(np.stack([z.real, z.imag]), sizes) for z, sizes in ((z_p, sizes_p), (z_g, sizes_g))
+    )
+    costs = aligned_costs(probe, gallery, floors=(0.01, 1.0), reach_s=7 * STEP_S, **settings)
+    assert costs.shape == (2, 5, 3)
+    for (e, i, j), cost in np.ndenumerate(costs):
+        a, b = z_p[i, : sizes_p[i]], z_g[j, : sizes_g[j]]
+        slow = slow_cost(a, b, floor=(0.01, 1.0)[e], reach=7, **settings)
+        assert cost == pytest.approx(slow, rel=1e-6)

@@ -21,31 +21,27 @@ def averaged(first, *repeats, granted=(SCENE, REPEATS)):
 
 
 def test_without_sigma_it_is_the_plain_mean():
-    found = averaged(
-        one_walk([[0.0, 3.0], [1.0, 1.0]]),
-        one_walk([[3.0, 3.0], [1.0, 4.0]]),
-        one_walk([[6.0, 0.0], [1.0, 7.0]]),
-    )
-    assert found.xy.tolist() == [[3.0, 2.0], [1.0, 4.0]]
+    walks = ([[0, 3], [1, 1]], [[3, 3], [1, 4]], [[6, 0], [1, 7]])
+    assert averaged(*map(one_walk, walks)).xy.tolist() == [[3.0, 2.0], [1.0, 4.0]]
 
 
-def test_with_sigma_each_sample_is_weighed_by_its_own_variance():
-    # 1 and 1/2 m: weights 1 and 4, fifths. 2 and 1 m: the same the other way round.
-    found = averaged(
-        one_walk([[0.0, 10.0], [5.0, 0.0]], sigma=np.array([1.0, 1.0])),
-        one_walk([[5.0, 0.0], [0.0, 5.0]], sigma=np.array([0.5, 2.0])),
-        granted=(SCENE, REPEATS, SIGMA),
-    )
-    assert found.xy == pytest.approx(np.array([[4.0, 2.0], [4.0, 1.0]]))
-
-
-def test_a_sample_declared_exact_decides():
-    found = averaged(
-        one_walk([[1.0, 1.0]], sigma=np.array([0.0])),
-        one_walk([[9.0, 9.0]], sigma=np.array([0.5])),
-        granted=(SCENE, REPEATS, SIGMA),
-    )
-    assert found.xy == pytest.approx(np.ones((1, 2)), abs=1e-9)
+@pytest.mark.parametrize(
+    ("first", "again", "expected"),
+    [
+        # 1 and 1/2 m: weights 1 and 4, fifths. 2 and 1 m: the same the other way round.
+        (
+            ([[0, 10], [5, 0]], [1.0, 1.0]),
+            ([[5, 0], [0, 5]], [0.5, 2.0]),
+            [[4.0, 2.0], [4.0, 1.0]],
+        ),
+        (([[1, 1]], [0.0]), ([[9, 9]], [0.5]), [[1.0, 1.0]]),
+    ],
+    ids=["weighed by its own variance", "declared exact"],
+)
+def test_with_sigma_each_sample_has_its_weight(first, again, expected):
+    walks = (one_walk(xy, sigma=np.array(sigma)) for xy, sigma in (first, again))
+    found = averaged(*walks, granted=(SCENE, REPEATS, SIGMA))
+    assert found.xy == pytest.approx(np.array(expected), abs=1e-9)
 
 
 def test_without_repeats_it_cannot_run():

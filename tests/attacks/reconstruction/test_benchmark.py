@@ -15,7 +15,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import kernel_oracles as oracle
 from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS
@@ -132,22 +131,6 @@ def test_the_smoother_that_is_told_all_attains_it(granted):
     ratio = np.sqrt(np.mean((found.xy - truth) ** 2) / expected.mean())
     assert ratio == pytest.approx(1.0, abs=0.02)
     np.testing.assert_allclose(found.std**2, expected, rtol=0.02)
-
-
-def test_the_posterior_covariance_is_the_dense_one():
-    truth, t, offsets, std = walks()
-    variance = posterior()
-    row = np.diff(offsets).argmin()
-    lo, hi = offsets[row : row + 2]
-    _, cov, _ = oracle.joint_posterior(
-        t=t[lo:hi],
-        xy=truth[lo:hi],
-        variance=std[lo:hi] ** 2,
-        q=Q,
-        mean=np.stack([truth[lo], np.zeros(2)], axis=1),
-        cov=np.diag(PRIOR_STD) ** 2,
-    )
-    np.testing.assert_allclose(variance[lo:hi], cov[:, 0, 0], rtol=1e-6)
 
 
 def test_the_walks_are_of_the_model():

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 from helpers.walks import context, flat_release, smooth_walks
 
-from attacks.reconstruction import (
-    gaussian_process,
-    imm_rts,
-    kalman_rts,
-    moving_average,
-    radial_rts,
-    savgol,
-)
-from attacks.reconstruction.learning import choose, exposure_loss
+from attacks.reconstruction.gaussian_process import GaussianProcess
+from attacks.reconstruction.imm_rts import ImmRTS
+from attacks.reconstruction.kalman_rts import KalmanRTS
+from attacks.reconstruction.learning import around, choose, exposure_loss
+from attacks.reconstruction.moving_average import MovingAverage
+from attacks.reconstruction.radial_rts import RadialRTS
+from attacks.reconstruction.savgol import Savgol
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 
@@ -61,60 +59,47 @@ def test_of_equals_the_first():
 
 def test_the_distance_that_leaks_is_what_counts():
     # One hopeless person against all: a mean square would take the compromise.
-    train = training()
-
     def reconstruct(candidate, release):
-        xy = release.xy - [1.0, 0.0]
-        if candidate == "exact but for one":
-            xy[3] += 100.0
-        else:
-            xy += 1.0
-        return xy
+        off = np.ones_like(release.xy) if candidate == "compromise" else np.zeros_like(release.xy)
+        off[3] += 100.0 * (candidate != "compromise")
+        return release.xy - [1.0, 0.0] + off
 
-    candidates = ("compromise", "exact but for one")
     found = choose(
-        context(train, epsilon_m=EPSILON_M),
+        context(training(), epsilon_m=EPSILON_M),
         default=None,
-        candidates=candidates,
+        candidates=("compromise", "exact but for one"),
         reconstruct=reconstruct,
     )
     assert found == "exact but for one"
 
 
-class TestExposureLoss:
-    def test_by_hand(self):
-        # Squares 0, 0.25, 1 of the first person: 0, 1/2, 4/5; 4 of the second: 16/17.
-        gap = np.array([[0.0, 0.0], [0.3, 0.4], [0.0, -1.0], [2.0, 0.0]])
-        truth = stream(0, "test", "loss").normal(0, 1, (4, 2))
-        loss = exposure_loss(
-            xy=truth + gap, truth=truth, offsets=np.array([0, 3, 4]), epsilon_m=EPSILON_M
-        )
-        assert loss == pytest.approx(((0 + 1 / 2 + 4 / 5) / 3 + 16 / 17) / 2)
+def test_the_loss_by_hand():
+    # Squares 0, 0.25, 1 of the first person: 0, 1/2, 4/5; 4 of the second: 16/17.
+    gap = np.array([[0.0, 0.0], [0.3, 0.4], [0.0, -1.0], [2.0, 0.0]])
+    truth = stream(0, "test", "loss").normal(0, 1, (4, 2))
+    offsets = np.array([0, 3, 4])
+    loss = exposure_loss(xy=truth + gap, truth=truth, offsets=offsets, epsilon_m=EPSILON_M)
+    assert loss == pytest.approx(((0 + 1 / 2 + 4 / 5) / 3 + 16 / 17) / 2)
 
 
-LEARNERS = {  # class, candidates, what they are candidates for, and whether more of it smooths more
-    "moving_average": (moving_average.MovingAverage, moving_average, ("width_s",), True),
-    "savgol": (savgol.Savgol, savgol, ("width_s",), True),
-    "kalman_rts": (kalman_rts.KalmanRTS, kalman_rts, ("q",), False),
-    "radial_rts": (radial_rts.RadialRTS, radial_rts, ("q",), False),
-    "imm_rts": (imm_rts.ImmRTS, imm_rts, ("q", "q_turn"), False),
-    "gaussian_process": (
-        gaussian_process.GaussianProcess,
-        gaussian_process,
-        ("length_s", "scale_m"),
+LEARNERS = {  # what is learnt, as a keyword for each candidate, and whether more smooths more
+    MovingAverage: ([{"width_s": one} for one in around(2.8, factor=2.0)], True),
+    Savgol: ([{"width_s": one} for one in around(6.5, factor=2.0)], True),
+    KalmanRTS: ([{"q": one} for one in around(0.04, factor=4.0)], False),
+    RadialRTS: ([{"q": one} for one in around(0.04, factor=4.0)], False),
+    ImmRTS: ([{"q": 0.03 * by, "q_turn": 0.12 * by} for by in (1 / 4, 1.0, 4.0)], False),
+    GaussianProcess: (
+        [{"length_s": 12.0, "scale_m": one} for one in around(2.5, factor=2.0)],
         False,
     ),
 }
 
 
-@pytest.mark.parametrize("name", LEARNERS)
-def test_training_chooses_for_the_walk_and_the_blind_take_the_default(name):
-    attack, module, fields, smooths = LEARNERS[name]
+@pytest.mark.parametrize("attack", LEARNERS)
+def test_training_chooses_for_the_walk_and_the_blind_take_the_default(attack):
+    candidates, smooths = LEARNERS[attack]
     probe, _ = smooth_walks(400)
-    by_choice = [
-        attack(**dict(zip(fields, np.atleast_1d(choice).tolist(), strict=True)))
-        for choice in module.CANDIDATES
-    ]
+    by_choice = [attack(**one) for one in candidates]
 
     def place(fitted):
         """Which candidate gives the very same result."""
@@ -138,36 +123,35 @@ def test_training_chooses_for_the_walk_and_the_blind_take_the_default(name):
     assert place(attack().fit(context())) == 1
 
 
+NOT_POSITIVE = (0.0, -1.0, np.nan, np.inf)
+
+
 @pytest.mark.parametrize(
-    ("name", "parameters", "message"),
+    ("attack", "parameters", "message"),
     [
         *(
-            (name, {"width_s": width_s}, "width_s must be positive")
-            for name in ("moving_average", "savgol")
-            for width_s in (0.0, -1.0, np.nan, np.inf)
+            (attack, {name: value}, f"{name} must be positive")
+            for attack, name in (
+                *((MovingAverage, "width_s"), (Savgol, "width_s"), (KalmanRTS, "q")),
+                *((RadialRTS, "q"), (ImmRTS, "walk_s"), (ImmRTS, "turn_s")),
+            )
+            for value in NOT_POSITIVE
         ),
+        (RadialRTS, {"passes": 0}, "passes must be at least 1"),
         *(
-            (name, {"q": q}, "q must be positive")
-            for name in ("kalman_rts", "radial_rts")
-            for q in (0.0, -1.0, np.nan, np.inf)
+            (RadialRTS, {"anneal": one}, r"anneal must lie in \[0, 1\)")
+            for one in (1, -0.1, np.nan)
         ),
-        ("radial_rts", {"passes": 0}, "passes must be at least 1"),
-        *(
-            ("radial_rts", {"anneal": anneal}, r"anneal must lie in \[0, 1\)")
-            for anneal in (1.0, -0.1, np.nan)
-        ),
-        ("imm_rts", {"q": 0.1}, "both q and q_turn"),
-        ("imm_rts", {"q": 0.0, "q_turn": 0.1}, "q must be positive"),
-        ("imm_rts", {"q": 0.1, "q_turn": np.nan}, "q_turn must be positive"),
-        ("imm_rts", {"walk_s": -1.0}, "walk_s must be positive"),
-        ("imm_rts", {"turn_s": np.inf}, "turn_s must be positive"),
-        ("gaussian_process", {"length_s": 1.0}, "both length_s and scale_m"),
-        ("gaussian_process", {"length_s": 0.0, "scale_m": 1.0}, "length_s must be positive"),
-        ("gaussian_process", {"length_s": 1.0, "scale_m": np.nan}, "scale_m must be positive"),
-        ("gaussian_process", {"smoothness": "rbf"}, "smoothness must be one of"),
-        ("gaussian_process", {"engine": "gpy"}, "engine must be one of"),
+        (ImmRTS, {"q": 0.1}, "both q and q_turn"),
+        (ImmRTS, {"q": 0.0, "q_turn": 0.1}, "q must be positive"),
+        (ImmRTS, {"q": 0.1, "q_turn": np.nan}, "q_turn must be positive"),
+        (GaussianProcess, {"length_s": 1.0}, "both length_s and scale_m"),
+        (GaussianProcess, {"length_s": 0.0, "scale_m": 1.0}, "length_s must be positive"),
+        (GaussianProcess, {"length_s": 1.0, "scale_m": np.nan}, "scale_m must be positive"),
+        (GaussianProcess, {"smoothness": "rbf"}, "smoothness must be one of"),
+        (GaussianProcess, {"engine": "gpy"}, "engine must be one of"),
     ],
 )
-def test_impossible_parameters_are_refused(name, parameters, message):
+def test_impossible_parameters_are_refused(attack, parameters, message):
     with pytest.raises(ValueError, match=message):
-        LEARNERS[name][0](**parameters)
+        attack(**parameters)

@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from helpers.walks import context, smooth_walks
 
-from attacks.reconstruction.moving_average import MovingAverage, centred_means
-from attacks.reconstruction.windows import REFERENCE_STD_M, half_windows, mean_intervals_s
-from isac_track.noise import innovation_variance_m2
+from attacks.reconstruction.learning import learn_variance
+from attacks.reconstruction.moving_average import (
+    REFERENCE_STD_M,
+    MovingAverage,
+    centred_means,
+    half_windows,
+)
 from isac_track.rng import stream
 
 
@@ -32,7 +36,7 @@ def test_it_is_the_loop(far_m):
 
 def test_the_whole_attack_is_the_loop():
     release, _ = smooth_walks(60, 3, 2, 1, 150)
-    half = half_windows(release, width_s=1.5, bias_order=2)
+    half = half_windows(release, learn_variance(context())(release), width_s=1.5, bias_order=2)
     ours = MovingAverage(width_s=1.5).fit(context())(release)
     assert np.allclose(ours.xy, by_loop(release.xy, release.offsets, half), atol=1e-9)
 
@@ -40,11 +44,12 @@ def test_the_whole_attack_is_the_loop():
 @pytest.mark.parametrize(("bias_order", "exponent"), [(2, 2 / 5), (4, 2 / 9)])
 def test_the_window_follows_its_law(bias_order, exponent):
     release, _ = smooth_walks(400, 600, 80)
-    half = half_windows(release, width_s=2.0, bias_order=bias_order)
-    noise = np.sqrt(innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets))
-    wanted_s = 2.0 * (noise / REFERENCE_STD_M) ** exponent
-    got_s = (2 * half + 1) * mean_intervals_s(release)
-    assert (np.abs(got_s - wanted_s) <= mean_intervals_s(release) * (1 + 1e-9)).all()
+    variance = learn_variance(context())(release)
+    half = half_windows(release, variance, width_s=2.0, bias_order=bias_order)
+    first, last = release.offsets[:-1], release.offsets[1:] - 1
+    interval_s = (release.t[last] - release.t[first]) / (last - first)
+    wanted_s = 2.0 * (np.sqrt(variance[first]) / REFERENCE_STD_M) ** exponent
+    assert (np.abs((2 * half + 1) * interval_s - wanted_s) <= interval_s * (1 + 1e-9)).all()
 
 
 def test_the_best_window_grows_by_the_two_fifths_power():

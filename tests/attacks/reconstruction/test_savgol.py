@@ -8,8 +8,9 @@ import pytest
 from helpers.walks import context, release_of, smooth_walks
 from scipy.signal import savgol_filter
 
+from attacks.reconstruction.learning import learn_variance
+from attacks.reconstruction.moving_average import half_windows
 from attacks.reconstruction.savgol import Savgol, parabolas
-from attacks.reconstruction.windows import half_windows
 from isac_track.rng import stream
 
 
@@ -38,7 +39,8 @@ def test_it_is_scipy(width_s, lengths):
     # Scattered levels of noise, so that there are windows of many lengths.
     scale = np.repeat(np.linspace(0.1, 3.0, len(sizes)), sizes)[:, None]
     release = replace(release, xy=release.xy * scale)
-    half = half_windows(release, width_s=width_s, bias_order=4)
+    variance = learn_variance(context())(release)
+    half = half_windows(release, variance, width_s=width_s, bias_order=4)
     half = np.minimum(np.maximum(half, 2), (np.array(sizes) - 1) // 2)
     assert len(set(half.tolist())) >= lengths
     ours = Savgol(width_s=width_s).fit(context())(release)

@@ -3,13 +3,17 @@
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.strategies import reproducible
 from helpers.walks import release_of
+from hypothesis import given
+from hypothesis import strategies as st
 
-from attacks.tasks.build import build
-from attacks.tasks.draft import LEAST_PEOPLE
+from attacks.tasks.build import LEAST_PEOPLE, sessions_of
+from attacks.tasks.sessions import joined
 from attacks.tasks.task_list import TASKS, task_named
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
@@ -38,33 +42,31 @@ def crowd(*, n=60, groups=(3, 2, 2), session=0):
 
 
 def tracks_of(walks, *, source, group):
-    release = release_of(walks)
-    return Tracks(
-        t=release.t,
-        xy=release.xy,
-        offsets=release.offsets,
-        source=tuple(source),
-        group=tuple(group),
-    )
+    flat = release_of(walks)
+    return Tracks(flat.t, flat.xy, flat.offsets, source=tuple(source), group=tuple(group))
 
 
 @cache
 def sessions(name, *, tracks=None, stages=STAGES, seed=0):
     tracks = tracks if tracks is not None else crowd()
     later = crowd(session=1, groups=(2, 2)) if TASKS[name].simulated else None
-    return build(TASKS[name], tracks=tracks, later=later, settings=stages, seed=seed)
+    return sessions_of(TASKS[name], tracks=tracks, stages=stages, seed=seed, later=later)
 
 
 def spans(windows):
     return windows.t[windows.offsets[:-1]], windows.t[windows.offsets[1:] - 1]
 
 
+def both_sides(found):
+    return found.probe, found.gallery
+
+
 def without(tracks, row):
     stay = [place for place in range(len(tracks)) if place != row]
     return tracks_of(
         [(tracks[place].t, tracks[place].xy) for place in stay],
-        source=[tracks.source[place] for place in stay],
-        group=[tracks.group[place] for place in stay],
+        source=np.array(tracks.source)[stay].tolist(),
+        group=np.array(tracks.group)[stay].tolist(),
     )
 
 
@@ -105,128 +107,105 @@ def test_windows_are_stretches_of_the_walk_at_instants_of_their_own(name):
         assert np.abs(apart).max() < 0.1
 
 
-class TestRerelease:
-    def test_everybody_long_enough_has_two_windows_of_one_length(self):
-        tracks = crowd()
-        found = sessions("rerelease", tracks=tracks)
-        lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
-        assert len(found.source) == (lasts >= WINDOW_S - 1e-9).sum()
-        assert found.too_short == (lasts < WINDOW_S - 1e-9).sum()
-        for side in (found.probe, found.gallery):
-            starts, ends = spans(side)
-            # The last instant lies within one step of the end.
-            assert (ends - starts <= WINDOW_S + 1e-9).all()
-            assert (ends - starts > WINDOW_S - 1 / 8 - 1e-9).all()
-
-    def test_the_windows_of_a_walk_start_apart_but_mostly_overlap(self):
-        found = sessions("rerelease")
-        apart = np.abs(spans(found.probe)[0] - spans(found.gallery)[0][found.mate])
-        assert (apart <= STAGES.linkage.rerelease_shift_s).all()
-        assert apart.max() > 2.0
-        assert (apart > 0).mean() > 0.8  # a track of just 12 s has no room to shift
-
-    def test_the_place_in_the_list_does_not_tell_who_is_who(self):
-        found = sessions("rerelease")
-        assert (found.mate == np.arange(found.mate.size)).mean() < 0.2
+def test_a_rerelease_is_two_windows_of_one_length_that_mostly_overlap_of_everybody():
+    tracks = crowd()
+    found = sessions("rerelease", tracks=tracks)
+    lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
+    assert len(found.source) == (lasts >= WINDOW_S - 1e-9).sum()
+    assert found.too_short == (lasts < WINDOW_S - 1e-9).sum()
+    for starts, ends in map(spans, both_sides(found)):
+        # The last instant lies within one step of the end.
+        assert (ends - starts <= WINDOW_S + 1e-9).all()
+        assert (ends - starts > WINDOW_S - 1 / 8 - 1e-9).all()
+    apart = np.abs(spans(found.probe)[0] - spans(found.gallery)[0][found.mate])
+    assert (apart <= STAGES.linkage.rerelease_shift_s).all()
+    assert apart.max() > 2.0
+    assert (apart > 0).mean() > 0.8  # a track of just 12 s has no room to shift
+    # The place in the list does not tell who is who.
+    assert (found.mate == np.arange(found.mate.size)).mean() < 0.2
 
 
-class TestSplit:
-    def test_the_halves_are_of_one_length_and_do_not_touch(self):
-        found = sessions("split")
-        (_, first_end), (second_start, _) = spans(found.probe), spans(found.gallery)
-        gap = second_start[found.mate] - first_end
-        assert (gap >= STAGES.linkage.split_gap_s - 1e-9).all()
-        assert gap.max() > 5.0
-        for side in (found.probe, found.gallery):
-            starts, ends = spans(side)
-            assert np.ptp(ends - starts) < 1 / 8 + 1e-9
-            assert (ends - starts <= STAGES.linkage.split_window_s + 1e-9).all()
+def test_the_halves_of_a_split_are_of_one_length_and_do_not_touch():
+    found = sessions("split")
+    (_, first_end), (second_start, _) = map(spans, both_sides(found))
+    gap = second_start[found.mate] - first_end
+    assert (gap >= STAGES.linkage.split_gap_s - 1e-9).all()
+    assert gap.max() > 5.0
+    for starts, ends in map(spans, both_sides(found)):
+        assert np.ptp(ends - starts) < 1 / 8 + 1e-9
+        assert (ends - starts <= STAGES.linkage.split_window_s + 1e-9).all()
 
 
 @pytest.mark.parametrize("name", HANDOVERS)
-class TestHandover:
-    def test_everyone_who_is_there_is_a_candidate(self, name):
-        tracks = crowd()
-        found = sessions(name, tracks=tracks)
-        gap_s, least_s = TASKS[name].gap_s, STAGES.linkage.handover_least_s
-        start, end = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
-        for number, label in enumerate(found.searches):
-            at = float(label.removesuffix(" s"))
-            before = {
-                tracks.source[row]
-                for row in np.flatnonzero((start <= at - least_s) & (end >= at - 1e-9))
-            }
-            after = {
-                tracks.source[row]
-                for row in np.flatnonzero(
-                    (start <= at + gap_s) & (end >= at + gap_s + least_s - 1e-9)
-                )
-            }
-            for side, expected in ((found.probe, before), (found.gallery, after)):
-                seen = [found.source[one] for one in side.person[side.search == number]]
-                # Labels are rounded: allow for those on the very edge.
-                assert len(expected ^ set(seen)) <= 1
-                assert len(set(seen)) == len(seen)
-
-    def test_pseudonyms_rotate_at_one_instant_after_a_silent_gap(self, name):
-        found = sessions(name)
-        for number in range(len(found.searches)):
-            _, ends = spans(found.probe)
-            starts, _ = spans(found.gallery)
-            last = ends[found.probe.search == number].max()
-            first = starts[found.gallery.search == number].min()
-            assert first - last >= TASKS[name].gap_s - 1e-9
-            assert first - last < TASKS[name].gap_s + 1 / 8
-
-    def test_some_have_left_and_some_are_new(self, name):
-        found = sessions(name)
-        assert (found.mate < 0).any()
-        assert np.setdiff1d(np.arange(len(found.gallery)), found.mate).size
+def test_in_a_handover_everyone_who_is_there_is_a_candidate_before_or_after_a_silent_gap(name):
+    tracks = crowd()
+    found = sessions(name, tracks=tracks)
+    gap_s, least_s = TASKS[name].gap_s, STAGES.linkage.handover_least_s
+    start, end = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
+    (_, ends), (starts, _) = map(spans, both_sides(found))
+    for number, label in enumerate(found.searches):
+        at = float(label.removesuffix(" s"))
+        before = (start <= at - least_s) & (end >= at - 1e-9)
+        after = (start <= at + gap_s) & (end >= at + gap_s + least_s - 1e-9)
+        for side, there in ((found.probe, before), (found.gallery, after)):
+            seen = [found.source[one] for one in side.person[side.search == number]]
+            # Labels are rounded: allow for those on the very edge.
+            assert len(set(np.array(tracks.source)[there]) ^ set(seen)) <= 1
+            assert len(set(seen)) == len(seen)
+        silence_s = starts[found.gallery.search == number].min()
+        silence_s -= ends[found.probe.search == number].max()
+        assert gap_s - 1e-9 <= silence_s < gap_s + 1 / 8
+    # Some have left and some are new.
+    assert (found.mate < 0).any()
+    assert np.setdiff1d(np.arange(len(found.gallery)), found.mate).size
 
 
-class TestNewTraversal:
-    def test_company_of_either_day_is_one_cluster(self):
-        found = sessions("new_traversal")
-        first, later = crowd(), crowd(session=1, groups=(2, 2))
-        group = dict(zip(found.source, found.group, strict=True))
-        for tracks in (first, later):
-            for one, other in zip(tracks.source, tracks.source[1:], strict=False):
-                company = dict(zip(tracks.source, tracks.group, strict=True))
-                if {one, other} <= group.keys() and company[one] == company[other]:
-                    assert group[one] == group[other]
+def test_company_of_either_day_is_one_cluster():
+    found = sessions("new_traversal")
+    group = dict(zip(found.source, found.group, strict=True))
+    for tracks in (crowd(), crowd(session=1, groups=(2, 2))):
+        company = dict(zip(tracks.source, tracks.group, strict=True))
+        for one, other in pairwise(tracks.source):
+            if {one, other} <= group.keys() and company[one] == company[other]:
+                assert group[one] == group[other]
 
-    def test_no_more_people_than_asked_for(self):
-        fewer = STAGES.changed({"linkage.most_people": 30})
-        found = sessions("new_traversal", stages=fewer)
-        assert len(found.source) == 30
+
+def test_no_more_people_than_asked_for():
+    fewer = STAGES.changed({"linkage.most_people": 30})
+    assert len(sessions("new_traversal", stages=fewer).source) == 30
 
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
-class TestRoles:
-    def test_nobody_is_attacked_by_who_learnt_from_them_or_their_company(self, name):
-        found = sessions(name)
-        for fold in (0, 1):
-            attacked = set()
-            for side in (found.probe, found.gallery):
-                attacked |= set(side.person[found.fold[side.search] == fold].tolist())
-            taught = np.flatnonzero(found.learns[fold] | found.calibrates[fold])
-            assert taught.size
-            groups = {found.group[one] for one in attacked}
-            assert not any(found.group[one] in groups for one in taught)
+def test_nobody_is_attacked_or_calibrated_by_who_learnt_from_them_or_their_company(name):
+    found = sessions(name)
+    group = np.array(found.group)
+    for fold in (0, 1):
+        attacked = {
+            who
+            for side in both_sides(found)
+            for who in group[side.person[found.fold[side.search] == fold]]
+        }
+        learnt, known = set(group[found.learns[fold]]), set(group[found.calibrates[fold]])
+        assert learnt
+        assert known
+        assert not attacked & (learnt | known)
+        assert not learnt & known
+    with pytest.raises(AssertionError, match="among the training people"):
+        replace(found, learns=np.ones_like(found.learns))
 
-    def test_scores_are_calibrated_on_people_who_were_not_learnt_from(self, name):
-        found = sessions(name)
-        for fold in (0, 1):
-            learnt = {found.group[one] for one in np.flatnonzero(found.learns[fold])}
-            known = {found.group[one] for one in np.flatnonzero(found.calibrates[fold])}
-            assert learnt
-            assert known
-            assert not learnt & known
 
-    def test_who_breaks_that_is_stopped(self, name):
-        found = sessions(name)
-        with pytest.raises(AssertionError, match="among the training people"):
-            replace(found, learns=np.ones_like(found.learns), calibrates=found.calibrates)
+def by_person(found):
+    """Of either side the instants of each window, by whose it is and, of a handover, when."""
+    closed = found.task.name in CLOSED
+    return [
+        {
+            (found.source[who], "" if closed else found.searches[number]): tuple(one)
+            for who, number, one in zip(
+                side.person, side.search, np.split(side.t, side.offsets[1:-1]), strict=True
+            )
+        }
+        for side in both_sides(found)
+    ]
 
 
 @pytest.mark.parametrize("name", ["rerelease", "split", "handover-2s"])
@@ -236,39 +215,19 @@ def test_leaving_one_person_out_changes_no_other_window(name):
     # Somebody in the middle of the recording, so that the instants of handovers stay.
     lost = next(
         row
-        for row, source in enumerate(tracks.source)
-        if source in whole.source
-        and tracks.group[row].startswith("alone")
-        and 20 < tracks.t[tracks.offsets[row]] < 60
+        for row, (source, group) in enumerate(zip(tracks.source, tracks.group, strict=True))
+        if source in whole.source and group[:5] == "alone" and 20 < tracks[row].t[0] < 60
     )
     part = sessions(name, tracks=without(tracks, lost))
 
-    def by_person(found, side):
-        windows = getattr(found, side)
-        closed = name in CLOSED
-        return {
-            (found.source[who], "" if closed else found.searches[number]): tuple(windows.t[lo:hi])
-            for who, number, lo, hi in zip(
-                windows.person,
-                windows.search,
-                windows.offsets[:-1],
-                windows.offsets[1:],
-                strict=True,
-            )
-        }
-
-    for side in ("probe", "gallery"):
-        before, after = by_person(whole, side), by_person(part, side)
+    for before, after in zip(by_person(whole), by_person(part), strict=True):
         gone = {key for key in before if key[0] == tracks.source[lost]}
         assert gone
         if name in CLOSED:
             assert after == {key: value for key, value in before.items() if key not in gone}
         else:  # which epochs there are may change, the windows of those that stay do not
-            assert all(
-                np.allclose(value[0], before[key][0])
-                for key, value in after.items()
-                if key in before
-            )
+            stay = before.keys() & after.keys()
+            assert all(np.allclose(after[key][0], before[key][0]) for key in stay)
 
 
 @pytest.mark.parametrize(
@@ -291,25 +250,21 @@ def test_every_setting_changes_what_is_linked(setting, value, name):
     tracks = crowd(n=200)
     plain = sessions(name, tracks=tracks)
     changed = sessions(name, tracks=tracks, stages=STAGES.changed({setting: value}))
-    assert plain.probe.t.size != changed.probe.t.size or not np.array_equal(
-        plain.probe.t, changed.probe.t
-    )
+    assert not np.array_equal(plain.probe.t, changed.probe.t)
 
 
 def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
     tracks = crowd(n=400)
     found = sessions("rerelease", tracks=tracks)
-    middles = [
+    first, second = (
         np.add.reduceat(side.xy, side.offsets[:-1]) / np.diff(side.offsets)[:, None]
-        for side in (found.probe, found.gallery)
-    ]
-    at_all = tracks.xy.min(axis=0) - 1e-9, tracks.xy.max(axis=0) + 1e-9
-    for middle in middles:
-        assert (middle >= at_all[0]).all()
-        assert (middle <= at_all[1]).all()
-    for axis in (0, 1):
-        together = np.corrcoef(middles[0][:, axis], middles[1][found.mate][:, axis])[0, 1]
-        assert abs(together) < 4 / np.sqrt(found.mate.size)
+        for side in both_sides(found)
+    )
+    for middle in (first, second):
+        assert (middle >= tracks.xy.min(axis=0) - 1e-9).all()
+        assert (middle <= tracks.xy.max(axis=0) + 1e-9).all()
+    for one, other in zip(first.T, second[found.mate].T, strict=True):
+        assert abs(np.corrcoef(one, other)[0, 1]) < 4 / np.sqrt(found.mate.size)
 
 
 def test_frozen_people_and_company_are_marked():
@@ -357,7 +312,7 @@ def test_an_unknown_task_is_refused_with_what_may_be_meant(name, hint):
         task_named(name)
     unknown = replace(TASKS["split"], name=name)
     with pytest.raises(SettingsError, match="unknown task"):
-        build(unknown, tracks=crowd(), later=None, settings=STAGES, seed=0)
+        sessions_of(unknown, tracks=crowd(), stages=STAGES, seed=0)
 
 
 def test_too_small_a_draw_is_refused():
@@ -366,17 +321,7 @@ def test_too_small_a_draw_is_refused():
 
 
 def test_windows_before_the_gap_are_the_same_whatever_the_gap():
-    short, long = sessions("handover-1s"), sessions("handover-5s")
-
-    def starts(found):
-        return {
-            (found.source[who], found.searches[search]): tuple(found.probe.t[lo : lo + 3])
-            for who, search, lo in zip(
-                found.probe.person, found.probe.search, found.probe.offsets, strict=False
-            )
-        }
-
-    ours, others = starts(short), starts(long)
+    ours, others = (by_person(sessions(f"handover-{gap_s}s"))[0] for gap_s in (1, 5))
     both = ours.keys() & others.keys()
     assert both
     assert all(ours[key] == others[key] for key in both)
@@ -385,3 +330,33 @@ def test_windows_before_the_gap_are_the_same_whatever_the_gap():
 def test_other_seeds_are_other_windows():
     one, other = sessions("rerelease"), sessions("rerelease", seed=1)
     assert not np.array_equal(one.probe.t[:10], other.probe.t[:10])
+
+
+GROUP = st.sampled_from("abcdef")
+PEOPLE = st.lists(st.tuples(GROUP, GROUP), min_size=1, max_size=12)
+
+
+def reached(people, one):
+    """Brute force: whoever shares a group with somebody reached, again and again."""
+    found = {one}
+    while True:
+        more = {
+            other
+            for other, (first, second) in enumerate(people)
+            if any(first == people[known][0] or second == people[known][1] for known in found)
+        }
+        if more == found:
+            return found
+        found = more
+
+
+@reproducible
+@given(PEOPLE)
+def test_a_cluster_is_whoever_can_be_reached_over_shared_groups(people):
+    """It has the first name of its groups in the first session."""
+    cluster = joined([first for first, _ in people], [second for _, second in people])
+    for one, name in enumerate(cluster):
+        within = reached(people, one)
+        assert {k for k in range(len(people)) if cluster[k] == name} == within
+        assert type(name) is str
+        assert name == min(people[other][0] for other in within)

@@ -9,7 +9,7 @@ from helpers.runs import arrays, linked_level_of
 from helpers.walkers import walkers, write_walkers
 
 import evaluation
-from attacks.tasks.build import build
+from attacks.tasks.build import sessions_of
 from attacks.tasks.sessions import Windows
 from attacks.tasks.task_list import TASKS
 from evaluation.cells.link_setup import sensed_sessions
@@ -309,7 +309,7 @@ class TestScenes:
 @pytest.fixture(scope="module")
 def sessions():
     return {
-        task: build(TASKS[task], tracks=walkers(), later=None, settings=STAGES, seed=0)
+        task: sessions_of(TASKS[task], tracks=walkers(), stages=STAGES, seed=0)
         for task in ("rerelease", "handover-1s")
     }
 

@@ -11,7 +11,7 @@ from helpers.runs import linked_level_of
 from helpers.walkers import walkers, write_walkers
 
 import evaluation
-from attacks.tasks.build import build
+from attacks.tasks.build import sessions_of
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation import matrix
@@ -100,7 +100,7 @@ def link(linker, behind=None):
 def linked(*links, task="rerelease", mechanism="raw", tracks=None, controls=False, seed=0):
     """Outcome of every consumer by (consumer, adversary), and the sessions."""
     tracks = tracks or walkers()
-    sessions = build(TASKS[task], tracks=tracks, later=None, settings=STAGES, seed=seed)
+    sessions = sessions_of(TASKS[task], tracks=tracks, stages=STAGES, seed=seed)
     known = sensed_sessions(sessions, groups=sorted(set(tracks.group)), stages=STAGES, seed=seed)
     crossed = Axes(
         mechanisms=(), predictors=(), attacks=(), links=tuple((TASKS[task], one) for one in links)
@@ -288,7 +288,7 @@ class TestWhatIsReadOff:
     def test_who_is_in_the_scenes_too_is_drawn_alike(self):
         tracks = walkers()
         groups = sorted(set(tracks.group))[5:]
-        sessions = build(TASKS["rerelease"], tracks=tracks, later=None, settings=STAGES, seed=0)
+        sessions = sessions_of(TASKS["rerelease"], tracks=tracks, stages=STAGES, seed=0)
         known = sensed_sessions(sessions, groups=groups, stages=STAGES, seed=0)
         drawn = cluster_weights(n_clusters=len(groups), n_replicates=1000, seed=0)
         ours = sorted(set(sessions.group))
@@ -427,7 +427,7 @@ class TestBreaches:
                 )
 
         tracks = walkers()
-        sessions = build(TASKS["split"], tracks=tracks, later=None, settings=STAGES, seed=0)
+        sessions = sessions_of(TASKS["split"], tracks=tracks, stages=STAGES, seed=0)
         known = sensed_sessions(sessions, groups=(), stages=STAGES, seed=0)
         crossed = Axes((), (), (), links=((TASKS["split"], link(needs)),))
         consumers = [one for one in crossed.linkers(TASKS["split"]) if one.kind == "linkage"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.walkers import walkers
 
-from attacks.tasks.build import build
+from attacks.tasks.build import sessions_of
 from attacks.tasks.task_list import TASKS
 from evaluation.cells import work as work_module
 from evaluation.cells.sharing import release_digest, sees_release_alone
@@ -34,7 +34,7 @@ def block_of(tracks):
 
 
 def task_of(walks):
-    sessions = build(TASKS["rerelease"], tracks=walks, later=None, settings=STAGES, seed=0)
+    sessions = sessions_of(TASKS["rerelease"], tracks=walks, stages=STAGES, seed=0)
     settings = Settings(
         attacks=("shape", "histogram", "histogram@kalman_rts"), tasks=("rerelease",)
     )
