@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
+    from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
     from isac_track.types import Floats, Ints, Release
 
@@ -88,18 +89,19 @@ def declared(plugin: Plugin) -> frozenset[Knowledge]:
 
 
 def granted_at(
-    granted: frozenset[Knowledge], plugin: Plugin, *, who: str, mechanism: Plugin, has_sigma: bool
+    consumer: Consumer, plugin: Plugin, *releases: Release, who: str, mechanism: Plugin
 ) -> frozenset[Knowledge]:
-    """Return what an attack gets at a level: without SIGMA where the mechanism declares none.
+    """Return what a consumer's attack gets of releases: no SIGMA where none is declared.
 
     Raises
     ------
     PluginError
         If the attack cannot do without.
     """
-    if Knowledge.SIGMA not in granted or has_sigma:
+    granted = consumer.granted & declared(plugin)
+    if all(one.sigma is not None for one in releases):
         return granted
-    if Knowledge.SIGMA in plugin.instance.requires:
+    if Knowledge.SIGMA in granted & plugin.instance.requires:
         raise PluginError(
             f"{who} requires SIGMA, but mechanism {mechanism.spec!r} declares none; leave one of "
             "the two out"

@@ -90,21 +90,18 @@ def read_off(
     ----------
     scores : mapping
         (P, G) of every search, by its number.
-    known : SensedSessions
     calibration : mapping
         By fold; none where there is nobody to calibrate on.
     no_match : mapping
         By search: what a pair of an open gallery must score to be linked; a search that is not in
         it has no assignment. In a closed gallery everybody is linked.
-    rng : Generator
     control : Control or None
         Whose scores they are, if not an attack's.
     """
     sessions = known.sessions
     searches, probes, galleries = [], [], []
-    for number, pairing in sorted(
-        (one for half in known.halves for one in half.searches), key=lambda one: one[0]
-    ):
+    pairings = {number: one for half in known.halves for number, one in half.searches}
+    for number, pairing in sorted(pairings.items()):
         probes.append(sessions.probe.person[pairing.probe])
         galleries.append(sessions.gallery.person[pairing.gallery])
         searches.append(
@@ -137,15 +134,10 @@ def read_off(
         }
         scored = replace(scored, estimates=scored.estimates | unknown)
     cohorts = {}
-    if control is None:
-        for name, among in (
-            (WITHOUT_GROUPS, sessions.alone),
-            (WITHOUT_FROZEN, sessions.moving),
-        ):
-            left = [
-                (among[one], among[other]) for one, other in zip(probes, galleries, strict=True)
-            ]
-            cohorts[name] = _cohort(searches, left, weights=known.weights)
+    who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
+    for name, among in who.items() if control is None else ():
+        left = [(among[one], among[other]) for one, other in zip(probes, galleries, strict=True)]
+        cohorts[name] = _cohort(searches, left, weights=known.weights)
     return Linked(
         searches=tuple(searches),
         probe_person=tuple(probes),
@@ -211,15 +203,8 @@ def no_match_score(calibration: Calibration, pairing: Pairing, *, mate_rate: flo
 
     Of the matchings of P probes with G candidates the most probable one is sought, where a probe
     has a mate with probability r, anybody as likely as another. Linking one pair more then takes a
-    likelihood ratio of (1 - r) / r times the candidates that are nobody's mate, G - r P.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    pairing : Pairing
-        The search.
-    mate_rate : float
-        r, of other people.
+    likelihood ratio of (1 - r) / r times the candidates that are nobody's mate, G - r P. r is the
+    `mate_rate` of other people.
     """
     if calibration.slope <= 0.0:  # scores tell nothing: nobody is linked
         return _NEVER
@@ -277,20 +262,15 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
             [sessions.source[one] for one in people] for people in linked.gallery_person
         ]
     found = scored.estimates
+    fields = ("value", "ci_low", "ci_high", "n")
     estimates = [
-        {
-            "metric": name,
-            "value": one.value,
-            "ci_low": one.ci_low,
-            "ci_high": one.ci_high,
-            "n": one.n,
-        }
+        {"metric": name, **{field: getattr(one, field) for field in fields}}
         for name, one in found.items()
     ]
     tables = {
         ROWS: pa.table(rows),
         ESTIMATES: pa.Table.from_pylist(estimates),
-        ABOUT: pa.table({"about": [json.dumps(about, default=_plain)]}),
+        ABOUT: pa.table({"about": [json.dumps(about, default=lambda number: number.item())]}),
     }
     if not linked.is_control:
         follow = {*DERIVED, *probes.values()}
@@ -313,9 +293,3 @@ def _own_and_best(search: Search) -> Floats:
     others[has, search.mate[has]] = -np.inf
     best = others.max(axis=1)
     return np.stack([own, np.where(np.isfinite(best), best, np.nan)])
-
-
-def _plain(value: object) -> Any:  # noqa: ANN401 - numpy's numbers as Python's
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} is not JSON")

@@ -79,18 +79,11 @@ def sensed_sessions(
 ) -> SensedSessions:
     """Sense both sessions of a task and prepare its folds.
 
-    Parameters
-    ----------
-    sessions : Sessions
-    groups : sequence of str
-        Clusters of the run's scenes: who is in both is drawn alike in both.
-    stages : StageSettings
-    seed : int
+    `groups` are the clusters of the run's scenes: who is in both is drawn alike in both.
     """
-    names = sorted(set(sessions.group))
-    column = {name: place for place, name in enumerate(names)}
+    names, cluster = np.unique(sessions.group, return_inverse=True)
     known = {name: place for place, name in enumerate(groups)}
-    drawn_as = np.array([known.get(name, -1) for name in names])
+    drawn_as = np.array([known.get(name, -1) for name in names.tolist()])
     task = sessions.task
     frames = () if task.shows_scene else tuple(_frames(sessions, one, seed=seed) for one in SIDES)
     return SensedSessions(
@@ -101,7 +94,7 @@ def sensed_sessions(
         drawn_as=drawn_as,
         n_groups=len(groups),
         weights=linkage_weights(drawn_as, n_groups=len(groups), task=task.name, seed=seed),
-        cluster=np.array([column[name] for name in sessions.group], dtype=np.int64),
+        cluster=cluster,
         epsilon_m=stages.privacy.epsilon_m,
         seed=seed,
     )
@@ -144,11 +137,7 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
     Parameters
     ----------
     drawn_as : (C,) int
-        Place of each among the clusters of the run's scenes, or -1.
-    n_groups : int
-        Clusters of the run's scenes.
-    task : str
-    seed : int
+        Place of each among the `n_groups` clusters of the run's scenes, or -1.
     """
     weights = np.empty((N_REPLICATES, drawn_as.size))
     again, further = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)

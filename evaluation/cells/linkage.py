@@ -75,13 +75,7 @@ class LinkedLevel:
 
 
 def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
-    """Share both sessions of a task.
-
-    Raises
-    ------
-    PluginError
-        If the mechanism raises or breaks its contract; the message names it.
-    """
+    """Share both sessions of a task."""
     family = whole.sessions.task.family
     known, sensed, shared, seen = whole, [], [], list[Release]()
     for number, (side, network) in enumerate(zip(SIDES, whole.sensed, strict=True)):
@@ -104,20 +98,8 @@ def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
 def link(consumer: Consumer, level: LinkedLevel, controls: dict[str, Linked]) -> Linked:
     """Return what a linkage attack or control achieves at one mechanism level.
 
-    Parameters
-    ----------
-    consumer : Consumer
-    level : LinkedLevel
-    controls : dict
-        Those that are alike at every level that leaves nothing out, as far as they are known; it
-        is added to.
-
-    Raises
-    ------
-    PluginError
-        If an attack raises or breaks its contract; the message names it.
-    DataError
-        If it learns, and there is nobody to learn from.
+    `controls` holds those that are alike at every level that leaves nothing out, as far as they
+    are known; it is added to.
     """
     if consumer.kind != "control":
         return _linked(consumer, level)
@@ -195,9 +177,10 @@ def _smoothed(
     consumer: Consumer, behind: Plugin, level: LinkedLevel, fold: int
 ) -> tuple[Release, Release]:
     """Return both releases with the positions that a reconstruction attack makes of them."""
-    who = f"attack {behind.spec} (behind {consumer.label})"
+    name = f"attack {behind.spec}"
+    who = f"{name} (behind {consumer.label})"
     known, releases = level.known, (level.seen.probe, level.seen.gallery)
-    granted = _granted(consumer, behind, level)
+    granted = granted_at(consumer, behind, *level.shared, who=name, mechanism=level.mechanism)
     shown = [showing(one, granted) for one in releases]
     train, rows = None, known.halves[fold].learns.probe
     if rows.size:
@@ -228,7 +211,8 @@ def _fitted(
     """Return what a linker prepares from what it is granted."""
     assert consumer.plugin is not None
     plugin, known = consumer.plugin, level.known
-    granted = _granted(consumer, plugin, level)
+    name = f"attack {plugin.spec}"
+    granted = granted_at(consumer, plugin, *level.shared, who=name, mechanism=level.mechanism)
     learns = known.halves[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
@@ -252,17 +236,6 @@ def _fitted(
         f"attack {consumer.label}", lambda: plugin.instance.fit(context)
     )
     return attack
-
-
-def _granted(consumer: Consumer, plugin: Plugin, level: LinkedLevel) -> frozenset[Knowledge]:
-    """Return what one of a consumer's plug-ins gets at a level."""
-    return granted_at(
-        consumer.granted & declared(plugin),
-        plugin,
-        who=f"attack {plugin.spec}",
-        mechanism=level.mechanism,
-        has_sigma=all(one.sigma is not None for one in level.shared),
-    )
 
 
 def _scored(

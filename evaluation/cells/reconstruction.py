@@ -112,11 +112,10 @@ def slow_cost_s(consumers: Sequence[Consumer], *, tracks: Cut, n_levels: int) ->
     n_training = 2 * min(TRAINING_PEOPLE, len(tracks) // 2) * float(n_samples.mean())
     total_s = 0.0
     for consumer in consumers:
-        assert consumer.plugin is not None
-        said = getattr(consumer.plugin.instance, "seconds_per_sample", np.nan)
-        each_s = float(said) if isinstance(said, int | float) else np.nan
-        learns = Knowledge.TRAIN in consumer.granted
-        total_s += each_s * (n_samples.sum() + (N_CANDIDATES * n_training if learns else 0.0))
+        said = getattr(consumer.plugins[0].instance, "seconds_per_sample", None)
+        n_learnt = N_CANDIDATES * n_training if Knowledge.TRAIN in consumer.granted else 0.0
+        each_s = said if isinstance(said, int | float) else np.nan
+        total_s += each_s * (n_samples.sum() + n_learnt)
     return n_levels * total_s
 
 
@@ -129,18 +128,9 @@ def attacked_block(
     stages: StageSettings,
     seed: int,
 ) -> AttackedBlock:
-    """Prepare a block for its attacks.
+    """Prepare a block of scenes of `tracks` for its attacks.
 
-    Parameters
-    ----------
-    scenes, sensed
-        The block.
-    tracks : Cut
-        What the scenes were made of.
-    repeats : bool
-        Whether an attack is granted REPEATS.
-    stages : StageSettings
-    seed : int
+    `repeats` says whether an attack is granted REPEATS.
     """
     half_of = folds(tracks.group, seed=seed)
     half = half_of[scenes.track]
@@ -178,13 +168,7 @@ def _people(half: Ints, *, fold: int, seed: int) -> Ints:
 def attacked_level(
     mechanism: Plugin, release: Release, block: AttackedBlock, consumers: Sequence[Consumer]
 ) -> AttackedLevel:
-    """Prepare a mechanism level for its attacks; `release` is what was shared of the block.
-
-    Raises
-    ------
-    PluginError
-        If the mechanism breaks its contract, or shares other samples in a further release.
-    """
+    """Prepare a mechanism level for its attacks; `release` is what was shared of the block."""
     seed, epsilon_m = block.seed, block.stages.privacy.epsilon_m
     left = samples_shared(release, block.sensed)
     granted = frozenset[Knowledge]().union(*(consumer.granted for consumer in consumers))
@@ -237,15 +221,7 @@ def attacked_level(
 
 
 def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
-    """Return the descriptors of every attacked track, in the order of the block.
-
-    Raises
-    ------
-    PluginError
-        If the attack raises or breaks its contract; the message names it.
-    DataError
-        If there is nobody to learn from.
-    """
+    """Return the descriptors of every attacked track, in the order of the block."""
     scenes = level.scenes
     xy, attacked = np.empty_like(scenes.xy), np.zeros(scenes.track.size, dtype=bool)
     for victims, found in _attacked(consumer, level):
@@ -275,18 +251,12 @@ def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, 
     assert consumer.plugin is not None
     who = f"attack {consumer.label}"
     granted = granted_at(
-        consumer.granted,
-        consumer.plugin,
-        who=who,
-        mechanism=level.mechanism,
-        has_sigma=level.release.sigma is not None,
+        consumer, consumer.plugin, level.release, who=who, mechanism=level.mechanism
     )
-    shows = consumer.granted & SHOWS
     block = level.block
     at_once = consumer.is_built_in and not consumer.is_slow
     for fold in _FOLDS:
         mine = block.half == fold
-        training = level.training.get((fold, shows))
         parts = [mine & (block.turn == one) for one in np.unique(block.turn[mine])]
         if consumer.is_slow:
             parts = [mine & (block.turn == 0)]
@@ -298,21 +268,17 @@ def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, 
             if not victims.size:
                 continue
             if at_once:
-                own, shown, frame = level.views[fold, shows]
+                own, shown, frame = level.views[fold, consumer.granted & SHOWS]
+                given = shown
             else:
                 own = tracks_of(level.release, victims)
                 rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
                 shown, frame = view_of(own, granted=granted, rng=rng)
-                # A stranger may unlock arrays: what it writes to is its own.
-                shown = copied(shown)
-                if training is not None:
-                    training = TrainingSet(copied(training.release), training.truth.copy())
+                given = copied(shown)  # a stranger may unlock arrays: what it writes to is its own
             if attack is None or Knowledge.REPEATS in granted:
-                context = _context(
-                    consumer, level, granted=granted, victims=victims, fold=fold, train=training
-                )
+                context = _context(consumer, level, granted, fold=fold, victims=victims)
                 attack = guarded(who, partial(consumer.plugin.instance.fit, context))
-            found = reconstructed(attack, shown, who=who)
+            found = reconstructed(attack, given, who=who)
             # Only the correction is turned back: what is left alone stays as it was, bit by bit.
             yield victims, own.xy + frame.back(found - shown.xy)
 
@@ -320,13 +286,15 @@ def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, 
 def _context(
     consumer: Consumer,
     level: AttackedLevel,
-    *,
     granted: frozenset[Knowledge],
-    victims: Ints,
+    *,
     fold: int,
-    train: TrainingSet | None,
+    victims: Ints,
 ) -> AttackContext:
     """Return what an attack on some tracks of one half prepares with."""
+    train = level.training.get((fold, consumer.granted & SHOWS))
+    if train is not None and not consumer.is_built_in:
+        train = TrainingSet(copied(train.release), train.truth.copy())
     if Knowledge.TRAIN in granted and train is None:
         raise DataError(
             f"attack {consumer.spec!r} learns from other people, but all tracks belong to one "
@@ -358,22 +326,18 @@ def benchmark(
     1 - exp(-epsilon^2 / 2P). NaN for a mechanism that declares no sigma, and for one that says
     (`errors_are_independent`) that its errors depend on each other from sample to sample.
     """
-    n_samples = np.diff(release.offsets)
     independent = getattr(mechanism.instance, "errors_are_independent", True)
     if release.sigma is None or not independent:
-        return np.full(n_samples.size, np.nan), np.full(n_samples.size, np.nan)
+        return np.full(len(release), np.nan), np.full(len(release), np.nan)
     law = getattr(mechanism.instance, "law", None) or sensed.law
     shared_m2, raw_m2 = release.sigma**2, sensed.sigma_raw**2
-    # What a mechanism takes away it takes from the raw error, what it adds has its own law.
-    variance = per_axis(sensed.law) * np.minimum(shared_m2, raw_m2)
-    variance += per_axis(law) * np.maximum(shared_m2 - raw_m2, 0.0)
+    # What a mechanism takes away it takes from the raw error, what it adds has its own law; of an
+    # error of standard deviation 1 a law has so much variance per axis.
+    sensed_share, own_share = (0.5 if one == "radial" else 1.0 for one in (sensed.law, law))
+    variance = sensed_share * np.minimum(shared_m2, raw_m2)
+    variance += own_share * np.maximum(shared_m2 - raw_m2, 0.0)
     std = smooth(release, np.maximum(variance, _LEAST_VARIANCE_M2), q=BENCHMARK_Q).std
     assert std is not None
     posterior = std**2
     leaks = -np.expm1(-(epsilon_m**2) / (2.0 * posterior))
     return track_means(2.0 * posterior, release.offsets), track_means(leaks, release.offsets)
-
-
-def per_axis(law: str) -> float:
-    """Return the variance per axis of an error of standard deviation 1 under a law."""
-    return 0.5 if law == "radial" else 1.0

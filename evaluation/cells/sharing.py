@@ -100,11 +100,6 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     return replace(release, pseudonym=fresh)
 
 
-def share_block(mechanism: Plugin, sensed: Sensed, number: int, *, seed: int) -> Release:
-    """Return what a mechanism shares of a block of scenes, which is given by its number."""
-    return share(mechanism, sensed, "block", number, seed=seed)
-
-
 def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
     """Return which samples a release holds; None if it is all of them.
 

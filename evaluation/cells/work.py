@@ -22,7 +22,7 @@ from evaluation.cells.sharing import (
     restricted,
     samples_shared,
     sees_release_alone,
-    share_block,
+    share,
 )
 from evaluation.cells.tables import ROWS, rows_table
 from evaluation.cells.windows import window_tables
@@ -116,6 +116,8 @@ def cells(
     ------
     PluginError
         If a plug-in raises or breaks its contract; the message names it.
+    DataError
+        If an attack learns, and there is nobody to learn from.
     """
     if isinstance(work, LinkWork):
         yield from _linked(work, stages=stages, seed=seed)
@@ -154,7 +156,7 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
     alike: dict[tuple[bytes, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
-        release = share_block(mechanism, sensed, block.number, seed=seed)
+        release = share(mechanism, sensed, "block", block.number, seed=seed)
         digest = release_digest(release)
         known = restricted(scenes, samples_shared(release, sensed))
         level: AttackedLevel | None = None

@@ -39,7 +39,6 @@ As `python -m evaluation.calibrate --ridge` prints them (Students03, 5,000 scene
 table is in docs/reproduction.md.
 """
 _SHORT: Final = {"law": "sensing.law", "epsilon": "privacy.epsilon_m"}
-_PREDICTOR, _RECORDING = "predictor", "recording"
 _USUAL: Final = (
     *("law=isotropic", "law=fixed_direction"),
     *("epsilon=0.1", "epsilon=0.2", "epsilon=0.5", "epsilon=1"),
@@ -74,7 +73,7 @@ class Variant:
 
     def changes_nothing(self, manifest: Mapping[str, Any]) -> bool:
         """Return whether it is what a run did (`manifest` as in `manifest.json`)."""
-        flat = stages_of(manifest).flat()
+        flat = StageSettings().changed(manifest["settings"]["stages"]).flat()
         predictors = manifest["settings"]["predictors"]
         return (
             self.name != BASE
@@ -84,24 +83,10 @@ class Variant:
         )
 
 
-def stages_of(manifest: Mapping[str, Any]) -> StageSettings:
-    """Return the stage settings of a run.
-
-    Raises
-    ------
-    SettingsError
-        If it is of a version that had other settings.
-    """
-    return StageSettings().changed(manifest["settings"]["stages"])
-
-
 def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
     """Return the variants that are run where none is named, the base first.
 
-    Parameters
-    ----------
-    manifest : mapping, optional
-        Of the run: what it did itself is left out. Without it, all of them.
+    Of a run, given by its `manifest`, what it did itself is left out.
     """
     found = [Variant(BASE), *map(parse, _USUAL)]
     if manifest is None:
@@ -122,28 +107,19 @@ def chosen(
 ) -> list[Variant]:
     """Return the variants to run, each once, the base first.
 
-    Parameters
-    ----------
-    names : sequence of str, optional
-        By default those of `variants`.
-    also : sequence of str
-        STAGE.KEY=VALUE of further ones.
-    manifest : mapping, optional
-        Of the run.
+    By default they are those of `variants`; `also` names further ones by STAGE.KEY=VALUE.
 
     Raises
     ------
     IsacTrackError
         For an unknown one, or one that is what the run did.
     """
-    added = [parse(text) for text in also]
-    for text, one in zip(also, added, strict=True):
+    added = {text: parse(text) for text in also}
+    for text, one in added.items():
         if not one.stages:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
-    named = variants(manifest)
-    if names is not None:
-        named = [Variant(BASE), *map(parse, names)]
-    found = {one.name: one for one in (*named, *added)}
+    named = variants(manifest) if names is None else [Variant(BASE), *map(parse, names)]
+    found = {one.name: one for one in (*named, *added.values())}
     for one in found.values():
         if manifest is not None and one.changes_nothing(manifest):
             raise SettingsError(f"{one.name} changes nothing: it is what the run did")
@@ -195,13 +171,10 @@ def settings_of(
     jobs: int | None = None,
     trust: Sequence[str] = (),
 ) -> tuple[Settings, tuple[str, ...]]:
-    """Return the settings of a variant's run, and the tasks that are left out, each with why.
+    """Return the settings of a variant's run, and why tasks are left out of it.
 
     Parameters
     ----------
-    variant : Variant
-    manifest : mapping
-        Of the run.
     attacks : mapping
         SPECs of the attacks to run, each with its tasks; a reconstruction has the task "".
     out : Path
@@ -220,8 +193,8 @@ def settings_of(
     from attacks.tasks.task_list import TASKS  # noqa: PLC0415
 
     ran = manifest["settings"]
-    stages = stages_of(manifest).changed(variant.stages)
-    name, own = manifest["dataset"]["name"], {"format": None, "fps": None}
+    stages = StageSettings().changed(ran["stages"]).changed(variant.stages)
+    name, own = manifest["dataset"]["name"], dict[str, Any](format=None, fps=None)
     source = variant.recording or name
     if not variant.recording and name not in KNOWN:
         source = manifest["dataset"]["path"]
@@ -238,16 +211,22 @@ def settings_of(
         except DataError as error:
             too_small[task] = str(error)
     predictors = () if variant.predictor else tuple(ran["predictors"][:1])
-    _refuse_own_classes("mechanisms", ran["mechanisms"], trust=trust)
-    _refuse_own_classes("predictors", predictors, trust=trust)
-    _refuse_own_classes("attacks", attacks, trust=trust)
+    links = [one for whole in attacks for one in whole.split("@")]
+    named: dict[Kind, Iterable[str]] = {"predictors": predictors, "attacks": links}
+    named["mechanisms"] = ran["mechanisms"]
+    for kind, spec in ((kind, spec) for kind, specs in named.items() for spec in specs):
+        # Only the user's own command line decides what is imported, never a file.
+        if plugins.is_own_class(kind, spec) and spec not in trust:
+            raise SettingsError(
+                f"the run's files name {spec!r}, a class that is not built in; "
+                f"if it is yours, say so: --trust {spec}"
+            )
     run = (asked - too_small.keys()) | {""}
     return (
         Settings(
             preset=ran["preset"],
             dataset=source,
-            format=own["format"],
-            fps=own["fps"],
+            **own,
             scenes=ran["scenes"] if scenes is None else scenes,
             seed=ran["seed"],
             mechanisms=tuple(ran["mechanisms"]),
@@ -260,13 +239,3 @@ def settings_of(
         ),
         tuple(too_small.values()),
     )
-
-
-def _refuse_own_classes(kind: Kind, specs: Iterable[str], *, trust: Sequence[str]) -> None:
-    """Let only the user's own command line decide what is imported, never a file."""
-    for spec in (one for whole in specs for one in whole.split("@")):
-        if plugins.is_own_class(kind, spec) and spec not in trust:
-            raise SettingsError(
-                f"the run's files name {spec!r}, a class that is not built in; "
-                f"if it is yours, say so: --trust {spec}"
-            )

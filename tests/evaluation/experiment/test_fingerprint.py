@@ -140,7 +140,8 @@ STAGES = (SHARING, RECONSTRUCTION, "rerelease")
         ("isac_track.kalman._linear_loops", (RECONSTRUCTION, "rerelease")),
         ("isac_track.linkability._loops", ("rerelease",)),
         ("attacks.tasks.closed_set", ("rerelease",)),
-        ("evaluation.cells.link_tables", ("rerelease",)),
+        ("evaluation.cells.link_scores", ("rerelease",)),
+        ("evaluation.cells.windows", ("rerelease",)),
         ("evaluation.experiment.presets", ()),
         ("evaluation.experiment.axes", ()),
         ("isac_track.plugins", ()),
@@ -163,13 +164,13 @@ def test_a_stage_is_computed_by_what_it_imports(monkeypatch, module, stages):
 
 def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
     crossed = axes(Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape")))
-    consumers = (*crossed.consumers, *crossed.linkers(crossed.tasks[0]))
+    consumers = (*crossed.consumers, *crossed.readers(crossed.tasks[0]))
 
     def keys():
         return {
             one.label: consumer_key(
                 one,
-                code=[source_digest(name) for name in sources("", one.plugin, one.behind)],
+                code=[source_digest(name) for name in sources("", *one.plugins)],
                 keep_scores=False,
             )
             for one in consumers
