@@ -16,16 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 from evaluation.cells.tables import ROWS, names_column
+from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, ratio_estimate
-from isac_track.linkability import (
-    Calibration,
-    Scorecard,
-    Search,
-    fit_calibration,
-    rank1,
-    rank1_p,
-    scorecard,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -61,13 +53,13 @@ _NEVER = 1e300
 class Linked:
     """Outcome of one cell: raw scores, and all that is read off them."""
 
-    searches: tuple[Search, ...]
+    searches: tuple[linkability.Search, ...]
     probe_person: tuple[Ints, ...]
     """Person of each probe, search by search."""
     gallery_person: tuple[Ints, ...]
-    calibration: Mapping[int, Calibration]
+    calibration: Mapping[int, linkability.Calibration]
     """By fold."""
-    scored: Scorecard
+    scored: linkability.Scorecard
     cohorts: Mapping[str, Mapping[str, float]]
     """Rank 1 without the confounders, by who is left out; none for a control."""
     is_control: bool
@@ -79,7 +71,7 @@ def read_off(
     scores: Mapping[int, Floats],
     *,
     known: SensedSessions,
-    calibration: Mapping[int, Calibration],
+    calibration: Mapping[int, linkability.Calibration],
     no_match: Mapping[int, float],
     rng: Generator,
     control: Control | None,
@@ -105,7 +97,7 @@ def read_off(
         probes.append(sessions.probe.person[pairing.probe])
         galleries.append(sessions.gallery.person[pairing.gallery])
         searches.append(
-            Search(
+            linkability.Search(
                 scores=scores[number],
                 mate=pairing.mate,
                 probe_cluster=known.cluster[probes[-1]],
@@ -118,7 +110,7 @@ def read_off(
         needed = [no_match[number] for number in sorted(scores)]
     is_assigned = needed is not None or not sessions.task.shows_scene
     is_calibrated = {search.scale for search in searches} <= set(calibration)
-    scored = scorecard(
+    scored = linkability.scorecard(
         searches,
         weights=known.weights,
         calibration=calibration if is_calibrated else None,
@@ -151,7 +143,7 @@ def read_off(
 
 
 def _cohort(
-    searches: Sequence[Search], left: Sequence[tuple[Bools, Bools]], *, weights: Floats
+    searches: Sequence[linkability.Search], left: Sequence[tuple[Bools, Bools]], *, weights: Floats
 ) -> dict[str, float]:
     """Return rank 1 where only some people are probes and candidates."""
     hits, chances, clusters = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
@@ -162,7 +154,7 @@ def _cohort(
         place = np.cumsum(gallery) - 1
         columns = np.flatnonzero(gallery)
         scores = search.scores[has[:, None], columns]
-        hits.append(rank1(scores=scores, mate=place[search.mate[has]]))
+        hits.append(linkability.rank1(scores=scores, mate=place[search.mate[has]]))
         chances.append(np.full(has.size, 1.0 / columns.size))
         clusters.append(search.probe_cluster[has])
     hit, chance, cluster = np.concatenate(hits), np.concatenate(chances), np.concatenate(clusters)
@@ -179,12 +171,12 @@ def _cohort(
         "ci_high": found.ci_high,
         "n_clusters": found.n,
         "chance": float(chance.mean()) if chance.size else np.nan,
-        "p_rank1": rank1_p(hits=hit, chance=chance) if chance.size else np.nan,
+        "p_rank1": linkability.rank1_p(hits=hit, chance=chance) if chance.size else np.nan,
         "n_mated": hit.size,
     }
 
 
-def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> Calibration | None:
+def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibration | None:
     """Return the calibration on people who are neither attacked nor learnt from.
 
     None without a mated or a non-mated pair of theirs.
@@ -195,10 +187,14 @@ def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> Calibration | None:
         mated.append(scores[is_mate])
         non_mated.append(scores[~is_mate])
     first, second = np.concatenate(mated), np.concatenate(non_mated)
-    return fit_calibration(mated=first, non_mated=second) if first.size and second.size else None
+    if not (first.size and second.size):
+        return None
+    return linkability.fit_calibration(mated=first, non_mated=second)
 
 
-def no_match_score(calibration: Calibration, pairing: Pairing, *, mate_rate: float) -> float:
+def no_match_score(
+    calibration: linkability.Calibration, pairing: Pairing, *, mate_rate: float
+) -> float:
     """Return what a pair of a search must score to be linked rather than left alone.
 
     Of the matchings of P probes with G candidates the most probable one is sought, where a probe
@@ -284,7 +280,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     return tables
 
 
-def _own_and_best(search: Search) -> Floats:
+def _own_and_best(search: linkability.Search) -> Floats:
     """Return the score of each probe's mate and the best of the others, (2, P); NaN: none."""
     has = np.flatnonzero(search.mate >= 0)
     own = np.full(search.mate.size, np.nan)

@@ -14,18 +14,10 @@ import numpy as np
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.shape import Shape
 from attacks.tasks.controls import CONTROLS
+from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
 from evaluation.cells.link_scores import calibrated, no_match_score, read_off
 from evaluation.cells.link_setup import SIDES
-from evaluation.cells.sharing import (
-    copied,
-    guarded,
-    restricted,
-    samples_of,
-    samples_shared,
-    share,
-    tracks_of,
-)
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
@@ -53,8 +45,8 @@ class _Sides:
     def of(self, pairing: Pairing) -> tuple[Release, Release]:
         """Return the windows of a pairing, the same ones every time."""
         if id(pairing) not in self.found:
-            probe = tracks_of(self.probe, pairing.probe)
-            self.found[id(pairing)] = probe, tracks_of(self.gallery, pairing.gallery)
+            probe = sharing.tracks_of(self.probe, pairing.probe)
+            self.found[id(pairing)] = probe, sharing.tracks_of(self.gallery, pairing.gallery)
         return self.found[id(pairing)]
 
 
@@ -79,12 +71,12 @@ def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
     family = whole.sessions.task.family
     known, sensed, shared, seen = whole, [], [], list[Release]()
     for number, (side, network) in enumerate(zip(SIDES, whole.sensed, strict=True)):
-        release = share(mechanism, network, "linkage", family, side, seed=whole.seed)
-        left = samples_shared(release, network)
+        release = sharing.share(mechanism, network, "linkage", family, side, seed=whole.seed)
+        left = sharing.samples_shared(release, network)
         if left is not None:
-            windows = restricted(getattr(whole.sessions, side), left)
+            windows = sharing.restricted(getattr(whole.sessions, side), left)
             known = replace(known, sessions=replace(known.sessions, **{side: windows}))
-        sensed.append(restricted(network, left))
+        sensed.append(sharing.restricted(network, left))
         shared.append(release)
         if whole.frames:
             walks = np.repeat(np.arange(len(release)), np.diff(release.offsets))
@@ -185,11 +177,11 @@ def _smoothed(
     train, rows = None, known.halves[fold].learns.probe
     if rows.size:
         windows = known.sessions.probe
-        samples = samples_of(windows.offsets, rows)
+        samples = sharing.samples_of(windows.offsets, rows)
         truth = windows.xy[samples.rows]
         if known.frames:
             truth = known.frames[0].of(np.repeat(rows, np.diff(samples.offsets))).points(truth)
-        train = TrainingSet(copied(tracks_of(shown[0], rows)), truth)
+        train = TrainingSet(sharing.copied(sharing.tracks_of(shown[0], rows)), truth)
     context = AttackContext(
         rng=stream(known.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
         epsilon_m=known.epsilon_m,
@@ -197,9 +189,9 @@ def _smoothed(
         mechanism=level.mechanism.instance,
         train=train,
     )
-    attack = guarded(who, lambda: behind.instance.fit(context))
+    attack = sharing.guarded(who, lambda: behind.instance.fit(context))
     first, second = (
-        replace(one, xy=reconstructed(attack, copied(view), who=who))
+        replace(one, xy=reconstructed(attack, sharing.copied(view), who=who))
         for one, view in zip(releases, shown, strict=True)
     )
     return first, second
@@ -223,7 +215,9 @@ def _fitted(
                 "attack out"
             )
         probe, gallery = sides.of(learns)
-        train = LinkageTrainingSet(copied(probe), copied(gallery), learns.mate.copy())
+        train = LinkageTrainingSet(
+            sharing.copied(probe), sharing.copied(gallery), learns.mate.copy()
+        )
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
     context = AttackContext(
         rng=stream(known.seed, "attacks", *key),
@@ -232,7 +226,7 @@ def _fitted(
         mechanism=level.mechanism.instance,
         train=train,
     )
-    attack: Callable[..., object] = guarded(
+    attack: Callable[..., object] = sharing.guarded(
         f"attack {consumer.label}", lambda: plugin.instance.fit(context)
     )
     return attack
@@ -245,8 +239,8 @@ def _scored(
     who = f"attack {consumer.label}"
     probe, gallery = sides.of(pairing)
     if not consumer.is_built_in:  # a stranger may unlock arrays: what it writes to is its own
-        probe, gallery = copied(probe), copied(gallery)
-    scores = np.asarray(guarded(who, lambda: attack(probe, gallery)))
+        probe, gallery = sharing.copied(probe), sharing.copied(gallery)
+    scores = np.asarray(sharing.guarded(who, lambda: attack(probe, gallery)))
     expected = (pairing.probe.size, pairing.gallery.size)
     if scores.shape != expected or scores.dtype.kind not in "fiu":
         raise PluginError(

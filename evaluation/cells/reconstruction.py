@@ -14,16 +14,8 @@ import numpy as np
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, smooth
 from attacks.reconstruction.learning import N_CANDIDATES
+from evaluation.cells import sharing
 from evaluation.cells.adversary import SHOWS, granted_at, reconstructed, view_of
-from evaluation.cells.sharing import (
-    copied,
-    guarded,
-    restricted,
-    samples_of,
-    samples_shared,
-    share,
-    tracks_of,
-)
 from evaluation.cells.tables import descriptors, track_columns, track_means
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track.errors import DataError, PluginError
@@ -170,7 +162,7 @@ def attacked_level(
 ) -> AttackedLevel:
     """Prepare a mechanism level for its attacks; `release` is what was shared of the block."""
     seed, epsilon_m = block.seed, block.stages.privacy.epsilon_m
-    left = samples_shared(release, block.sensed)
+    left = sharing.samples_shared(release, block.sensed)
     granted = frozenset[Knowledge]().union(*(consumer.granted for consumer in consumers))
     first_scene = int(block.scenes.index[0])
     key = (mechanism.spec, "scene", first_scene, "part")
@@ -179,10 +171,10 @@ def attacked_level(
         shared = None
         if others is not None and Knowledge.TRAIN in granted:
             walks, sensed = others
-            shared = share(mechanism, sensed, "training", fold, seed=seed)
-            truth_m = restricted(walks, samples_shared(shared, sensed)).xy
+            shared = sharing.share(mechanism, sensed, "training", fold, seed=seed)
+            truth_m = sharing.restricted(walks, sharing.samples_shared(shared, sensed)).xy
         rows = np.flatnonzero(block.half == fold)
-        own = tracks_of(release, rows) if rows.size else None
+        own = sharing.tracks_of(release, rows) if rows.size else None
         for what in {consumer.granted & SHOWS for consumer in consumers}:
             if own is not None:
                 rng = stream(seed, "frames", *key, fold)
@@ -192,7 +184,7 @@ def attacked_level(
                 shown, frame = view_of(shared, granted=what, rng=rng)
                 training[fold, what] = TrainingSet(shown, frame.points(truth_m))
     again = [
-        share(mechanism, sensed, "scenes", first_scene, "again", number, seed=seed)
+        sharing.share(mechanism, sensed, "scenes", first_scene, "again", number, seed=seed)
         for number, sensed in enumerate(block.again)
         if Knowledge.REPEATS in granted
     ]
@@ -205,13 +197,16 @@ def attacked_level(
                 "leave samples out by their times, or leave out the attacks that use repeats"
             )
     mse_m2, plr = benchmark(
-        release, sensed=restricted(block.sensed, left), mechanism=mechanism, epsilon_m=epsilon_m
+        release,
+        sensed=sharing.restricted(block.sensed, left),
+        mechanism=mechanism,
+        epsilon_m=epsilon_m,
     )
     return AttackedLevel(
         mechanism=mechanism,
         block=block,
         key=key,
-        scenes=restricted(block.scenes, left),
+        scenes=sharing.restricted(block.scenes, left),
         release=release,
         views=views,
         training=training,
@@ -225,10 +220,10 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
     scenes = level.scenes
     xy, attacked = np.empty_like(scenes.xy), np.zeros(scenes.track.size, dtype=bool)
     for victims, found in _attacked(consumer, level):
-        xy[samples_of(scenes.offsets, victims).rows] = found
+        xy[sharing.samples_of(scenes.offsets, victims).rows] = found
         attacked[victims] = True
     rows = np.flatnonzero(attacked)
-    samples = samples_of(scenes.offsets, rows)
+    samples = sharing.samples_of(scenes.offsets, rows)
     return {
         **track_columns(scenes, rows),
         **descriptors(
@@ -271,13 +266,14 @@ def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, 
                 own, shown, frame = level.views[fold, consumer.granted & SHOWS]
                 given = shown
             else:
-                own = tracks_of(level.release, victims)
+                own = sharing.tracks_of(level.release, victims)
                 rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
                 shown, frame = view_of(own, granted=granted, rng=rng)
-                given = copied(shown)  # a stranger may unlock arrays: what it writes to is its own
+                # A stranger may unlock arrays: what it writes to is its own.
+                given = sharing.copied(shown)
             if attack is None or Knowledge.REPEATS in granted:
                 context = _context(consumer, level, granted, fold=fold, victims=victims)
-                attack = guarded(who, partial(consumer.plugin.instance.fit, context))
+                attack = sharing.guarded(who, partial(consumer.plugin.instance.fit, context))
             found = reconstructed(attack, given, who=who)
             # Only the correction is turned back: what is left alone stays as it was, bit by bit.
             yield victims, own.xy + frame.back(found - shown.xy)
@@ -294,7 +290,7 @@ def _context(
     """Return what an attack on some tracks of one half prepares with."""
     train = level.training.get((fold, consumer.granted & SHOWS))
     if train is not None and not consumer.is_built_in:
-        train = TrainingSet(copied(train.release), train.truth.copy())
+        train = TrainingSet(sharing.copied(train.release), train.truth.copy())
     if Knowledge.TRAIN in granted and train is None:
         raise DataError(
             f"attack {consumer.spec!r} learns from other people, but all tracks belong to one "
@@ -303,7 +299,7 @@ def _context(
     repeats, seed = [], level.block.seed
     for number, release in enumerate(level.again if Knowledge.REPEATS in granted else ()):
         rng = stream(seed, "frames", *level.key, fold, "again", number)
-        repeats.append(view_of(tracks_of(release, victims), granted=granted, rng=rng)[0])
+        repeats.append(view_of(sharing.tracks_of(release, victims), granted=granted, rng=rng)[0])
     return AttackContext(
         rng=stream(seed, "attacks", consumer.spec, consumer.knowledge, *level.key, fold),
         epsilon_m=level.block.stages.privacy.epsilon_m,

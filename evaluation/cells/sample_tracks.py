@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
-    from isac_track.protocols import ReconstructionAttack
     from isac_track.scenes import Cut
     from isac_track.types import Release
 
@@ -75,7 +74,14 @@ def gallery_rows(
     order = track_order(n_tracks=len(tracks), n_scenes=1, agents=stages.scenes.agents, seed=seed)
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=seed)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
-    name, attack = _attack(attacks)
+    able = [
+        plugin
+        for plugin in attacks
+        if not (plugin.instance.requires or getattr(plugin.instance, "slow", False))
+        and plugin.name != IDENTITY
+    ]
+    best = min(able, key=lambda one: one.name != "radial_rts", default=None)
+    name, attack = ("radial_rts", RadialRTS()) if best is None else (best.spec, best.instance)
     epsilon_m = stages.privacy.epsilon_m
     rng = stream(seed, "sharing", "gallery")
     release: Release = guarded(
@@ -101,16 +107,3 @@ def gallery_rows(
             shared_xy=xy, true_xy=truth, epsilon_m=epsilon_m
         )
     return pd.DataFrame(columns)[COLUMNS]
-
-
-def _attack(attacks: Sequence[Plugin]) -> tuple[str, ReconstructionAttack]:
-    able = [
-        plugin
-        for plugin in attacks
-        if not plugin.instance.requires
-        and plugin.name != IDENTITY
-        and not getattr(plugin.instance, "slow", False)
-    ]
-    for plugin in sorted(able, key=lambda one: one.name != "radial_rts"):
-        return plugin.spec, plugin.instance
-    return "radial_rts", RadialRTS()

@@ -11,19 +11,14 @@ import traceback
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
+from evaluation.cells import sharing
 from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.linkage import link, linked_level
 from evaluation.cells.progress import Failed, note, noted
 from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
-from evaluation.cells.sharing import (
-    release_digest,
-    restricted,
-    samples_shared,
-    sees_release_alone,
-    share,
-)
+from evaluation.cells.sharing import release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, rows_table
 from evaluation.cells.windows import window_tables
 from isac_track.errors import IsacTrackError, PluginError, told
@@ -156,9 +151,9 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
     alike: dict[tuple[bytes, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
-        release = share(mechanism, sensed, "block", block.number, seed=seed)
+        release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
         digest = release_digest(release)
-        known = restricted(scenes, samples_shared(release, sensed))
+        known = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
         level: AttackedLevel | None = None
         for consumer in consumers:
             note(mechanism.spec, consumer.label)

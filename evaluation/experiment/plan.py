@@ -10,16 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from attacks.tasks.build import sessions_of
+from evaluation.experiment import fingerprint
 from evaluation.experiment.axes import Axes, axes, n_blocks
 from evaluation.experiment.constants import BLOCK_SCENES
-from evaluation.experiment.fingerprint import (
-    code_hash,
-    consumer_key,
-    digest,
-    source_digest,
-    sources,
-    stage_of,
-)
 from isac_track import datasets
 from isac_track.datasets import crowd
 from isac_track.errors import DataError, PluginError, told
@@ -62,7 +55,7 @@ class Unit:
     def file_of(self, keys: Iterable[str]) -> str:
         """Return the name of the file that some of its consumers are written to at once."""
         slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{self.mechanism.spec}_{self.stage}")[:80]
-        return f"{slug}_{self.block:05d}_{digest([self.key, *keys])}.parquet"
+        return f"{slug}_{self.block:05d}_{fingerprint.digest([self.key, *keys])}.parquet"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -135,7 +128,7 @@ def plan(settings: Settings) -> Plan:
         tracks=tracks,
         axes=crossed,
         identity=identity,
-        code=code_hash(),
+        code=fingerprint.code_hash(),
         jobs=jobs,
         out=out if settings.out is None else Path(settings.out),
         units=units,
@@ -180,10 +173,10 @@ def _units(
     known: dict[str, str] = {}
 
     def code(stage: str, *plugins: Plugin) -> dict[str, str]:
-        for module in sources(stage, *plugins):
+        for module in fingerprint.sources(stage, *plugins):
             if module not in known:
-                known[module] = source_digest(module)[:16]
-        return {module: known[module] for module in sources(stage, *plugins)}
+                known[module] = fingerprint.source_digest(module)[:16]
+        return {module: known[module] for module in fingerprint.sources(stage, *plugins)}
 
     units = []
     for mechanisms, consumers, count in (
@@ -193,14 +186,14 @@ def _units(
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:
             own = code("", *consumer.plugins).values()
-            key = consumer_key(consumer, code=own, keep_scores=settings.keep_scores)
-            by_stage.setdefault(stage_of(consumer), {})[key] = consumer
+            key = fingerprint.consumer_key(consumer, code=own, keep_scores=settings.keep_scores)
+            by_stage.setdefault(fingerprint.stage_of(consumer), {})[key] = consumer
         for mechanism in mechanisms:
             about = (BLOCK_SCENES, mechanism.spec, mechanism.origin)
             for stage, of_stage in by_stage.items():
                 made_by = code(stage, mechanism)
                 for block in range(count):
-                    key = digest([identity, stage, block, *about, *made_by.values()])
+                    key = fingerprint.digest([identity, stage, block, *about, *made_by.values()])
                     units.append(Unit(stage, block, mechanism, key, made_by, of_stage))
     return tuple(units), known
 
