@@ -78,17 +78,9 @@ def read_off(
 ) -> Linked:
     """Return the scorecard of an attack or a control, and of an attack without confounders.
 
-    Parameters
-    ----------
-    scores : mapping
-        (P, G) of every search, by its number.
-    calibration : mapping
-        By fold; none where there is nobody to calibrate on.
-    no_match : mapping
-        By search: what a pair of an open gallery must score to be linked; a search that is not in
-        it has no assignment. In a closed gallery everybody is linked.
-    control : Control or None
-        Whose scores they are, if not an attack's.
+    `scores` are those of every search, (P, G) each, by its number, `calibration` those by fold that
+    there was somebody for. `no_match` says by search what a pair of an open gallery must score to
+    be linked: without it there is no assignment. In a closed gallery everybody is linked.
     """
     sessions = known.sessions
     searches, probes, galleries = [], [], []

@@ -132,12 +132,8 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
     """Return bootstrap weights of the clusters of a linkage task, (B, C).
 
     Clusters that the run's scenes have as well are drawn as they are there; the others are drawn
-    among themselves.
-
-    Parameters
-    ----------
-    drawn_as : (C,) int
-        Place of each among the `n_groups` clusters of the run's scenes, or -1.
+    among themselves. `drawn_as`, (C,), is the place of each among the `n_groups` clusters of the
+    run's scenes, or -1.
     """
     weights = np.empty((N_REPLICATES, drawn_as.size))
     again, further = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)

@@ -93,16 +93,12 @@ def link(consumer: Consumer, level: LinkedLevel, controls: dict[str, Linked]) ->
     `controls` holds those that are alike at every level that leaves nothing out, as far as they
     are known; it is added to.
     """
-    if consumer.kind != "control":
-        return _linked(consumer, level)
-    if not CONTROLS[consumer.control].sees_times_only or level.known is not level.whole:
-        return _controlled(consumer, level)
-    if consumer.control not in controls:
-        controls[consumer.control] = _controlled(consumer, level)
-    return controls[consumer.control]
-
-
-def _linked(consumer: Consumer, level: LinkedLevel) -> Linked:
+    if consumer.kind == "control":
+        if not CONTROLS[consumer.control].sees_times_only or level.known is not level.whole:
+            return _controlled(consumer, level)
+        if consumer.control not in controls:
+            controls[consumer.control] = _controlled(consumer, level)
+        return controls[consumer.control]
     known = level.known
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}

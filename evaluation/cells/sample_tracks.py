@@ -59,12 +59,8 @@ def gallery_rows(
     """Return the tracks of the run's first scene, as they were, shared and rebuilt.
 
     The people are those of the first scene, not chosen by how they look. The adversary is blind and
-    uses `radial_rts`, or what the run has instead among `attacks`, its reconstructions.
-
-    Returns
-    -------
-    DataFrame
-        `COLUMNS`; t in s, positions in m, one row for each shared sample.
+    uses `radial_rts`, or what the run has instead among `attacks`, its reconstructions. The columns
+    are `COLUMNS`, t in s and positions in m; there is one row for each shared sample.
 
     Raises
     ------

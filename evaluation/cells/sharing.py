@@ -128,15 +128,7 @@ def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
 
 
 def samples_of(offsets: Ints, tracks: Ints) -> Samples:
-    """Return the samples of some tracks, one after the other.
-
-    Parameters
-    ----------
-    offsets : (N + 1,) int
-        Of all tracks.
-    tracks : (n,) int
-        Rows of those that are wanted.
-    """
+    """Return the samples of some tracks, one after the other: rows, (n,), of those at `offsets`."""
     sizes = np.diff(offsets)[tracks]
     among = np.concatenate([[0], np.cumsum(sizes)])
     return Samples(np.repeat(offsets[tracks] - among[:-1], sizes) + np.arange(among[-1]), among)

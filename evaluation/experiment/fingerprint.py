@@ -102,12 +102,7 @@ def source_digest(module: str) -> str:
     That is its own top-level package and, unless it was installed, whatever stands in the same
     folder as that; the project's own packages are one. Imports are read, not run, the lazy ones
     too; those for types alone do not count, and those that are composed at run time are not seen.
-
-    Parameters
-    ----------
-    module : str
-        Name of an importable module. One without a file, such as `__main__`, has the digest of
-        nothing.
+    A module without a file, such as `__main__`, has the digest of nothing.
     """
     root, tops = _where(module)
     return closure_digest(module, source_of=lambda name: _read(name, root=root, tops=tops))
@@ -121,12 +116,8 @@ def can_be_found(module: str) -> bool:
 def closure_digest(module: str, *, source_of: Callable[[str], tuple[bytes, bool] | None]) -> str:
     """Return the sha256 of a module and of all that it imports.
 
-    Parameters
-    ----------
-    module : str
-    source_of : callable
-        From a module's name to its source and whether it is a package; None for one that does not
-        count.
+    `source_of` takes a module's name to its source and whether it is a package; None for one that
+    does not count.
     """
     known: dict[str, bytes] = {}
     names = [module]
@@ -162,9 +153,8 @@ def _where(module: str) -> tuple[Path | None, tuple[str, ...]]:
 
 
 def _read(name: str, *, root: Path | None, tops: tuple[str, ...]) -> tuple[bytes, bool] | None:
-    if root is None or not name or (tops and name.partition(".")[0] not in tops):
-        return None
-    if _COMPUTES_NOTHING.fullmatch(name):
+    is_strange = tops and name.partition(".")[0] not in tops
+    if root is None or not name or is_strange or _COMPUTES_NOTHING.fullmatch(name):
         return None
     place = root.joinpath(*name.split("."))
     for path in (place.with_name(f"{place.name}.py"), place / "__init__.py"):

@@ -171,18 +171,10 @@ def settings_of(
     jobs: int | None = None,
     trust: Sequence[str] = (),
 ) -> tuple[Settings, tuple[str, ...]]:
-    """Return the settings of a variant's run, and why tasks are left out of it.
+    """Return the settings of a variant's run in a folder `out`, and why tasks are left out of it.
 
-    Parameters
-    ----------
-    attacks : mapping
-        SPECs of the attacks to run, each with its tasks; a reconstruction has the task "".
-    out : Path
-        Folder of the variant.
-    scenes, jobs : int, optional
-        Instead of the run's scenes and of the default number of workers.
-    trust : sequence of str
-        SPECs of classes of one's own that may be imported although a file names them.
+    `attacks` are the SPECs of those to run, each with its tasks; a reconstruction has the task "".
+    `trust` names classes of one's own that may be imported although a file names them.
 
     Raises
     ------
