@@ -119,9 +119,10 @@ def read_off(
         scored = replace(scored, estimates=scored.estimates | unknown)
     cohorts = {}
     who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
-    for name, among in who.items() if control is None else ():
+    for name, among in who.items():
         left = [(among[one], among[other]) for one, other in zip(probes, galleries, strict=True)]
-        cohorts[name] = _cohort(searches, left, weights=known.weights)
+        if control is None:
+            cohorts[name] = _cohort(searches, left, weights=known.weights)
     return Linked(
         searches=tuple(searches),
         probe_person=tuple(probes),

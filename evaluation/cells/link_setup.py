@@ -94,7 +94,7 @@ def sensed_sessions(
         drawn_as=drawn_as,
         n_groups=len(groups),
         weights=linkage_weights(drawn_as, n_groups=len(groups), task=task.name, seed=seed),
-        cluster=cluster,
+        cluster=cluster.astype(np.int64),
         epsilon_m=stages.privacy.epsilon_m,
         seed=seed,
     )
