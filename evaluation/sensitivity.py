@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation.experiment.variants import BASE, chosen
+from evaluation.experiment.variants import BASE, chosen, settings_of
 from isac_track.command_line import Parser, check_interrupt, exit_code
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
@@ -142,7 +142,6 @@ def _attempt(
     Without the base nothing can be said, every other one may fail.
     """
     from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
-    from evaluation.experiment.variant_settings import settings_of  # noqa: PLC0415
     from evaluation.results import run  # noqa: PLC0415
     from evaluation.runs.borrow import borrow  # noqa: PLC0415
     from evaluation.verdict.sensitivity import folder_of  # noqa: PLC0415

@@ -71,7 +71,7 @@ class ImmRTS:
 
 
 def smooth(
-    release: Release, variance: Floats, density: tuple[float, ...], *, stay_s: tuple[float, float]
+    release: Release, variance: Floats, density: tuple[float, float], *, stay_s: tuple[float, float]
 ) -> Reconstruction:
     """Return smoothed positions of a release with error variance per axis `variance`, (M,) m^2.
 

@@ -14,7 +14,7 @@ from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
-    from isac_track.types import Floats, Ints, Release
+    from isac_track.types import Floats, Release
 
 PRIOR_STD = (100.0, 10.0)
 """m around the first sample and m/s around rest: far more than any walk."""

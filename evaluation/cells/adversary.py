@@ -1,4 +1,4 @@
-"""What an adversary is given: a release as it shows, a context of what was granted, and calls.
+"""What an adversary is given: a release as it shows, in a frame and on a clock of its own.
 
 Reconstructions and linkers get theirs by the same rules, wherever they stand.
 """
@@ -6,13 +6,12 @@ Reconstructions and linkers get theirs by the same rules, wherever they stand.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.cells.plugin_calls import guarded
+from evaluation.cells.sharing import guarded
 from isac_track.errors import PluginError
-from isac_track.protocols import AttackContext
 from isac_track.types import Knowledge, Reconstruction
 
 if TYPE_CHECKING:
@@ -20,9 +19,9 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
+    from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
-    from isac_track.protocols import LinkageTrainingSet, TrainingSet
-    from isac_track.types import Floats, Release
+    from isac_track.types import Floats, Ints, Release
 
 SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})
 """Knowledge that shows in the release itself."""
@@ -32,44 +31,55 @@ LONG_S = 86_400.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class View:
-    """A release in an adversary's frame: turned by the angle, then shifted."""
+class Frame:
+    """A frame and a clock, one for all samples or one each: turned by an angle, then shifted."""
 
-    release: Release
-    angle: float
-    """radians"""
-    shift: Floats
-    """(2,) m"""
+    cos: Floats | float = 1.0
+    """(M,) or one"""
+    sin: Floats | float = 0.0
+    shift_m: Floats | float = 0.0
+    """(M, 2) or (2,)"""
+    clock_s: Floats | float = 0.0
+
+    def points(self, xy: Floats) -> Floats:
+        """Return positions, (M, 2) m, in the frame."""
+        # Not a matrix product: for two columns its threads cost more than they bring.
+        turned = np.empty_like(xy)
+        turned[:, 0] = self.cos * xy[:, 0] - self.sin * xy[:, 1]
+        turned[:, 1] = self.sin * xy[:, 0] + self.cos * xy[:, 1]
+        turned += self.shift_m
+        return turned
+
+    def back(self, steps: Floats) -> Floats:
+        """Return differences of positions in the frame, (M, 2) m, as they truly are."""
+        return Frame(self.cos, -self.sin).points(steps)
+
+    def release(self, release: Release) -> Release:
+        """Return a release in the frame and on the clock."""
+        return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)
+
+    def of(self, walks: Ints) -> Frame:
+        """Return the frame of each sample, of frames of walks and the walk of each sample."""
+        arrays = (self.cos, self.sin, self.shift_m, self.clock_s)
+        return Frame(*(np.take(one, walks, axis=0) for one in arrays))
 
 
-def view_of(release: Release, *, granted: frozenset[Knowledge], rng: Generator) -> View:
-    """Return a release as it shows: without SCENE turned, shifted, and on another clock."""
+def view_of(
+    release: Release, *, granted: frozenset[Knowledge], rng: Generator
+) -> tuple[Release, Frame]:
+    """Return a release as it shows, without SCENE in a frame that is drawn; and the frame."""
     release = showing(release, granted)
     if Knowledge.SCENE in granted:
-        return View(release, 0.0, np.zeros(2))
+        return release, Frame()
     angle = float(rng.uniform(0.0, 2.0 * np.pi))
-    shift = rng.uniform(-FAR_M, FAR_M, 2)
-    moved = replace(
-        release,
-        xy=turned(release.xy, angle=angle, shift=shift),
-        t=release.t + rng.uniform(0.0, LONG_S),
-    )
-    return View(moved, angle, shift)
+    shift_m, clock_s = rng.uniform(-FAR_M, FAR_M, 2), rng.uniform(0.0, LONG_S)
+    frame = Frame(np.cos(angle), np.sin(angle), shift_m, clock_s)
+    return frame.release(release), frame
 
 
 def showing(release: Release, granted: frozenset[Knowledge]) -> Release:
     """Return a release with its standard deviations for who is granted SIGMA alone."""
     return release if Knowledge.SIGMA in granted else release.without_sigma()
-
-
-def turned(xy: Floats, *, angle: float, shift: Floats | tuple[float, float] = (0.0, 0.0)) -> Floats:
-    """Return positions turned by an angle and shifted, (M, 2)."""
-    # Not a matrix product: for two columns its threads cost more than they bring.
-    cos, sin = np.cos(angle), np.sin(angle)
-    moved = np.empty_like(xy)
-    moved[:, 0] = cos * xy[:, 0] - sin * xy[:, 1] + shift[0]
-    moved[:, 1] = sin * xy[:, 0] + cos * xy[:, 1] + shift[1]
-    return moved
 
 
 def declared(plugin: Plugin) -> frozenset[Knowledge]:
@@ -79,53 +89,24 @@ def declared(plugin: Plugin) -> frozenset[Knowledge]:
 
 
 def granted_at(
-    granted: frozenset[Knowledge], plugin: Plugin, *, who: str, mechanism: Plugin, has_sigma: bool
+    consumer: Consumer, plugin: Plugin, *releases: Release, who: str, mechanism: Plugin
 ) -> frozenset[Knowledge]:
-    """Return what an attack gets at a level: without SIGMA where the mechanism declares none.
+    """Return what a consumer's attack gets of releases: no SIGMA where none is declared.
 
     Raises
     ------
     PluginError
         If the attack cannot do without.
     """
-    if Knowledge.SIGMA not in granted or has_sigma:
+    granted = consumer.granted & declared(plugin)
+    if all(one.sigma is not None for one in releases):
         return granted
-    if Knowledge.SIGMA in plugin.instance.requires:
+    if Knowledge.SIGMA in granted & plugin.instance.requires:
         raise PluginError(
             f"{who} requires SIGMA, but mechanism {mechanism.spec!r} declares none; leave one of "
             "the two out"
         )
     return granted - {Knowledge.SIGMA}
-
-
-def fitted(
-    plugin: Plugin,
-    *,
-    who: str,
-    granted: frozenset[Knowledge],
-    mechanism: Plugin,
-    rng: Generator,
-    epsilon_m: float,
-    train: TrainingSet | LinkageTrainingSet | None,
-    repeats: tuple[Release, ...] | None = None,
-) -> Callable[..., Any]:
-    """Return what an attack prepares from what it is granted.
-
-    Raises
-    ------
-    PluginError
-        If it raises; the message names it.
-    """
-    context = AttackContext(
-        rng=rng,
-        epsilon_m=epsilon_m,
-        granted=granted,
-        mechanism=mechanism.instance,
-        train=train,
-        repeats=repeats,
-    )
-    prepared: Callable[..., Any] = guarded(who, lambda: plugin.instance.fit(context))
-    return prepared
 
 
 def reconstructed(attack: Callable[[Release], object], release: Release, *, who: str) -> Floats:

@@ -1,62 +1,67 @@
-"""What is read off the scores of a linkage attack: the scorecard, with and without confounders."""
+"""What is read off the scores of a linkage attack, and the tables that a cell keeps of it.
+
+The scorecard takes a bootstrap and a permutation test; it belongs to the cell, so that a report is
+drawn without computing either again. Replicates of rank metrics follow from the probes; those of
+score metrics visit every pair, and are kept. Of controls neither these are nor the scores of their
+probes: each is held against its own permutation test, and nobody pairs two.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import pyarrow as pa
 
+from evaluation.cells.tables import ROWS, names_column
+from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, ratio_estimate
-from isac_track.linkability import (
-    Calibration,
-    Scorecard,
-    Search,
-    fit_calibration,
-    rank1,
-    rank1_p,
-    scorecard,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.random import Generator
 
+    from attacks.tasks.controls import Control
     from evaluation.cells.link_setup import Pairing, SensedSessions
+    from evaluation.cells.tables import Tables
     from isac_track.types import Bools, Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
 """Without people who walk in a group, and move alike; without nearly frozen annotations."""
 SHUFFLES, AUDIT_SHUFFLES = 999, 1999
 """Of the permutation tests; the audit's must be able to reject at a hundredth over six of them."""
+ESTIMATES: Final = "estimates"
+REPLICATES: Final = "replicates"
+ABOUT: Final = "about"
+DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")
+"""Metrics whose replicates follow from those of others: they are not kept."""
+ASSIGNED: Final = ("nobody", "other", "mate", "unknown")
+"""What is assigned to a probe; unknown where leaving somebody alone has no cost."""
+_NUMBERS = (
+    *("p_value", "p_value_low", "p_rank1", "n_probes", "n_mated", "gallery_sizes", "n_clusters"),
+    *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins", "is_inverted"),
+    "minimum_detectable_rank1",
+)
 _NEVER = 1e300
 """A score that no pair reaches."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Cohort:
-    """Rank 1 among some of the people: probes and candidates are theirs alone."""
-
-    rank1: Estimate
-    chance: float
-    p_rank1: float
-    n_mated: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Linked:
     """Outcome of one cell: raw scores, and all that is read off them."""
 
-    searches: tuple[Search, ...]
+    searches: tuple[linkability.Search, ...]
     probe_person: tuple[Ints, ...]
     """Person of each probe, search by search."""
     gallery_person: tuple[Ints, ...]
-    calibration: Mapping[int, Calibration]
+    calibration: Mapping[int, linkability.Calibration]
     """By fold."""
-    scored: Scorecard
-    cohorts: Mapping[str, Cohort]
-    """By cohort, without the confounders; none for a control."""
+    scored: linkability.Scorecard
+    cohorts: Mapping[str, Mapping[str, float]]
+    """Rank 1 without the confounders, by who is left out; none for a control."""
     is_control: bool
     is_assigned: bool
     """Whether probes can be left alone at a known cost, or need not be."""
@@ -66,163 +71,214 @@ def read_off(
     scores: Mapping[int, Floats],
     *,
     known: SensedSessions,
-    calibration: Mapping[int, Calibration],
-    no_match: Mapping[int, float] | None,
+    calibration: Mapping[int, linkability.Calibration],
+    no_match: Mapping[int, float],
     rng: Generator,
-    is_control: bool,
-    n_shuffles: int = SHUFFLES,
+    control: Control | None,
 ) -> Linked:
-    """Return the scorecard of an attack, and rank 1 without confounders.
+    """Return the scorecard of an attack or a control, and of an attack without confounders.
 
-    Parameters
-    ----------
-    scores : mapping
-        (P, G) of every search, by its number.
-    known : SensedSessions
-    calibration : mapping
-        By fold; none where there is nobody to calibrate on.
-    no_match : mapping or None
-        By search: what a pair must score to be linked. None in a closed gallery, where everybody
-        is; a search that is not in it has no assignment.
-    rng : Generator
-    is_control : bool
-        Whether it is none of the attacks, of which confounders are left out as well.
-    n_shuffles : int, optional
+    `scores` are those of every search, (P, G) each, by its number, `calibration` those by fold that
+    there was somebody for. `no_match` says by search what a pair of an open gallery must score to
+    be linked: without it there is no assignment. In a closed gallery everybody is linked.
     """
     sessions = known.sessions
-    pairing_of = {number: pairing for half in known.halves for number, pairing in half.searches}
-    numbers = sorted(scores)
-    probe_person = [sessions.probe.person[pairing_of[number].probe] for number in numbers]
-    gallery_person = [sessions.gallery.person[pairing_of[number].gallery] for number in numbers]
-    searches = [
-        Search(
-            scores=scores[number],
-            mate=pairing_of[number].mate,
-            probe_cluster=known.cluster[probe],
-            gallery_cluster=known.cluster[gallery],
-            scale=int(sessions.fold[number]),
+    searches, probes, galleries = [], [], []
+    pairings = {number: one for half in known.halves for number, one in half.searches}
+    for number, pairing in sorted(pairings.items()):
+        probes.append(sessions.probe.person[pairing.probe])
+        galleries.append(sessions.gallery.person[pairing.gallery])
+        searches.append(
+            linkability.Search(
+                scores=scores[number],
+                mate=pairing.mate,
+                probe_cluster=known.cluster[probes[-1]],
+                gallery_cluster=known.cluster[galleries[-1]],
+                scale=int(sessions.fold[number]),
+            )
         )
-        for number, probe, gallery in zip(numbers, probe_person, gallery_person, strict=True)
-    ]
-    scales = {search.scale for search in searches}
     needed = None
-    if no_match is not None and set(numbers) <= set(no_match):
-        needed = [no_match[number] for number in numbers]
-    scored = scorecard(
+    if sessions.task.shows_scene and scores.keys() <= no_match.keys():
+        needed = [no_match[number] for number in sorted(scores)]
+    is_assigned = needed is not None or not sessions.task.shows_scene
+    is_calibrated = {search.scale for search in searches} <= set(calibration)
+    scored = linkability.scorecard(
         searches,
         weights=known.weights,
-        calibration=calibration if scales <= set(calibration) else None,
+        calibration=calibration if is_calibrated else None,
         no_match_score=needed,
         rng=rng,
-        n_shuffles=n_shuffles,
+        n_shuffles=AUDIT_SHUFFLES if control is not None and control.is_audit else SHUFFLES,
     )
-    is_assigned = no_match is None or needed is not None
-    if not is_assigned:
-        scored = _without_assignment(scored)
-    apart = {}
-    if not is_control:
-        apart = {
-            name: _cohort(
-                searches,
-                [among[one] for one in probe_person],
-                [among[one] for one in gallery_person],
-                weights=known.weights,
-            )
-            for name, among in (
-                (WITHOUT_GROUPS, sessions.alone),
-                (WITHOUT_FROZEN, sessions.moving),
-            )
+    if not is_assigned:  # nobody knows what leaving somebody alone costs
+        unknown = {
+            name: Estimate(np.nan, n=one.n, replicates=np.full_like(one.replicates, np.nan))
+            for name, one in scored.estimates.items()
+            if name in ("rank1_assigned", "false_link_rate")
         }
+        scored = replace(scored, estimates=scored.estimates | unknown)
+    cohorts = {}
+    who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
+    for name, among in who.items():
+        left = [(among[one], among[other]) for one, other in zip(probes, galleries, strict=True)]
+        if control is None:
+            cohorts[name] = _cohort(searches, left, weights=known.weights)
     return Linked(
         searches=tuple(searches),
-        probe_person=tuple(probe_person),
-        gallery_person=tuple(gallery_person),
+        probe_person=tuple(probes),
+        gallery_person=tuple(galleries),
         calibration=calibration,
         scored=scored,
-        cohorts=apart,
-        is_control=is_control,
+        cohorts=cohorts,
+        is_control=control is not None,
         is_assigned=is_assigned,
     )
 
 
-def _without_assignment(scored: Scorecard) -> Scorecard:
-    """Return the scored of an open gallery without a cost for leaving somebody alone."""
-    estimates = dict(scored.estimates)
-    for name in ("rank1_assigned", "false_link_rate"):
-        if name in estimates:
-            unknown = np.full_like(estimates[name].replicates, np.nan)
-            estimates[name] = Estimate(np.nan, np.nan, np.nan, estimates[name].n, unknown)
-    return replace(scored, estimates=estimates)
-
-
 def _cohort(
-    searches: Sequence[Search],
-    probes: Sequence[Bools],
-    galleries: Sequence[Bools],
-    *,
-    weights: Floats,
-) -> Cohort:
+    searches: Sequence[linkability.Search], left: Sequence[tuple[Bools, Bools]], *, weights: Floats
+) -> dict[str, float]:
     """Return rank 1 where only some people are probes and candidates."""
-    hits, chances, clusters = [], [], []
-    for search, probe, gallery in zip(searches, probes, galleries, strict=True):
+    hits, chances, clusters = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    for search, (probe, gallery) in zip(searches, left, strict=True):
         has = np.flatnonzero(probe & (search.mate >= 0) & gallery[search.mate])
         if not has.size:
             continue
         place = np.cumsum(gallery) - 1
         columns = np.flatnonzero(gallery)
-        hits.append(
-            rank1(scores=search.scores[has[:, None], columns], mate=place[search.mate[has]])
-        )
+        scores = search.scores[has[:, None], columns]
+        hits.append(linkability.rank1(scores=scores, mate=place[search.mate[has]]))
         chances.append(np.full(has.size, 1.0 / columns.size))
         clusters.append(search.probe_cluster[has])
-    hit, chance = (np.concatenate([*some, np.zeros(0)]) for some in (hits, chances))
-    cluster = np.concatenate([*clusters, np.zeros(0, dtype=np.int64)])
-    sums = [
+    hit, chance, cluster = np.concatenate(hits), np.concatenate(chances), np.concatenate(clusters)
+    numerator, denominator = (
         cluster_sums(values=values, cluster=cluster, n_clusters=weights.shape[1])
         for values in (hit, np.ones_like(hit))
-    ]
-    return Cohort(
-        rank1=ratio_estimate(
-            numerator=sums[0], denominator=sums[1], weights=weights, is_share=True
-        ),
-        chance=float(chance.mean()) if chance.size else float("nan"),
-        p_rank1=rank1_p(hits=hit, chance=chance) if chance.size else float("nan"),
-        n_mated=hit.size,
     )
+    found = ratio_estimate(
+        numerator=numerator, denominator=denominator, weights=weights, is_share=True
+    )
+    return {
+        "rank1": found.value,
+        "ci_low": found.ci_low,
+        "ci_high": found.ci_high,
+        "n_clusters": found.n,
+        "chance": float(chance.mean()) if chance.size else np.nan,
+        "p_rank1": linkability.rank1_p(hits=hit, chance=chance) if chance.size else np.nan,
+        "n_mated": hit.size,
+    }
 
 
-def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> Calibration | None:
-    """Return the calibration on people who are neither attacked nor learnt from."""
+def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibration | None:
+    """Return the calibration on people who are neither attacked nor learnt from.
+
+    None without a mated or a non-mated pair of theirs.
+    """
     mated, non_mated = [np.zeros(0)], [np.zeros(0)]
     for scores, pairing in found:
-        is_mate = np.zeros(scores.shape, dtype=bool)
-        has = np.flatnonzero(pairing.mate >= 0)
-        is_mate[has, pairing.mate[has]] = True
+        is_mate = pairing.mate[:, None] == np.arange(scores.shape[1])
         mated.append(scores[is_mate])
         non_mated.append(scores[~is_mate])
     first, second = np.concatenate(mated), np.concatenate(non_mated)
     if not (first.size and second.size):
         return None
-    return fit_calibration(mated=first, non_mated=second)
+    return linkability.fit_calibration(mated=first, non_mated=second)
 
 
-def no_match_score(calibration: Calibration, pairing: Pairing, *, mate_rate: float) -> float:
+def no_match_score(
+    calibration: linkability.Calibration, pairing: Pairing, *, mate_rate: float
+) -> float:
     """Return what a pair of a search must score to be linked rather than left alone.
 
     Of the matchings of P probes with G candidates the most probable one is sought, where a probe
     has a mate with probability r, anybody as likely as another. Linking one pair more then takes a
-    likelihood ratio of (1 - r) / r times the candidates that are nobody's mate, G - r P.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    pairing : Pairing
-        The search.
-    mate_rate : float
-        r, of other people.
+    likelihood ratio of (1 - r) / r times the candidates that are nobody's mate, G - r P. r is the
+    `mate_rate` of other people.
     """
     if calibration.slope <= 0.0:  # scores tell nothing: nobody is linked
         return _NEVER
     nobodys = max(pairing.gallery.size - mate_rate * pairing.probe.size + 1.0, 1.0)
     needed = float(np.log((1.0 - mate_rate) / mate_rate * nobodys))
     return float(np.clip((needed - calibration.intercept) / calibration.slope, -_NEVER, _NEVER))
+
+
+def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) -> Tables:
+    """Return the tables of a linkage attack or control at one level.
+
+    - `rows`, one a probe: `search` (a half, or the instant of a handover), `source`, `group`;
+      `above` and `tied`, how many candidates score above its mate and how many as high, the mate
+      included (-1 and 0 without a mate); `mate_score`, `best_other_score` (NaN where there is
+      none, and of controls), `chance` of rank 1, `assigned` (`ASSIGNED`); with the raw scores
+      also `mate` (place in the gallery, or -1) and `scores` against the whole gallery;
+    - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
+    - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
+    - `about`: one row with all other numbers as JSON.
+    """
+    scored, probes, sessions = linked.scored, linked.scored.probes, known.sessions
+    persons = np.concatenate(linked.probe_person)
+    n_probes = [len(search.mate) for search in linked.searches]
+    own, best = np.concatenate([_own_and_best(one) for one in linked.searches], axis=1)
+    if linked.is_control:
+        own, best = np.full((2, persons.size), np.nan)
+    assigned = probes.assigned + 1 if linked.is_assigned else np.full(persons.size, 3)
+    rows = {
+        "search": names_column(np.repeat(np.arange(len(n_probes)), n_probes), sessions.searches),
+        "source": names_column(persons, sessions.source),
+        "group": names_column(persons, sessions.group),
+        "above": probes.above.astype(np.int32),
+        "tied": probes.tied.astype(np.int32),
+        "mate_score": own.astype(np.float32),
+        "best_other_score": best.astype(np.float32),
+        "chance": probes.chance,
+        "assigned": names_column(assigned, ASSIGNED),
+    }
+    about: dict[str, Any] = {
+        "clusters": sorted(set(sessions.group)),
+        "drawn_as": known.drawn_as.tolist(),
+        "n_groups": known.n_groups,
+        "seed": known.seed,
+        "calibration": {fold: asdict(one) for fold, one in linked.calibration.items()},
+        "numbers": {name: getattr(scored, name) for name in _NUMBERS},
+        "cohorts": linked.cohorts,
+    }
+    if keep_scores:
+        sizes = [one.scores.shape[1] for one in linked.searches]
+        flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(np.float32)
+        starts = np.concatenate([[0], np.cumsum(np.repeat(sizes, n_probes))])
+        rows["mate"] = np.concatenate([one.mate for one in linked.searches]).astype(np.int32)
+        rows["scores"] = pa.ListArray.from_arrays(pa.array(starts, type=pa.int32()), pa.array(flat))
+        about["gallery"] = [
+            [sessions.source[one] for one in people] for people in linked.gallery_person
+        ]
+    found = scored.estimates
+    fields = ("value", "ci_low", "ci_high", "n")
+    estimates = [
+        {"metric": name, **{field: getattr(one, field) for field in fields}}
+        for name, one in found.items()
+    ]
+    tables = {
+        ROWS: pa.table(rows),
+        ESTIMATES: pa.Table.from_pylist(estimates),
+        ABOUT: pa.table({"about": [json.dumps(about, default=lambda number: number.item())]}),
+    }
+    if not linked.is_control:
+        follow = {*DERIVED, *probes.values()}
+        tables[REPLICATES] = pa.table(
+            {
+                name: one.replicates.astype(np.float32)
+                for name, one in found.items()
+                if name not in follow
+            }
+        )
+    return tables
+
+
+def _own_and_best(search: linkability.Search) -> Floats:
+    """Return the score of each probe's mate and the best of the others, (2, P); NaN: none."""
+    has = np.flatnonzero(search.mate >= 0)
+    own = np.full(search.mate.size, np.nan)
+    own[has] = search.scores[has, search.mate[has]]
+    others = search.scores.copy()
+    others[has, search.mate[has]] = -np.inf
+    best = others.max(axis=1)
+    return np.stack([own, np.where(np.isfinite(best), best, np.nan)])

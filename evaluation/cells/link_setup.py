@@ -6,13 +6,12 @@ and shifted by itself and put on a clock of its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.cells.adversary import FAR_M, LONG_S
-from evaluation.cells.samples import restricted, samples_shared
+from evaluation.cells.adversary import FAR_M, LONG_S, Frame
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense
@@ -20,41 +19,12 @@ from isac_track.sensing import draw_channel, sense
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from attacks.tasks.sessions import Sessions, Windows
+    from attacks.tasks.sessions import Sessions
     from isac_track.config import StageSettings
-    from isac_track.types import Bools, Floats, Ints, Release, Sensed
+    from isac_track.types import Bools, Floats, Ints, Sensed
 
 N_REPLICATES = 1000
 SIDES = ("probe", "gallery")
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Frames:
-    """A frame and a clock for each of N walks: turned by the angle, then shifted."""
-
-    cos: Floats
-    """(M,)"""
-    sin: Floats
-    """(M,)"""
-    shift_m: Floats
-    """(M, 2)"""
-    clock_s: Floats
-    """(M,)"""
-
-    def points(self, xy: Floats) -> Floats:
-        """Return positions, (M, 2) m, each in the frame of its walk."""
-        turned = np.empty_like(xy)
-        turned[:, 0] = self.cos * xy[:, 0] - self.sin * xy[:, 1]
-        turned[:, 1] = self.sin * xy[:, 0] + self.cos * xy[:, 1]
-        return turned + self.shift_m
-
-    def release(self, release: Release) -> Release:
-        """Return a release, every walk in its frame and on its clock."""
-        return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)
-
-    def of(self, samples: Ints) -> Frames:
-        """Return the frames of some of the samples."""
-        return Frames(*(getattr(self, item.name)[samples] for item in fields(self)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,10 +57,10 @@ class SensedSessions:
     """Both sessions of a task as they are sensed, and what else all of its levels share."""
 
     sessions: Sessions
-    sensed: tuple[Sensed, Sensed]
+    sensed: tuple[Sensed, ...]
     """Probe and gallery."""
-    frames: tuple[Frames, Frames] | None
-    """None where the task shows the scene."""
+    frames: tuple[Frame, ...]
+    """Of the walks of either; none where the task shows the scene."""
     halves: tuple[Half, ...]
     drawn_as: Ints
     """(C,) which cluster of the run's scenes each cluster is, or -1."""
@@ -100,6 +70,8 @@ class SensedSessions:
     """(B, C) bootstrap weights of the clusters."""
     cluster: Ints
     """(K,) cluster of each person: a column of the weights."""
+    epsilon_m: float
+    seed: int
 
 
 def sensed_sessions(
@@ -107,62 +79,24 @@ def sensed_sessions(
 ) -> SensedSessions:
     """Sense both sessions of a task and prepare its folds.
 
-    Parameters
-    ----------
-    sessions : Sessions
-    groups : sequence of str
-        Clusters of the run's scenes: who is in both is drawn alike in both.
-    stages : StageSettings
-    seed : int
+    `groups` are the clusters of the run's scenes: who is in both is drawn alike in both.
     """
-    names = sorted(set(sessions.group))
-    column = {name: place for place, name in enumerate(names)}
+    names, cluster = np.unique(sessions.group, return_inverse=True)
     known = {name: place for place, name in enumerate(groups)}
-    drawn_as = np.array([known.get(name, -1) for name in names])
-    frames = None
-    if not sessions.task.shows_scene:
-        frames = (_frames(sessions, "probe", seed=seed), _frames(sessions, "gallery", seed=seed))
+    drawn_as = np.array([known.get(name, -1) for name in names.tolist()])
+    task = sessions.task
+    frames = () if task.shows_scene else tuple(_frames(sessions, one, seed=seed) for one in SIDES)
     return SensedSessions(
         sessions=sessions,
-        sensed=(
-            _sensed(sessions, "probe", stages=stages, seed=seed),
-            _sensed(sessions, "gallery", stages=stages, seed=seed),
-        ),
+        sensed=tuple(_sensed(sessions, one, stages=stages, seed=seed) for one in SIDES),
         frames=frames,
         halves=tuple(_half(sessions, fold) for fold in np.unique(sessions.fold).tolist()),
         drawn_as=drawn_as,
         n_groups=len(groups),
-        weights=linkage_weights(drawn_as, n_groups=len(groups), task=sessions.task.name, seed=seed),
-        cluster=np.array([column[name] for name in sessions.group], dtype=np.int64),
-    )
-
-
-def without(known: SensedSessions, released: Sequence[Release]) -> SensedSessions:
-    """Return sessions as they are for these releases: without the samples that they left out.
-
-    Parameters
-    ----------
-    known : SensedSessions
-    released : sequence of Release
-        Of the probe and of the gallery side, at the instants of the windows.
-    """
-    sessions, sensed, frames = known.sessions, list(known.sensed), known.frames
-    windows, turned = [sessions.probe, sessions.gallery], [] if frames is None else list(frames)
-    lefts = [samples_shared(one, whole) for one, whole in zip(released, sensed, strict=True)]
-    for side, left in enumerate(lefts):
-        if left is None:
-            continue
-        sensed[side] = restricted(sensed[side], left)
-        windows[side] = restricted(windows[side], left)
-        if turned:
-            turned[side] = turned[side].of(left.rows)
-    if all(left is None for left in lefts):
-        return known
-    return replace(
-        known,
-        sessions=replace(sessions, probe=windows[0], gallery=windows[1]),
-        sensed=(sensed[0], sensed[1]),
-        frames=(turned[0], turned[1]) if turned else None,
+        weights=linkage_weights(drawn_as, n_groups=len(groups), task=task.name, seed=seed),
+        cluster=cluster.astype(np.int64),
+        epsilon_m=stages.privacy.epsilon_m,
+        seed=seed,
     )
 
 
@@ -170,7 +104,7 @@ def _half(sessions: Sessions, fold: int) -> Half:
     mine = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)
 
-    def part(searches: Ints, people: Bools | None) -> Pairing:
+    def part(searches: Ints, people: Bools | None = None) -> Pairing:
         probe = np.isin(sessions.probe.search, searches)
         gallery = np.isin(sessions.gallery.search, searches)
         if people is not None:
@@ -184,14 +118,13 @@ def _half(sessions: Sessions, fold: int) -> Half:
             mate=np.where(mate >= 0, place[mate], -1),
         )
 
-    calibrates = [part(np.array([number]), sessions.calibrates[fold]) for number in others]
-    n_probes = sum(one.mate.size for one in calibrates)
-    n_mated = sum(int((one.mate >= 0).sum()) for one in calibrates)
+    calibrates = [part(one, sessions.calibrates[fold]) for one in others[:, None]]
+    mated = np.concatenate([np.zeros(0, dtype=bool), *(one.mate >= 0 for one in calibrates)])
     return Half(
-        searches=tuple((int(number), part(np.array([number]), None)) for number in mine),
+        searches=tuple((int(one[0]), part(one)) for one in mine[:, None]),
         learns=part(others, sessions.learns[fold]),
         calibrates=tuple(one for one in calibrates if (one.mate >= 0).any()),
-        mate_rate=(n_mated + 0.5) / (n_probes + 1.0),
+        mate_rate=(int(mated.sum()) + 0.5) / (mated.size + 1.0),
     )
 
 
@@ -199,16 +132,8 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
     """Return bootstrap weights of the clusters of a linkage task, (B, C).
 
     Clusters that the run's scenes have as well are drawn as they are there; the others are drawn
-    among themselves.
-
-    Parameters
-    ----------
-    drawn_as : (C,) int
-        Place of each among the clusters of the run's scenes, or -1.
-    n_groups : int
-        Clusters of the run's scenes.
-    task : str
-    seed : int
+    among themselves. `drawn_as`, (C,), is the place of each among the `n_groups` clusters of the
+    run's scenes, or -1.
     """
     weights = np.empty((N_REPLICATES, drawn_as.size))
     again, further = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)
@@ -222,52 +147,36 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
     return weights
 
 
-def _side(sessions: Sessions, side: str) -> Windows:
-    return sessions.probe if side == "probe" else sessions.gallery
-
-
 def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) -> Sensed:
     """Return what the network senses of one side; every window draws from its own streams."""
-    windows, task = _side(sessions, side), sessions.task
-    drawn = []
-    for size, person, search in zip(
-        np.diff(windows.offsets), windows.person, windows.search, strict=True
-    ):
+    windows, task = getattr(sessions, side), sessions.task
+    keys: list[tuple[str | int, ...]] = []
+    for person, search in zip(windows.person, windows.search, strict=True):
         # The number of a closed search is a half, which may change with who else is there.
-        key = ("linkage", task.family, side, sessions.source[person])
-        drawn.append(
-            draw_channel(
-                n_samples=np.array([[size]]),
-                keys=[(*key, sessions.searches[search]) if task.shows_scene else key],
-                settings=stages.sensing,
-                seed=seed,
-            )
-        )
-    channel = type(drawn[0])(
-        *(np.concatenate([getattr(one, item.name) for one in drawn]) for item in fields(drawn[0]))
-    )
+        at = (sessions.searches[search],) if task.shows_scene else ()
+        keys.append(("linkage", task.family, side, sessions.source[person], *at))
+    sizes = np.diff(windows.offsets)[:, None]
     return sense(
         t=windows.t,
         xy=windows.xy,
         offsets=windows.offsets,
-        channel=channel,
+        channel=draw_channel(n_samples=sizes, keys=keys, settings=stages.sensing, seed=seed),
         settings=stages.sensing,
     )
 
 
-def _frames(sessions: Sessions, side: str, *, seed: int) -> Frames:
+def _frames(sessions: Sessions, side: str, *, seed: int) -> Frame:
     """Return the frames of one side: those of a walk are its own, whoever else is there."""
-    windows = _side(sessions, side)
+    windows = getattr(sessions, side)
     drawn = np.empty((len(windows), 4))
     for row, person in enumerate(windows.person):
         rng = stream(seed, "frames", "linkage", sessions.task.family, side, sessions.source[person])
         drawn[row] = rng.random(4)
-    sizes = np.diff(windows.offsets)
-    angle, *shift, clock = np.repeat(drawn, sizes, axis=0).T
-    return Frames(
-        cos=np.cos(2.0 * np.pi * angle),
-        sin=np.sin(2.0 * np.pi * angle),
-        shift_m=FAR_M * (2.0 * np.column_stack(shift) - 1.0),
+    angle = 2.0 * np.pi * drawn[:, 0]
+    return Frame(
+        cos=np.cos(angle),
+        sin=np.sin(angle),
+        shift_m=FAR_M * (2.0 * drawn[:, 1:3] - 1.0),
         # From the start of each window: a recording may last longer than the draw reaches.
-        clock_s=LONG_S * clock - np.repeat(windows.t[windows.offsets[:-1]], sizes),
+        clock_s=LONG_S * drawn[:, 3] - windows.t[windows.offsets[:-1]],
     )

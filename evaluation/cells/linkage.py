@@ -6,8 +6,7 @@ level.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,53 +14,24 @@ import numpy as np
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.shape import Shape
 from attacks.tasks.controls import CONTROLS
-from evaluation.cells.adversary import declared, fitted, granted_at, reconstructed, showing
-from evaluation.cells.link_scores import (
-    AUDIT_SHUFFLES,
-    SHUFFLES,
-    calibrated,
-    no_match_score,
-    read_off,
-)
-from evaluation.cells.link_setup import SIDES, without
-from evaluation.cells.plugin_calls import copied, guarded
-from evaluation.cells.samples import samples_of, tracks_of
-from evaluation.cells.sharing import share
-from evaluation.cells.windows import window_rows
+from evaluation.cells import sharing
+from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
+from evaluation.cells.link_scores import calibrated, no_match_score, read_off
+from evaluation.cells.link_setup import SIDES
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
-from isac_track.types import Knowledge
+from isac_track.types import Knowledge, Release
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from evaluation.cells.link_scores import Linked
     from evaluation.cells.link_setup import Pairing, SensedSessions
-    from evaluation.cells.tables import Rows
     from evaluation.experiment.axes import Consumer
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
-    from isac_track.types import Floats, Ints, Release
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class LinkedLevel:
-    """What all that link at one mechanism level of a task share."""
-
-    mechanism: Plugin
-    shared: tuple[Release, Release]
-    """Of the probe and of the gallery side, in the true frame."""
-    released: tuple[Release, Release]
-    """As an adversary sees them, with the declared standard deviations."""
-    known: SensedSessions
-    """Without the samples that were left out."""
-    leaves_out: bool
-    """Whether there are such samples."""
-    epsilon_m: float
-    seed: int
-    sides: dict[tuple[object, ...], _Sides]
-    """By the reconstruction in front, what it was granted, fold, and whether SIGMA shows."""
+    from isac_track.types import Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,99 +40,77 @@ class _Sides:
 
     probe: Release
     gallery: Release
-    found: dict[int, tuple[Release, Release]]
+    found: dict[int, tuple[Release, Release]] = field(default_factory=dict)
 
     def of(self, pairing: Pairing) -> tuple[Release, Release]:
         """Return the windows of a pairing, the same ones every time."""
         if id(pairing) not in self.found:
-            self.found[id(pairing)] = (
-                tracks_of(self.probe, pairing.probe),
-                tracks_of(self.gallery, pairing.gallery),
-            )
+            probe = sharing.tracks_of(self.probe, pairing.probe)
+            self.found[id(pairing)] = probe, sharing.tracks_of(self.gallery, pairing.gallery)
         return self.found[id(pairing)]
 
 
-def linked_level(
-    mechanism: Plugin, *, known: SensedSessions, epsilon_m: float, seed: int
-) -> LinkedLevel:
-    """Share both sessions of a task.
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkedLevel:
+    """What all that link at one mechanism level of a task share."""
 
-    Raises
-    ------
-    PluginError
-        If the mechanism raises or breaks its contract; the message names it.
+    mechanism: Plugin
+    whole: SensedSessions
+    known: SensedSessions
+    """Without the samples that were left out; the same as `whole` if there are none."""
+    shared: tuple[Release, ...]
+    """Of the probe and of the gallery side, in the true frame."""
+    seen: _Sides
+    """The same in the frames of the adversary, with the declared standard deviations."""
+    sides: dict[tuple[object, ...], _Sides] = field(default_factory=dict)
+    """By whether SIGMA shows, the reconstruction in front, what it was granted, and fold."""
+
+
+def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
+    """Share both sessions of a task."""
+    family = whole.sessions.task.family
+    known, sensed, shared, seen = whole, [], [], list[Release]()
+    for number, (side, network) in enumerate(zip(SIDES, whole.sensed, strict=True)):
+        release = sharing.share(mechanism, network, "linkage", family, side, seed=whole.seed)
+        left = sharing.samples_shared(release, network)
+        if left is not None:
+            windows = sharing.restricted(getattr(whole.sessions, side), left)
+            known = replace(known, sessions=replace(known.sessions, **{side: windows}))
+        sensed.append(sharing.restricted(network, left))
+        shared.append(release)
+        if whole.frames:
+            walks = np.repeat(np.arange(len(release)), np.diff(release.offsets))
+            release = whole.frames[number].of(walks).release(release)
+        seen.append(release)
+    if known is not whole:
+        known = replace(known, sensed=tuple(sensed))
+    return LinkedLevel(mechanism, whole, known, tuple(shared), _Sides(seen[0], seen[1]))
+
+
+def link(consumer: Consumer, level: LinkedLevel, controls: dict[str, Linked]) -> Linked:
+    """Return what a linkage attack or control achieves at one mechanism level.
+
+    `controls` holds those that are alike at every level that leaves nothing out, as far as they
+    are known; it is added to.
     """
-    family = known.sessions.task.family
-    probe, gallery = (
-        share(mechanism, sensed, "linkage", family, side, seed=seed)
-        for sensed, side in zip(known.sensed, SIDES, strict=True)
-    )
-    rest = without(known, (probe, gallery))
-    released = (probe, gallery)
-    if rest.frames is not None:
-        released = (rest.frames[0].release(probe), rest.frames[1].release(gallery))
-    return LinkedLevel(
-        mechanism=mechanism,
-        shared=(probe, gallery),
-        released=released,
-        known=rest,
-        leaves_out=rest is not known,
-        epsilon_m=epsilon_m,
-        seed=seed,
-        sides={},
-    )
-
-
-def link(
-    consumer: Consumer,
-    level: LinkedLevel,
-    *,
-    whole: SensedSessions,
-    controls: dict[str, Linked],
-) -> Linked | Rows:
-    """Return what a consumer links at one mechanism level, or the rows of the windows.
-
-    Parameters
-    ----------
-    consumer : Consumer
-        A linkage attack or control of the task, or its windows.
-    level : LinkedLevel
-    whole : SensedSessions
-        With the samples that the level left out.
-    controls : dict
-        Those that are alike at every level that leaves nothing out, as far as they are known; it
-        is added to.
-
-    Raises
-    ------
-    PluginError
-        If an attack raises or breaks its contract; the message names it.
-    """
-    if consumer.kind == "windows":
-        return window_rows(
-            level.shared, known=level.known, sessions=whole.sessions, epsilon_m=level.epsilon_m
-        )
-    if consumer.kind != "control":
-        return _linked(consumer, level)
-    if not CONTROLS[consumer.control].sees_times_only or level.leaves_out:
-        return _controlled(consumer, level)
-    if consumer.control not in controls:
-        controls[consumer.control] = _controlled(consumer, level)
-    return controls[consumer.control]
-
-
-def _linked(consumer: Consumer, level: LinkedLevel) -> Linked:
+    if consumer.kind == "control":
+        if not CONTROLS[consumer.control].sees_times_only or level.known is not level.whole:
+            return _controlled(consumer, level)
+        if consumer.control not in controls:
+            controls[consumer.control] = _controlled(consumer, level)
+        return controls[consumer.control]
     known = level.known
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
     no_match: dict[int, float] = {}
     for fold, half in enumerate(known.halves):
-        sides = _sides(consumer, level, fold=fold)
-        attack = _fitted(consumer, level, sides=sides, fold=fold)
-        score = partial(_scored, consumer, attack, sides)
+        sides = _sides(consumer, level, fold)
+        attack = _fitted(consumer, level, fold, sides)
         for number, pairing in half.searches:
-            scores[number] = score(pairing)
-        on_others = calibrated([(score(pairing), pairing) for pairing in half.calibrates])
+            scores[number] = _scored(consumer, attack, sides, pairing)
+        on_others = calibrated(
+            [(_scored(consumer, attack, sides, one), one) for one in half.calibrates]
+        )
         if on_others is not None:
             calibration[fold] = on_others
             for number, pairing in half.searches:
@@ -171,9 +119,9 @@ def _linked(consumer: Consumer, level: LinkedLevel) -> Linked:
         scores,
         known=known,
         calibration=calibration,
-        no_match=no_match if known.sessions.task.shows_scene else None,
-        rng=stream(level.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
-        is_control=False,
+        no_match=no_match,
+        rng=stream(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
+        control=None,
     )
 
 
@@ -181,144 +129,121 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
     """Return what a control links: it learns nothing and knows what is declared."""
     known, control = level.known, CONTROLS[consumer.control]
     key = () if control.sees_times_only else (level.mechanism.spec,)
-    rng = stream(level.seed, "controls", consumer.spec, *key)
+    rng = stream(known.seed, "controls", consumer.spec, *key)
     task = known.sessions.task
+    score = control.scorer(task)
     scores: dict[int, Floats] = {}
-    for half in known.halves:
-        for number, pairing in half.searches:
-            probe = tracks_of(level.released[0], pairing.probe)
-            gallery = tracks_of(level.released[1], pairing.gallery)
-            score = control.scorer(task)
-            if score is not None:
-                scores[number] = score(probe, gallery, rng)
-                continue
-            attack = Kinematic() if task.shows_scene else Shape()
-            context = AttackContext(
-                rng=rng, epsilon_m=level.epsilon_m, granted=attack.requires & task.everyone
-            )
-            real = attack.fit(context)(probe.without_sigma(), gallery.without_sigma())
-            scores[number] = real[:, rng.permutation(real.shape[1])]
-    return read_off(
-        scores,
-        known=known,
-        calibration={},
-        no_match={} if task.shows_scene else None,
-        rng=rng,
-        is_control=True,
-        n_shuffles=AUDIT_SHUFFLES if control.is_audit else SHUFFLES,
-    )
+    for number, pairing in (one for half in known.halves for one in half.searches):
+        probe, gallery = level.seen.of(pairing)
+        if score is not None:
+            scores[number] = score(probe, gallery, rng)
+            continue
+        attack = Kinematic() if task.shows_scene else Shape()
+        granted = attack.requires & task.everyone
+        context = AttackContext(rng=rng, epsilon_m=known.epsilon_m, granted=granted)
+        real = attack.fit(context)(probe.without_sigma(), gallery.without_sigma())
+        scores[number] = real[:, rng.permutation(real.shape[1])]
+    return read_off(scores, known=known, calibration={}, no_match={}, rng=rng, control=control)
 
 
-def _sides(consumer: Consumer, level: LinkedLevel, *, fold: int) -> _Sides:
+def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
     """Return both releases as a linker gets them: smoothed first, where it stands behind that."""
     assert consumer.plugin is not None
-    knows_sigma = Knowledge.SIGMA in consumer.granted & declared(consumer.plugin)
-    behind = consumer.behind
-    key: tuple[object, ...] = (knows_sigma,)
+    behind, shows = consumer.behind, consumer.granted & declared(consumer.plugin)
+    key: tuple[object, ...] = (Knowledge.SIGMA in shows,)
     if behind is not None:
-        key = (knows_sigma, behind.spec, consumer.granted & declared(behind), fold)
+        key = (*key, behind.spec, consumer.granted & declared(behind), fold)
     if key not in level.sides:
-        probe, gallery = level.released
+        pair = (level.seen.probe, level.seen.gallery)
         if behind is not None:
-            probe, gallery = _smoothed(consumer, behind, level, fold=fold)
-        if not knows_sigma:
-            probe, gallery = probe.without_sigma(), gallery.without_sigma()
-        level.sides[key] = _Sides(probe, gallery, {})
+            pair = _smoothed(consumer, behind, level, fold)
+        level.sides[key] = _Sides(showing(pair[0], shows), showing(pair[1], shows))
     return level.sides[key]
 
 
 def _smoothed(
-    consumer: Consumer, behind: Plugin, level: LinkedLevel, *, fold: int
+    consumer: Consumer, behind: Plugin, level: LinkedLevel, fold: int
 ) -> tuple[Release, Release]:
     """Return both releases with the positions that a reconstruction attack makes of them."""
-    who = f"attack {behind.spec} (behind {consumer.label})"
-    granted = _granted(consumer, behind, level)
-    learns = level.known.halves[fold].learns
-    probe, gallery = (showing(one, granted) for one in level.released)
-    train = None
-    if learns.probe.size:
-        train = TrainingSet(
-            copied(tracks_of(probe, learns.probe)), _truth_of_probes(level.known, learns.probe)
-        )
-    attack = fitted(
-        behind,
-        who=who,
+    name = f"attack {behind.spec}"
+    who = f"{name} (behind {consumer.label})"
+    known, releases = level.known, (level.seen.probe, level.seen.gallery)
+    granted = granted_at(consumer, behind, *level.shared, who=name, mechanism=level.mechanism)
+    shown = [showing(one, granted) for one in releases]
+    train, rows = None, known.halves[fold].learns.probe
+    if rows.size:
+        windows = known.sessions.probe
+        samples = sharing.samples_of(windows.offsets, rows)
+        truth = windows.xy[samples.rows]
+        if known.frames:
+            truth = known.frames[0].of(np.repeat(rows, np.diff(samples.offsets))).points(truth)
+        train = TrainingSet(sharing.copied(sharing.tracks_of(shown[0], rows)), truth)
+    context = AttackContext(
+        rng=stream(known.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
+        epsilon_m=known.epsilon_m,
         granted=granted,
-        mechanism=level.mechanism,
-        rng=stream(level.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
-        epsilon_m=level.epsilon_m,
+        mechanism=level.mechanism.instance,
         train=train,
     )
+    attack = sharing.guarded(who, lambda: behind.instance.fit(context))
     first, second = (
-        replace(one, xy=reconstructed(attack, copied(shown), who=who))
-        for one, shown in zip(level.released, (probe, gallery), strict=True)
+        replace(one, xy=reconstructed(attack, sharing.copied(view), who=who))
+        for one, view in zip(releases, shown, strict=True)
     )
     return first, second
 
 
 def _fitted(
-    consumer: Consumer, level: LinkedLevel, *, sides: _Sides, fold: int
+    consumer: Consumer, level: LinkedLevel, fold: int, sides: _Sides
 ) -> Callable[..., object]:
+    """Return what a linker prepares from what it is granted."""
     assert consumer.plugin is not None
-    granted = _granted(consumer, consumer.plugin, level)
-    learns = level.known.halves[fold].learns
+    plugin, known = consumer.plugin, level.known
+    name = f"attack {plugin.spec}"
+    granted = granted_at(consumer, plugin, *level.shared, who=name, mechanism=level.mechanism)
+    learns = known.halves[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
         if not ((learns.mate >= 0).any() and learns.gallery.size):
             raise DataError(
                 f"attack {consumer.label} learns from other people, but there is nobody to learn "
-                f"from in {level.known.sessions.task.name}; use a recording of more people or "
-                "leave the attack out"
+                f"from in {known.sessions.task.name}; use a recording of more people or leave the "
+                "attack out"
             )
         probe, gallery = sides.of(learns)
-        train = LinkageTrainingSet(copied(probe), copied(gallery), learns.mate.copy())
+        train = LinkageTrainingSet(
+            sharing.copied(probe), sharing.copied(gallery), learns.mate.copy()
+        )
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
-    return fitted(
-        consumer.plugin,
-        who=f"attack {consumer.label}",
+    context = AttackContext(
+        rng=stream(known.seed, "attacks", *key),
+        epsilon_m=known.epsilon_m,
         granted=granted,
-        mechanism=level.mechanism,
-        rng=stream(level.seed, "attacks", *key),
-        epsilon_m=level.epsilon_m,
+        mechanism=level.mechanism.instance,
         train=train,
     )
-
-
-def _granted(consumer: Consumer, plugin: Plugin, level: LinkedLevel) -> frozenset[Knowledge]:
-    """Return what one of a consumer's plug-ins gets at a level."""
-    return granted_at(
-        consumer.granted & declared(plugin),
-        plugin,
-        who=f"attack {plugin.spec}",
-        mechanism=level.mechanism,
-        has_sigma=all(one.sigma is not None for one in level.released),
+    attack: Callable[..., object] = sharing.guarded(
+        f"attack {consumer.label}", lambda: plugin.instance.fit(context)
     )
+    return attack
 
 
 def _scored(
     consumer: Consumer, attack: Callable[..., object], sides: _Sides, pairing: Pairing
 ) -> Floats:
     """Return what a linker makes of a search, (p, g), in single precision."""
+    who = f"attack {consumer.label}"
     probe, gallery = sides.of(pairing)
     if not consumer.is_built_in:  # a stranger may unlock arrays: what it writes to is its own
-        probe, gallery = copied(probe), copied(gallery)
-    found = guarded(f"attack {consumer.label}", lambda: attack(probe, gallery))
+        probe, gallery = sharing.copied(probe), sharing.copied(gallery)
+    scores = np.asarray(sharing.guarded(who, lambda: attack(probe, gallery)))
     expected = (pairing.probe.size, pairing.gallery.size)
-    scores = np.asarray(found)
     if scores.shape != expected or scores.dtype.kind not in "fiu":
         raise PluginError(
-            f"attack {consumer.label} must return scores {expected}, got {scores.shape} of "
-            f"{scores.dtype}"
+            f"{who} must return scores {expected}, got {scores.shape} of {scores.dtype}"
         )
     with np.errstate(over="ignore"):
         single = scores.astype(np.float32)
     if not np.isfinite(single).all():
-        raise PluginError(f"attack {consumer.label} returned a score that is not finite")
+        raise PluginError(f"{who} returned a score that is not finite")
     return single.astype(np.float64)
-
-
-def _truth_of_probes(known: SensedSessions, rows: Ints) -> Floats:
-    """Return true positions of some probes in the frames that the adversary sees, (m, 2) m."""
-    windows = known.sessions.probe
-    xy = windows.xy if known.frames is None else known.frames[0].points(windows.xy)
-    return xy[samples_of(windows.offsets, rows).rows]

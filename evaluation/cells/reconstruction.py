@@ -6,33 +6,20 @@ other half; every attack prepares anew for every mechanism level.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, smooth
 from attacks.reconstruction.learning import N_CANDIDATES
-from evaluation.cells.adversary import (
-    SHOWS,
-    fitted,
-    granted_at,
-    reconstructed,
-    turned,
-    view_of,
-)
-from evaluation.cells.descriptors import descriptors, track_columns
-from evaluation.cells.plugin_calls import copied
-from evaluation.cells.samples import (
-    restricted,
-    samples_of,
-    samples_shared,
-    tracks_of,
-)
-from evaluation.cells.sharing import share
+from evaluation.cells import sharing
+from evaluation.cells.adversary import SHOWS, granted_at, reconstructed, view_of
+from evaluation.cells.tables import descriptors, track_columns, track_means
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track.errors import DataError, PluginError
-from isac_track.protocols import TrainingSet
+from isac_track.protocols import AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import make_scenes
 from isac_track.sensing import sense_scenes
@@ -41,10 +28,7 @@ from isac_track.types import Knowledge
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from numpy.random import Generator
-
-    from evaluation.cells.adversary import View
-    from evaluation.cells.samples import Samples
+    from evaluation.cells.adversary import Frame
     from evaluation.cells.tables import Rows
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
@@ -63,35 +47,43 @@ _LEAST_VARIANCE_M2 = 1e-12
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Victims:
-    """Some tracks of a block, one after the other."""
-
-    rows: Ints
-    """(n,) which tracks of the block."""
-    offsets: Ints
-    """(n + 1,)"""
-    t: Floats
-    """(m,) s"""
-    truth: Floats
-    """(m, 2) m"""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class AttackedBlock:
-    """What all attacks on a block share, whatever the mechanism."""
+    """What all attacks on a block of N tracks share, whatever the mechanism."""
 
     scenes: Scenes
     sensed: Sensed
-    halves: tuple[Victims, Victims]
-    """The tracks of either half of the people."""
-    first_halves: tuple[Victims, Victims]
-    """The same, only the first release of each source track in the run: for slow attacks."""
-    passes: tuple[tuple[Victims, ...], tuple[Victims, ...]]
-    """The same, cut by the passes over the recording: in none does a walk occur twice."""
+    half: Ints
+    """(N,) which half of the people each track belongs to"""
+    turn: Ints
+    """(N,) pass over the recording: in none does a walk occur twice, in the first all do once"""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
-    """For each part people of the other half, each once; None if there are none. All samples."""
+    """For each half people of the other one, each once; None if there are none."""
     again: tuple[Sensed, ...]
-    """The walks of the block sensed anew, for REPEATS. All samples."""
+    """The walks of the block sensed anew, for REPEATS."""
+    stages: StageSettings
+    seed: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AttackedLevel:
+    """What all attacks on one mechanism level of a block share."""
+
+    mechanism: Plugin
+    block: AttackedBlock
+    key: tuple[str | int, ...]
+    """Names of its random streams; what follows is the half."""
+    scenes: Scenes
+    """Without the samples that the release left out."""
+    release: Release
+    views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Release, Frame]]
+    """Each half of the release in the true frame; as it shows to who is granted SIGMA, SCENE, both
+    or neither; and in which frame."""
+    training: Mapping[tuple[int, frozenset[Knowledge]], TrainingSet]
+    """People to learn from for each half, in a frame of theirs; none where there are none."""
+    again: tuple[Release, ...]
+    """Further releases of the same walks, in the true frame."""
+    benchmark: Rows
+    """Columns of what the benchmark expects of each track."""
 
 
 def folds(groups: tuple[str, ...], *, seed: int) -> Ints:
@@ -112,11 +104,10 @@ def slow_cost_s(consumers: Sequence[Consumer], *, tracks: Cut, n_levels: int) ->
     n_training = 2 * min(TRAINING_PEOPLE, len(tracks) // 2) * float(n_samples.mean())
     total_s = 0.0
     for consumer in consumers:
-        assert consumer.plugin is not None
-        said = getattr(consumer.plugin.instance, "seconds_per_sample", np.nan)
-        each_s = float(said) if isinstance(said, int | float) else np.nan
-        learns = Knowledge.TRAIN in consumer.granted
-        total_s += each_s * (n_samples.sum() + (N_CANDIDATES * n_training if learns else 0.0))
+        said = getattr(consumer.plugins[0].instance, "seconds_per_sample", None)
+        n_learnt = N_CANDIDATES * n_training if Knowledge.TRAIN in consumer.granted else 0.0
+        each_s = said if isinstance(said, int | float) else np.nan
+        total_s += each_s * (n_samples.sum() + n_learnt)
     return n_levels * total_s
 
 
@@ -129,211 +120,194 @@ def attacked_block(
     stages: StageSettings,
     seed: int,
 ) -> AttackedBlock:
-    """Prepare a block for its attacks.
+    """Prepare a block of scenes of `tracks` for its attacks.
 
-    Parameters
-    ----------
-    scenes, sensed
-        The block.
-    tracks : Cut
-        What the scenes were made of.
-    repeats : bool
-        Whether an attack is granted REPEATS.
-    stages : StageSettings
-    seed : int
+    `repeats` says whether an attack is granted REPEATS.
     """
-    half = folds(tracks.group, seed=seed)
-    victims_half = half[scenes.track]
+    half_of = folds(tracks.group, seed=seed)
+    half = half_of[scenes.track]
     seats = scenes.index[0] * scenes.n_agents + np.arange(scenes.track.size)
-    number = seats // len(tracks)  # each pass over the tracks takes each once
-    training = []
+    turn = seats // len(tracks)  # each pass over the tracks takes each once
+    if np.unique(turn * len(tracks) + scenes.track).size < scenes.track.size:
+        raise AssertionError("a walk occurs twice in one pass")
+    training: list[tuple[Scenes, Sensed] | None] = []
     for fold in _FOLDS:
-        others = _people(half, fold=1 - fold, seed=seed)
-        _assert_apart(others, scenes.track[victims_half == fold], tracks=tracks)
-        training.append(
-            _training(tracks, people=others, fold=fold, stages=stages, seed=seed)
-            if others.size
-            else None
-        )
+        people = _people(half_of, fold=1 - fold, seed=seed)
+        taught = {tracks.group[row] for row in people}
+        if any(tracks.group[row] in taught for row in np.unique(scenes.track[half == fold])):
+            raise AssertionError("a victim's group is among the training people")
+        if not people.size:
+            training.append(None)
+            continue
+        # Placed and sensed like a scene's first agent, beyond the scenes of any run.
+        first = MOST_SCENES + fold * len(tracks)
+        walks = make_scenes(tracks, order=people[:, None], first=first, settings=stages, seed=seed)
+        training.append((walks, sense_scenes(walks, settings=stages.sensing, seed=seed)))
     again = tuple(
         sense_scenes(scenes, settings=stages.sensing, seed=seed, names=("again", number))
         for number in range(N_REPEATS if repeats else 0)
     )
-    first, second = (_victims(scenes, np.flatnonzero(victims_half == fold)) for fold in _FOLDS)
-    passes = tuple(
-        tuple(
-            _victims(scenes, np.flatnonzero((victims_half == fold) & (number == one)))
-            for one in np.unique(number[victims_half == fold])
-        )
-        for fold in _FOLDS
-    )
-    _assert_distinct(passes, scenes=scenes)
-    first_once, second_once = (
-        _victims(scenes, np.flatnonzero((victims_half == fold) & (number == 0))) for fold in _FOLDS
-    )
-    return AttackedBlock(
-        scenes=scenes,
-        sensed=sensed,
-        halves=(first, second),
-        first_halves=(first_once, second_once),
-        passes=(passes[0], passes[1]),
-        training=tuple(training),
-        again=again,
-    )
+    return AttackedBlock(scenes, sensed, half, turn, tuple(training), again, stages, seed)
 
 
-def _without(block: AttackedBlock, shared: Samples) -> AttackedBlock:
-    """Return a block as it is for a release that left samples out: the same tracks, the rest."""
-    scenes = restricted(block.scenes, shared)
-
-    def rest(whole: Victims) -> Victims:
-        return _victims(scenes, whole.rows)
-
-    return replace(
-        block,
-        scenes=scenes,
-        sensed=restricted(block.sensed, shared),
-        halves=(rest(block.halves[0]), rest(block.halves[1])),
-        first_halves=(rest(block.first_halves[0]), rest(block.first_halves[1])),
-        passes=(tuple(map(rest, block.passes[0])), tuple(map(rest, block.passes[1]))),
-    )
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class AttackedLevel:
-    """What all attacks on one mechanism level of a block share."""
-
-    mechanism: Plugin
-    block: AttackedBlock
-    """Without the samples that the release left out."""
-    key: tuple[str | int, ...]
-    """Names of its random streams."""
-    release: Release
-    victims: tuple[Release, Release]
-    """The parts of the release, in the true frame."""
-    views: Mapping[tuple[int, frozenset[Knowledge]], View]
-    """The same as they show to who is granted SIGMA, SCENE, both or neither."""
-    training: Mapping[tuple[int, frozenset[Knowledge]], TrainingSet]
-    """People to learn from for each part, in a frame of theirs; none where there are none."""
-    again: tuple[Release, ...]
-    """Further releases of the same walks, in the true frame."""
-    benchmark_mse_m2: Floats
-    """(N,) mean over a track's samples of the squared error that the benchmark expects."""
-    benchmark_plr: Floats
-    """(N,) the benchmark's expected PLR."""
+def _people(half: Ints, *, fold: int, seed: int) -> Ints:
+    """Return which tracks of a half train an attack."""
+    rows = np.flatnonzero(half == fold)
+    drawn: Ints = stream(seed, "training", fold).permutation(rows)[:TRAINING_PEOPLE]
+    return drawn
 
 
 def attacked_level(
-    *,
-    mechanism: Plugin,
-    release: Release,
-    block: AttackedBlock,
-    consumers: Sequence[Consumer],
-    stages: StageSettings,
-    seed: int,
+    mechanism: Plugin, release: Release, block: AttackedBlock, consumers: Sequence[Consumer]
 ) -> AttackedLevel:
-    """Prepare a mechanism level for its attacks.
-
-    Parameters
-    ----------
-    mechanism : Plugin
-    release : Release
-        What was shared of the block.
-    block : AttackedBlock
-    consumers : sequence of Consumer
-        The attacks.
-    stages : StageSettings
-    seed : int
-    """
-    left = samples_shared(release, block.sensed)
-    if left is not None:
-        block = _without(block, left)
+    """Prepare a mechanism level for its attacks; `release` is what was shared of the block."""
+    seed, epsilon_m = block.seed, block.stages.privacy.epsilon_m
+    left = sharing.samples_shared(release, block.sensed)
     granted = frozenset[Knowledge]().union(*(consumer.granted for consumer in consumers))
     first_scene = int(block.scenes.index[0])
-    key = (mechanism.spec, "scene", first_scene)
-    victims = (tracks_of(release, block.halves[0].rows), tracks_of(release, block.halves[1].rows))
-    shows = {consumer.granted & SHOWS for consumer in consumers}
-    training: dict[tuple[int, frozenset[Knowledge]], TrainingSet] = {}
+    key = (mechanism.spec, "scene", first_scene, "part")
+    views, training = {}, {}
     for fold, others in enumerate(block.training):
-        if others is None or Knowledge.TRAIN not in granted:
-            continue
-        scenes, sensed = others
-        released = share(mechanism, sensed, "training", fold, seed=seed)
-        left = samples_shared(released, sensed)
-        truth_m = (scenes if left is None else restricted(scenes, left)).xy
-        for what in shows:
-            view = view_of(released, granted=what, rng=_frame(key, fold, "training", seed=seed))
-            truth = turned(truth_m, angle=view.angle, shift=view.shift)
-            training[fold, what] = TrainingSet(view.release, truth)
+        shared = None
+        if others is not None and Knowledge.TRAIN in granted:
+            walks, sensed = others
+            shared = sharing.share(mechanism, sensed, "training", fold, seed=seed)
+            truth_m = sharing.restricted(walks, sharing.samples_shared(shared, sensed)).xy
+        rows = np.flatnonzero(block.half == fold)
+        own = sharing.tracks_of(release, rows) if rows.size else None
+        for what in {consumer.granted & SHOWS for consumer in consumers}:
+            if own is not None:
+                rng = stream(seed, "frames", *key, fold)
+                views[fold, what] = own, *view_of(own, granted=what, rng=rng)
+            if shared is not None:
+                rng = stream(seed, "frames", *key, fold, "training")
+                shown, frame = view_of(shared, granted=what, rng=rng)
+                training[fold, what] = TrainingSet(shown, frame.points(truth_m))
+    again = [
+        sharing.share(mechanism, sensed, "scenes", first_scene, "again", number, seed=seed)
+        for number, sensed in enumerate(block.again)
+        if Knowledge.REPEATS in granted
+    ]
+    for one in again:
+        same_tracks = np.array_equal(one.offsets, release.offsets)
+        if not (same_tracks and np.array_equal(one.t, release.t)):
+            raise PluginError(
+                f"mechanism {mechanism.spec!r} leaves out other samples when the same walks are "
+                "shared again; an attack that is granted REPEATS gets them at the same instants: "
+                "leave samples out by their times, or leave out the attacks that use repeats"
+            )
     mse_m2, plr = benchmark(
-        release, sensed=block.sensed, mechanism=mechanism, epsilon_m=stages.privacy.epsilon_m
+        release,
+        sensed=sharing.restricted(block.sensed, left),
+        mechanism=mechanism,
+        epsilon_m=epsilon_m,
     )
     return AttackedLevel(
         mechanism=mechanism,
         block=block,
         key=key,
+        scenes=sharing.restricted(block.scenes, left),
         release=release,
-        victims=victims,
-        views={
-            (fold, what): view_of(one, granted=what, rng=_frame(key, fold, seed=seed))
-            for fold, one in enumerate(victims)
-            if len(one)
-            for what in shows
-        },
+        views=views,
         training=training,
-        again=tuple(
-            _repeat(
-                share(mechanism, sensed, "scenes", first_scene, "again", number, seed=seed),
-                of=release,
-                by=mechanism,
-            )
-            for number, sensed in enumerate(block.again)
-            if Knowledge.REPEATS in granted
-        ),
-        benchmark_mse_m2=mse_m2,
-        benchmark_plr=plr,
+        again=tuple(again),
+        benchmark={"benchmark_mse_m2": mse_m2, "benchmark_plr": plr},
     )
 
 
-def attack_rows(consumer: Consumer, *, level: AttackedLevel, epsilon_m: float, seed: int) -> Rows:
-    """Return the descriptors of every attacked track, in the order of the block.
-
-    Raises
-    ------
-    PluginError
-        If the attack raises or breaks its contract; the message names it.
-    DataError
-        If there is nobody to learn from.
-    """
-    rows: list[Ints] = [np.zeros(0, dtype=np.int64)]
-    found: list[Rows] = []
-    for victims, xy in _attacked(consumer, level=level, epsilon_m=epsilon_m, seed=seed):
-        rows.append(victims.rows)
-        found.append(
-            descriptors(
-                xy=xy,
-                truth=victims.truth,
-                t=victims.t,
-                offsets=victims.offsets,
-                epsilon_m=epsilon_m,
-            )
-        )
-    joined = np.concatenate(rows)
-    order = np.argsort(joined)
-    in_order = joined[order]
-    none = descriptors(
-        xy=np.zeros((0, 2)),
-        truth=np.zeros((0, 2)),
-        t=np.zeros(0),
-        offsets=np.zeros(1, dtype=np.int64),
-        epsilon_m=epsilon_m,
-    )
+def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
+    """Return the descriptors of every attacked track, in the order of the block."""
+    scenes = level.scenes
+    xy, attacked = np.empty_like(scenes.xy), np.zeros(scenes.track.size, dtype=bool)
+    for victims, found in _attacked(consumer, level):
+        xy[sharing.samples_of(scenes.offsets, victims).rows] = found
+        attacked[victims] = True
+    rows = np.flatnonzero(attacked)
+    samples = sharing.samples_of(scenes.offsets, rows)
     return {
-        **track_columns(level.block.scenes, in_order),
-        **{name: np.concatenate([one[name] for one in (*found, none)])[order] for name in none},
-        "benchmark_mse_m2": level.benchmark_mse_m2[in_order],
-        "benchmark_plr": level.benchmark_plr[in_order],
+        **track_columns(scenes, rows),
+        **descriptors(
+            xy=xy[samples.rows],
+            truth=scenes.xy[samples.rows],
+            t=scenes.t[samples.rows],
+            offsets=samples.offsets,
+            epsilon_m=level.block.stages.privacy.epsilon_m,
+        ),
+        **{name: values[rows] for name, values in level.benchmark.items()},
     }
+
+
+def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, Floats]]:
+    """Yield tracks and their reconstructed positions in the true frame, (m, 2) m.
+
+    A release holds every walk once: of two copies an adversary could make one better one. The
+    built-in attacks work track by track (tested) and take all passes in one call.
+    """
+    assert consumer.plugin is not None
+    who = f"attack {consumer.label}"
+    granted = granted_at(
+        consumer, consumer.plugin, level.release, who=who, mechanism=level.mechanism
+    )
+    block = level.block
+    at_once = consumer.is_built_in and not consumer.is_slow
+    for fold in _FOLDS:
+        mine = block.half == fold
+        parts = [mine & (block.turn == one) for one in np.unique(block.turn[mine])]
+        if consumer.is_slow:
+            parts = [mine & (block.turn == 0)]
+        elif at_once:
+            parts = [mine]
+        attack: Callable[..., object] | None = None
+        for number, part in enumerate(parts):
+            victims = np.flatnonzero(part)
+            if not victims.size:
+                continue
+            if at_once:
+                own, shown, frame = level.views[fold, consumer.granted & SHOWS]
+                given = shown
+            else:
+                own = sharing.tracks_of(level.release, victims)
+                rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
+                shown, frame = view_of(own, granted=granted, rng=rng)
+                # A stranger may unlock arrays: what it writes to is its own.
+                given = sharing.copied(shown)
+            if attack is None or Knowledge.REPEATS in granted:
+                context = _context(consumer, level, granted, fold=fold, victims=victims)
+                attack = sharing.guarded(who, partial(consumer.plugin.instance.fit, context))
+            found = reconstructed(attack, given, who=who)
+            # Only the correction is turned back: what is left alone stays as it was, bit by bit.
+            yield victims, own.xy + frame.back(found - shown.xy)
+
+
+def _context(
+    consumer: Consumer,
+    level: AttackedLevel,
+    granted: frozenset[Knowledge],
+    *,
+    fold: int,
+    victims: Ints,
+) -> AttackContext:
+    """Return what an attack on some tracks of one half prepares with."""
+    train = level.training.get((fold, consumer.granted & SHOWS))
+    if train is not None and not consumer.is_built_in:
+        train = TrainingSet(sharing.copied(train.release), train.truth.copy())
+    if Knowledge.TRAIN in granted and train is None:
+        raise DataError(
+            f"attack {consumer.spec!r} learns from other people, but all tracks belong to one "
+            "person or group; use a recording of more people or leave the attack out"
+        )
+    repeats, seed = [], level.block.seed
+    for number, release in enumerate(level.again if Knowledge.REPEATS in granted else ()):
+        rng = stream(seed, "frames", *level.key, fold, "again", number)
+        repeats.append(view_of(sharing.tracks_of(release, victims), granted=granted, rng=rng)[0])
+    return AttackContext(
+        rng=stream(seed, "attacks", consumer.spec, consumer.knowledge, *level.key, fold),
+        epsilon_m=level.block.stages.privacy.epsilon_m,
+        granted=granted,
+        mechanism=level.mechanism.instance,
+        train=train,
+        repeats=tuple(repeats),
+    )
 
 
 def benchmark(
@@ -348,187 +322,18 @@ def benchmark(
     1 - exp(-epsilon^2 / 2P). NaN for a mechanism that declares no sigma, and for one that says
     (`errors_are_independent`) that its errors depend on each other from sample to sample.
     """
-    n_samples = np.diff(release.offsets)
     independent = getattr(mechanism.instance, "errors_are_independent", True)
     if release.sigma is None or not independent:
-        return np.full(n_samples.size, np.nan), np.full(n_samples.size, np.nan)
+        return np.full(len(release), np.nan), np.full(len(release), np.nan)
     law = getattr(mechanism.instance, "law", None) or sensed.law
     shared_m2, raw_m2 = release.sigma**2, sensed.sigma_raw**2
-    # What a mechanism takes away it takes from the raw error, what it adds has its own law.
-    variance = per_axis(sensed.law) * np.minimum(shared_m2, raw_m2)
-    variance += per_axis(law) * np.maximum(shared_m2 - raw_m2, 0.0)
+    # What a mechanism takes away it takes from the raw error, what it adds has its own law; of an
+    # error of standard deviation 1 a law has so much variance per axis.
+    sensed_share, own_share = (0.5 if one == "radial" else 1.0 for one in (sensed.law, law))
+    variance = sensed_share * np.minimum(shared_m2, raw_m2)
+    variance += own_share * np.maximum(shared_m2 - raw_m2, 0.0)
     std = smooth(release, np.maximum(variance, _LEAST_VARIANCE_M2), q=BENCHMARK_Q).std
     assert std is not None
     posterior = std**2
     leaks = -np.expm1(-(epsilon_m**2) / (2.0 * posterior))
-    starts = release.offsets[:-1]
-    return (
-        np.add.reduceat(2.0 * posterior, starts) / n_samples,
-        np.add.reduceat(leaks, starts) / n_samples,
-    )
-
-
-def per_axis(law: str) -> float:
-    """Return the variance per axis of an error of standard deviation 1 under a law."""
-    return 0.5 if law == "radial" else 1.0
-
-
-def _attacked(
-    consumer: Consumer, *, level: AttackedLevel, epsilon_m: float, seed: int
-) -> Iterator[tuple[Victims, Floats]]:
-    """Yield the victims and their reconstructed positions in the true frame, (m, 2) m.
-
-    A release holds every walk once: of two copies an adversary could make one better one. The
-    built-in attacks work track by track (tested) and take all passes in one call.
-    """
-    assert consumer.plugin is not None
-    who = f"attack {consumer.label}"
-    granted = granted_at(
-        consumer.granted,
-        consumer.plugin,
-        who=who,
-        mechanism=level.mechanism,
-        has_sigma=level.release.sigma is not None,
-    )
-    shows = consumer.granted & SHOWS
-    whole = consumer.is_built_in and not consumer.is_slow
-    for fold in _FOLDS:
-        if consumer.is_slow:
-            passes: tuple[Victims, ...] = (level.block.first_halves[fold],)
-        else:
-            passes = (level.block.halves[fold],) if whole else level.block.passes[fold]
-        attack: Callable[..., object] | None = None
-        for number, victims in enumerate(passes):
-            if not victims.rows.size:
-                continue
-            training = level.training.get((fold, shows))
-            if whole:
-                own, view = level.victims[fold], level.views[fold, shows]
-                release = view.release
-            else:
-                own = tracks_of(level.release, victims.rows)
-                rng = _frame(level.key, fold, "pass", number, seed=seed)
-                view = view_of(own, granted=granted, rng=rng)
-                # A stranger may unlock arrays: what it writes to is its own.
-                release = copied(view.release)
-                if training is not None:
-                    training = TrainingSet(copied(training.release), training.truth.copy())
-            if attack is None or Knowledge.REPEATS in granted:
-                attack = _fitted(
-                    consumer,
-                    granted=granted,
-                    level=level,
-                    victims=victims,
-                    fold=fold,
-                    training=training,
-                    epsilon_m=epsilon_m,
-                    seed=seed,
-                )
-            found = reconstructed(attack, release, who=who)
-            # Only the correction is turned back: what is left alone stays as it was, bit by bit.
-            yield victims, own.xy + turned(found - view.release.xy, angle=-view.angle)
-
-
-def _fitted(
-    consumer: Consumer,
-    *,
-    granted: frozenset[Knowledge],
-    level: AttackedLevel,
-    victims: Victims,
-    fold: int,
-    training: TrainingSet | None,
-    epsilon_m: float,
-    seed: int,
-) -> Callable[..., object]:
-    assert consumer.plugin is not None
-    if Knowledge.TRAIN in granted and training is None:
-        raise DataError(
-            f"attack {consumer.spec!r} learns from other people, but all tracks belong to one "
-            "person or group; use a recording of more people or leave the attack out"
-        )
-    repeats = tuple(
-        view_of(
-            tracks_of(release, victims.rows),
-            granted=granted,
-            rng=_frame(level.key, fold, "again", number, seed=seed),
-        ).release
-        for number, release in enumerate(level.again)
-        if Knowledge.REPEATS in granted
-    )
-    return fitted(
-        consumer.plugin,
-        who=f"attack {consumer.label}",
-        granted=granted,
-        mechanism=level.mechanism,
-        rng=stream(seed, "attacks", consumer.spec, consumer.knowledge, *level.key, "part", fold),
-        epsilon_m=epsilon_m,
-        train=training,
-        repeats=repeats,
-    )
-
-
-def _frame(key: tuple[str | int, ...], fold: int, *names: str | int, seed: int) -> Generator:
-    """Return the stream of a frame: one for each release, whoever attacks it."""
-    return stream(seed, "frames", *key, "part", fold, *names)
-
-
-def _victims(scenes: Scenes, rows: Ints) -> Victims:
-    samples = samples_of(scenes.offsets, rows)
-    return Victims(
-        rows=rows,
-        offsets=samples.offsets,
-        t=scenes.t[samples.rows],
-        truth=scenes.xy.take(samples.rows, axis=0),
-    )
-
-
-def _repeat(again: Release, *, of: Release, by: Plugin) -> Release:
-    """Return a further release of the same walks; it has to be at the same instants.
-
-    Raises
-    ------
-    PluginError
-    """
-    if not (np.array_equal(again.offsets, of.offsets) and np.array_equal(again.t, of.t)):
-        raise PluginError(
-            f"mechanism {by.spec!r} leaves out other samples when the same walks are shared again; "
-            "an attack that is granted REPEATS gets them at the same instants: leave samples out "
-            "by their times, or leave out the attacks that use repeats"
-        )
-    return again
-
-
-def _people(half: Ints, *, fold: int, seed: int) -> Ints:
-    """Return which tracks of a half train an attack."""
-    rows = np.flatnonzero(half == fold)
-    drawn: Ints = stream(seed, "training", fold).permutation(rows)[:TRAINING_PEOPLE]
-    return drawn
-
-
-def _assert_apart(training: Ints, victims: Ints, *, tracks: Cut) -> None:
-    """Assert that nobody is attacked by who learnt from them or from their group."""
-    taught = {tracks.group[row] for row in training}
-    if any(tracks.group[row] in taught for row in np.unique(victims)):
-        raise AssertionError("a victim's group is among the training people")
-
-
-def _assert_distinct(passes: tuple[tuple[Victims, ...], ...], *, scenes: Scenes) -> None:
-    """Assert that no release shows a walk twice."""
-    for victims in (one for half in passes for one in half):
-        walks = scenes.track[victims.rows]
-        if np.unique(walks).size < walks.size:
-            raise AssertionError("a walk occurs twice in one pass")
-
-
-def _training(
-    tracks: Cut, *, people: Ints, fold: int, stages: StageSettings, seed: int
-) -> tuple[Scenes, Sensed]:
-    """Return training walks, placed and sensed like those of a scene's first agent."""
-    scenes = make_scenes(
-        tracks,
-        order=people[:, None],
-        first=MOST_SCENES + fold * len(tracks),  # beyond the scenes of any run
-        settings=stages,
-        seed=seed,
-    )
-    return scenes, sense_scenes(scenes, settings=stages.sensing, seed=seed)
+    return track_means(2.0 * posterior, release.offsets), track_means(leaks, release.offsets)

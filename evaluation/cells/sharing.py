@@ -1,33 +1,76 @@
-"""One release of a mechanism, checked, and who sees nothing of a level but its release."""
+"""One release of a mechanism, checked: what it holds, and who sees nothing of a level but that.
+
+What a stranger wrote is called here as everywhere by `guarded`: their mistakes are named, and by
+`copied` their hands are kept off our arrays.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from evaluation.cells.plugin_calls import copied, guarded
-from evaluation.cells.samples import samples_shared
-from isac_track.errors import PluginError
+import numpy as np
+
+from attacks.tasks.sessions import Windows
+from isac_track.command_line import check_interrupt, may_be_ctrl_c
+from isac_track.errors import PluginError, told
 from isac_track.rng import stream
-from isac_track.types import SHARED_LIMIT_M, Knowledge, Release, within
+from isac_track.types import SHARED_LIMIT_M, Knowledge, Release, Scenes, Sensed, within
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
-    from isac_track.types import Sensed
+    from isac_track.types import Ints
+
+_Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
+_PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Samples:
+    """Some of the samples of a batch of tracks."""
+
+    rows: Ints
+    """(m,) which of the M samples."""
+    offsets: Ints
+    """(n + 1,) of the tracks among them."""
+
+
+def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns
+    """Return what a plug-in's function returns.
+
+    Raises
+    ------
+    PluginError
+        Whatever it raises, with who it was.
+    KeyboardInterrupt
+        If the user pressed Ctrl-C.
+    """
+    try:
+        return call()
+    except BaseException as error:  # a plug-in may do anything
+        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
+            raise
+        check_interrupt()  # it may have caught the user's and raised something else
+        raise PluginError(f"{who} failed: {told(error)}") from error
+
+
+def copied(batch: _Batch) -> _Batch:
+    """Return a batch in arrays of its own: a stranger may unlock them and write."""
+    values = {one.name: getattr(batch, one.name) for one in fields(batch)}
+    own: dict[str, Any] = {
+        name: value.copy() for name, value in values.items() if isinstance(value, np.ndarray)
+    }
+    return replace(batch, **own)
 
 
 def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Release:
     """Return what a mechanism shares of what was sensed.
 
-    Parameters
-    ----------
-    mechanism : Plugin
-    sensed : Sensed
-    *key : str or int
-        Name of the stream. Every mechanism gets the same one: common random numbers.
-    seed : int
+    `key` names the stream. Every mechanism gets the same one: common random numbers.
 
     Raises
     ------
@@ -43,29 +86,72 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
         samples_shared(release, sensed)
     except ValueError as error:
         raise PluginError(f"{who} changed the tracks or their times: {error}") from None
-    _check_shared(release, who=who)
+    if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
+        raise PluginError(
+            f"{who} shared a position that is not within {SHARED_LIMIT_M:g} m of the origin"
+        )
+    if release.sigma is not None and not within(release.sigma, 0.0, SHARED_LIMIT_M):
+        is_too_large = (release.sigma >= 0).all()
+        wrong = f"above {SHARED_LIMIT_M:g} m, the limit" if is_too_large else "below 0 or NaN"
+        raise PluginError(f"{who} declared a sigma {wrong}")
     # Fresh for every release: the common stream gives every mechanism the same ones.
     names = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
     fresh = tuple(names[8 * row : 8 * row + 8].hex() for row in range(len(release)))
     return replace(release, pseudonym=fresh)
 
 
-def share_block(mechanism: Plugin, sensed: Sensed, number: int, *, seed: int) -> Release:
-    """Return what a mechanism shares of a block of scenes, which is given by its number."""
-    return share(mechanism, sensed, "block", number, seed=seed)
+def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
+    """Return which samples a release holds; None if it is all of them.
 
-
-def _check_shared(release: Release, *, who: str) -> None:
-    """Raise PluginError if what was shared is no number to compute with."""
-    if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
-        raise PluginError(
-            f"{who} shared a position that is not within {SHARED_LIMIT_M:g} m of the origin"
+    Raises
+    ------
+    ValueError
+        If it holds other tracks, or a sample at an instant at which nothing was sensed.
+    """
+    if np.array_equal(release.offsets, sensed.offsets) and np.array_equal(release.t, sensed.t):
+        return None
+    if len(release) != len(sensed):
+        raise ValueError(f"of {len(sensed)} tracks it returned {len(release)}")
+    tracks = np.arange(len(sensed))
+    owner = np.repeat(tracks, np.diff(release.offsets))
+    # Complex numbers are ordered by their real parts first: by track, then by time.
+    known = np.repeat(tracks, np.diff(sensed.offsets)) + 1j * sensed.t
+    place = np.searchsorted(known, owner + 1j * release.t)
+    place = np.minimum(place, sensed.offsets[1:][owner] - 1)
+    strange = np.flatnonzero(sensed.t[place] != release.t)
+    if strange.size:
+        raise ValueError(
+            f"in track {owner[strange[0]]} nothing was sensed at {release.t[strange[0]]:.12g} s; "
+            "samples may be left out, not moved or added"
         )
-    if release.sigma is None or within(release.sigma, 0.0, SHARED_LIMIT_M):
-        return
-    if not (release.sigma >= 0).all():
-        raise PluginError(f"{who} declared a sigma below 0 or NaN")
-    raise PluginError(f"{who} declared a sigma above {SHARED_LIMIT_M:g} m, the limit")
+    return Samples(place, release.offsets)
+
+
+def samples_of(offsets: Ints, tracks: Ints) -> Samples:
+    """Return the samples of some tracks, one after the other: rows, (n,), of those at `offsets`."""
+    sizes = np.diff(offsets)[tracks]
+    among = np.concatenate([[0], np.cumsum(sizes)])
+    return Samples(np.repeat(offsets[tracks] - among[:-1], sizes) + np.arange(among[-1]), among)
+
+
+def restricted(batch: _Batch, to: Samples | None) -> _Batch:
+    """Return a batch with some of the samples of each of its tracks; None: with all."""
+    return batch if to is None else _with_samples(batch, to)
+
+
+def tracks_of(release: Release, tracks: Ints) -> Release:
+    """Return some tracks of a release."""
+    names = tuple(release.pseudonym[row] for row in tracks)
+    return _with_samples(release, samples_of(release.offsets, tracks), pseudonym=names)
+
+
+def _with_samples(batch: _Batch, to: Samples, **others: Any) -> _Batch:  # noqa: ANN401 - per track
+    samples = {
+        name: values.take(to.rows, axis=0)
+        for name in _PER_SAMPLE
+        if (values := getattr(batch, name, None)) is not None
+    }
+    return replace(batch, offsets=to.offsets, **samples, **others)
 
 
 def release_digest(*releases: Release) -> bytes:
@@ -85,9 +171,8 @@ def sees_release_alone(consumer: Consumer) -> bool:
     """
     if consumer.kind in {"shared", "windows"}:
         return True
-    plugins = [one for one in (consumer.plugin, consumer.behind) if one is not None]
     return (
         consumer.kind in {"predictor", "linkage"}
-        and all(one.origin.startswith(("predictors.", "attacks.")) for one in plugins)
+        and all(one.origin.startswith(("predictors.", "attacks.")) for one in consumer.plugins)
         and Knowledge.MECHANISM not in consumer.granted
     )

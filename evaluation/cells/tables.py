@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 import pyarrow as pa
+
+from isac_track import privacy
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from isac_track.scenes import Cut
-    from isac_track.types import Ints
+    from isac_track.types import Floats, Ints, Scenes
 
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"
-ROWS = "rows"
+ROWS: Final = "rows"
+DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")
+"""Columns of the descriptors of a track, or of a window."""
 
 
 def rows_table(rows: Rows, *, tracks: Cut) -> pa.Table:
@@ -33,3 +37,41 @@ def rows_table(rows: Rows, *, tracks: Cut) -> pa.Table:
 def names_column(rows: Ints, names: Sequence[str]) -> pa.Array:
     """Return a column of names, (N,), given by their places in `names`."""
     return pa.array(names, type=pa.string()).take(pa.array(rows))
+
+
+def track_columns(scenes: Scenes, rows: Ints) -> Rows:
+    """Return what names some tracks of a block: scene, agent and source track."""
+    return {
+        "scene": np.repeat(scenes.index, scenes.n_agents)[rows],
+        "agent": np.tile(np.arange(scenes.n_agents), len(scenes))[rows],
+        "track": scenes.track[rows],
+        "n_samples": np.diff(scenes.offsets)[rows],
+    }
+
+
+def descriptors(*, xy: Floats, truth: Floats, t: Floats, offsets: Ints, epsilon_m: float) -> Rows:
+    """Return PLR, AEL, MEL and mean squared error of every track, shared or reconstructed.
+
+    Parameters
+    ----------
+    xy, truth : (M, 2) m
+    t : (M,) s
+    offsets : (N + 1,) int
+    epsilon_m : float
+    """
+    away_m = privacy.distance_m(shared_xy=xy, true_xy=truth)
+    # `privacy.leakage_indicator`, on a distance that the squared error needs as well
+    exposure = privacy.exposure(leaked=away_m < epsilon_m, t=t, offsets=offsets)
+    return {
+        **{name: getattr(exposure, name) for name in DESCRIPTORS},
+        "segments": exposure.segments,
+        "mse_m2": track_means(away_m**2, offsets),
+    }
+
+
+def track_means(values: Floats, offsets: Ints) -> Floats:
+    """Return the mean over the samples of each track, (N,)."""
+    if offsets.size == 1:  # reduceat wants something to reduce
+        return np.zeros(0)
+    mean: Floats = np.add.reduceat(values, offsets[:-1]) / np.diff(offsets)
+    return mean

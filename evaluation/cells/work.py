@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import traceback
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
+from evaluation.cells import sharing
 from evaluation.cells.forecasts import sharing_rows
-from evaluation.cells.link_scores import Linked
+from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.cells.link_tables import linkage_tables
 from evaluation.cells.linkage import link, linked_level
 from evaluation.cells.progress import Failed, note, noted
 from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
-from evaluation.cells.samples import restricted, samples_shared
-from evaluation.cells.sharing import release_digest, sees_release_alone, share_block
+from evaluation.cells.sharing import release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, rows_table
 from evaluation.cells.windows import window_tables
 from isac_track.errors import IsacTrackError, PluginError, told
@@ -29,16 +27,17 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from attacks.tasks.sessions import Sessions
-    from evaluation.cells.linkage import LinkedLevel
+    from evaluation.cells.link_scores import Linked
+    from evaluation.cells.reconstruction import AttackedBlock, AttackedLevel
     from evaluation.cells.tables import Tables
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
-    from isac_track.types import Ints, Release, Scenes
+    from isac_track.types import Ints
 
 _OURS = ("isac_track", "predictors", "attacks", "evaluation")
 
@@ -70,27 +69,6 @@ class LinkWork:
     keep_scores: bool = False
 
 
-def cells(
-    work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[Item]:
-    """Yield every cell of a piece of work: its block, mechanism, consumer, and tables.
-
-    Rows of `shared` and of a reconstruction are per track (scene, agent), those of a predictor per
-    scene, those of a linkage task per window or probe.
-
-    Raises
-    ------
-    PluginError
-        If a plug-in raises or breaks its contract; the message names it.
-    """
-    if isinstance(work, LinkWork):
-        for mechanism, consumer, tables in _linked(work, stages=stages, seed=seed):
-            yield 0, mechanism, consumer, tables
-        return
-    for mechanism, consumer, table in _of_scenes(work, tracks=tracks, stages=stages, seed=seed):
-        yield work.number, mechanism, consumer, table
-
-
 def attempt(
     work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[Item | Failed]:
@@ -111,120 +89,91 @@ def attempt(
     except IsacTrackError:
         raise
     except Exception as error:  # noqa: BLE001 - nobody knows what else goes wrong
-        yield Failed(noted(), f"{told(error)} ({_place(error)})")
+        places = (
+            (frame.f_globals.get("__name__", ""), line)
+            for frame, line in traceback.walk_tb(error.__traceback__)
+        )
+        # The innermost of ours; there is one: this very function.
+        module, line = [one for one in places if one[0].partition(".")[0] in _OURS][-1]
+        where = f"in isac-track's own code, {module}, line {line}: please report this"
+        yield Failed(noted(), f"{told(error)} ({where})")
 
 
-def _place(error: Exception) -> str:
-    """Return which line of ours an error comes from, and what to do about it."""
-    ours = [
-        (module, line)
-        for frame, line in traceback.walk_tb(error.__traceback__)
-        if (module := frame.f_globals.get("__name__", "")).partition(".")[0] in _OURS
-    ]
-    module, line = ours[-1]  # the innermost; there is one: `attempt` itself
-    return f"in isac-track's own code, {module}, line {line}: please report this"
+def cells(
+    work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
+) -> Iterator[Item]:
+    """Yield every cell of a piece of work: its block, mechanism, consumer, and tables.
+
+    Rows of `shared` and of a reconstruction are per track (scene, agent), those of a predictor per
+    scene, those of a linkage task per window or probe.
+
+    Raises
+    ------
+    PluginError
+        If a plug-in raises or breaks its contract; the message names it.
+    DataError
+        If an attack learns, and there is nobody to learn from.
+    """
+    if isinstance(work, LinkWork):
+        yield from _linked(work, stages=stages, seed=seed)
+    else:
+        yield from _of_scenes(work, tracks=tracks, stages=stages, seed=seed)
 
 
-class _Alike:
-    """What was computed for levels that are shared alike."""
-
-    def __init__(self) -> None:
-        self._found: dict[tuple[bytes, str], Tables] = {}
-
-    def once(
-        self, consumer: Consumer, releases: tuple[Release, ...], compute: Callable[[], Tables]
-    ) -> Tables:
-        """Return what a consumer makes of releases, computed or of a level that shared the same."""
-        if not sees_release_alone(consumer):
-            return compute()
-        key = (release_digest(*releases), consumer.label)
-        if key not in self._found:
-            self._found[key] = compute()
-        return self._found[key]
-
-
-def _linked(
-    work: LinkWork, *, stages: StageSettings, seed: int
-) -> Iterator[tuple[Plugin, Consumer, Tables]]:
+def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Item]:
     whole = sensed_sessions(work.sessions, groups=work.groups, stages=stages, seed=seed)
     controls: dict[str, Linked] = {}
-    alike = _Alike()
-
-    def compute(consumer: Consumer, level: LinkedLevel) -> Tables:
-        found = link(consumer, level, whole=whole, controls=controls)
-        if isinstance(found, Linked):
-            return linkage_tables(found, whole, seed=seed, keep_scores=work.keep_scores)
-        return window_tables(found, work.sessions)
-
+    alike: dict[tuple[bytes, str], Tables] = {}
     for mechanism, consumers in work.levels:
         note(mechanism.spec, "")
-        level = linked_level(mechanism, known=whole, epsilon_m=stages.privacy.epsilon_m, seed=seed)
+        level = linked_level(mechanism, whole)
+        digest = release_digest(*level.shared)
         for consumer in consumers:
             note(mechanism.spec, consumer.label)
-            tables = alike.once(consumer, level.shared, partial(compute, consumer, level))
-            yield mechanism, consumer, tables
+            tables = alike.get((digest, consumer.label))
+            if tables is None and consumer.kind == "windows":
+                tables = window_tables(level)
+            elif tables is None:
+                found = link(consumer, level, controls)
+                tables = linkage_tables(found, whole, keep_scores=work.keep_scores)
+            if sees_release_alone(consumer):
+                alike[digest, consumer.label] = tables
+            yield 0, mechanism, consumer, tables
 
 
-def _of_scenes(
-    block: Block, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[tuple[Plugin, Consumer, Tables]]:
+def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
     scenes = make_scenes(
         tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
     )
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
-    attacked = None
-    alike = _Alike()
+    granted = {what for _, some in block.levels for one in some for what in one.granted}
+    attacked: AttackedBlock | None = None
+    alike: dict[tuple[bytes, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
-        release = share_block(mechanism, sensed, block.number, seed=seed)
-        samples = samples_shared(release, sensed)
-        known = scenes if samples is None else restricted(scenes, samples)
-
-        def compute(
-            consumer: Consumer, release: Release = release, known: Scenes = known
-        ) -> Tables:
-            rows = sharing_rows(consumer, release, known, stages=stages)
-            return {ROWS: rows_table(rows, tracks=tracks)}
-
+        release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
+        digest = release_digest(release)
+        known = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
+        level: AttackedLevel | None = None
         for consumer in consumers:
-            if consumer.kind != "attack":
-                note(mechanism.spec, consumer.label)
-                yield (
-                    mechanism,
-                    consumer,
-                    alike.once(consumer, (release,), partial(compute, consumer)),
-                )
-        attacks = [one for one in consumers if one.kind == "attack"]
-        if not attacks:
-            continue
-        note(mechanism.spec, attacks[0].label)
-        attacked = attacked or attacked_block(
-            scenes=scenes,
-            sensed=sensed,
-            tracks=tracks,
-            repeats=_again(block),
-            stages=stages,
-            seed=seed,
-        )
-        level = attacked_level(
-            mechanism=mechanism,
-            release=release,
-            block=attacked,
-            consumers=attacks,
-            stages=stages,
-            seed=seed,
-        )
-        for consumer in attacks:
             note(mechanism.spec, consumer.label)
-            rows = attack_rows(consumer, level=level, epsilon_m=stages.privacy.epsilon_m, seed=seed)
-            yield mechanism, consumer, {ROWS: rows_table(rows, tracks=tracks)}
-
-
-def _again(block: Block) -> bool:
-    """Whether an attack on a block gets further releases of the same walks."""
-    return any(
-        Knowledge.REPEATS in one.granted
-        for _, consumers in block.levels
-        for one in consumers
-        if one.kind == "attack"
-    )
+            tables = alike.get((digest, consumer.label))
+            if tables is None:
+                if consumer.kind != "attack":
+                    rows = sharing_rows(consumer, release, known, stages=stages)
+                else:
+                    attacked = attacked or attacked_block(
+                        scenes=scenes,
+                        sensed=sensed,
+                        tracks=tracks,
+                        repeats=Knowledge.REPEATS in granted,
+                        stages=stages,
+                        seed=seed,
+                    )
+                    attacks = [one for one in consumers if one.kind == "attack"]
+                    level = level or attacked_level(mechanism, release, attacked, attacks)
+                    rows = attack_rows(consumer, level)
+                tables = {ROWS: rows_table(rows, tracks=tracks)}
+            if sees_release_alone(consumer):
+                alike[digest, consumer.label] = tables
+            yield block.number, mechanism, consumer, tables

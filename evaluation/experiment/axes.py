@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from evaluation.experiment.presets import BLOCK_SCENES, PRESETS, SHARED, WINDOWS
+from attacks.tasks.controls import CONTROLS
+from attacks.tasks.task_list import task_named
+from evaluation.experiment.constants import BLOCK_SCENES, SHARED, WINDOWS
+from evaluation.experiment.presets import PRESETS
 from isac_track import plugins
 from isac_track.errors import SettingsError
+from isac_track.protocols import grants, kind_of
+from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,7 +20,6 @@ if TYPE_CHECKING:
     from attacks.tasks.task_list import Task
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
-    from isac_track.types import Knowledge
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,23 +30,24 @@ class Link:
     behind: Plugin | None = None
 
     @property
+    def plugins(self) -> tuple[Plugin, ...]:
+        """The linker, and what it stands behind."""
+        return (self.linker,) if self.behind is None else (self.linker, self.behind)
+
+    @property
     def spec(self) -> str:
         """LINKER or LINKER@RECONSTRUCTION."""
-        return self.linker.spec + ("" if self.behind is None else f"@{self.behind.spec}")
+        return "@".join(one.spec for one in self.plugins)
 
     @property
     def requires(self) -> frozenset[Knowledge]:
         """What either of the two cannot run without."""
-        return frozenset().union(*(one.instance.requires for one in self._parts))
+        return frozenset().union(*(one.instance.requires for one in self.plugins))
 
     @property
     def uses(self) -> frozenset[Knowledge]:
         """What either of the two takes if granted."""
-        return frozenset().union(*(one.instance.uses for one in self._parts))
-
-    @property
-    def _parts(self) -> tuple[Plugin, ...]:
-        return (self.linker,) if self.behind is None else (self.linker, self.behind)
+        return frozenset().union(*(one.instance.uses for one in self.plugins))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +66,19 @@ class Consumer:
     control: str = ""
 
     @property
+    def plugins(self) -> tuple[Plugin, ...]:
+        """Whose code it is: its plug-in, and what that stands behind."""
+        return tuple(one for one in (self.plugin, self.behind) if one is not None)
+
+    @property
     def spec(self) -> str:
         """As in the column `consumer`."""
+        name = "@".join(one.spec for one in self.plugins)
         if self.kind == "control":
-            return f"{self.task}/control-{self.control}"
-        if self.kind == "windows":
-            return f"{self.task}/{WINDOWS}"
-        if self.plugin is None:
-            return SHARED
-        if self.kind == "linkage":
-            return f"{self.task}/{Link(self.plugin, self.behind).spec}"
-        return self.plugin.spec
+            name = f"control-{self.control}"
+        elif self.kind == "windows":
+            name = WINDOWS
+        return f"{self.task}/{name}" if self.task else name or SHARED
 
     @property
     def is_slow(self) -> bool:
@@ -107,8 +114,6 @@ class Axes:
     @property
     def consumers(self) -> tuple[Consumer, ...]:
         """All consumers of a block of scenes: the descriptors first, attacks by adversary."""
-        from isac_track.protocols import grants  # noqa: PLC0415 - --help needs no numpy
-
         return (
             Consumer("shared"),
             *(Consumer("predictor", plugin) for plugin in self.predictors),
@@ -132,43 +137,20 @@ class Axes:
         return tuple(dict.fromkeys(task for task, _ in self.links))
 
     def readers(self, task: Task) -> tuple[Consumer, ...]:
-        """Return all consumers of a task: the descriptors of its windows, then who links."""
-        return (Consumer("windows", task=task.name), *self.linkers(task))
-
-    def linkers(self, task: Task) -> tuple[Consumer, ...]:
-        """Return who links in a task: the controls, then the attacks by adversary."""
-        from attacks.tasks.controls import CONTROLS  # noqa: PLC0415 - as above
-        from isac_track.protocols import grants  # noqa: PLC0415
-
+        """Return all consumers of a task: its windows, the controls, the attacks by adversary."""
         return (
+            Consumer("windows", task=task.name),
             *(
                 Consumer("control", task=task.name, control=name)
                 for name, control in CONTROLS.items()
                 if control.applies(task)
             ),
             *(
-                Consumer(
-                    "linkage",
-                    link.linker,
-                    knowledge=adversary,
-                    granted=granted,
-                    task=task.name,
-                    behind=link.behind,
-                )
-                for where, link in self.links
+                Consumer("linkage", one.linker, adversary, granted, task.name, one.behind)
+                for where, one in self.links
                 if where is task
-                for adversary, granted in grants(
-                    link, everyone=task.everyone, nobody=task.nobody
-                ).items()
+                for adversary, granted in _grants(one, task).items()
             ),
-        )
-
-    def without(self, task: Task, why: str) -> Axes:
-        """Return the axes without a task that cannot be."""
-        return replace(
-            self,
-            links=tuple(pair for pair in self.links if pair[0] is not task),
-            skipped={**self.skipped, task.name: why},
         )
 
 
@@ -183,29 +165,23 @@ def axes(settings: Settings) -> Axes:
         If a named plug-in cannot be loaded.
     """
     preset = PRESETS[settings.preset]
-    mechanisms = preset.mechanisms if settings.mechanisms is None else settings.mechanisms
-    predictors = preset.predictors if settings.predictors is None else settings.predictors
-    attacks, links = _attacks(preset.attacks if settings.attacks is None else settings.attacks)
-    expanded = Axes(
-        mechanisms=plugins.parse_all("mechanisms", mechanisms),
-        predictors=plugins.parse_all("predictors", predictors),
-        attacks=attacks,
-        links=_linked(settings, links=links, tasks=_tasks(settings)),
-    )
-    if not expanded.mechanisms:
+    names: dict[str, tuple[str, ...]] = {
+        axis: getattr(preset if getattr(settings, axis) is None else settings, axis)
+        for axis in ("mechanisms", "predictors", "attacks", "tasks")
+    }
+    attacks, links = _attacks(names["attacks"])
+    mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
+    predictors = plugins.parse_all("predictors", names["predictors"])
+    tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
+    pairs = _linked(settings, links=links, tasks=tasks)
+    if not mechanisms:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
-    if expanded.links:
-        (ceiling,) = plugins.parse("mechanisms", "clean")
-        expanded = replace(expanded, ceiling=ceiling)
-    return expanded
+    ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
+    return Axes(mechanisms, predictors, attacks, pairs, ceiling)
 
 
 def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ...]]:
     """Return reconstruction attacks and linkage attacks, each once, in the order given."""
-    if not specs:
-        return (), ()
-    from isac_track.protocols import kind_of  # noqa: PLC0415 - --help needs no numpy
-
     attacks: dict[str, Plugin] = {}
     links: dict[str, Link] = {}
     for spec in specs:
@@ -214,14 +190,11 @@ def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ..
             raise SettingsError(f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts")
         for plugin in plugins.parse("attacks", name):
             links_people = kind_of(plugin.instance) == "linkage"
-            if not at:
-                if links_people:
-                    links[plugin.spec] = Link(plugin)
-                else:
-                    attacks[plugin.spec] = plugin
+            if not at and not links_people:
+                attacks[plugin.spec] = plugin
                 continue
-            for behind in plugins.parse("attacks", behind_spec):
-                if not links_people or kind_of(behind.instance) == "linkage":
+            for behind in plugins.parse("attacks", behind_spec) if at else (None,):
+                if behind and (not links_people or kind_of(behind.instance) == "linkage"):
                     raise SettingsError(
                         f"{spec!r}: left of @ stands a linkage attack, right of it the "
                         "reconstruction that it runs behind, as in shape@radial_rts"
@@ -229,13 +202,6 @@ def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ..
                 link = Link(plugin, behind)
                 links[link.spec] = link
     return tuple(attacks.values()), tuple(links.values())
-
-
-def _tasks(settings: Settings) -> tuple[Task, ...]:
-    from attacks.tasks.task_list import task_named  # noqa: PLC0415 - --help needs no numpy
-
-    names = PRESETS[settings.preset].tasks if settings.tasks is None else settings.tasks
-    return tuple(task_named(name) for name in dict.fromkeys(names))
 
 
 def _linked(
@@ -246,28 +212,27 @@ def _linked(
     Who needs the true frame links where it shows, the others where it does not; an attack that
     none of the tasks suits is run in every one that it can run in.
     """
-    from isac_track.protocols import grants  # noqa: PLC0415 - --help needs no numpy
-    from isac_track.types import Knowledge  # noqa: PLC0415
-
     chosen: dict[str, list[Task]] = {}
     for link in links:
-        can = [task for task in tasks if grants(link, everyone=task.everyone, nobody=task.nobody)]
+        can = [task for task in tasks if _grants(link, task)]
         needs_scene = Knowledge.SCENE in link.linker.instance.requires
         chosen[link.spec] = [task for task in can if task.shows_scene == needs_scene] or can
-    pairs = [(task, link) for task in tasks for link in links if task in chosen[link.spec]]
-    for link in links:
-        if settings.attacks is not None and all(one is not link for _, one in pairs):
+        if settings.attacks is not None and not can:
             asked = ", ".join(sorted(one.name for one in link.requires)) or "a task"
             where = ", ".join(task.name for task in tasks) or "none"
             raise SettingsError(
                 f"attack {link.spec!r} has no task to run in (tasks: {where}); it requires {asked}"
             )
     for task in tasks:
-        if settings.tasks is not None and all(one is not task for one, _ in pairs):
+        if settings.tasks is not None and not any(task in some for some in chosen.values()):
             raise SettingsError(
                 f"task {task.name} has no attack that can run in it; name one with --attack"
             )
-    return tuple(pairs)
+    return tuple((task, link) for task in tasks for link in links if task in chosen[link.spec])
+
+
+def _grants(link: Link, task: Task) -> dict[str, frozenset[Knowledge]]:
+    return grants(link, everyone=task.everyone, nobody=task.nobody)
 
 
 def n_blocks(n_scenes: int) -> int:

@@ -10,13 +10,12 @@ import sysconfig
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import isac_track
-from evaluation.experiment.constants import BLOCK_SCENES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator
 
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
@@ -34,7 +33,7 @@ _STAGES: Final = {
     RECONSTRUCTION: ("evaluation.cells.reconstruction", *_COMMON),
 }
 _LINKAGE: Final = (
-    *("evaluation.cells.linkage", "evaluation.cells.link_tables", "attacks.tasks.build"),
+    *("evaluation.cells.linkage", "evaluation.cells.windows", "attacks.tasks.build"),
     *_COMMON,
 )
 _COMPUTES_NOTHING: Final = re.compile(
@@ -50,15 +49,15 @@ def code_hash() -> str:
 
     It tells two runs apart; what a single cell depends on is said by `sources`.
     """
-    digest = hashlib.sha256()
+    whole = hashlib.sha256()
     root = Path(isac_track.__file__).parent.parent
     folders = ("isac_track", "predictors", "attacks", "evaluation/experiment", "evaluation/cells")
     for path in sorted(path for name in folders for path in (root / name).rglob("*.py")):
         name = path.relative_to(root).as_posix()
         if not _COMPUTES_NOTHING.fullmatch(name.removesuffix(".py").replace("/", ".")):
-            digest.update(name.encode() + b"\0")
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+            whole.update(name.encode() + b"\0")
+            whole.update(path.read_bytes())
+    return whole.hexdigest()[:16]
 
 
 def stage_of(consumer: Consumer) -> str:
@@ -68,30 +67,10 @@ def stage_of(consumer: Consumer) -> str:
     return RECONSTRUCTION if consumer.kind == "attack" else SHARING
 
 
-def sources(stage: str, *plugins: Plugin | None) -> tuple[str, ...]:
+def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
     """Return the modules whose import closures a stage, or some plug-ins, are computed by."""
-    own = (one.origin.partition(":")[0] for one in plugins if one is not None)
+    own = (one.origin.partition(":")[0] for one in plugins)
     return (*(_STAGES.get(stage, _LINKAGE) if stage else ()), *own)
-
-
-def unit_key(
-    *, identity: Mapping[str, Any], stage: str, block: int, mechanism: Plugin, code: Iterable[str]
-) -> str:
-    """Return the key of a unit of work: all that its rows depend on but who the consumers are.
-
-    Parameters
-    ----------
-    identity : mapping
-        Of the run.
-    stage : str
-    block : int
-    mechanism : Plugin
-    code : iterable of str
-        Digests of `sources`.
-    """
-    return _digest(
-        [dict(identity), stage, block, BLOCK_SCENES, mechanism.spec, mechanism.origin, *code]
-    )
 
 
 def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:
@@ -99,12 +78,11 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
 
     That of a linkage attack or control with its raw scores is another.
     """
-    plugins = [one for one in (consumer.plugin, consumer.behind) if one is not None]
     has_scores = keep_scores and consumer.kind in {"linkage", "control"}
-    return _digest(
+    return digest(
         [
             consumer.spec,
-            [[one.spec, one.origin] for one in plugins],
+            [[one.spec, one.origin] for one in consumer.plugins],
             consumer.knowledge,
             sorted(one.name for one in consumer.granted),
             *code,
@@ -113,13 +91,8 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
     )
 
 
-def file_name(*, stage: str, block: int, mechanism: Plugin, keys: Iterable[str]) -> str:
-    """Return the name of the file of some consumers of a unit: readable, and keyed."""
-    slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{mechanism.spec}_{stage}")[:80]
-    return f"{slug}_{block:05d}_{_digest([*keys])}.parquet"
-
-
-def _digest(content: object) -> str:
+def digest(content: object) -> str:
+    """Return a short digest of anything that can be written as JSON."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -129,12 +102,7 @@ def source_digest(module: str) -> str:
     That is its own top-level package and, unless it was installed, whatever stands in the same
     folder as that; the project's own packages are one. Imports are read, not run, the lazy ones
     too; those for types alone do not count, and those that are composed at run time are not seen.
-
-    Parameters
-    ----------
-    module : str
-        Name of an importable module. One without a file, such as `__main__`, has the digest of
-        nothing.
+    A module without a file, such as `__main__`, has the digest of nothing.
     """
     root, tops = _where(module)
     return closure_digest(module, source_of=lambda name: _read(name, root=root, tops=tops))
@@ -148,12 +116,8 @@ def can_be_found(module: str) -> bool:
 def closure_digest(module: str, *, source_of: Callable[[str], tuple[bytes, bool] | None]) -> str:
     """Return the sha256 of a module and of all that it imports.
 
-    Parameters
-    ----------
-    module : str
-    source_of : callable
-        From a module's name to its source and whether it is a package; None for one that does not
-        count.
+    `source_of` takes a module's name to its source and whether it is a package; None for one that
+    does not count.
     """
     known: dict[str, bytes] = {}
     names = [module]
@@ -165,11 +129,11 @@ def closure_digest(module: str, *, source_of: Callable[[str], tuple[bytes, bool]
         known[name], is_package = found
         names += _imported(known[name], package=name if is_package else name.rpartition(".")[0])
         names += name.rpartition(".")[:1]  # the packages around it run first
-    digest = hashlib.sha256()
+    whole = hashlib.sha256()
     for name in sorted(known):
-        digest.update(name.encode() + b"\0")
-        digest.update(hashlib.sha256(known[name]).digest())
-    return digest.hexdigest()
+        whole.update(name.encode() + b"\0")
+        whole.update(hashlib.sha256(known[name]).digest())
+    return whole.hexdigest()
 
 
 def _where(module: str) -> tuple[Path | None, tuple[str, ...]]:
@@ -189,9 +153,8 @@ def _where(module: str) -> tuple[Path | None, tuple[str, ...]]:
 
 
 def _read(name: str, *, root: Path | None, tops: tuple[str, ...]) -> tuple[bytes, bool] | None:
-    if root is None or not name or (tops and name.partition(".")[0] not in tops):
-        return None
-    if _COMPUTES_NOTHING.fullmatch(name):
+    is_strange = tops and name.partition(".")[0] not in tops
+    if root is None or not name or is_strange or _COMPUTES_NOTHING.fullmatch(name):
         return None
     place = root.joinpath(*name.split("."))
     for path in (place.with_name(f"{place.name}.py"), place / "__init__.py"):

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from attacks.tasks.build import sessions_of
+from evaluation.experiment import fingerprint
 from evaluation.experiment.axes import Axes, axes, n_blocks
-from evaluation.experiment.fingerprint import (
-    code_hash,
-    consumer_key,
-    file_name,
-    source_digest,
-    sources,
-    stage_of,
-    unit_key,
-)
+from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import datasets
 from isac_track.datasets import crowd
 from isac_track.errors import DataError, PluginError, told
@@ -60,9 +54,8 @@ class Unit:
 
     def file_of(self, keys: Iterable[str]) -> str:
         """Return the name of the file that some of its consumers are written to at once."""
-        return file_name(
-            stage=self.stage, block=self.block, mechanism=self.mechanism, keys=(self.key, *keys)
-        )
+        slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{self.mechanism.spec}_{self.stage}")[:80]
+        return f"{slug}_{self.block:05d}_{fingerprint.digest([self.key, *keys])}.parquet"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -125,76 +118,31 @@ def plan(settings: Settings) -> Plan:
     }
     crossed, sessions = _sessions(crossed, settings, tracks=dataset.tracks)
     units, code_of = _units(crossed, settings, identity=identity)
-    name = f"{dataset.name}-{settings.preset}-{settings.seed}"
-    jobs = _jobs(
-        settings,
-        n_levels=len(crossed.mechanisms),
-        n_links=sum(len(crossed.linkers(task)) for task in crossed.tasks),
-    )
+    jobs = _jobs(crossed, settings)
     if jobs > 1 or settings.cell_timeout_s is not None or settings.scheduler is not None:
-        _check_sendable(crossed)
+        _check_sendable(units)
+    out = Path("runs") / f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(
         settings=settings,
         dataset=dataset,
         tracks=tracks,
         axes=crossed,
         identity=identity,
-        code=code_hash(),
+        code=fingerprint.code_hash(),
         jobs=jobs,
-        out=Path("runs") / name if settings.out is None else Path(settings.out),
+        out=out if settings.out is None else Path(settings.out),
         units=units,
         code_of=code_of,
         sessions=sessions,
     )
 
 
-def _units(
-    crossed: Axes, settings: Settings, *, identity: Mapping[str, Any]
-) -> tuple[tuple[Unit, ...], dict[str, str]]:
-    """Return the units of work, and the digest of every module that they depend on."""
-    known: dict[str, str] = {}
-
-    def code(stage: str, *plugins: Plugin | None) -> dict[str, str]:
-        for module in sources(stage, *plugins):
-            if module not in known:
-                known[module] = source_digest(module)[:16]
-        return {module: known[module] for module in sources(stage, *plugins)}
-
-    keys: dict[str, str] = {}
-    units = []
-    for mechanisms, consumers, count in (
-        (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
-        *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
-    ):
-        by_stage: dict[str, dict[str, Consumer]] = {}
-        for consumer in consumers:
-            if consumer.label not in keys:
-                own = code("", consumer.plugin, consumer.behind)
-                keys[consumer.label] = consumer_key(
-                    consumer, code=own.values(), keep_scores=settings.keep_scores
-                )
-            by_stage.setdefault(stage_of(consumer), {})[keys[consumer.label]] = consumer
-        for mechanism in mechanisms:
-            for stage, of_stage in by_stage.items():
-                own = code(stage, mechanism)
-                for block in range(count):
-                    key = unit_key(
-                        identity=identity,
-                        stage=stage,
-                        block=block,
-                        mechanism=mechanism,
-                        code=own.values(),
-                    )
-                    units.append(Unit(stage, block, mechanism, key, own, of_stage))
-    return tuple(units), known
-
-
 def _crowd_hash() -> str:
     """Return a digest of the bundled crowd, which one task always uses."""
-    digest = hashlib.sha256()
+    whole = hashlib.sha256()
     for session in crowd.SESSIONS:
-        digest.update(crowd.bundled_path(session).read_bytes())
-    return digest.hexdigest()[:16]
+        whole.update(crowd.bundled_path(session).read_bytes())
+    return whole.hexdigest()[:16]
 
 
 def _sessions(
@@ -204,7 +152,7 @@ def _sessions(
 
     A task that was named must be; one of a preset is left out, with the reason.
     """
-    sessions = []
+    sessions, skipped = [], {}
     for task in crossed.tasks:
         try:
             sessions.append(
@@ -213,20 +161,53 @@ def _sessions(
         except DataError as error:
             if settings.tasks is not None:
                 raise
-            crossed = crossed.without(task, str(error))
-    return crossed, tuple(sessions)
+            skipped[task.name] = str(error)
+    links = tuple((task, link) for task, link in crossed.links if task.name not in skipped)
+    return replace(crossed, links=links, skipped=skipped), tuple(sessions)
 
 
-def _check_sendable(crossed: Axes) -> None:
+def _units(
+    crossed: Axes, settings: Settings, *, identity: Mapping[str, Any]
+) -> tuple[tuple[Unit, ...], dict[str, str]]:
+    """Return the units of work, and the digest of every module that they depend on."""
+    known: dict[str, str] = {}
+
+    def code(stage: str, *plugins: Plugin) -> dict[str, str]:
+        for module in fingerprint.sources(stage, *plugins):
+            if module not in known:
+                known[module] = fingerprint.source_digest(module)[:16]
+        return {module: known[module] for module in fingerprint.sources(stage, *plugins)}
+
+    units = []
+    for mechanisms, consumers, count in (
+        (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
+        *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
+    ):
+        by_stage: dict[str, dict[str, Consumer]] = {}
+        for consumer in consumers:
+            own = code("", *consumer.plugins).values()
+            key = fingerprint.consumer_key(consumer, code=own, keep_scores=settings.keep_scores)
+            by_stage.setdefault(fingerprint.stage_of(consumer), {})[key] = consumer
+        for mechanism in mechanisms:
+            about = (BLOCK_SCENES, mechanism.spec, mechanism.origin)
+            for stage, of_stage in by_stage.items():
+                made_by = code(stage, mechanism)
+                for block in range(count):
+                    key = fingerprint.digest([identity, stage, block, *about, *made_by.values()])
+                    units.append(Unit(stage, block, mechanism, key, made_by, of_stage))
+    return tuple(units), known
+
+
+def _check_sendable(units: Iterable[Unit]) -> None:
     """Raise PluginError for a plug-in that no other process can be given."""
     from joblib.externals.loky.backend.reduction import dumps  # noqa: PLC0415 - only with workers
 
-    consumers = [*crossed.consumers]
-    for task in crossed.tasks:
-        consumers += crossed.readers(task)
-    plugins = [*crossed.mechanisms, *crossed.linked_mechanisms]
-    plugins += [part for one in consumers for part in (one.plugin, one.behind) if part is not None]
-    for plugin in {one.spec: one for one in plugins}.values():
+    plugins: dict[str, Plugin] = {}
+    for unit in units:
+        consumers = unit.consumers.values()
+        some = (unit.mechanism, *(plugin for one in consumers for plugin in one.plugins))
+        plugins |= {one.spec: one for one in some}
+    for plugin in plugins.values():
         try:
             dumps(plugin)
         except Exception as error:  # noqa: BLE001 - a stranger's __reduce__ may do anything
@@ -236,16 +217,13 @@ def _check_sendable(crossed: Axes) -> None:
             ) from None
 
 
-def _jobs(settings: Settings, *, n_levels: int, n_links: int) -> int:
-    """Return how many workers to use: as asked, or what the work is worth."""
+def _jobs(crossed: Axes, settings: Settings) -> int:
+    """Return how many workers to use: as asked, or as many as the work is worth and cores are."""
     if settings.jobs is not None:
         return settings.jobs
+    n_levels = len(crossed.mechanisms)
+    n_links = sum(len(crossed.readers(task)) - 1 for task in crossed.tasks)
     if settings.n_scenes * n_levels < WORTH_WORKERS and n_levels * n_links < WORTH_WORKERS_LINKED:
         return 1
-    return default_jobs()
-
-
-def default_jobs() -> int:
-    """Return how many workers this machine has cores for, at most `MOST_DEFAULT_JOBS`."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return min(cores or 1, MOST_DEFAULT_JOBS)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from evaluation.experiment.presets import MOST_SCENES, PRESETS
+from evaluation.experiment.constants import MOST_SCENES
+from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 

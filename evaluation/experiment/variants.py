@@ -1,4 +1,7 @@
-"""What the verdict may depend on, one change each: the variants of `evaluation.sensitivity`."""
+"""What the verdict may depend on, one change each: the variants of `evaluation.sensitivity`.
+
+A variant's run has one assumption changed, and only the attacks that matter.
+"""
 
 from __future__ import annotations
 
@@ -7,45 +10,28 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from evaluation.experiment.settings import Settings
+from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN, known
-from isac_track.errors import SettingsError
+from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from isac_track.plugins import Kind
 
 BASE: Final = "base"
+_FITTED: Final = ("processing_gain_db", "large_scale_db", "crb_gap_db")
 RIDGE: Final[Mapping[str, Mapping[str, float]]] = {
-    "cap=1.5": {
-        "sigma_cap_m": 1.5,
-        "processing_gain_db": 32.78,
-        "large_scale_db": 12.24,
-        "crb_gap_db": 14.03,
-    },
-    "cap=3": {
-        "sigma_cap_m": 3.0,
-        "processing_gain_db": 32.24,
-        "large_scale_db": 11.54,
-        "crb_gap_db": 12.84,
-    },
-    "beam=4": {
-        "beam_fluctuation_db": 4.0,
-        "processing_gain_db": 31.11,
-        "large_scale_db": 14.86,
-        "crb_gap_db": 12.28,
-    },
-    "exponent=2": {
-        "path_loss_exponent": 2.0,
-        "processing_gain_db": 11.12,
-        "large_scale_db": 12.21,
-        "crb_gap_db": 13.26,
-    },
-    "exponent=3.5": {
-        "path_loss_exponent": 3.5,
-        "processing_gain_db": 56.55,
-        "large_scale_db": 11.19,
-        "crb_gap_db": 13.29,
-    },
+    point: {fixed: value, **dict(zip(_FITTED, constants, strict=True))}
+    for point, fixed, value, constants in (
+        ("cap=1.5", "sigma_cap_m", 1.5, (32.78, 12.24, 14.03)),
+        ("cap=3", "sigma_cap_m", 3.0, (32.24, 11.54, 12.84)),
+        ("beam=4", "beam_fluctuation_db", 4.0, (31.11, 14.86, 12.28)),
+        ("exponent=2", "path_loss_exponent", 2.0, (11.12, 12.21, 13.26)),
+        ("exponent=3.5", "path_loss_exponent", 3.5, (56.55, 11.19, 13.29)),
+    )
 }
 """Stage `sensing`: what is fixed elsewhere, and the constants that then fit the paper's numbers.
 
@@ -53,11 +39,13 @@ As `python -m evaluation.calibrate --ridge` prints them (Students03, 5,000 scene
 table is in docs/reproduction.md.
 """
 _SHORT: Final = {"law": "sensing.law", "epsilon": "privacy.epsilon_m"}
-_PREDICTOR, _RECORDING = "predictor", "recording"
-_LAWS: Final = ("isotropic", "fixed_direction")
-_EPSILONS_M: Final = ("0.1", "0.2", "0.5", "1")
-_PREDICTORS: Final = ("kalman_cv", "least_squares")
-_RECORDINGS: Final = ("students03", "zara01", "plaza")
+_USUAL: Final = (
+    *("law=isotropic", "law=fixed_direction"),
+    *("epsilon=0.1", "epsilon=0.2", "epsilon=0.5", "epsilon=1"),
+    *(f"ridge {point}" for point in RIDGE),
+    *("recording=students03", "recording=zara01", "recording=plaza"),
+    *("predictor=kalman_cv", "predictor=least_squares"),
+)
 _FORMS: Final = "STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, recording=NAME"
 
 
@@ -85,7 +73,7 @@ class Variant:
 
     def changes_nothing(self, manifest: Mapping[str, Any]) -> bool:
         """Return whether it is what a run did (`manifest` as in `manifest.json`)."""
-        flat = stages_of(manifest).flat()
+        flat = StageSettings().changed(manifest["settings"]["stages"]).flat()
         predictors = manifest["settings"]["predictors"]
         return (
             self.name != BASE
@@ -95,33 +83,12 @@ class Variant:
         )
 
 
-def stages_of(manifest: Mapping[str, Any]) -> StageSettings:
-    """Return the stage settings of a run.
-
-    Raises
-    ------
-    SettingsError
-        If it is of a version that had other settings.
-    """
-    return StageSettings().changed(manifest["settings"]["stages"])
-
-
 def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
     """Return the variants that are run where none is named, the base first.
 
-    Parameters
-    ----------
-    manifest : mapping, optional
-        Of the run: what it did itself is left out. Without it, all of them.
+    Of a run, given by its `manifest`, what it did itself is left out.
     """
-    names = [
-        *(f"law={law}" for law in _LAWS),
-        *(f"epsilon={metres}" for metres in _EPSILONS_M),
-        *(f"ridge {point}" for point in RIDGE),
-        *(f"{_RECORDING}={name}" for name in _RECORDINGS),
-        *(f"{_PREDICTOR}={name}" for name in _PREDICTORS),
-    ]
-    found = [Variant(BASE), *(parse(name) for name in names)]
+    found = [Variant(BASE), *map(parse, _USUAL)]
     if manifest is None:
         return found
     predicts = bool(manifest["settings"]["predictors"])
@@ -140,28 +107,19 @@ def chosen(
 ) -> list[Variant]:
     """Return the variants to run, each once, the base first.
 
-    Parameters
-    ----------
-    names : sequence of str, optional
-        By default those of `variants`.
-    also : sequence of str
-        STAGE.KEY=VALUE of further ones.
-    manifest : mapping, optional
-        Of the run.
+    By default they are those of `variants`; `also` names further ones by STAGE.KEY=VALUE.
 
     Raises
     ------
     IsacTrackError
         For an unknown one, or one that is what the run did.
     """
-    added = [parse(text) for text in also]
-    for text, one in zip(also, added, strict=True):
+    added = {text: parse(text) for text in also}
+    for text, one in added.items():
         if not one.stages:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
-    named = variants(manifest)
-    if names is not None:
-        named = [Variant(BASE), *map(parse, names)]
-    found = {one.name: one for one in (*named, *added)}
+    named = variants(manifest) if names is None else [Variant(BASE), *map(parse, names)]
+    found = {one.name: one for one in (*named, *added.values())}
     for one in found.values():
         if manifest is not None and one.changes_nothing(manifest):
             raise SettingsError(f"{one.name} changes nothing: it is what the run did")
@@ -187,20 +145,89 @@ def parse(name: str) -> Variant:
         setting = _SHORT.get(key, key)
         changed = StageSettings().changed({setting: value}).flat()
         return Variant(f"{key}={value}", {setting: changed[setting]})
-    if value and key == _PREDICTOR:
-        from isac_track import plugins  # noqa: PLC0415 - seldom needed
-
-        found = plugins.parse("predictors", value)
-        if len(found) > 1:
+    if value and key == "predictor":
+        predictors = plugins.parse("predictors", value)
+        if len(predictors) > 1:
             raise SettingsError(f"{name}: a variant takes one predictor, not a sweep")
-        return Variant(f"{key}={value}", predictor=found[0].spec)
-    if value and key == _RECORDING:
+        return Variant(f"{key}={value}", predictor=predictors[0].spec)
+    if value and key == "recording":
         if value not in KNOWN and not Path(value).exists():
             known(value)  # says what was meant
         return Variant(f"{key}={value}", recording=value)
-    names = [one.name for one in variants()]
-    near = get_close_matches(name, names, n=1)
     if equals and not value:
         raise SettingsError(f"variant {name!r} has no value")
+    near = get_close_matches(name, (BASE, *_USUAL), n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"--list names them; also {_FORMS}"
     raise SettingsError(f"unknown variant {name!r}; {hint}")
+
+
+def settings_of(
+    variant: Variant,
+    *,
+    manifest: Mapping[str, Any],
+    attacks: Mapping[str, frozenset[str]],
+    out: Path,
+    scenes: int | None = None,
+    jobs: int | None = None,
+    trust: Sequence[str] = (),
+) -> tuple[Settings, tuple[str, ...]]:
+    """Return the settings of a variant's run in a folder `out`, and why tasks are left out of it.
+
+    `attacks` are the SPECs of those to run, each with its tasks; a reconstruction has the task "".
+    `trust` names classes of one's own that may be imported although a file names them.
+
+    Raises
+    ------
+    IsacTrackError
+        If its recording is not at hand, or a setting is unknown.
+    """
+    from attacks.tasks.build import sessions_of  # noqa: PLC0415 - a list of variants needs none
+    from attacks.tasks.task_list import TASKS  # noqa: PLC0415
+
+    ran = manifest["settings"]
+    stages = StageSettings().changed(ran["stages"]).changed(variant.stages)
+    name, own = manifest["dataset"]["name"], dict[str, Any](format=None, fps=None)
+    source = variant.recording or name
+    if not variant.recording and name not in KNOWN:
+        source = manifest["dataset"]["path"]
+        own = {"format": manifest["dataset"]["format"], "fps": manifest["identity"]["fps"]}
+    # Nobody waits for a network here: a data set that is missing fails with how to get it.
+    data = datasets.load(source, download=False, **own)
+    if not variant.recording and data.sha256 != manifest["dataset"]["sha256"]:
+        raise DataError(f"{data.path} is no longer the recording that was run; run it again")
+    asked = {task for tasks in attacks.values() for task in tasks} - {""}
+    too_small = {}
+    for task in sorted(asked):
+        try:
+            sessions_of(TASKS[task], tracks=data.tracks, stages=stages, seed=ran["seed"])
+        except DataError as error:
+            too_small[task] = str(error)
+    predictors = () if variant.predictor else tuple(ran["predictors"][:1])
+    links = [one for whole in attacks for one in whole.split("@")]
+    named: dict[Kind, Iterable[str]] = {"predictors": predictors, "attacks": links}
+    named["mechanisms"] = ran["mechanisms"]
+    for kind, spec in ((kind, spec) for kind, specs in named.items() for spec in specs):
+        # Only the user's own command line decides what is imported, never a file.
+        if plugins.is_own_class(kind, spec) and spec not in trust:
+            raise SettingsError(
+                f"the run's files name {spec!r}, a class that is not built in; "
+                f"if it is yours, say so: --trust {spec}"
+            )
+    run = (asked - too_small.keys()) | {""}
+    return (
+        Settings(
+            preset=ran["preset"],
+            dataset=source,
+            **own,
+            scenes=ran["scenes"] if scenes is None else scenes,
+            seed=ran["seed"],
+            mechanisms=tuple(ran["mechanisms"]),
+            predictors=(variant.predictor,) if variant.predictor else predictors,
+            attacks=tuple(spec for spec, tasks in sorted(attacks.items()) if tasks & run),
+            tasks=tuple(task for task in ran["tasks"] if task in run),
+            stages=stages,
+            jobs=jobs,
+            out=out,
+        ),
+        tuple(too_small.values()),
+    )

@@ -17,8 +17,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, REPLICATES
 from evaluation.cells.link_setup import linkage_weights
-from evaluation.cells.link_tables import ABOUT, ASSIGNED, DERIVED, ESTIMATES, REPLICATES
 from evaluation.cells.tables import ROWS
 from evaluation.cells.windows import COLUMNS as WINDOW_COLUMNS
 from evaluation.runs.checksums import FOLDER, checked, written_down

@@ -140,8 +140,7 @@ def own_modules(cells: Iterable[tuple[Plugin, Consumer]]) -> tuple[str, ...]:
     plugins = {
         one.origin.partition(":")[0]
         for mechanism, consumer in cells
-        for one in (mechanism, consumer.plugin, consumer.behind)
-        if one is not None
+        for one in (mechanism, *consumer.plugins)
     }
     ours = ("isac_track", "predictors", "attacks")
     return tuple(sorted(name for name in plugins if name.partition(".")[0] not in ours))

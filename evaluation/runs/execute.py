@@ -127,7 +127,7 @@ def _write_gallery(ready: Plan, failed: list[FailedCell]) -> list[str]:
 def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | Failed]:  # noqa: ANN401 - handed on
     note(mechanism.spec, "gallery")
     try:
-        yield gallery_rows(mechanisms=[mechanism], **options)
+        yield gallery_rows(mechanism, **options)
     except PluginError as error:
         yield Failed(noted(), str(error))
     except Exception as error:  # noqa: BLE001 - the cells are finished: no picture may cost them
@@ -162,10 +162,7 @@ class _Files:
         if not whole:
             return
         code_of = {
-            key: {
-                name: self._ready.code_of[name]
-                for name in sources("", consumer.plugin, consumer.behind)
-            }
+            key: {name: self._ready.code_of[name] for name in sources("", *consumer.plugins)}
             for consumer, key, _ in whole
         }
         unit = missing.unit

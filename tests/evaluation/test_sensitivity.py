@@ -16,8 +16,7 @@ from helpers.small_runs import write_walks
 from helpers.summaries import edit_manifest
 
 import evaluation
-from evaluation.experiment.variant_settings import settings_of
-from evaluation.experiment.variants import BASE, RIDGE, parse, variants
+from evaluation.experiment.variants import BASE, RIDGE, parse, settings_of, variants
 from evaluation.reporting.sensitivity_table import turned
 from evaluation.runs.folder import read_manifest
 from evaluation.sensitivity import main

@@ -28,6 +28,7 @@ CONTROLS = ("correlated", "offset", "thin")
 LINKER, TASK, CHANCE = "rerelease/shape", "rerelease", 0.01
 SMOOTHER = "kalman_rts"
 PREDICTOR = "least_squares"
+SCALES = {"plr": 1.0, "ael": 2.0, "mel": 5.0}
 
 
 @dataclass(frozen=True)
@@ -98,21 +99,20 @@ def simulated(world, *, rng):
     """Return every metric of a run and the tracks of its levels."""
     n = world.n_people
     cluster = np.arange(n) // 2  # people walk in pairs
-    n_clusters = cluster.max() + 1
-    weights = rng.multinomial(
-        n_clusters, np.full(n_clusters, 1 / n_clusters), world.n_replicates
-    ).astype(float)
+    n_pairs = n // 2
+    weights = rng.multinomial(n_pairs, np.full(n_pairs, 1 / n_pairs), world.n_replicates) * 1.0
     own, habit = rng.normal(size=n), rng.normal(size=n)
     habit = 0.7 * habit + 0.7 * np.repeat(rng.normal(size=n // 2), 2)
     nuisance = rng.normal(size=(n, 2))
     found, levels = {}, []
 
     def put(key, values, *, share=True):
+        top, bottom = (
+            cluster_sums(values=one, cluster=cluster, n_clusters=n_pairs)
+            for one in (values, np.ones(n))
+        )
         found[key] = ratio_estimate(
-            numerator=cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
-            denominator=cluster_sums(values=np.ones(n), cluster=cluster, n_clusters=n_clusters),
-            weights=weights,
-            is_share=share,
+            numerator=top, denominator=bottom, weights=weights, is_share=share
         )
 
     def one_level(family, level, mechanism):
@@ -122,11 +122,9 @@ def simulated(world, *, rng):
         drawn = 0.6 * habit + 0.8 * rng.normal(size=n)
         if world.kind == "valid":  # what shows of a track is what links it
             drawn = 0.6 * drawn + 0.8 * luck
-        hit = (
-            (drawn < norm.ppf(linked)) if world.kind != "valid" else (drawn > norm.ppf(1 - linked))
-        )
-        hit = hit.astype(float)
-        for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 5.0)):
+            drawn *= -1.0
+        hit = (drawn < norm.ppf(linked)).astype(float)
+        for metric, scale in SCALES.items():
             noisy = scale * plr * np.exp(0.05 * rng.normal(size=n))
             put(Key(mechanism, level, SHARED, metric), noisy, share=False)
             rebuilt = noisy * (1.0 if world.kind == "empty" else 1.5)
@@ -145,9 +143,7 @@ def simulated(world, *, rng):
                     hit=hit,
                     chance=np.full(n, CHANCE),
                     cluster=cluster,
-                    descriptors={
-                        name: seen * scale for name, scale in (("plr", 1), ("ael", 2), ("mel", 5))
-                    },
+                    descriptors={name: seen * scale for name, scale in SCALES.items()},
                     covariates=nuisance,
                 )
             )

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 
-from evaluation.cells.linkage import link, linked_level
 from evaluation.cells.tables import ROWS
 from evaluation.experiment import fingerprint
 from evaluation.runs import cell_files
@@ -53,14 +52,3 @@ def arrays(tables, *, tracks=None):
         place = {name: row for row, name in enumerate(tracks.source)}
         found["track"] = np.array([place[name] for name in found["source"]], dtype=np.int64)
     return found
-
-
-def linked_level_of(mechanism, consumers, *, known, epsilon_m, seed):
-    """What consumers link at one level by (consumer, adversary), and the controls of all levels."""
-    level = linked_level(mechanism, known=known, epsilon_m=epsilon_m, seed=seed)
-    controls = {}
-    found = {
-        (one.spec, one.knowledge): link(one, level, whole=known, controls=controls)
-        for one in consumers
-    }
-    return found, controls

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from evaluation import matrix
-from evaluation.cells.plugin_calls import guarded
+from evaluation.cells.sharing import guarded
 from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
 
 pytestmark = pytest.mark.usefixtures("undrawn")

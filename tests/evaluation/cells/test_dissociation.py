@@ -5,18 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.runs import arrays, linked_level_of
-from helpers.walkers import walkers, write_walkers
+from helpers.cells import EPSILON_M, STAGES, Spy, World, linked, parsed, plugin, sessions_of
+from helpers.walkers import write_walkers
 
 import evaluation
-from attacks.tasks.build import sessions_of
 from attacks.tasks.sessions import Windows
-from attacks.tasks.task_list import TASKS
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.cells.samples import restricted, samples_shared
-from evaluation.cells.sharing import share, share_block
-from evaluation.cells.windows import COLUMNS
-from evaluation.cells.work import Block, LinkWork, cells
+from evaluation.cells.sharing import restricted, samples_shared, share
+from evaluation.cells.windows import COLUMNS, window_tables
+from evaluation.cells.work import LinkWork, cells
 from evaluation.experiment.axes import Axes, Consumer, Link, axes
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
@@ -24,28 +21,17 @@ from evaluation.runs.cell_files import read_windows
 from isac_track import plugins, privacy
 from isac_track.config import StageSettings
 from isac_track.errors import PluginError
-from isac_track.plugins import Plugin
 from isac_track.protocols import grants
-from isac_track.scenes import cut, make_scenes, predicted_separation, track_order
-from isac_track.sensing import sense_scenes
+from isac_track.scenes import predicted_separation
 from isac_track.sharing import Clean, Fixed, Raw
-from isac_track.types import Knowledge, Reconstruction, Release, Sensed
-
-STAGES = StageSettings()
-EPSILON_M = STAGES.privacy.epsilon_m
-N_SCENES = 6  # two passes over the 12 tracks
+from isac_track.types import Knowledge, Release, Sensed
 
 
 def taken(release, chosen):
     """The release without the samples that were not chosen, (M,) bool."""
-    sizes = np.add.reduceat(chosen, release.offsets[:-1])
-    return Release(
-        t=release.t[chosen],
-        xy=release.xy[chosen],
-        sigma=None if release.sigma is None else release.sigma[chosen],
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
-        pseudonym=release.pseudonym,
-    )
+    offsets = np.concatenate([[0], np.cumsum(np.add.reduceat(chosen, release.offsets[:-1]))])
+    some = {name: getattr(release, name)[chosen] for name in ("t", "xy", "sigma")}
+    return replace(release, offsets=offsets, **some)
 
 
 def is_odd(sensed):
@@ -76,60 +62,26 @@ class Makes:
         return self.make(Raw().share(sensed, rng))
 
 
-@dataclass(frozen=True)
-class Spy:
-    """Leaves positions as they are and keeps what it was given."""
-
-    requires: frozenset = frozenset()
-    uses: frozenset = frozenset()
-    seen: list = None
-
-    def fit(self, context):
-        def reconstruct(release):
-            self.seen.append((context, release))
-            return Reconstruction(release.xy)
-
-        return reconstruct
-
-
-def plugin(instance, spec="mine"):
-    return Plugin(name=spec, level=None, spec=spec, origin=f"here:{spec}", instance=instance)
-
-
-def mechanism(spec):
-    return plugins.parse("mechanisms", spec)[0] if isinstance(spec, str) else plugin(spec)
-
-
-class World:
-    """A block of scenes and what is computed of it."""
-
-    def __init__(self, tracks):
-        self.tracks = cut(tracks, settings=STAGES, seed=0)
-        self.order = track_order(n_tracks=len(self.tracks), n_scenes=N_SCENES, agents=4, seed=0)
-        self.scenes = make_scenes(self.tracks, order=self.order, first=0, settings=STAGES, seed=0)
-        self.sensed = sense_scenes(self.scenes, settings=STAGES.sensing, seed=0)
-
-    def share(self, by):
-        return share_block(mechanism(by), self.sensed, 0, seed=0)
-
-    def rows(self, by, *consumers):
-        levels = ((mechanism(by), consumers),)
-        block = Block(number=0, first_scene=0, order=self.order, levels=levels)
-        found = cells(block, tracks=self.tracks, stages=STAGES, seed=0)
-        return [arrays(tables, tracks=self.tracks) for *_, tables in found]
-
-
 def attack(instance):
-    one = plugin(instance, "spy")
+    one = plugin(instance)
     return [
         Consumer("attack", one, knowledge=name, granted=granted)
         for name, granted in grants(instance).items()
     ]
 
 
-@pytest.fixture
+def identity():
+    return Consumer("attack", parsed("attacks", "identity"), "blind")
+
+
+def rows_of(world, by, *consumers):
+    """Rows of each consumer of a mechanism."""
+    return [rows for *_, rows in world.cells([by], consumers)]
+
+
+@pytest.fixture(scope="module")
 def world(tracks):
-    return World(tracks)
+    return World(tracks, n_scenes=6)  # two passes over the 12 tracks
 
 
 class TestSamplesShared:
@@ -156,25 +108,25 @@ class TestSamplesShared:
         assert left.rows.tolist() == [0, 2, 4, 5, 6]
         assert left.offsets.tolist() == [0, 2, 3, 5]
         known = restricted(self.SENSED, left)
-        assert known.t.tolist() == [0.0, 0.2, 5.1, 0.1, 0.2]
-        assert known.xy[:, 0].tolist() == [0, 4, 8, 10, 12]
-        assert known.sigma_raw.tolist() == [0, 2, 4, 5, 6]
-        assert known.information.tolist() == [10, 12, 14, 15, 16]
-        assert known.fid.tolist() == [20, 22, 24, 25, 26]
+        for name in ("t", "xy", "sigma_raw", "information", "fid"):
+            values = getattr(self.SENSED, name)[[0, 2, 4, 5, 6]]
+            assert getattr(known, name).tolist() == values.tolist()
 
-    def test_as_many_but_of_other_tracks(self):
-        # The times of all samples are those that were sensed; whose they are is not.
-        with pytest.raises(ValueError, match=r"in track 0 nothing was sensed at 5 s"):
-            samples_shared(self.released(self.SENSED.t, [0, 4, 5, 7]), self.SENSED)
-
-    @pytest.mark.parametrize("at", [-1.0, 0.15, 0.2 + 1e-12, 9.0])
-    def test_nothing_at_another_instant(self, at):
-        with pytest.raises(ValueError, match=r"in track 2 nothing was sensed at .* left out, not"):
-            samples_shared(self.released([0.0, 5.0, at], [0, 1, 2, 3]), self.SENSED)
-
-    def test_no_track_is_dropped(self):
-        with pytest.raises(ValueError, match="of 3 tracks it returned 2"):
-            samples_shared(self.released([0.0, 5.0], [0, 1, 2]), self.SENSED)
+    @pytest.mark.parametrize(
+        ("t", "offsets", "message"),
+        [
+            # The times of all samples are those that were sensed; whose they are is not.
+            (SENSED.t, [0, 4, 5, 7], r"in track 0 nothing was sensed at 5 s"),
+            *(
+                ([0.0, 5.0, at], [0, 1, 2, 3], "in track 2 nothing was sensed at .* left out, not")
+                for at in (-1.0, 0.15, 0.2 + 1e-12, 9.0)
+            ),
+            ([0.0, 5.0], [0, 1, 2], "of 3 tracks it returned 2"),
+        ],
+    )
+    def test_nothing_else(self, t, offsets, message):
+        with pytest.raises(ValueError, match=message):
+            samples_shared(self.released(t, offsets), self.SENSED)
 
 
 class TestRefused:
@@ -197,7 +149,7 @@ class TestRefused:
     )
     def test_what_moves_times_drops_tracks_or_leaves_nothing(self, world, make, message):
         with pytest.raises(PluginError, match=message):
-            world.rows(Makes(make), Consumer("shared"))
+            rows_of(world, Makes(make), Consumer("shared"))
 
     def test_what_leaves_out_other_samples_when_a_walk_is_shared_again(self, world):
         def by_chance(sensed):
@@ -208,14 +160,14 @@ class TestRefused:
         sieve = Sieve(Raw(), by_chance)
         needs = frozenset({Knowledge.REPEATS})
         with pytest.raises(PluginError, match="'mine' leaves out other samples when the same"):
-            world.rows(sieve, *attack(Spy(requires=needs, seen=[])))
-        (rows,) = world.rows(sieve, Consumer("shared"))  # but it may be shared once
+            rows_of(world, sieve, *attack(Spy(requires=needs)))
+        (rows,) = rows_of(world, sieve, Consumer("shared"))  # but it may be shared once
         assert (rows["n_samples"] < np.diff(world.scenes.offsets)).all()
 
 
 class TestScenes:
     def test_the_descriptors_are_those_of_the_samples_that_were_shared(self, world):
-        (rows,) = world.rows(Sieve(Fixed(0.3)), Consumer("shared"))
+        (rows,) = rows_of(world, Sieve(Fixed(0.3)), Consumer("shared"))
         whole = world.share("fixed:0.3")
         chosen = is_odd(world.sensed)
         for row, (lo, hi) in enumerate(pairwise(whole.offsets)):
@@ -227,17 +179,16 @@ class TestScenes:
                 leaked=leaked, t=whole.t[mine], offsets=np.array([0, mine.size])
             )
             assert rows["n_samples"][row] == mine.size
-            assert rows["plr"][row] == expected.plr[0]
-            assert rows["ael_s"][row] == expected.ael_s[0]
-            assert rows["mel_s"][row] == expected.mel_s[0]
+            for name in ("plr", "ael_s", "mel_s"):
+                assert rows[name][row] == getattr(expected, name)[0]
             square = ((whole.xy[mine] - world.scenes.xy[mine]) ** 2).sum(axis=1)
             assert rows["mse_m2"][row] == pytest.approx(square.mean(), rel=1e-12)
 
     @pytest.mark.parametrize("name", ["least_squares", "kalman_cv"])
     def test_a_predictor_gets_the_thinned_release_and_the_whole_future(self, world, name):
-        (forecaster,) = plugins.parse("predictors", name)
+        forecaster = parsed("predictors", name)
         consumer = Consumer("predictor", forecaster)
-        (thinned,), (whole,) = (world.rows(by, consumer) for by in (Sieve(Clean()), Clean()))
+        (thinned,), (whole,) = (rows_of(world, by, consumer) for by in (Sieve(Clean()), Clean()))
         for same in ("scene", "track", "conflict", "separation_m"):
             np.testing.assert_array_equal(thinned[same], whole[same])
         release = world.share(Sieve(Clean())).without_sigma()
@@ -250,8 +201,8 @@ class TestScenes:
 
     @pytest.mark.parametrize("granted", [(), tuple(Knowledge)])
     def test_an_attack_is_given_and_measured_on_what_was_shared(self, world, granted):
-        spy = Spy(uses=frozenset(granted), requires=frozenset(granted), seen=[])
-        (rows,) = world.rows(Sieve(Clean()), *attack(spy))
+        spy = Spy(uses=frozenset(granted), requires=frozenset(granted))
+        (rows,) = rows_of(world, Sieve(Clean()), *attack(spy))
         # The truth was shared: whatever is compared with it must be the same to the last sample.
         assert np.abs(rows["mse_m2"]).max() < 1e-12
         assert (rows["plr"] == 1).all()
@@ -259,8 +210,8 @@ class TestScenes:
         np.testing.assert_array_equal(
             rows["n_samples"], np.add.reduceat(is_odd(world.sensed), world.scenes.offsets[:-1])
         )
-        assert sum(release.t.size for _, release in spy.seen) == is_odd(world.sensed).sum()
-        for context, release in spy.seen:
+        assert sum(release.t.size for _, release, _ in spy.seen) == is_odd(world.sensed).sum()
+        for context, release, _ in spy.seen:
             if not granted:
                 continue
             train = context.train
@@ -272,35 +223,27 @@ class TestScenes:
 
     @pytest.mark.parametrize("name", ["identity", "kalman_rts", "radial_rts", "averaging"])
     def test_thinning_to_every_sample_is_fixed(self, world, name):
-        (one,) = plugins.parse("attacks", name)
-        crossed = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers
-        for thinned, fixed in zip(
-            world.rows("thin:1,d_sigma=0.7", *crossed),
-            world.rows("fixed:0.7", *crossed),
-            strict=True,
-        ):
+        crossed = Axes((), (), attacks=(parsed("attacks", name),)).consumers
+        both = (rows_of(world, by, *crossed) for by in ("thin:1,d_sigma=0.7", "fixed:0.7"))
+        for thinned, fixed in zip(*both, strict=True):
             for column in fixed.keys() - {"source", "group"}:
                 # Frames are drawn for each mechanism: up to rounding, what is found is the same.
                 np.testing.assert_allclose(thinned[column], fixed[column], rtol=1e-6, atol=1e-9)
 
     def test_one_sample_a_track_is_enough(self, world):
         consumers = axes(Settings(tasks=())).consumers
-        for rows in world.rows("thin:100000", *consumers):
+        for rows in rows_of(world, "thin:100000", *consumers):
             if "n_samples" in rows:
                 assert (rows["n_samples"] == 1).all()
                 assert np.isin(rows["plr"], [0, 1]).all()
 
     def test_the_smoother_of_what_is_left_has_a_benchmark_of_its_own(self, world):
-        (one,) = plugins.parse("attacks", "identity")
-        consumer = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers[1]
-        (few,), (all_of_them,) = (world.rows(f"thin:{n}", consumer) for n in (4, 1))
+        (few,), (all_of_them,) = (rows_of(world, f"thin:{n}", identity()) for n in (4, 1))
         assert (few["benchmark_mse_m2"] > all_of_them["benchmark_mse_m2"]).all()
 
     @pytest.mark.parametrize("spec", ["correlated:0.5", "offset:0.3"])
     def test_without_independent_errors_there_is_no_linear_benchmark(self, world, spec):
-        (one,) = plugins.parse("attacks", "identity")
-        consumer = Axes(mechanisms=(), predictors=(), attacks=(one,)).consumers[1]
-        (rows,) = world.rows(spec, consumer)
+        (rows,) = rows_of(world, spec, identity())
         assert np.isnan(rows["benchmark_mse_m2"]).all()
         assert np.isnan(rows["benchmark_plr"]).all()
         assert np.isfinite(rows["mse_m2"]).all()
@@ -308,83 +251,60 @@ class TestScenes:
 
 @pytest.fixture(scope="module")
 def sessions():
-    return {
-        task: sessions_of(TASKS[task], tracks=walkers(), stages=STAGES, seed=0)
-        for task in ("rerelease", "handover-1s")
-    }
+    return {task: sessions_of(task) for task in ("rerelease", "handover-1s")}
 
 
-def linked(sessions, by, *links, controls=False):
-    """What a level's consumers make of a task, by consumer and adversary, and its controls."""
-    known = sensed_sessions(sessions, groups=(), stages=STAGES, seed=0)
-    task = sessions.task
-    crossed = Axes(
-        mechanisms=(), predictors=(), attacks=(), links=tuple((task, one) for one in links)
-    )
-    readers = [one for one in crossed.readers(task) if controls or one.kind != "control"]
-    by = mechanism(by)
-    return linked_level_of(by, readers, known=known, epsilon_m=EPSILON_M, seed=0)
+LINKER = {"rerelease": "shape", "handover-1s": "kinematic"}
 
 
-@dataclass(frozen=True)
-class Watching:
-    """A reconstruction that learns, leaves positions as they are and keeps what it saw."""
-
-    requires: frozenset = frozenset({Knowledge.TRAIN})
-    uses: frozenset = frozenset()
-    seen: list = None
-
-    def fit(self, context):
-        self.seen.append(context.train)
-        return lambda release: Reconstruction(release.xy)
+def links_of(task, behind):
+    """The linker of a task, alone and behind a reconstruction."""
+    linker = parsed("attacks", LINKER[task])
+    return Link(linker), Link(linker, parsed("attacks", behind))
 
 
 class TestLinkage:
-    @pytest.mark.parametrize("task", ["rerelease", "handover-1s"])
+    @pytest.mark.parametrize("task", LINKER)
     def test_who_smooths_first_learns_on_what_was_shared(self, sessions, task):
-        watching = Watching(seen=[])
-        linker = "shape" if task == "rerelease" else "kinematic"
-        (first,) = plugins.parse("attacks", linker)
-        linked(sessions[task], Sieve(Clean()), Link(first, plugin(watching, "watching")))
+        watching = Spy(requires=frozenset({Knowledge.TRAIN}))
+        linked(sessions[task], Sieve(Clean()), links_of(task, watching)[1])
         assert watching.seen
-        for train in watching.seen:
+        for context, *_ in watching.seen:
+            train = context.train
             assert train.release.t.size < sessions[task].probe.t.size
             np.testing.assert_allclose(train.release.xy, train.truth, rtol=0, atol=1e-6)
 
     def test_thinning_to_every_sample_is_fixed(self, sessions):
-        (shape,) = plugins.parse("attacks", "shape")
-        (rts,) = plugins.parse("attacks", "kalman_rts")
-        links = (Link(shape), Link(shape, rts))
-        (one, _), (other, _) = (
-            linked(sessions["rerelease"], by, *links) for by in ("thin:1,d_sigma=0.7", "fixed:0.7")
+        links = links_of("rerelease", "kalman_rts")
+        one, other = (
+            linked(sessions["rerelease"], by, *links)[0]
+            for by in ("thin:1,d_sigma=0.7", "fixed:0.7")
         )
         for key in other:
-            if key[0] == "rerelease/windows":
-                continue
             for first, second in zip(one[key].searches, other[key].searches, strict=True):
                 np.testing.assert_array_equal(first.scores, second.scores)
 
     def test_what_only_times_tell_is_asked_anew(self, sessions):
-        (shape,) = plugins.parse("attacks", "shape")
-        whole, at_all = linked(sessions["rerelease"], "raw", Link(shape), controls=True)
-        few, at_none = linked(sessions["rerelease"], "thin:4", Link(shape), controls=True)
+        whole, _, at_all = linked(sessions["rerelease"], "raw", "shape", controls=True)
+        few, _, at_none = linked(sessions["rerelease"], "thin:4", "shape", controls=True)
         assert at_none == {}
         key = "rerelease/control-sample_count", ""
         assert at_all["sample_count"] is whole[key]
         assert not np.array_equal(whole[key].searches[0].scores, few[key].searches[0].scores)
 
-    @pytest.mark.parametrize("task", ["rerelease", "handover-1s"])
+    @pytest.mark.parametrize("task", LINKER)
     def test_one_sample_a_window_is_enough(self, sessions, task):
-        (one,) = plugins.parse("attacks", "shape" if task == "rerelease" else "kinematic")
-        (rts,) = plugins.parse("attacks", "radial_rts")
-        found, _ = linked(sessions[task], "thin:100000", Link(one), Link(one, rts), controls=True)
-        assert (found[f"{task}/windows", ""]["n_samples"] == 1).all()
+        links = links_of(task, "radial_rts")
+        _, level, _ = linked(sessions[task], "thin:100000", *links, controls=True)
+        assert set(window_tables(level)["rows"]["n_samples"].to_pylist()) == {1}
 
 
 class TestWindows:
     def frame(self, sessions, by, stages=STAGES):
         consumer = Consumer("windows", task=sessions.task.name)
-        work = LinkWork(sessions=sessions, groups=(), levels=((mechanism(by), (consumer,)),))
+        work = LinkWork(
+            sessions=sessions, groups=(), levels=((parsed("mechanisms", by), (consumer,)),)
+        )
         ((_, _, one, tables),) = cells(work, tracks=None, stages=stages, seed=0)
         assert one.spec == f"{sessions.task.name}/windows"
         return tables["rows"].to_pandas()
@@ -397,17 +317,17 @@ class TestWindows:
         known = sensed_sessions(task, groups=(), stages=STAGES, seed=0)
         number = ("probe", "gallery").index(side)
         windows, sensed = getattr(task, side), known.sensed[number]
-        release = share(mechanism(by), sensed, "linkage", "rerelease", side, seed=0)[row]
+        release = share(parsed("mechanisms", by), sensed, "linkage", "rerelease", side, seed=0)[row]
         window = slice(windows.offsets[row], windows.offsets[row + 1])
         t, xy = windows.t[window], windows.xy[window]
         held = np.isin(t, release.t)
         mine = found[found["side"] == side].iloc[row]
-        assert mine["source"] == task.source[windows.person[row]]
-        assert mine["group"] == task.group[windows.person[row]]
+        person, length_m = windows.person[row], sum(np.hypot(*(b - a)) for a, b in pairwise(xy))
+        assert mine["source"] == task.source[person]
+        assert mine["group"] == task.group[person]
         assert mine["search"] == task.searches[windows.search[row]]
         assert mine["n_samples"] == held.sum() == release.t.size
         assert mine["duration_s"] == t[-1] - t[0]
-        length_m = sum(np.hypot(*(b - a)) for a, b in pairwise(xy))
         assert mine["path_m"] == pytest.approx(length_m, rel=1e-12)
         assert mine["speed_mps"] == pytest.approx(length_m / (t[-1] - t[0]), rel=1e-12)
         assert mine["sigma_raw_m"] == pytest.approx(sensed.sigma_raw[window][held].mean())
@@ -416,9 +336,8 @@ class TestWindows:
             shared_xy=release.xy, true_xy=xy[held], epsilon_m=EPSILON_M
         )
         expected = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
-        assert mine["plr"] == expected.plr[0]
-        assert mine["ael_s"] == expected.ael_s[0]
-        assert mine["mel_s"] == expected.mel_s[0]
+        for name in ("plr", "ael_s", "mel_s"):
+            assert mine[name] == getattr(expected, name)[0]
 
     def test_epsilon_is_the_setting(self, sessions):
         stages = StageSettings().changed({"privacy.epsilon_m": 0.6})
@@ -451,42 +370,31 @@ class TestWindows:
 
     def test_a_walk_of_one_sample_has_no_speed(self, sessions):
         task = sessions["rerelease"]
-        short = replace(
-            task,
-            **{
-                side: Windows(
-                    t=windows.t[windows.offsets[:-1]],
-                    xy=windows.xy[windows.offsets[:-1]],
-                    offsets=np.arange(len(windows) + 1),
-                    person=windows.person,
-                    search=windows.search,
-                )
-                for side, windows in (("probe", task.probe), ("gallery", task.gallery))
-            },
-        )
-        found, _ = linked(short, "raw")
-        rows = found["rerelease/windows", ""]
-        assert np.isnan(rows["speed_mps"]).all()
-        assert (rows["path_m"] == 0).all()
+        short = {}
+        for side in ("probe", "gallery"):
+            windows = getattr(task, side)
+            t, xy = (values[windows.offsets[:-1]] for values in (windows.t, windows.xy))
+            offsets = np.arange(len(windows) + 1)
+            short[side] = Windows(t, xy, offsets, windows.person, windows.search)
+        found = self.frame(replace(task, **short), "raw")
+        assert found["speed_mps"].isna().all()
+        assert (found["path_m"] == 0).all()
 
 
 EVERY_OTHER = """
 from dataclasses import dataclass, replace
 import numpy as np
 from isac_track.sharing import perturb
-from isac_track.types import Release
 
 @dataclass(frozen=True)
 class EveryOther:
     def share(self, sensed, rng):
         whole = perturb(sensed, 0.2, rng)
-        parts = [np.arange(lo, hi)[::2] for lo, hi in zip(whole.offsets[:-1], whole.offsets[1:])]
-        kept = np.concatenate(parts)
-        return Release(
-            t=whole.t[kept], xy=whole.xy[kept], sigma=whole.sigma[kept],
-            offsets=np.concatenate([[0], np.cumsum([part.size for part in parts])]),
-            pseudonym=whole.pseudonym,
-        )
+        sizes = np.diff(whole.offsets)
+        kept = (np.arange(whole.t.size) - np.repeat(whole.offsets[:-1], sizes)) % 2 == 0
+        offsets = np.concatenate([[0], np.cumsum((sizes + 1) // 2)])
+        some = {name: getattr(whole, name)[kept] for name in ("t", "xy", "sigma")}
+        return replace(whole, offsets=offsets, **some)
 """
 
 
@@ -518,9 +426,13 @@ def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
     assert set(results.summary["mechanism"]) >= {"raw", "sieves:EveryOther", "thin"}
     table = results.summary.set_index(["mechanism", "consumer", "metric"])["value"]
     assert table["thin", "kalman_rts", "plr"].min() > 0
-    before = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
+
+    def written():
+        return {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
+
+    before = written()
     evaluation.run(settings, pictures=False)
-    assert before == {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
+    assert written() == before
 
 
 def test_the_presets_but_smoke_hold_the_controls():

@@ -1,80 +1,37 @@
 """What an attack is shown of a block, what it is not, and what its rows say."""
 
 import contextlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.runs import arrays, rows_of
+from helpers.cells import STAGES, SlowSpy, Spy, World, parsed, plugin
+from helpers.runs import rows_of
 
 import evaluation
 from attacks.reconstruction.kalman_rts import KalmanRTS
 from evaluation.cells import reconstruction
-from evaluation.cells.descriptors import descriptors
-from evaluation.cells.reconstruction import TRAINING_PEOPLE, attacked_block, benchmark, folds
-from evaluation.cells.work import Block, cells
+from evaluation.cells.reconstruction import TRAINING_PEOPLE, benchmark, folds
+from evaluation.cells.tables import descriptors
 from evaluation.experiment.axes import Axes
 from evaluation.experiment.settings import Settings
-from isac_track import plugins
-from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError
 from isac_track.plugins import Plugin
 from isac_track.protocols import grants
 from isac_track.rng import stream
-from isac_track.scenes import cut, make_scenes, track_order
-from isac_track.sensing import fisher_information_density, sense_scenes
+from isac_track.scenes import cut
+from isac_track.sensing import fisher_information_density
 from isac_track.sharing import Clean, Fixed, Raw
 from isac_track.types import Knowledge, Reconstruction, Sensed
 
-STAGES = StageSettings()
 N_SCENES = 12
 ONE_PASS = 3
 """Scenes whose four agents each are the twelve people, once."""
 MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = (
-    Knowledge.MECHANISM,
-    Knowledge.SIGMA,
-    Knowledge.TRAIN,
-    Knowledge.SCENE,
-    Knowledge.REPEATS,
+    Knowledge[name] for name in ("MECHANISM", "SIGMA", "TRAIN", "SCENE", "REPEATS")
 )
-
-
-@dataclass(frozen=True)
-class Spy:
-    """Keeps what it was shown, and takes it at its word."""
-
-    requires: frozenset = frozenset()
-    uses: frozenset = frozenset()
-    seen: list = field(default_factory=list, compare=False)
-
-    def fit(self, context):
-        drawn = context.rng.random(3)
-
-        def reconstruct(release):
-            self.seen.append((context, release, drawn))
-            return Reconstruction(release.xy)
-
-        return reconstruct
-
-
-class SlowSpy(Spy):
-    slow: ClassVar[bool] = True
-
-
-@dataclass(frozen=True)
-class Moves:
-    """Returns what a function makes of the positions."""
-
-    move: object
-    requires: frozenset = frozenset()
-    uses: frozenset = frozenset()
-
-    def fit(self, context):
-        del context
-        return lambda release: Reconstruction(self.move(release.xy))
 
 
 @dataclass(frozen=True)
@@ -85,36 +42,13 @@ class Undeclared:
         return Raw().share(sensed, rng).without_sigma()
 
 
-def plugin(instance, name="spy"):
-    return Plugin(name=name, level=None, spec=name, origin=f"here:{name}", instance=instance)
-
-
-def blocks_of(known, *, n_scenes=N_SCENES, size=None, levels, seed=0):
-    order = track_order(n_tracks=len(known), n_scenes=n_scenes, agents=4, seed=seed)
-    size = size or n_scenes
-    return [
-        Block(number=number, first_scene=first, order=order[first : first + size], levels=levels)
-        for number, first in enumerate(range(0, n_scenes, size))
-    ]
-
-
-def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None, seed=0):
+def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None):
     """Rows of every cell of some scenes by (mechanism, consumer, adversary), blocks in a list."""
-    known = cut(tracks, settings=STAGES, seed=seed)
-    attacks = tuple(
-        one if isinstance(one, Plugin) else plugins.parse("attacks", one)[0] for one in attacks
-    )
-    mechanisms = tuple(
-        one if isinstance(one, Plugin) else plugins.parse("mechanisms", one)[0]
-        for one in mechanisms
-    )
-    consumers = Axes(mechanisms=mechanisms, predictors=(), attacks=attacks).consumers
-    levels = tuple((mechanism, consumers) for mechanism in mechanisms)
+    attacks = tuple(parsed("attacks", one) for one in attacks)
+    consumers = Axes(mechanisms=(), predictors=(), attacks=attacks).consumers
     found = {}
-    for block in blocks_of(known, n_scenes=n_scenes, size=size, levels=levels, seed=seed):
-        for _, mechanism, consumer, tables in cells(block, tracks=known, stages=STAGES, seed=seed):
-            key = (mechanism.spec, consumer.spec, consumer.knowledge)
-            found.setdefault(key, []).append(arrays(tables, tracks=known))
+    for by, one, rows in World(tracks, n_scenes=n_scenes).cells(mechanisms, consumers, size=size):
+        found.setdefault((by.spec, one.spec, one.knowledge), []).append(rows)
     return found
 
 
@@ -122,39 +56,6 @@ def same(a, b):
     assert a.keys() >= b.keys()
     for name in b:
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
-
-
-class World:
-    """The block that `computed` makes, built from the parts that the cells are built of."""
-
-    def __init__(self, tracks, *, mechanism="raw", n_scenes=N_SCENES, seed=0):
-        self.tracks = cut(tracks, settings=STAGES, seed=seed)
-        (block,) = blocks_of(self.tracks, n_scenes=n_scenes, levels=())
-        self.scenes = make_scenes(
-            self.tracks, order=block.order, first=0, settings=STAGES, seed=seed
-        )
-        self.sensed = sense_scenes(self.scenes, settings=STAGES.sensing, seed=seed)
-        (plugin,) = plugins.parse("mechanisms", mechanism)
-        self.release = plugin.instance.share(self.sensed, stream(seed, "sharing", "block", 0))
-        self.half = folds(self.tracks.group, seed=seed)
-
-    def rows(self, fold):
-        """Tracks of the block whose people belong to that half."""
-        return np.flatnonzero(self.half[self.scenes.track] == fold)
-
-    def samples(self, fold):
-        offsets = self.scenes.offsets
-        return np.concatenate([np.arange(*offsets[row : row + 2]) for row in self.rows(fold)])
-
-    def attacked(self, *, repeats=False):
-        return attacked_block(
-            scenes=self.scenes,
-            sensed=self.sensed,
-            tracks=self.tracks,
-            repeats=repeats,
-            stages=STAGES,
-            seed=0,
-        )
 
 
 def in_groups(tracks, n_groups):
@@ -173,10 +74,8 @@ class TestFolds:
         half = folds(self.GROUPS, seed=0)
         of_group = {group: set(half[np.array(self.GROUPS) == group]) for group in self.GROUPS}
         assert all(len(halves) == 1 for halves in of_group.values())
-        assert sorted(sum(halves == {fold} for halves in of_group.values()) for fold in (0, 1)) == [
-            5,
-            6,
-        ]
+        n_groups = [sum(halves == {fold} for halves in of_group.values()) for fold in (0, 1)]
+        assert sorted(n_groups) == [5, 6]
 
     def test_the_order_of_the_tracks_does_not_matter(self):
         half = folds(self.GROUPS, seed=0)
@@ -184,47 +83,39 @@ class TestFolds:
         turned = folds(tuple(self.GROUPS[row] for row in order), seed=0)
         assert turned.tolist() == half[order].tolist()
 
-    def test_the_seed_splits_them(self):
-        splits = {tuple(folds(self.GROUPS, seed=seed)) for seed in range(5)}
-        assert len(splits) > 1
-
-    def test_one_group_is_one_half(self):
+    def test_the_seed_splits_them_and_one_group_is_one_half(self):
+        assert len({tuple(folds(self.GROUPS, seed=seed)) for seed in range(5)}) > 1
         assert len(set(folds(("g",) * 5, seed=0))) == 1
 
+    def test_real_people_are_split_by_group(self, students03):
+        known = cut(students03.tracks, settings=STAGES, seed=0)
+        half, groups = folds(known.group, seed=0), np.array(known.group)
+        first, second = (set(groups[half == fold]) for fold in (0, 1))
+        assert first.isdisjoint(second)
+        assert abs(len(first) - len(second)) <= 1
 
-class TestGround:
+
+class TestBlock:
     @pytest.mark.parametrize("n_groups", [2, 4, 5, 12])
     def test_nobody_is_attacked_by_who_learnt_from_them_or_their_group(self, tracks, n_groups):
-        world = World(in_groups(tracks, n_groups))
-        made = world.attacked()
+        world = World(in_groups(tracks, n_groups), n_scenes=N_SCENES)
         group = np.array(world.tracks.group)
-        for part, (scenes, _) in zip(made.halves, made.training, strict=True):
-            victims = world.scenes.track[part.rows]
-            assert set(group[victims]).isdisjoint(group[scenes.track])
+        for fold, (scenes, _) in enumerate(world.attacked().training):
+            victims, taught = group[world.scenes.track[world.rows(fold)]], group[scenes.track]
+            assert set(victims).isdisjoint(taught)
             assert len(set(scenes.track)) == scenes.track.size
-            assert set(group[victims]) | set(group[scenes.track]) == set(group)
-
-    def test_the_halves_are_the_block(self, tracks):
-        world = World(tracks)
-        made = world.attacked()
-        rows = np.concatenate([part.rows for part in made.halves])
-        assert sorted(rows) == list(range(world.scenes.track.size))
-        for fold, part in enumerate(made.halves):
-            assert part.rows.tolist() == world.rows(fold).tolist()
-            np.testing.assert_array_equal(part.truth, world.scenes.xy[world.samples(fold)])
-            np.testing.assert_array_equal(part.t, world.scenes.t[world.samples(fold)])
+            assert set(victims) | set(taught) == set(group)
 
     def test_no_more_people_train_than_it_takes(self, tracks, monkeypatch):
+        world = World(tracks, n_scenes=N_SCENES)
         assert TRAINING_PEOPLE >= 6  # of the twelve here all do
-        full = World(tracks).attacked().training
-        assert [scenes.track.size for scenes, _ in full] == [6, 6]
+        assert [scenes.track.size for scenes, _ in world.attacked().training] == [6, 6]
         monkeypatch.setattr(reconstruction, "TRAINING_PEOPLE", 2)
-        few = World(tracks).attacked().training
-        assert [scenes.track.size for scenes, _ in few] == [2, 2]
+        assert [scenes.track.size for scenes, _ in world.attacked().training] == [2, 2]
 
     @pytest.mark.parametrize("n_groups", [12, 4])
     def test_an_overlap_stops_the_run(self, tracks, monkeypatch, n_groups):
-        world = World(in_groups(tracks, n_groups))
+        world = World(in_groups(tracks, n_groups), n_scenes=N_SCENES)
         # One person of the victims' half, who need not be a victim: their group is enough.
         monkeypatch.setattr(
             reconstruction,
@@ -234,19 +125,26 @@ class TestGround:
         with pytest.raises(AssertionError, match="victim's group is among the training people"):
             world.attacked()
 
+    def test_a_walk_that_occurs_twice_in_a_pass_stops_the_run(self, tracks):
+        world = World(tracks, n_scenes=ONE_PASS)
+        track = np.roll(world.scenes.track, 1)
+        track[0] = track[1]
+        world.scenes = replace(world.scenes, track=track)
+        with pytest.raises(AssertionError, match="a walk occurs twice in one pass"):
+            world.attacked()
+
     def test_one_group_has_nobody_to_learn_from(self, tracks):
-        made = World(in_groups(tracks, 1)).attacked()
-        attacked = [fold for fold, part in enumerate(made.halves) if part.rows.size]
-        assert len(attacked) == 1
-        assert made.training[attacked[0]] is None
+        world = World(in_groups(tracks, 1), n_scenes=N_SCENES)
+        (attacked,) = set(world.attacked().half)
+        assert world.attacked().training[attacked] is None
 
     def test_the_walks_are_sensed_anew_for_repeats_alone(self, tracks):
-        world = World(tracks)
+        world = World(tracks, n_scenes=N_SCENES)
         assert world.attacked().again == ()
         again = world.attacked(repeats=True).again
         assert len(again) == reconstruction.N_REPEATS
-        truths = [one.xy - one.sigma_raw[:, None] * one.unit_error for one in again]
-        for truth, one in zip(truths, again, strict=True):
+        for one in again:
+            truth = one.xy - one.sigma_raw[:, None] * one.unit_error
             np.testing.assert_allclose(truth, world.scenes.xy, rtol=0, atol=1e-9)
             np.testing.assert_array_equal(one.t, world.scenes.t)
         errors = [one.unit_error[:, 0] for one in (world.sensed, *again)]
@@ -255,40 +153,23 @@ class TestGround:
 
 
 class TestIdentity:
-    @pytest.mark.parametrize(
-        "mechanism",
-        ["raw", "clean"]
-        + [
-            f"{name}{rule}"
-            for name in ("fid:100", "fixed:0.5")
-            for rule in ("", ",adding=independent")
-        ],
-    )
-    def test_its_rows_are_those_as_shared_to_the_last_bit(self, tracks, mechanism):
-        found = computed(tracks, "identity", mechanisms=(mechanism,))
+    @pytest.mark.parametrize("rule", ["", ",adding=independent"])
+    @pytest.mark.parametrize("mechanism", ["raw", "clean", "fid:100", "fixed:0.5"])
+    def test_its_rows_are_those_as_shared_to_the_last_bit(self, tracks, mechanism, rule):
+        spec = mechanism + (rule if ":" in mechanism else "")
+        found = computed(tracks, "identity", mechanisms=(spec,), n_scenes=2 * ONE_PASS)
         (shared,), (attacked,) = (found[key] for key in found if key[1] in ("shared", "identity"))
         assert {"plr", "ael_s", "mel_s", "segments", "mse_m2", "track", "scene"} <= shared.keys()
         same(attacked, shared)
 
     def test_all_columns_of_an_attack_have_one_row_a_track(self, tracks):
         (rows,) = computed(tracks, "kalman_rts")["raw", "kalman_rts", "blind"]
-        assert {name: len(values) for name, values in rows.items()} == dict.fromkeys(
-            rows, 4 * N_SCENES
-        )
+        n_rows = dict.fromkeys(rows, 4 * N_SCENES)
+        assert {name: len(values) for name, values in rows.items()} == n_rows
         assert set(rows) == {
-            *(
-                "scene",
-                "agent",
-                "track",
-                "source",
-                "group",
-                "n_samples",
-                "plr",
-                "ael_s",
-                "mel_s",
-                "segments",
-            ),
-            *("mse_m2", "benchmark_mse_m2", "benchmark_plr"),
+            *("scene", "agent", "track", "source", "group", "n_samples"),
+            *("plr", "ael_s", "mel_s", "segments", "mse_m2"),
+            *("benchmark_mse_m2", "benchmark_plr"),
         }
 
 
@@ -304,52 +185,44 @@ class TestWhatIsShown:
     def test_a_blind_adversary_sees_no_sigma_and_no_true_frame_or_clock(self, tracks):
         world, seen = self.spied(tracks)
         for fold, (context, release, _) in enumerate(seen):
-            own = world.samples(fold)
+            xy, t = (values[world.samples(fold)] for values in (world.release.xy, world.release.t))
             assert context.granted == frozenset()
             assert release.sigma is None
             # Rigid: the same walks, so that all there is to see is there to be seen.
-            truth = lengths(world.release.xy[own], release.offsets)
+            truth = lengths(xy, release.offsets)
             for ours, theirs in zip(lengths(release.xy, release.offsets), truth, strict=True):
                 np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(
-                np.diff(release.t), np.diff(world.release.t[own]), rtol=0, atol=1e-9
-            )
-            assert np.hypot(*(release.xy - world.release.xy[own]).T).min() > 1.0
-            assert abs(release.t[0] - world.release.t[own][0]) > 1.0
-            heading = [
-                np.arctan2(*(xy[release.offsets[1] - 1] - xy[0])[::-1])
-                for xy in (release.xy, world.release.xy[own])
-            ]
-            assert abs(heading[0] - heading[1]) > 0.01
+            np.testing.assert_allclose(np.diff(release.t), np.diff(t), rtol=0, atol=1e-9)
+            assert np.hypot(*(release.xy - xy).T).min() > 1.0
+            assert abs(release.t[0] - t[0]) > 1.0
+            last = release.offsets[1] - 1
+            shown, true = (complex(*(one[last] - one[0])) for one in (release.xy, xy))
+            assert abs(np.angle(shown / true)) > 0.01
 
     def test_the_frames_of_the_halves_and_of_the_levels_differ(self, tracks):
         spy = Spy()
         computed(tracks, plugin(spy), mechanisms=("raw", "fixed:0.5"), n_scenes=ONE_PASS)
         clocks = [release.t[0] for _, release, _ in spy.seen]
-        starts = [release.t[0] for release in (World(tracks).release,)]
+        start = World(tracks, n_scenes=ONE_PASS).release.t[0]
         assert len({round(clock, 3) for clock in clocks}) == 4
-        assert all(abs(clock - starts[0]) > 1.0 for clock in clocks)
+        assert all(abs(clock - start) > 1.0 for clock in clocks)
 
-    def test_scene_and_sigma_show_the_release_as_it_is(self, tracks):
-        world, seen = self.spied(tracks, requires=(SCENE, SIGMA))
+    @pytest.mark.parametrize("granted", [(SCENE,), (SIGMA,), (SCENE, SIGMA)])
+    def test_scene_and_sigma_show_what_they_say_and_no_more(self, tracks, granted):
+        world, seen = self.spied(tracks, requires=granted)
         for fold, (_, release, _) in enumerate(seen):
-            own = world.samples(fold)
-            np.testing.assert_array_equal(release.xy, world.release.xy[own])
-            np.testing.assert_array_equal(release.t, world.release.t[own])
-            np.testing.assert_array_equal(release.sigma, world.release.sigma[own])
-
-    def test_sigma_alone_shows_no_frame(self, tracks):
-        world, seen = self.spied(tracks, granted=(SIGMA,))
-        for fold, (_, release, _) in enumerate(seen):
-            own = world.samples(fold)
-            np.testing.assert_array_equal(release.sigma, world.release.sigma[own])
-            assert np.hypot(*(release.xy - world.release.xy[own]).T).min() > 1.0
-
-    def test_scene_alone_shows_no_sigma(self, tracks):
-        world, seen = self.spied(tracks, granted=(SCENE,))
-        for fold, (_, release, _) in enumerate(seen):
-            np.testing.assert_array_equal(release.xy, world.release.xy[world.samples(fold)])
-            assert release.sigma is None
+            xy, t, sigma = (
+                getattr(world.release, name)[world.samples(fold)] for name in ("xy", "t", "sigma")
+            )
+            if SCENE in granted:
+                np.testing.assert_array_equal(release.xy, xy)
+                np.testing.assert_array_equal(release.t, t)
+            else:
+                assert np.hypot(*(release.xy - xy).T).min() > 1.0
+            if SIGMA in granted:
+                np.testing.assert_array_equal(release.sigma, sigma)
+            else:
+                assert release.sigma is None
 
     @pytest.mark.parametrize("slow", [False, True])
     def test_the_training_set_is_of_other_people(self, tracks, slow):
@@ -382,9 +255,8 @@ class TestWhatIsShown:
 
     def test_the_training_set_is_shared_with_noise_of_its_own(self, tracks):
         # The fresh noise of the release, by sample number, tells nothing of the training set's.
-        world, seen = self.spied(
-            tracks, requires=(TRAIN, SCENE), mechanism="fixed:5,adding=independent"
-        )
+        mechanism = "fixed:5,adding=independent"
+        world, seen = self.spied(tracks, requires=(TRAIN, SCENE), mechanism=mechanism)
         for fold, (context, release, _) in enumerate(seen):
             n = min(release.t.size, context.train.truth.shape[0])
             error = release.xy - world.scenes.xy[world.samples(fold)]
@@ -423,22 +295,19 @@ class TestWhatIsShown:
                 np.testing.assert_allclose(np.diff(one.t), np.diff(release.t), rtol=0, atol=1e-9)
 
     def test_averaging_repeats_of_independent_errors_thirds_the_square(self, tracks):
-        found = computed(
-            tracks, "averaging", "identity", mechanisms=("fixed:3,adding=independent",)
-        )
-        (first,) = found["fixed:3,adding=independent", "identity", "blind"]
-        (mean,) = found["fixed:3,adding=independent", "averaging", "oracle"]
+        spec = "fixed:3,adding=independent"
+        found = computed(tracks, "averaging", "identity", mechanisms=(spec,))
+        (first,), (mean,) = found[spec, "identity", "blind"], found[spec, "averaging", "oracle"]
         assert mean["mse_m2"].sum() / first["mse_m2"].sum() == pytest.approx(1 / 3, rel=0.05)
 
     def test_nothing_can_be_written_to(self, tracks):
         _, seen = self.spied(tracks, requires=tuple(Knowledge))
         for context, release, _ in seen:
-            for one in (release, context.train.release, *context.repeats):
-                for array in (one.t, one.xy, one.sigma, one.offsets):
-                    with pytest.raises(ValueError, match="read-only"):
-                        array[0] = 0
-            with pytest.raises(ValueError, match="read-only"):
-                context.train.truth[0] = 0
+            releases = (release, context.train.release, *context.repeats)
+            arrays = [a for one in releases for a in (one.t, one.xy, one.sigma, one.offsets)]
+            for array in (*arrays, context.train.truth):
+                with pytest.raises(ValueError, match="read-only"):
+                    array[0] = 0
 
     def test_its_random_numbers_are_its_own_whatever_else_runs(self, tracks):
         alone, among = (Spy(uses=frozenset({MECHANISM})) for _ in range(2))
@@ -447,16 +316,13 @@ class TestWhatIsShown:
         mechanisms = ("clean", "fixed:0.5", "raw")
         computed(tracks, *others, plugin(among), mechanisms=mechanisms, n_scenes=ONE_PASS)
         # The release's first clock names the level and the half.
-        drawn = [
-            {
-                (context.granted, release.t[0]): tuple(numbers)
-                for context, release, numbers in spy.seen
-            }
+        first, second = (
+            {(one.granted, release.t[0]): tuple(numbers) for one, release, numbers in spy.seen}
             for spy in (alone, among)
-        ]
-        assert len(drawn[0]) == 2 * 2 * 2  # adversaries, levels, halves
-        assert drawn[0].items() <= drawn[1].items()
-        assert len(set(drawn[0].values())) == 8
+        )
+        assert len(first) == 2 * 2 * 2  # adversaries, levels, halves
+        assert first.items() <= second.items()
+        assert len(set(first.values())) == 8
 
 
 QUICK = ("identity", "moving_average", "savgol", "kalman_rts", "radial_rts", "averaging")
@@ -504,7 +370,7 @@ class TestStrangers:
 
     @pytest.mark.parametrize("name", QUICK)
     def test_the_built_in_attacks_gain_nothing_by_seeing_all_passes_at_once(self, tracks, name):
-        (own,) = plugins.parse("attacks", name)
+        own = parsed("attacks", name)
         mechanisms = ("fid:1000,adding=independent",)
         found = computed(tracks, own, plugin(own.instance, "foreign"), mechanisms=mechanisms)
         compared = 0
@@ -517,11 +383,10 @@ class TestStrangers:
         assert compared == len(grants(own.instance))
 
     def test_what_one_overwrites_the_next_does_not_see(self, tracks):
-        vandal = plugin(Vandal(), "vandal")
-        other = plugin(KalmanRTS(), "other")
-        among = computed(tracks, vandal, other, "kalman_rts", "identity", mechanisms=("fixed:0.5",))
-        alone = computed(tracks, other, "kalman_rts", "identity", mechanisms=("fixed:0.5",))
-        for key, (rows,) in alone.items():
+        vandal, other = plugin(Vandal(), "vandal"), plugin(KalmanRTS(), "other")
+        rest = (other, "kalman_rts", "identity")
+        among = computed(tracks, vandal, *rest, mechanisms=("fixed:0.5",))
+        for key, (rows,) in computed(tracks, *rest, mechanisms=("fixed:0.5",)).items():
             same(among[key][0], rows)
         # All zero is what it said, and what it is judged by.
         (spoilt,) = among["fixed:0.5", "vandal", "blind"]
@@ -529,49 +394,47 @@ class TestStrangers:
 
 
 class TestTheWayBack:
-    def test_a_constant_offset_in_its_frame_is_an_error_of_that_length(self, tracks):
-        attack = plugin(Moves(lambda xy: xy + np.array([0.3, -0.4])), "aside")
-        (rows,) = computed(tracks, attack, mechanisms=("clean",))["clean", "aside", "blind"]
-        np.testing.assert_allclose(rows["mse_m2"], 0.25, rtol=1e-9)
-        assert (rows["plr"] == 0.0).all()
-        near = plugin(Moves(lambda xy: xy + np.array([0.12, -0.16])), "near")
-        (rows,) = computed(tracks, near, mechanisms=("clean",))["clean", "near", "blind"]
-        assert (rows["plr"] == 1.0).all()
+    @pytest.mark.parametrize(("step", "plr"), [((0.3, -0.4), 0.0), ((0.12, -0.16), 1.0)])
+    def test_a_constant_offset_in_its_frame_is_an_error_of_that_length(self, tracks, step, plr):
+        attack = plugin(Spy(move=lambda xy: xy + np.array(step)))
+        (rows,) = computed(tracks, attack, mechanisms=("clean",))["clean", "spy", "blind"]
+        np.testing.assert_allclose(rows["mse_m2"], np.square(step).sum(), rtol=1e-9)
+        assert (rows["plr"] == plr).all()
 
     def test_positions_elsewhere_in_its_frame_are_found_there_in_the_true_one(self, tracks):
         """Backwards through each half's samples: a turn the wrong way round would show."""
         # Not clean: about the truth itself a turn of the correction would change no distance.
-        attack = plugin(Moves(lambda xy: xy[::-1]), "backwards")
+        attack = plugin(Spy(move=lambda xy: xy[::-1]))
         found = computed(tracks, attack, mechanisms=("fixed:5",), n_scenes=ONE_PASS)
-        (rows,) = found["fixed:5", "backwards", "blind"]
+        (rows,) = found["fixed:5", "spy", "blind"]
         world = World(tracks, mechanism="fixed:5", n_scenes=ONE_PASS)
-        expected = np.empty(world.scenes.track.size)
+        sizes = np.diff(world.scenes.offsets)
         for fold in (0, 1):
-            own = world.samples(fold)
+            own, mine = world.samples(fold), world.rows(fold)
             square = ((world.release.xy[own][::-1] - world.scenes.xy[own]) ** 2).sum(axis=1)
-            sizes = np.diff(world.scenes.offsets)[world.rows(fold)]
-            parts = np.split(square, np.cumsum(sizes)[:-1])
-            expected[world.rows(fold)] = [part.mean() for part in parts]
-        np.testing.assert_allclose(rows["mse_m2"], expected, rtol=1e-9)
+            parts = np.split(square, np.cumsum(sizes[mine])[:-1])
+            expected = [part.mean() for part in parts]
+            np.testing.assert_allclose(rows["mse_m2"][mine], expected, rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def found(tracks):
+    """Rows of a slow and of a quick attack, block by block."""
+    # 12 people on 4 * 4 seats, two blocks: the second has 4 of them for the first time.
+    slow, quick = plugin(SlowSpy(), "slow"), plugin(Spy(), "quick")
+    rows = computed(tracks, slow, quick, n_scenes=4, size=2)
+    return rows["raw", "slow", "blind"], rows["raw", "quick", "blind"]
 
 
 class TestSlowAttacks:
-    def test_they_see_one_release_of_each_source_track(self, tracks):
-        # 12 people on 4 * 4 seats, two blocks: the second has 4 of them for the first time.
-        slow, quick = plugin(SlowSpy(), "slow"), plugin(Spy(), "quick")
-        found = computed(tracks, slow, quick, n_scenes=4, size=2)
-        rows = found["raw", "slow", "blind"]
-        assert [len(one["track"]) for one in rows] == [8, 4]
-        met = np.concatenate([one["track"] for one in rows])
-        assert sorted(met) == list(range(12))
-        assert [len(one["track"]) for one in found["raw", "quick", "blind"]] == [8, 8]
+    def test_they_see_one_release_of_each_source_track(self, found):
+        slow, quick = found
+        assert [len(one["track"]) for one in slow] == [8, 4]
+        assert sorted(np.concatenate([one["track"] for one in slow])) == list(range(12))
+        assert [len(one["track"]) for one in quick] == [8, 8]
 
-    def test_their_rows_are_those_of_the_same_walks_in_a_quick_attack(self, tracks):
-        slow, quick = plugin(SlowSpy(), "slow"), plugin(Spy(), "quick")
-        found = computed(tracks, slow, quick, n_scenes=4, size=2)
-        for few, all_of in zip(
-            found["raw", "slow", "blind"], found["raw", "quick", "blind"], strict=True
-        ):
+    def test_their_rows_are_those_of_the_same_walks_in_a_quick_attack(self, found):
+        for few, all_of in zip(*found, strict=True):
             place = list(zip(all_of["scene"], all_of["agent"], strict=True))
             rows = [place.index(one) for one in zip(few["scene"], few["agent"], strict=True)]
             for name in few:
@@ -582,12 +445,11 @@ class TestSlowAttacks:
         assert [len(one["track"]) for one in found["raw", "slow", "blind"]] == [12, 0]
 
 
-def alone(*, sigma_raw=0.3, n_samples=1, law="radial", step_s=0.1):
-    """One track as sensed, at the origin."""
-    t = step_s * np.arange(float(n_samples))
-    offsets = np.array([0, n_samples])
+def expected_of(mechanism, *, n_samples=1, sigma_raw=0.3, law="radial", step_s=0.1, name="mine"):
+    """What the benchmark expects of one track at the origin: squared error and PLR."""
+    t, offsets = step_s * np.arange(float(n_samples)), np.array([0, n_samples])
     information = np.full(n_samples, sigma_raw**-2.0)
-    return Sensed(
+    sensed = Sensed(
         t=t,
         xy=np.zeros((n_samples, 2)),
         unit_error=np.zeros((n_samples, 2)),
@@ -597,19 +459,14 @@ def alone(*, sigma_raw=0.3, n_samples=1, law="radial", step_s=0.1):
         offsets=offsets,
         law=law,
     )
+    release = mechanism.share(sensed, stream(0, "test", "benchmark"))
+    mse, plr = benchmark(release, sensed=sensed, mechanism=plugin(mechanism, name), epsilon_m=0.3)
+    assert mse.shape == plr.shape == (1,)
+    return mse[0], plr[0]
 
 
 class TestBenchmark:
     """P in closed form: of a single sample, and of a walk too short to turn."""
-
-    def expected(self, mechanism, name="mine", **sensed):
-        sensed = alone(**sensed)
-        release = mechanism.share(sensed, stream(0, "test", "benchmark"))
-        mse, plr = benchmark(
-            release, sensed=sensed, mechanism=plugin(mechanism, name), epsilon_m=0.3
-        )
-        assert mse.shape == plr.shape == (1,)
-        return mse[0], plr[0]
 
     @pytest.mark.parametrize(
         ("mechanism", "law", "variance"),
@@ -625,31 +482,24 @@ class TestBenchmark:
         ],
     )
     def test_of_one_sample_it_is_the_error_itself(self, mechanism, law, variance):
-        mse, plr = self.expected(mechanism, law=law)
+        mse, plr = expected_of(mechanism, law=law)
         assert mse == pytest.approx(2 * variance, rel=1e-4)
         assert plr == pytest.approx(1 - np.exp(-(0.3**2) / (2 * variance)), rel=1e-4)
 
     def test_of_a_short_walk_it_is_that_of_the_line_through_its_samples(self):
         # A line through n samples of variance r: r / n at its middle, 4 r / n at its ends, 2 r / n
         # on average. Per axis r is 2 m^2, on two axes 4; in 0.5 s nobody turns by as much.
-        mse, _ = self.expected(Raw(), n_samples=50, step_s=0.01, sigma_raw=2.0)
+        mse, _ = expected_of(Raw(), n_samples=50, step_s=0.01, sigma_raw=2.0)
         assert mse == pytest.approx(4.0 * 2 / 50, rel=0.05)
 
-    def test_clean_sharing_leaves_nothing_to_gain(self):
-        mse, plr = self.expected(Clean(), "clean", n_samples=5)
-        assert mse < 1e-10
-        assert plr == 1.0
-
-    def test_a_mechanism_that_takes_error_away_is_judged_by_what_it_left(self):
-        # `clean` under the name of somebody's own class.
-        mse, plr = self.expected(Clean(), "here:Clean", n_samples=5)
+    @pytest.mark.parametrize("name", ["clean", "here:Clean"])
+    def test_what_takes_error_away_is_judged_by_what_it_left_whatever_its_name(self, name):
+        mse, plr = expected_of(Clean(), n_samples=5, name=name)
         assert mse < 1e-10
         assert plr == 1.0
 
     def test_what_is_not_declared_has_none(self):
-        mse, plr = self.expected(Undeclared(), n_samples=5)
-        assert np.isnan(mse)
-        assert np.isnan(plr)
+        assert np.isnan(expected_of(Undeclared(), n_samples=5)).all()
 
     def test_it_is_the_same_whatever_was_drawn(self, tracks):
         found = computed(tracks, "identity", "kalman_rts", mechanisms=("raw",))
@@ -667,11 +517,11 @@ def test_descriptors_by_hand():
         offsets=np.array([0, 3, 4]),
         epsilon_m=0.3,
     )
-    assert rows["plr"].tolist() == pytest.approx([2 / 3, 0.0])
-    assert rows["ael_s"].tolist() == pytest.approx([0.5, 0.0])
-    assert rows["mel_s"].tolist() == pytest.approx([0.5, 0.0])
-    assert rows["segments"].tolist() == [2, 0]
-    assert rows["mse_m2"].tolist() == pytest.approx([(0.01 + 0.25) / 3, 25.0])
+    expected = {"plr": [2 / 3, 0.0], "ael_s": [0.5, 0.0], "mel_s": [0.5, 0.0]}
+    expected |= {"segments": [2, 0], "mse_m2": [(0.01 + 0.25) / 3, 25.0]}
+    assert {name: values.tolist() for name, values in rows.items()} == {
+        name: pytest.approx(values) for name, values in expected.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -686,12 +536,15 @@ class Bad:
         return self.how(context)
 
 
-def fails(_context):
-    raise RuntimeError("no luck")
+def raises(error):
+    def how(_context):
+        raise error
+
+    return how
 
 
-def exits(_context):
-    raise SystemExit(3)
+def returns(make):
+    return lambda _context: make
 
 
 def peeks(context):
@@ -701,154 +554,43 @@ def peeks(context):
 @pytest.mark.parametrize(
     ("how", "message"),
     [
-        (fails, "failed: RuntimeError: no luck"),
-        (exits, "failed: SystemExit: 3"),
-        (lambda _: None, "failed: TypeError: 'NoneType' object is not callable"),
-        (lambda _: lambda release: release.xy, "must return a Reconstruction with xy .* got"),
-        (lambda _: lambda _: None, "must return a Reconstruction with xy .* got NoneType"),
-        (lambda _: lambda release: Reconstruction(release.xy[1:]), "must return .* with xy"),
+        (raises(RuntimeError("no luck")), "failed: RuntimeError: no luck"),
+        (raises(SystemExit(3)), "failed: SystemExit: 3"),
+        (returns(None), "failed: TypeError: 'NoneType' object is not callable"),
+        (returns(lambda release: release.xy), "must return a Reconstruction with xy .* got"),
+        (returns(lambda _: None), "must return a Reconstruction with xy .* got NoneType"),
+        (returns(lambda release: Reconstruction(release.xy[1:])), "must return .* with xy"),
         (
-            lambda _: lambda release: Reconstruction(release.xy * np.nan),
+            returns(lambda release: Reconstruction(release.xy * np.nan)),
             "failed: ValueError: a reconstructed position is not finite",
         ),
         (peeks, "failed: KnowledgeDenied: TRAIN was not granted"),
         (
-            lambda _: lambda release: Reconstruction(release.xy + release.sigma[:, None]),
+            returns(lambda release: Reconstruction(release.xy + release.sigma[:, None])),
             "failed: TypeError",
         ),
         (
-            lambda _: lambda release: Reconstruction(release.xy.__setitem__(0, 0)),
+            returns(lambda release: Reconstruction(release.xy.__setitem__(0, 0))),
             "failed: ValueError: assignment destination is read-only",
         ),
     ],
 )
 def test_an_attack_that_breaks_its_contract_is_named_with_its_adversary(tracks, how, message):
-    with pytest.raises(PluginError, match=rf"attack mine \(blind\) {message}"):
-        computed(tracks, plugin(Bad(how), "mine"))
-    later = Bad(lambda context: how(context) if MECHANISM in context.granted else _honest)
-    with pytest.raises(PluginError, match=rf"attack mine \(informed\) {message}"):
-        computed(tracks, plugin(later, "mine"))
+    def later(context):
+        return how(context) if MECHANISM in context.granted else Spy().fit(context)
+
+    for bad, knowledge in ((how, "blind"), (later, "informed")):
+        with pytest.raises(PluginError, match=rf"attack mine \({knowledge}\) {message}"):
+            computed(tracks, plugin(Bad(bad), "mine"), n_scenes=ONE_PASS)
 
 
-def _honest(release):
-    return Reconstruction(release.xy)
-
-
-class TestOneGroup:
-    def test_an_attack_that_learns_is_refused_with_a_way_out(self, tracks):
-        crowd = in_groups(tracks, 1)
-        with pytest.raises(DataError, match=r"'kalman_rts' learns .* leave the attack out"):
-            computed(crowd, "kalman_rts")
-
-    def test_the_blind_run_all_the_same(self, tracks):
-        found = computed(in_groups(tracks, 1), "identity", "averaging")
-        assert len(found["raw", "identity", "blind"][0]["plr"]) == 4 * N_SCENES
-        assert len(found["raw", "averaging", "oracle"][0]["plr"]) == 4 * N_SCENES
-
-
-@pytest.fixture
-def settings(csv_recording, tmp_path):
-    return Settings(
-        preset="smoke",
-        dataset=str(csv_recording),
-        scenes=N_SCENES,
-        mechanisms=("raw", "fid:1000", "fixed:0.7,adding=independent"),
-        predictors=(),
-        attacks=("identity", "kalman_rts", "averaging"),
-        out=tmp_path / "run",
-    )
-
-
-class TestRuns:
-    def test_identity_says_what_is_shared_in_the_summary(self, settings):
-        summary = evaluation.run(settings, pictures=False).summary
-        shared, attacked = (
-            summary[summary["consumer"] == name].set_index(["mechanism", "metric"])
-            for name in ("shared", "identity")
-        )
-        numbers = ["value", "ci_low", "ci_high", "n"]
-        assert len(shared) == 3 * 4
-        pd.testing.assert_frame_equal(
-            attacked.loc[shared.index, numbers], shared[numbers], check_exact=True
-        )
-
-    def test_adding_attacks_changes_no_other_row(self, settings):
-        before = evaluation.run(settings, pictures=False).summary
-        more = (*settings.attacks, "radial_rts", "imm_rts", "moving_average")
-        after = evaluation.run(replace(settings, attacks=more), pictures=False).summary
-        assert len(after) > len(before)
-        afresh = evaluation.run(replace(settings, attacks=more, fresh=True), pictures=False).summary
-        pd.testing.assert_frame_equal(afresh, after, check_exact=True)
-        key = ["mechanism", "level", "consumer", "knowledge", "metric"]
-        kept = after[after["consumer"].isin(before["consumer"])]
-        pd.testing.assert_frame_equal(
-            kept.sort_values(key).reset_index(drop=True),
-            before.sort_values(key).reset_index(drop=True),
-            check_exact=True,
-        )
-
-    def test_workers_change_no_bit(self, settings, tmp_path):
-        attacks = ("identity", "kalman_rts", "radial_rts", "averaging", "imm_rts")
-        alone = replace(settings, attacks=attacks)
-        evaluation.run(alone, pictures=False)
-        evaluation.run(replace(alone, jobs=2, out=tmp_path / "two"), pictures=False)
-        first, second = (tmp_path / name / "summary.csv" for name in ("run", "two"))
-        assert first.read_bytes() == second.read_bytes()
-
-    def test_the_ratio_to_the_benchmark_is_of_sums_over_tracks(self, settings):
-        results = evaluation.run(settings, pictures=False)
-        table = results.summary.set_index(["mechanism", "consumer", "knowledge", "metric"])["value"]
-        seen = 0
-        for entry in results.manifest["cells"]:
-            if entry["kind"] != "attack":
-                continue
-            seen += 1
-            rows = rows_of(settings.out, entry["spec"], entry["consumer"], entry["knowledge"])
-            key = (entry["mechanism"], entry["consumer"], entry["knowledge"])
-            assert table[*key, "rmse_over_benchmark"] == pytest.approx(
-                np.sqrt(rows["mse_m2"].sum() / rows["benchmark_mse_m2"].sum())
-            )
-            assert table[*key, "plr_over_benchmark"] == pytest.approx(
-                rows["plr"].sum() / rows["benchmark_plr"].sum()
-            )
-            assert table[*key, "rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))
-        assert seen == 3 * (1 + 3 + 1)
-
-    def test_a_mechanism_that_declares_no_sigma_has_no_benchmark_and_runs(
-        self, settings, tmp_path, monkeypatch
-    ):
-        (tmp_path / "silent_mechanism.py").write_text(SILENT, encoding="utf-8")
-        monkeypatch.syspath_prepend(str(tmp_path))
-        silent = replace(
-            settings, mechanisms=("silent_mechanism:Silent", "raw"), attacks=("identity",)
-        )
-        table = evaluation.run(silent, pictures=False).summary.set_index(
-            ["mechanism", "consumer", "metric"]
-        )
-        values = table["value"]
-        for metric in ("plr", "rmse", "ael", "mel"):
-            assert values["silent_mechanism:Silent", "identity", metric] == pytest.approx(
-                values["raw", "identity", metric]
-            )
-        for metric in ("rmse_over_benchmark", "plr_over_benchmark"):
-            assert np.isnan(values["silent_mechanism:Silent", "identity", metric])
-            assert values["raw", "identity", metric] > 0
-
-    def test_attacks_that_know_sigma_run_where_none_is_declared(
-        self, settings, tmp_path, monkeypatch
-    ):
-        (tmp_path / "silent_mechanism.py").write_text(SILENT, encoding="utf-8")
-        monkeypatch.syspath_prepend(str(tmp_path))
-        silent = replace(settings, mechanisms=("silent_mechanism:Silent",))
-        summary = evaluation.run(silent, pictures=False).summary
-        assert "oracle" in set(summary["knowledge"])
-
-    def test_real_people_are_split_by_group(self, students03):
-        known = cut(students03.tracks, settings=STAGES, seed=0)
-        half = folds(known.group, seed=0)
-        groups = np.array(known.group)
-        assert set(groups[half == 0]).isdisjoint(groups[half == 1])
-        assert abs(len(set(groups[half == 0])) - len(set(groups[half == 1]))) <= 1
+def test_of_one_group_an_attack_that_learns_is_refused_and_the_others_run(tracks):
+    crowd = in_groups(tracks, 1)
+    with pytest.raises(DataError, match=r"'kalman_rts' learns .* leave the attack out"):
+        computed(crowd, "kalman_rts")
+    found = computed(crowd, "identity", "averaging")
+    for key in (("raw", "identity", "blind"), ("raw", "averaging", "oracle")):
+        assert len(found[key][0]["plr"]) == 4 * N_SCENES
 
 
 SILENT = """
@@ -860,3 +602,78 @@ class Silent:
     def share(self, sensed, rng):
         return perturb(sensed, 0.0, rng).without_sigma()
 """
+KEY = ["mechanism", "level", "consumer", "knowledge", "metric"]
+METRICS = ("mse_m2", "plr")
+
+
+class TestRuns:
+    @pytest.fixture
+    def settings(self, csv_recording, tmp_path):
+        return Settings(
+            preset="smoke",
+            dataset=str(csv_recording),
+            scenes=N_SCENES,
+            mechanisms=("raw", "fid:1000", "fixed:0.7,adding=independent"),
+            predictors=(),
+            attacks=("identity", "kalman_rts", "averaging"),
+            out=tmp_path / "run",
+        )
+
+    @pytest.fixture
+    def results(self, settings):
+        return evaluation.run(settings, pictures=False)
+
+    def test_it_says_what_is_shared_and_ratios_are_of_sums_over_tracks(self, settings, results):
+        shared, attacked = (
+            results.summary[results.summary["consumer"] == name].set_index(["mechanism", "metric"])
+            for name in ("shared", "identity")
+        )
+        numbers = ["value", "ci_low", "ci_high", "n"]
+        assert len(shared) == 3 * 4
+        pd.testing.assert_frame_equal(
+            attacked.loc[shared.index, numbers], shared[numbers], check_exact=True
+        )
+        keys = ["mechanism", "consumer", "knowledge", "metric"]
+        table = results.summary.set_index(keys)["value"].sort_index()
+        entries = [one for one in results.manifest["cells"] if one["kind"] == "attack"]
+        assert len(entries) == 3 * (1 + 3 + 1)
+        for entry in entries:
+            rows = rows_of(settings.out, entry["spec"], entry["consumer"], entry["knowledge"])
+            said = table[entry["mechanism"], entry["consumer"], entry["knowledge"]]
+            mse, plr = (rows[name].sum() / rows[f"benchmark_{name}"].sum() for name in METRICS)
+            assert said["rmse_over_benchmark"] == pytest.approx(np.sqrt(mse))
+            assert said["plr_over_benchmark"] == pytest.approx(plr)
+            assert said["rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))
+
+    def test_neither_further_attacks_nor_workers_change_a_bit(self, settings, results, tmp_path):
+        more = replace(settings, attacks=(*settings.attacks, "radial_rts", "imm_rts"))
+        after = evaluation.run(more, pictures=False).summary
+        assert len(after) > len(results.summary)
+        evaluation.run(replace(more, jobs=2, out=tmp_path / "afresh"), pictures=False)
+        first, second = (tmp_path / name / "summary.csv" for name in ("run", "afresh"))
+        assert first.read_bytes() == second.read_bytes()
+        before, kept = (
+            frame[frame["consumer"].isin(results.summary["consumer"])].sort_values(KEY)
+            for frame in (results.summary, after)
+        )
+        pd.testing.assert_frame_equal(
+            kept.reset_index(drop=True), before.reset_index(drop=True), check_exact=True
+        )
+
+    def test_a_mechanism_that_declares_no_sigma_has_no_benchmark_and_every_attack_runs(
+        self, settings, tmp_path, monkeypatch
+    ):
+        (tmp_path / "silent_mechanism.py").write_text(SILENT, encoding="utf-8")
+        monkeypatch.syspath_prepend(str(tmp_path))
+        spec = "silent_mechanism:Silent"
+        summary = evaluation.run(
+            replace(settings, mechanisms=(spec, "raw")), pictures=False
+        ).summary
+        assert "oracle" in set(summary.loc[summary["mechanism"] == spec, "knowledge"])
+        table = summary[summary["consumer"] == "identity"].set_index(["mechanism", "metric"])
+        for metric in ("plr", "rmse", "ael", "mel"):
+            silent, raw = (table["value"][name, metric] for name in (spec, "raw"))
+            assert silent == pytest.approx(raw)
+        for metric in ("rmse_over_benchmark", "plr_over_benchmark"):
+            assert np.isnan(table["value"][spec, metric])
+            assert table["value"]["raw", metric] > 0

@@ -13,14 +13,10 @@ from isac_track.errors import DataError
 
 
 def gallery(ready, *specs):
-    mechanisms = [plugin for spec in specs for plugin in plugins.parse("mechanisms", spec)]
-    return sample_tracks.gallery_rows(
-        tracks=ready.tracks,
-        mechanisms=mechanisms,
-        attacks=(),
-        stages=ready.settings.stages,
-        seed=0,
-    )
+    mechanisms = plugins.parse_all("mechanisms", specs)
+    of = {"tracks": ready.tracks, "attacks": (), "stages": ready.settings.stages, "seed": 0}
+    rows = [sample_tracks.gallery_rows(one, **of) for one in sample_tracks.chosen(mechanisms)]
+    return pd.concat(rows, ignore_index=True)
 
 
 @pytest.fixture(scope="module")

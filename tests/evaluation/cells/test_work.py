@@ -4,27 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.walkers import walkers
+from helpers.cells import STAGES, parsed, sessions_of
 
-from attacks.tasks.build import sessions_of
 from attacks.tasks.task_list import TASKS
 from evaluation.cells import work as work_module
 from evaluation.cells.sharing import release_digest, sees_release_alone
 from evaluation.cells.work import Block, LinkWork, cells
 from evaluation.experiment.axes import axes
 from evaluation.experiment.settings import Settings
-from isac_track import plugins
-from isac_track.config import StageSettings
 from isac_track.scenes import cut, track_order
 from isac_track.types import Release
 
-STAGES = StageSettings()
 ALIKE = ("fid:1", "fid:1.001", "fixed:0.75")
 """Their releases are the same bit for bit: so near 1, eta lets nothing through."""
 
 
 def levels_of(*, consumers, specs=(*ALIKE, "fixed:0.3")):
-    return tuple((plugins.parse("mechanisms", spec)[0], consumers) for spec in specs)
+    return tuple((parsed("mechanisms", spec), consumers) for spec in specs)
 
 
 def block_of(tracks):
@@ -33,19 +29,16 @@ def block_of(tracks):
     return Block(0, 0, order, levels_of(consumers=crossed.consumers))
 
 
-def task_of(walks):
-    sessions = sessions_of(TASKS["rerelease"], tracks=walks, stages=STAGES, seed=0)
-    settings = Settings(
-        attacks=("shape", "histogram", "histogram@kalman_rts"), tasks=("rerelease",)
-    )
-    consumers = axes(settings).readers(TASKS["rerelease"])
-    return LinkWork(sessions, (), levels_of(consumers=consumers))
+def linking():
+    attacks = ("shape", "histogram", "histogram@kalman_rts")
+    consumers = axes(Settings(attacks=attacks, tasks=("rerelease",))).readers(TASKS["rerelease"])
+    return LinkWork(sessions_of("rerelease"), (), levels_of(consumers=consumers))
 
 
 @pytest.fixture(params=["scenes", "task"])
 def piece(request, tracks):
     known = cut(tracks, settings=STAGES, seed=0)
-    return (block_of(known) if request.param == "scenes" else task_of(walkers())), known
+    return (block_of(known) if request.param == "scenes" else linking()), known
 
 
 def test_levels_that_are_shared_alike_are_computed_once_and_the_same(piece, monkeypatch):

@@ -125,31 +125,28 @@ def test_imports_count_as_they_are_made(module, made_of):
 
 
 STAGES = (SHARING, RECONSTRUCTION, "rerelease")
+MADE_OF = {
+    STAGES: (
+        *("isac_track.sensing", "isac_track.datasets.read_table", "evaluation.cells.sharing"),
+        *("isac_track.privacy", "isac_track.conflict"),
+    ),
+    (SHARING,): ("evaluation.cells.forecasts",),
+    (RECONSTRUCTION,): ("evaluation.experiment.constants",),
+    (RECONSTRUCTION, "rerelease"): ("isac_track.kalman._linear_loops",),
+    ("rerelease",): (
+        *("isac_track.linkability._loops", "attacks.tasks.closed_set"),
+        *("evaluation.cells.link_scores", "evaluation.cells.windows"),
+    ),
+    (): (
+        *("evaluation.experiment.presets", "evaluation.experiment.axes", "isac_track.plugins"),
+        *("isac_track.testing.engine", "attacks.testing", "evaluation.reporting.figures.heat"),
+        *("evaluation.analysis.summary", "evaluation.runs.execute"),
+    ),
+}
 
 
 @pytest.mark.parametrize(
-    ("module", "stages"),
-    [
-        ("isac_track.sensing", STAGES),
-        ("isac_track.datasets.read_table", STAGES),
-        ("evaluation.cells.sharing", STAGES),
-        ("evaluation.experiment.constants", (RECONSTRUCTION,)),
-        ("isac_track.privacy", STAGES),
-        ("isac_track.conflict", STAGES),
-        ("evaluation.cells.forecasts", (SHARING,)),
-        ("isac_track.kalman._linear_loops", (RECONSTRUCTION, "rerelease")),
-        ("isac_track.linkability._loops", ("rerelease",)),
-        ("attacks.tasks.closed_set", ("rerelease",)),
-        ("evaluation.cells.link_tables", ("rerelease",)),
-        ("evaluation.experiment.presets", ()),
-        ("evaluation.experiment.axes", ()),
-        ("isac_track.plugins", ()),
-        ("isac_track.testing.engine", ()),
-        ("attacks.testing", ()),
-        ("evaluation.reporting.figures.heat", ()),
-        ("evaluation.analysis.summary", ()),
-        ("evaluation.runs.execute", ()),
-    ],
+    ("module", "stages"), [(one, stages) for stages, modules in MADE_OF.items() for one in modules]
 )
 def test_a_stage_is_computed_by_what_it_imports(monkeypatch, module, stages):
     def digests():
@@ -163,13 +160,13 @@ def test_a_stage_is_computed_by_what_it_imports(monkeypatch, module, stages):
 
 def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
     crossed = axes(Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape")))
-    consumers = (*crossed.consumers, *crossed.linkers(crossed.tasks[0]))
+    consumers = (*crossed.consumers, *crossed.readers(crossed.tasks[0]))
 
     def keys():
         return {
             one.label: consumer_key(
                 one,
-                code=[source_digest(name) for name in sources("", one.plugin, one.behind)],
+                code=[source_digest(name) for name in sources("", *one.plugins)],
                 keep_scores=False,
             )
             for one in consumers

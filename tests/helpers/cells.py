@@ -1,0 +1,134 @@
+"""Cells of made-up people, from the parts that a run computes them of, and attacks that watch."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from helpers.runs import arrays
+from helpers.walkers import walkers
+
+from attacks.tasks.build import build
+from attacks.tasks.task_list import TASKS
+from evaluation.cells.link_setup import sensed_sessions
+from evaluation.cells.linkage import link, linked_level
+from evaluation.cells.reconstruction import attacked_block, folds
+from evaluation.cells.sharing import share
+from evaluation.cells.work import Block, cells
+from evaluation.experiment.axes import Axes, Link
+from isac_track import plugins as registry
+from isac_track.config import StageSettings
+from isac_track.plugins import Plugin
+from isac_track.scenes import cut, make_scenes, track_order
+from isac_track.sensing import sense_scenes
+from isac_track.types import Reconstruction
+
+STAGES = StageSettings()
+EPSILON_M = STAGES.privacy.epsilon_m
+
+
+def plugin(instance, name="spy"):
+    """A plug-in of one's own."""
+    return Plugin(name=name, level=None, spec=name, origin=f"here:{name}", instance=instance)
+
+
+def parsed(kind, one, name="mine"):
+    """A plug-in from its SPEC, from an instance of one's own, or as it is."""
+    if isinstance(one, str):
+        return registry.parse(kind, one)[0]
+    return one if isinstance(one, Plugin) else plugin(one, name)
+
+
+@dataclass(frozen=True)
+class Spy:
+    """An attack that keeps what it was shown, and moves positions as it is told."""
+
+    requires: frozenset = frozenset()
+    uses: frozenset = frozenset()
+    move: object = lambda xy: xy
+    seen: list = field(default_factory=list, compare=False)
+    """Context, release, and three numbers from its stream."""
+
+    def fit(self, context):
+        drawn = context.rng.random(3)
+
+        def reconstruct(release):
+            self.seen.append((context, release, drawn))
+            return Reconstruction(self.move(release.xy))
+
+        return reconstruct
+
+
+class SlowSpy(Spy):
+    slow: ClassVar[bool] = True
+
+
+class World:
+    """Some scenes of four agents, and what is computed of them in blocks."""
+
+    def __init__(self, tracks, *, n_scenes, mechanism="raw"):
+        self.tracks = cut(tracks, settings=STAGES, seed=0)
+        self.order = track_order(n_tracks=len(self.tracks), n_scenes=n_scenes, agents=4, seed=0)
+        self.scenes = make_scenes(self.tracks, order=self.order, first=0, settings=STAGES, seed=0)
+        self.sensed = sense_scenes(self.scenes, settings=STAGES.sensing, seed=0)
+        self.release = self.share(mechanism)
+        self.half = folds(self.tracks.group, seed=0)
+
+    def share(self, by):
+        """What a mechanism shares of all scenes, as of the first block."""
+        return share(parsed("mechanisms", by), self.sensed, "block", 0, seed=0)
+
+    def rows(self, fold):
+        """Tracks whose people belong to that half."""
+        return np.flatnonzero(self.half[self.scenes.track] == fold)
+
+    def samples(self, fold):
+        """Their samples."""
+        offsets = self.scenes.offsets
+        return np.concatenate([np.arange(*offsets[row : row + 2]) for row in self.rows(fold)])
+
+    def attacked(self, *, repeats=False):
+        """What all attacks on it share."""
+        return attacked_block(
+            scenes=self.scenes,
+            sensed=self.sensed,
+            tracks=self.tracks,
+            repeats=repeats,
+            stages=STAGES,
+            seed=0,
+        )
+
+    def cells(self, mechanisms, consumers, *, size=None):
+        """Yield mechanism, consumer and rows of every cell, block by block."""
+        levels = tuple((parsed("mechanisms", one), tuple(consumers)) for one in mechanisms)
+        size = size or len(self.order)
+        for number, first in enumerate(range(0, len(self.order), size)):
+            block = Block(number, first, self.order[first : first + size], levels)
+            for _, by, one, tables in cells(block, tracks=self.tracks, stages=STAGES, seed=0):
+                yield by, one, arrays(tables, tracks=self.tracks)
+
+
+def sessions_of(task, *, tracks=None, seed=0):
+    """The sessions of a task of walkers."""
+    crowd = tracks or walkers()
+    return build(TASKS[task], tracks=crowd, later=None, settings=STAGES, seed=seed)
+
+
+def linked(sessions, by, *links, controls=False, seed=0):
+    """What all achieve who link in a task: by consumer and adversary.
+
+    Also the level, and the controls of all levels. A link is one, or what `parsed` takes.
+    """
+    task = sessions.task
+    groups = sorted(set(sessions.group))
+    whole = sensed_sessions(sessions, groups=groups, stages=STAGES, seed=seed)
+    level = linked_level(parsed("mechanisms", by), whole)
+    links = [one if isinstance(one, Link) else Link(parsed("attacks", one, "spy")) for one in links]
+    crossed = Axes((), (), (), links=tuple((task, one) for one in links))
+    wanted = ("linkage", "control") if controls else ("linkage",)
+    known = {}
+    found = {
+        (one.spec, one.knowledge): link(one, level, known)
+        for one in crossed.readers(task)
+        if one.kind in wanted
+    }
+    return found, level, known
