@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(options: argparse.Namespace) -> int:
     manifest = None
     if options.out is not None:
-        from evaluation.runs.folder import read_manifest  # noqa: PLC0415 - --help answers at once
+        from evaluation.runs.manifest import read_manifest  # noqa: PLC0415 - --help answers at once
 
         manifest = read_manifest(options.out)
     elif not options.list:
@@ -144,7 +144,7 @@ def _attempt(
     from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
     from evaluation.experiment.variant_settings import settings_of  # noqa: PLC0415
     from evaluation.results import run  # noqa: PLC0415
-    from evaluation.runs.borrow import borrow  # noqa: PLC0415
+    from evaluation.runs.execute import borrow  # noqa: PLC0415
     from evaluation.verdict.sensitivity import folder_of  # noqa: PLC0415
 
     left_out: tuple[str, ...] = ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from evaluation.runs.folder import read_manifest
+from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:

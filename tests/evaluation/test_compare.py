@@ -24,7 +24,7 @@ from evaluation.analysis.differences import compare as compared
 from evaluation.analysis.metrics import HEADLINE_METRICS
 from evaluation.analysis.significance import holm
 from evaluation.reporting.difference_tables import show
-from evaluation.runs.folder import read_manifest
+from evaluation.runs.manifest import read_manifest
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 

@@ -19,7 +19,7 @@ import evaluation
 from evaluation.experiment.variant_settings import settings_of
 from evaluation.experiment.variants import BASE, RIDGE, parse, variants
 from evaluation.reporting.sensitivity_table import turned
-from evaluation.runs.folder import read_manifest
+from evaluation.runs.manifest import read_manifest
 from evaluation.sensitivity import main
 from evaluation.verdict.sensitivity import (
     COLUMNS,

@@ -22,7 +22,8 @@ from helpers.processes import ROOT
 from helpers.runs import held_by, rows_of
 
 from evaluation import matrix, report
-from evaluation.runs.lock import locked
+from evaluation.runs.files import locked
+from evaluation.runs.manifest import read_manifest
 
 END_S = 2.0
 """Within this, everything must be over."""
@@ -646,7 +647,7 @@ class TestPlugins:
 
     def test_everything_else_is_as_it_is_without_them(self, faulty, undisturbed):
         out, *_ = faulty
-        entries = json.loads((undisturbed[0] / "manifest.json").read_text())["cells"]
+        entries = read_manifest(undisturbed[0])["cells"]
         cells = [
             (one["spec"], one["consumer"], one["knowledge"])
             for one in entries

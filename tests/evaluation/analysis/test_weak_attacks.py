@@ -328,5 +328,5 @@ def test_redrawn_the_flags_are_the_same_and_fresh_removes_them(results, tmp_path
     assert (copy / "flags.json").read_bytes() == expected
     assert (copy / "tables" / "attacks.tex").is_file()
     assert (copy / "figures" / "after_attack.svg").is_file()
-    store._remove_run(copy, store.read_manifest(copy))
+    store._remove_run(copy)
     assert not any(copy.iterdir())

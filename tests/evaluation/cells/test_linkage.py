@@ -439,9 +439,7 @@ class TestBreaches:
 
 class TestCells:
     def entry_of(self, out, tables, consumer):
-        content = cell_files.packed(
-            [(consumer, "key", tables)], unit="", code={}, code_of={"key": {}}
-        )
+        content = cell_files.packed([(consumer, "key", {}, tables)], unit="", code={})
         (out / "cells").mkdir()
         (out / "cells" / "one.parquet").write_bytes(content)
         return {

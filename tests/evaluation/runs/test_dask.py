@@ -27,7 +27,7 @@ from evaluation.experiment.axes import Consumer
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster
 from evaluation.runs.execute import FailedCellsWarning
-from evaluation.runs.failures import Failures, cells_of, specs_of
+from evaluation.runs.pieces import Failures, cells_of, specs_of
 from isac_track import plugins as registry
 from isac_track.errors import SettingsError
 

@@ -25,9 +25,9 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.experiment.plan import plan
 from evaluation.reporting.announcements import plan_lines
 from evaluation.results import build
-from evaluation.runs import checksums
 from evaluation.runs import folder as store
-from evaluation.runs.lock import locked
+from evaluation.runs.files import check_sound, locked
+from evaluation.runs.manifest import read_manifest, write_manifest
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 TINY = evaluation.Settings(
@@ -122,7 +122,7 @@ class TestWhereTheFolderCannotBeUsed:
                     with pytest.raises(SettingsError, match="Permission denied; choose another"):
                         look()
                 with pytest.raises(DataError, match=f"{out}.*Permission denied"):
-                    store.read_manifest(out)
+                    read_manifest(out)
         finally:
             tmp_path.chmod(0o700)
 
@@ -183,7 +183,7 @@ class TestWhereTheFolderCannotBeUsed:
         def refuse(*_):
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-        monkeypatch.setattr("evaluation.runs.lock.fcntl.flock", refuse)
+        monkeypatch.setattr("evaluation.runs.files.fcntl.flock", refuse)
         assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
         errors = capsys.readouterr().err.splitlines()
         assert errors[-1].startswith(f"error: cannot lock {out / '.lock'}: No locks available; ")
@@ -232,7 +232,7 @@ DAMAGE = {
     ),
     "a time in words": (lambda one: one.update(wall_time_s="abc"), "wall_time_s is 'abc'"),
     "no time at all": (lambda one: one.update(wall_time_s=10**400), "wall_time_s is 1000"),
-    "a cell that is none": (lambda one: one["cells"].append(None), "cells[4] is no table"),
+    "a cell that is none": (lambda one: one["cells"].append(None), "cells[2] is no table"),
     "no groups": (lambda one: one.pop("groups"), "groups is missing"),
     "a group twice": (
         lambda one: one.update(groups=[one["groups"][0]] * 2),
@@ -246,17 +246,21 @@ DAMAGE = {
         lambda one: one["settings"]["stages"].update({"a\nb": []}),
         r"settings.stages.a\nb is []",
     ),
+    "consumers that are not there": (
+        lambda one: one["cells"][1].update(consumers=7),
+        "cells name consumers[7]",
+    ),
     "an adversary that there is not": (
-        lambda one: one["cells"][0].update(knowledge="blind"),
-        "cells[0].knowledge is 'blind'",
+        lambda one: one["consumers"][0][0].update(knowledge="blind"),
+        "knowledge of shared at raw is 'blind'",
     ),
     "a control that there is not": (
-        lambda one: one["cells"][0].update(kind="control", consumer="split/control-x"),
-        "cells[0].consumer is 'split/control-x'",
+        lambda one: one["consumers"][0][0].update(kind="control", consumer="split/control-x"),
+        "split/control-x is no control",
     ),
     "a linker without its ceiling": (
-        lambda one: one["cells"][0].update(kind="linkage", knowledge="blind"),
-        "cells[0] has no ceiling",
+        lambda one: one["consumers"][0][0].update(kind="linkage", knowledge="blind"),
+        "the ceiling of shared at raw is missing",
     ),
 }
 
@@ -293,7 +297,7 @@ class TestManifest:
         out = tmp_path / "run"
         ready = plan(replace(TINY, out=out))
         manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)
-        store.write_manifest(out, manifest | {"code": ready.code, "state": "running"})
+        write_manifest(out, manifest | {"code": ready.code, "state": "running"})
         assert report.main([str(out)]) == 2
         assert f"{out} holds a run that never started" in one_line(capsys)
         assert len(evaluation.run(ready=ready, pictures=False).failed) == 0
@@ -304,7 +308,7 @@ class TestManifest:
         assert f"{out} holds no finished cell; run the matrix again" in one_line(capsys)
 
     def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(self, out, capsys):
-        edited(out, lambda one: one["cells"][0].update(kind="predictor"))
+        edited(out, lambda one: one["consumers"][0][0].update(kind="predictor"))
         assert report.main([str(out)]) == 2
         assert "has no column conflict: it is no cell of the kind" in one_line(capsys)
 
@@ -375,12 +379,12 @@ class TestAnyDamageOfAManifest:
         (bare / "manifest.json").write_text(content)
         with contextlib.suppress(IsacTrackError):
             opened, _, _ = store.open_run(bare, identity=whole["identity"], fresh=False)
-            store.write_manifest(bare, opened)  # a run goes on from here
+            write_manifest(bare, opened)  # a run goes on from here
             float(opened.get("wall_time_s", 0.0))
         (bare / "manifest.json").write_text(content)
         with contextlib.suppress(IsacTrackError):
-            manifest = store.read_manifest(bare)
-            checksums.check_sound(run, [name for one in manifest["cells"] for name in one["files"]])
+            manifest = read_manifest(bare)
+            check_sound(run, [name for one in manifest["cells"] for name in one["files"]])
             summary.estimates(run, manifest)
             flags.slow_attacks(manifest)
             flags.on_first_releases(run, manifest)
