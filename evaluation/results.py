@@ -92,31 +92,17 @@ def load(out: Path | str, *, pictures: bool = True) -> Results:
 
 
 def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
-    """Write summary, tables and figures of a run folder and return them.
+    """Write summary, tables and figures of a run folder, drawn by `jobs` workers, and return them.
 
-    Parameters
-    ----------
-    out : Path
-    pictures : bool
-        Without them there are neither figures nor `report.html`.
-    jobs : int
-        Worker processes that draw.
-
-    Raises
-    ------
-    IsacTrackError
-        If the folder holds no run, or a cell is missing or broken.
+    Otherwise as `load`, which locks the folder and checks its cells first.
     """
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
     found, scored = summary.estimates(out, manifest)
     predictors = manifest["settings"]["predictors"]
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
-    flagged = flags.flags(
-        found,
-        slow=flags.slow_attacks(manifest),
-        once=flags.on_first_releases(out, manifest),
-    )
+    once = flags.on_first_releases(out, manifest)
+    flagged = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
     read = linkability.cards(out, manifest)
     linked = summary.linkage_estimates(read)
     known = families(manifest["cells"])
