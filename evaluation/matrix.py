@@ -9,7 +9,7 @@ import sys
 import tomllib
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
@@ -34,7 +34,7 @@ examples:
 _PRESETS = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
 _DEFAULT_DATA = "(default: students03 if it is here, else the simulated plaza)"
 _REPLACES = "repeatable; replaces the preset's"
-_OPTIONS = {
+_OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     # Key of --config: its type, its metavar, and what --help says.
     "preset": (str, "NAME", f"{_PRESETS} (default: paper)"),
     "dataset": (
@@ -87,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
     add = command.add_argument
     for key, (kind, metavar, about) in _OPTIONS.items():
         how = {"action": "append"} if kind is list else {"type": kind}
-        add(f"--{key.replace('_', '-')}", metavar=metavar, help=about, **how)  # type: ignore[arg-type]
+        add(f"--{key.replace('_', '-')}", metavar=metavar, help=about, **how)
     add(
         "--set",
         action="append",
@@ -229,7 +229,7 @@ def _read_config(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _typed(value: Any, *, key: str, path: Path) -> Any:  # noqa: ANN401 - as TOML has it
-    kind = _OPTIONS[key][0]
+    kind: Any = _OPTIONS[key][0]
     if kind is list and isinstance(value, str):
         return [value]
     if kind is float and type(value) is int:

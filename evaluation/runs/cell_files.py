@@ -11,7 +11,7 @@ import contextlib
 import json
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -50,27 +50,22 @@ _PROBE_COLUMNS: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Held:
-    """What one consumer has in a file, as its metadata say."""
+class Held(NamedTuple):
+    """What one consumer has in a file: its key, the code of its plug-ins, and its tables."""
 
     key: str
     code: Mapping[str, str]
-    """Digest by module, of the code of its plug-ins."""
+    """Digest by module."""
     tables: Mapping[str, tuple[int, int]]
     """First row and number of rows."""
 
 
-@dataclass(frozen=True, slots=True)
-class Index:
-    """What a file of cells holds, as its metadata say."""
+class Index(NamedTuple):
+    """What a file of cells holds: key and code of the unit of work, and consumers by label."""
 
     unit: str
-    """Key of the unit of work."""
     code: Mapping[str, str]
-    """Digest by module, of the code of the unit."""
     consumers: Mapping[str, Held]
-    """By their labels."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -95,12 +90,11 @@ def packed(
 
     Parameters
     ----------
-    found : sequence of (consumer, key, code, tables)
-        The code is that of the consumer's plug-ins.
+    found : sequence of (consumer, key, code of its plug-ins, tables)
     unit : str
         Its key.
     code : mapping
-        Digest by module, of the code of the unit.
+        Digest by module.
     """
     consumers, stacked, start = {}, [], 0
     for consumer, key, own, tables in found:
@@ -181,14 +175,7 @@ def label_of(entry: Mapping[str, Any]) -> str:
 
 
 def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) -> pa.Table:
-    """Return the rows of one consumer at one level: of all its blocks, in their order.
-
-    Parameters
-    ----------
-    out : Path
-    entry : mapping
-        Of `cells` in its manifest.
-    columns : sequence of str
+    """Return the rows of one consumer at one level, an entry of a manifest: block by block.
 
     Raises
     ------
@@ -296,12 +283,12 @@ def _tables(path: Path, label: str, *, with_scores: bool = False) -> dict[str, p
     with _readable(path):
         stat = path.stat()
         whole, index = _opened(path, (stat.st_mtime_ns, stat.st_size), with_scores)
-    if label not in index.consumers:
+    held = index.consumers.get(label)
+    if held is None:
         raise DataError(
             f"{path} has no rows of {label}; delete it and run the matrix again to compute it"
         )
-    tables = index.consumers[label].tables.items()
-    return {name: whole.slice(start, size) for name, (start, size) in tables}
+    return {name: whole.slice(start, size) for name, (start, size) in held.tables.items()}
 
 
 @lru_cache(maxsize=1)  # a file is read once for all of its consumers, who come one after another

@@ -89,13 +89,13 @@ def spread_on_cluster(
     """
     expected = _about(tuple(modules), seen={})
     with _connected(scheduler) as client:
-        cluster = _Cluster[W, R](client, scheduler, expected)
-        cluster.check_workers()
-        cluster.send(function)
+        cluster = _Cluster(function, client, scheduler, expected)
         try:
             yield from hand_out(works, cluster)
         finally:
-            cluster.cancel()
+            if cluster.under_way and client.status == "running":
+                with contextlib.suppress(Exception):
+                    client.cancel([*cluster.under_way])
 
 
 def own_modules(cells: Iterable[tuple[Plugin, Consumer]]) -> tuple[str, ...]:
@@ -115,14 +115,22 @@ class _Cluster(Generic[W, R]):
 
     knows_culprits = False
 
-    def __init__(self, client: Client, scheduler: str, expected: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        function: Callable[[W], Iterable[R]],
+        client: Client,
+        scheduler: str,
+        expected: Mapping[str, str],
+    ) -> None:
         self._client, self._scheduler, self._expected = client, scheduler, expected
         self._run = f"isac-track-{uuid.uuid4().hex}"
         self._count, self._threads = 0, 1
-        self._under_way: dict[Task, W] = {}
+        self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
+        self._check_workers()
+        self._function = self._submitted("context", _loaded, _packed(function))
 
-    def check_workers(self) -> None:
+    def _check_workers(self) -> None:
         """Raise SettingsError unless workers are there that compute the same."""
         until = time.monotonic() + _FIRST_WORKER_S
         while not self._ask_threads():
@@ -146,12 +154,8 @@ class _Cluster(Generic[W, R]):
                 )
             _check_alike(answer, self._expected, worker=worker)
 
-    def send(self, function: Callable[[W], Iterable[R]]) -> None:
-        """Send the function to the cluster, for all works to come."""
-        self._function = self._submitted("context", _loaded, _packed(function))
-
     def n_busy(self) -> int:
-        return len(self._under_way)
+        return len(self.under_way)
 
     def has_room(self) -> bool:
         return self.n_busy() < _AHEAD * self._threads
@@ -159,7 +163,7 @@ class _Cluster(Generic[W, R]):
     def start(self, work: W) -> None:
         self._count += 1
         arguments = (self._function, _packed(work), self._expected)
-        self._under_way[self._submitted(str(self._count), _computed, *arguments)] = work
+        self.under_way[self._submitted(str(self._count), _computed, *arguments)] = work
 
     def _submitted(self, key: str, function: Callable[..., Any], *arguments: object) -> Task:
         return self._client.submit(function, *arguments, key=f"{self._run}-{key}", pure=False)
@@ -177,7 +181,7 @@ class _Cluster(Generic[W, R]):
                     f"finished cells are kept; start some (`dask worker {self._scheduler}`) and "
                     "run the same command again"
                 )
-        ended = [task for task in self._under_way if task.status not in ("pending", "lost")]
+        ended = [task for task in self.under_way if task.status not in ("pending", "lost")]
         if not ended:
             time.sleep(_LOOK_S)
         for task in ended:
@@ -185,7 +189,7 @@ class _Cluster(Generic[W, R]):
             if items is None:
                 time.sleep(_LOOK_S)
                 continue
-            work = self._under_way.pop(task)
+            work = self.under_way.pop(task)
             task.release()
             yield work, items
 
@@ -213,12 +217,6 @@ class _Cluster(Generic[W, R]):
                 ) from None
             raise
         return found
-
-    def cancel(self) -> None:
-        """Cancel what is under way."""
-        if self._under_way and self._client.status == "running":
-            with contextlib.suppress(Exception):
-                self._client.cancel([*self._under_way])
 
     def _ask_threads(self) -> int:
         """Ask for the threads of all workers; 0 without workers."""
@@ -302,8 +300,7 @@ def _computed(
 
     _check_alike(_about(_modules(expected)), expected, worker=get_worker().address)
     work: W = _loaded(packed)
-    # Not lifted afterwards: it counts for the whole process, where others may be computing.
-    threadpool_limits(limits=1)
+    threadpool_limits(limits=1)  # not lifted: of the whole process, where others may be computing
     note()
     return list(function(work))
 

@@ -118,7 +118,7 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
         manifest, files, _ = open_run(ready.out, identity=ready.identity, fresh=fresh)
         write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
         missing = missing_of(ready, places_of(files))
-        wanted = {(one.unit.key, key) for one in missing for key in one.keys}
+        wanted = {(one.unit.key, key) for one in missing for key in one.consumers}
         for source in sources:
             for name, index in sound_files(source)[0].items():
                 held = {(index.unit, one.key) for one in index.consumers.values()}
@@ -169,7 +169,7 @@ class _Files:
         self._of = {
             (one.unit.block, one.unit.mechanism.spec, consumer.label): one
             for one in missing
-            for consumer in one.consumers
+            for consumer in one.consumers.values()
         }
         self._found: dict[str, dict[str, Tables | None]] = {one.file: {} for one in missing}
 
@@ -178,13 +178,13 @@ class _Files:
         missing = self._of[block, mechanism.spec, consumer.label]
         found = self._found[missing.file]
         found[consumer.label] = tables
-        if len(found) < len(missing.keys):
+        if len(found) < len(missing.consumers):
             return
         del self._found[missing.file]
         code = self._ready.code_of
         whole = [
             (one, key, {name: code[name] for name in sources("", one.plugin, one.behind)}, tables)
-            for key, one in zip(missing.keys, missing.consumers, strict=True)
+            for key, one in missing.consumers.items()
             if (tables := found[one.label]) is not None
         ]
         if whole:
@@ -197,7 +197,7 @@ def _compute(
 ) -> list[FailedCell]:
     """Compute what is missing, and return what could not be."""
     works = deque(pieces_of(missing, ready))
-    total = sum(len(one.keys) for one in missing)
+    total = sum(len(one.consumers) for one in missing)
     files = _Files(missing, ready)
     failures = Failures()
     if not works:

@@ -89,14 +89,8 @@ def write_checked(out: Path, name: str, content: bytes) -> None:
 def written_down(out: Path) -> set[str]:
     """Return the files of cells that are there and whose checksums are written down.
 
-    Whether these are theirs takes longer: see `checked`.
-
-    Raises
-    ------
-    DataError
-        If the checksums cannot be read.
-    OSError
-        If the folder of the cells cannot be read.
+    Whether these are theirs takes longer: see `checked`. Raises DataError if the checksums cannot
+    be read, and OSError if the folder of the cells cannot.
     """
     return _present(out) & dict(_lines(out)).keys()
 

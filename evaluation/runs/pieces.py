@@ -43,48 +43,38 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Missing:
-    """What a unit of work lacks, and the file that it will be in."""
+    """What a unit of work lacks: consumers by their keys, and the file that they will be in."""
 
     unit: Unit
-    keys: tuple[str, ...]
-    """Of the consumers."""
+    consumers: Mapping[str, Consumer]
     file: str
-
-    @property
-    def consumers(self) -> tuple[Consumer, ...]:
-        """Who is missing."""
-        return tuple(self.unit.consumers[key] for key in self.keys)
 
 
 def missing_of(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Missing]:
     """Return what the units of a run lack, given the file of every finished cell by its keys."""
-    lacking = (
-        (unit, tuple(key for key in unit.consumers if (unit.key, key) not in places))
-        for unit in ready.units
-    )
-    return [Missing(unit, keys, unit.file_of(keys)) for unit, keys in lacking if keys]
+    missing = []
+    for unit in ready.units:
+        who = {key: one for key, one in unit.consumers.items() if (unit.key, key) not in places}
+        if who:
+            missing.append(Missing(unit, who, unit.file_of(who)))
+    return missing
 
 
 def n_finished(ready: Plan) -> int:
     """Return how many cells of a run are finished by the checksums of its folder.
 
-    Raises
-    ------
-    DataError
-        If the checksums cannot be read.
-    OSError
-        If the folder of the cells cannot be read.
+    Raises DataError if these cannot be read, and OSError if the folder of the cells cannot.
     """
     indices = {name: index_of(ready.out / FOLDER / name) for name in written_down(ready.out)}
     places = places_of({name: one for name, one in indices.items() if one is not None})
-    return ready.n_cells - sum(len(one.keys) for one in missing_of(ready, places))
+    return ready.n_cells - sum(len(one.consumers) for one in missing_of(ready, places))
 
 
 def files_of(
     ready: Plan, places: Mapping[tuple[str, str], str], missing: Sequence[Missing]
 ) -> dict[tuple[str, str], list[str]]:
     """Return the files of every mechanism and consumer, block by block, finished or to come."""
-    to_come = {(one.unit.key, key): one.file for one in missing for key in one.keys}
+    to_come = {(one.unit.key, key): one.file for one in missing for key in one.consumers}
     files: dict[tuple[str, str], list[str]] = {}
     for unit in ready.units:
         for key, consumer in unit.consumers.items():
@@ -110,7 +100,7 @@ def _blocks(missing: Sequence[Missing], ready: Plan) -> Iterator[Block]:
         seed=settings.seed,
     )
     count = n_blocks(settings.n_scenes)
-    of_scenes = [one for one in missing if not one.consumers[0].task]
+    of_scenes = [one for one in missing if not next(iter(one.consumers.values())).task]
     for number in range(count):
         levels = _levels([one for one in of_scenes if one.unit.block == number])
         # Split where there are few blocks for the workers; each piece senses the block again, so
@@ -140,7 +130,7 @@ def _levels(missing: Sequence[Missing]) -> Levels:
     levels: dict[str, tuple[Plugin, list[Consumer]]] = {}
     for one in missing:
         mechanism = one.unit.mechanism
-        levels.setdefault(mechanism.spec, (mechanism, []))[1].extend(one.consumers)
+        levels.setdefault(mechanism.spec, (mechanism, []))[1].extend(one.consumers.values())
     return tuple((mechanism, tuple(consumers)) for mechanism, consumers in levels.values())
 
 
