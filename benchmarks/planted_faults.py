@@ -25,9 +25,8 @@ import tempfile
 import time
 import xml.etree.ElementTree as ET
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -70,14 +69,11 @@ Rewrite: TypeAlias = "tuple[str, ast.AST, str]"
 """Kind of fault, what is replaced, and the text instead."""
 
 
-@dataclass(frozen=True, slots=True)
-class Statement:
-    """A statement without those that stand in it."""
+class Statement(NamedTuple):
+    """A statement without those that stand in it: file below the root of the tree, and lines."""
 
     file: str
-    """Below the root of the tree."""
     first: int
-    """Line"""
     last: int
     reached_by: range
     """Lines whose tests are those of the statement; empty: those that use what it names."""
@@ -232,13 +228,7 @@ def pytest(
 ) -> tuple[dict[str, float], list[str], str]:
     """Run tests in a copy of the tree: all with coverage, or up to the first failure.
 
-    Returns
-    -------
-    seconds : dict
-        Of every test that ran.
-    failed : list of str
-    note : str
-        How it ended, if that was odd.
+    Returns the seconds of every test that ran, those that failed, and how it ended if that was odd.
     """
     said = root.parent / "said.xml"
     said.unlink(missing_ok=True)
@@ -249,13 +239,9 @@ def pytest(
     own = {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
     own["HYPOTHESIS_STORAGE_DIRECTORY"] = str(root.parent / "hypothesis")
     with (root.parent / "output.txt").open("w") as output:
+        streams = {"stdout": output, "stderr": subprocess.STDOUT}
         process = subprocess.Popen(
-            words,
-            cwd=root,
-            env=os.environ | own,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
+            words, cwd=root, env=os.environ | own, start_new_session=True, **streams
         )
         try:
             code = process.wait(limit_s)
@@ -360,48 +346,44 @@ def measure(options: argparse.Namespace, *, scratch: Path) -> list[dict[str, Any
     found = [one for path in paths for one in statements(path, root=root)]
     faults: list[dict[str, Any]] = []
     finished = earlier(options)
-    for one, fault, faulty in drawn(found, root=root, count=options.faults, seed=options.seed):
-        known = finished.get(tuple(fault.values()))
-        if known is None:
-            known = fault | shown(one, fault, faulty, reach=reach, options=options, root=root)
-            survived = known["killed_by"] or "SURVIVED"
-            say(f"{len(faults) + 1}: {known['file']}:{known['line']} {known['kind']}: {survived}")
-        faults.append(known)
+    for one, planted, faulty in drawn(found, root=root, count=options.faults, seed=options.seed):
+        fault = finished.get(tuple(planted.values()))
+        if fault is None:
+            tests = tests_of(one, reach=reach, root=root, package=options.package)
+            by = "tests that reach it"
+            if not tests:
+                by = "end-to-end tests"
+                files = {test: Path(test.partition("::")[0]) for test in reach["seconds"]}
+                tests = [one for one, at in files.items() if any(map(at.match, options.end_to_end))]
+            place, started = root / planted["file"], time.monotonic()
+            sound = place.read_bytes()
+            place.write_bytes(faulty)
+            killed_by, note = judged(tests, reach=reach, root=root, most_s=options.limit)
+            place.write_bytes(sound)
+            took = round(time.monotonic() - started, 1)
+            fault = planted | {"killed_by": killed_by, "seconds": took, "tests": len(tests)}
+            fault |= {"shown_to": by, "note": note}
+            survived = fault["killed_by"] or "SURVIVED"
+            say(f"{len(faults) + 1}: {fault['file']}:{fault['line']} {fault['kind']}: {survived}")
+        faults.append(fault)
         write(options, reach, faults)
     return faults
 
 
-def shown(
-    one: Statement,
-    fault: dict[str, Any],
-    faulty: bytes,
-    *,
-    reach: dict[str, Any],
-    options: argparse.Namespace,
-    root: Path,
-) -> dict[str, Any]:
-    """Show a fault to the tests that reach it; return what became of it."""
-    tests, by = tests_of(one, reach=reach, root=root, package=options.package), "that reach it"
+def judged(
+    tests: Sequence[str], *, reach: dict[str, Any], root: Path, most_s: float
+) -> tuple[str, str]:
+    """Run tests; return which failed, if one did, and how it ended if that was odd."""
     if not tests:
-        by = "from end to end"
-        files = {test: Path(test.partition("::")[0]) for test in reach["seconds"]}
-        tests = [one for one, file in files.items() if any(map(file.match, options.end_to_end))]
-    path, started = root / fault["file"], time.monotonic()
-    sound, failed, note = path.read_bytes(), [], "no test reaches it"
-    if tests:
-        path.write_bytes(faulty)
-        # Far beyond what they took it is noticed, too: something hangs.
-        usual_s = _HANGS_S + 20.0 * sum(reach["seconds"][test] for test in tests)
-        names = list(dict.fromkeys(test.partition("[")[0] for test in tests))
-        names += [f"--deselect={test}" for test in reach["failed"]]
-        _, failed, note = pytest(names, root=root, limit_s=min(options.limit, usual_s))
-        path.write_bytes(sound)
-        if note == "time limit" and usual_s < options.limit:
-            note = "pytest hangs"
-    killed_by = failed[0] if failed else note if note.startswith("pytest") else ""
-    took = round(time.monotonic() - started, 1)
-    about = {"tests": len(tests), "shown_to": f"tests {by}", "note": note}
-    return {"killed_by": killed_by, "seconds": took} | about
+        return "", "no test reaches it"
+    # Far beyond what they took it is noticed, too: something hangs.
+    usual_s = _HANGS_S + 20.0 * sum(reach["seconds"][test] for test in tests)
+    names = list(dict.fromkeys(test.partition("[")[0] for test in tests))
+    names += [f"--deselect={test}" for test in reach["failed"]]
+    _, failed, note = pytest(names, root=root, limit_s=min(most_s, usual_s))
+    if note == "time limit" and usual_s < most_s:
+        note = "pytest hangs"
+    return failed[0] if failed else note if note.startswith("pytest") else "", note
 
 
 def say(text: str) -> None:

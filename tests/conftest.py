@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.small_runs import write_tracks
 
 from isac_track import datasets
 from isac_track.rng import stream
@@ -52,14 +53,7 @@ def students03():
 @pytest.fixture
 def csv_recording(tmp_path, tracks):
     """The made-up tracks as a file of one's own."""
-    rows = [
-        f"{t:.2f},{source},{x:.4f},{y:.4f}"
-        for source, track in zip(tracks.source, tracks, strict=True)
-        for t, (x, y) in zip(track.t, track.xy, strict=True)
-    ]
-    path = tmp_path / "walks.csv"
-    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    return path
+    return write_tracks(tmp_path / "walks.csv", tracks)
 
 
 @pytest.fixture

@@ -177,10 +177,7 @@ def label_of(entry: Mapping[str, Any]) -> str:
 def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) -> pa.Table:
     """Return the rows of one consumer at one level, an entry of a manifest: block by block.
 
-    Raises
-    ------
-    DataError
-        If a cell is missing or broken, or has no such column; the message names it.
+    Raises DataError if a cell is missing or broken, or has no such column; the message names it.
     """
     tables = []
     for name in entry["files"]:
@@ -202,10 +199,7 @@ def read_outcome(out: Path, entry: Mapping[str, Any]) -> LinkageOutcome:
 
     Replicates are in single precision: those of a run would take half a gigabyte in double.
 
-    Raises
-    ------
-    DataError
-        If the cell is missing or broken; the message names it.
+    Raises DataError if the cell is missing or broken; the message names it.
     """
     (file,) = entry["files"]
     path = out / FOLDER / file
@@ -327,10 +321,7 @@ def write_gallery(parts: Sequence[pd.DataFrame], *, out: Path) -> None:
 def read_gallery(out: Path) -> pd.DataFrame | None:
     """Return the sample tracks of a run folder; None if it has none.
 
-    Raises
-    ------
-    DataError
-        If the file is broken.
+    Raises DataError if the file is broken.
     """
     path = out / GALLERY
     if not path.exists():

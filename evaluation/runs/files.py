@@ -50,10 +50,7 @@ WRITTEN: Final = (
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file to a temporary name beside it and rename it.
 
-    Raises
-    ------
-    DataError
-        If the disk is full or the folder cannot be written.
+    Raises DataError if the disk is full or the folder cannot be written.
     """
     temporary = path.with_name(f".{path.name}.tmp")
     try:
@@ -68,10 +65,7 @@ def write_whole(path: Path, content: bytes) -> None:
 def write_checked(out: Path, name: str, content: bytes) -> None:
     """Write a file of cells, and its checksum.
 
-    Raises
-    ------
-    DataError
-        If the disk is full or the folder cannot be written.
+    Raises DataError if the disk is full or the folder cannot be written.
     """
     # First the line: a kill in between leaves one without a cell, not a cell that looks damaged.
     path = out / CHECKSUMS
@@ -167,10 +161,7 @@ def locked(out: Path) -> Iterator[None]:
 
     The lock is the system's (flock): it ends with its process, however that ends.
 
-    Raises
-    ------
-    SettingsError
-        If another process holds it, or the folder cannot be written.
+    Raises SettingsError if another process holds it, or the folder cannot be written.
     """
     if fcntl is None:  # pragma: no cover - as above
         raise SettingsError("runs need a system with flock (Linux, macOS, WSL)")

@@ -32,10 +32,7 @@ _SHOWN_DIFFERENCES = 3
 def usable(out: Path) -> Iterator[None]:
     """Tell in one line what the system says of a run folder within.
 
-    Raises
-    ------
-    SettingsError
-        If no folder can have that name, or it cannot be entered, read or changed.
+    Raises SettingsError if no folder can have that name, or it cannot be entered, read or changed.
     """
     try:
         is_name = b"\0" not in os.fsencode(out)
@@ -179,10 +176,7 @@ def note_figures(out: Path, names: Sequence[str]) -> None:
 def remove_figures(out: Path) -> None:
     """Delete the page and the figures that an earlier report drew.
 
-    Raises
-    ------
-    DataError
-        If the folder cannot be written.
+    Raises DataError if the folder cannot be written.
     """
     for path in (out / PAGE, *_figures(out, read_manifest(out))):
         try:

@@ -58,58 +58,45 @@ _SHAPE: Final = {
             "consumers": "count",
         }
     ],
-    "consumers?": [[{"kind": "kind", "consumer": "text", "knowledge": "text", "slow": "flag"}]],
+    "consumers!": [[{"kind": "kind", "consumer": "text", "knowledge": "text", "slow": "flag"}]],
     "dropped_cells?": "count",
     "damaged_cells?": ["text"],
     "code?": "text",
     "state?": "text",
     "wall_time_s?": "number",
-    "environment?": {"libraries?": {"*": "text"}, "command?": ["text"], "*": "text?"},
-    "settings?": {
-        "preset?": "text",
-        "scenes?": "count",
-        "seed?": "count",
-        **{f"{axis}?": ["text"] for axis in ("mechanisms", "predictors", "attacks", "tasks")},
-        "stages?": {"*": "plain"},
+    "environment!": {"libraries?": {"*": "text"}, "command?": ["text"], "*": "text?"},
+    "settings!": {
+        "preset!": "text",
+        "scenes!": "count",
+        "seed!": "count",
+        "stages!": {"*": "plain"},
+        **{f"{axis}!": ["text"] for axis in ("mechanisms", "predictors", "attacks", "tasks")},
     },
-    "dataset?": {
-        **{f"{name}?": "text" for name in ("name", "path", "sha256", "format")},
-        **{f"{name}?": "count" for name in ("tracks", "tracks_used")},
-        "simulated?": "flag",
+    "dataset!": {
+        **{f"{name}!": "text" for name in ("name", "path", "sha256", "format")},
+        "tracks!": "count",
+        "tracks_used!": "count",
+        "simulated!": "flag",
         "notice?": "text?",
     },
-    "history?": {"points": "number", "interval_s": "number"},
+    "history!": {"points": "number", "interval_s": "number"},
     "figures?": ["text"],
-    "groups?": "names",
+    "groups!": "names",
     "linkage?": {
         "skipped?": {"*": "text"},
         "tasks?": {"*": {"about": "text", "people": "count", "candidates": {"*": "count"}}},
     },
     "failed?": [dict.fromkeys(FAILED_COLUMNS, "text") | {"block": "count"}],
 }
-"""What readers of a manifest rely on: of a table its names (`?`: it may be missing, `*`: all
-others), of a list its one kind of member, and of a value what it is."""
-_WITH_CELLS: Final = {
-    "environment": (),
-    "settings": (
-        *("preset", "scenes", "seed", "stages"),
-        *("mechanisms", "predictors", "attacks", "tasks"),
-    ),
-    "dataset": ("name", "path", "sha256", "format", "simulated", "tracks", "tracks_used"),
-    "history": (),
-    "groups": (),
-    "consumers": (),
-}
-"""What may be missing as long as there are no cells."""
+"""What readers of a manifest rely on: of a table its names (`?`: it may be missing, `!`: it may as
+long as there are no cells, `*`: all others), of a list its one kind of member, and of a value what
+it is."""
 
 
 def read_manifest(out: Path) -> dict[str, Any]:
     """Return the manifest of a run folder; all that its readers rely on is there.
 
-    Raises
-    ------
-    DataError
-        If there is none, it cannot be read or is damaged, or the run never started.
+    Raises DataError if there is none, it cannot be read or is damaged, or the run never started.
     """
     manifest = undamaged(parsed(out), out=out)
     if not manifest.keys() >= {"dataset", "settings"}:
@@ -178,17 +165,15 @@ def undamaged(found: dict[str, Any], *, out: Path) -> dict[str, Any]:
 
 def _defect(found: Mapping[str, Any]) -> str:
     """Return what is not as it should be in a manifest's file, and where; "" if nothing."""
-    if found.get("layout") != LAYOUT and found["cells"]:
+    if not found["cells"]:
+        return _misfit(found, _SHAPE, optional="?!*").lstrip(".")
+    if found.get("layout") != LAYOUT:
         return "its cells are laid out in another way"
-    defect = _misfit(found, _SHAPE).lstrip(".")
-    if defect or not found["cells"]:
-        return defect
-    for part, names in _WITH_CELLS.items():
-        missing = [name for name in names if name not in found.get(part, ())]
-        if part not in found or missing:
-            return ".".join([part, *missing[:1]]) + " is missing"
-    places = [level["consumers"] for level in found["cells"]]
-    return "" if max(places) < len(found["consumers"]) else f"cells name consumers[{max(places)}]"
+    defect = _misfit(found, _SHAPE, optional="?*").lstrip(".")
+    last = 0 if defect else max(level["consumers"] for level in found["cells"])
+    if not defect and last >= len(found["consumers"]):
+        return f"cells name consumers[{last}]"
+    return defect
 
 
 def _unmatched(entries: list[dict[str, Any]]) -> str:
@@ -206,27 +191,26 @@ def _unmatched(entries: list[dict[str, Any]]) -> str:
     return ""
 
 
-def _misfit(value: Any, shape: Any, *, place: str = "") -> str:  # noqa: ANN401 - as JSON has it
+def _misfit(value: Any, shape: Any, *, optional: str, place: str = "") -> str:  # noqa: ANN401 - as JSON has it
     """Return where a value is not of a shape (see `_SHAPE`); "" if it is."""
+    if isinstance(shape, str):
+        return "" if _IS[shape](value) else f"{place} is {reprlib.repr(value)}"
     parts: Iterable[tuple[str, Any, Any]]
     if isinstance(shape, list):
         if not isinstance(value, list):
             return f"{place} is no list"
         parts = ((f"{place}[{row}]", one, shape[0]) for row, one in enumerate(value))
-    elif isinstance(shape, dict):
+    else:
         if not isinstance(value, dict):
             return f"{place} is no table"
+        known = {name.rstrip("?!"): inner for name, inner in shape.items()}
         for name in shape:
-            if name[-1] not in "?*" and name not in value:
-                return f"{place}.{name} is missing"
-        others = shape.get("*", "anything")
-        parts = (
-            (f"{place}.{name}", one, shape.get(name, shape.get(f"{name}?", others)))
-            for name, one in value.items()
-        )
-    else:
-        return "" if _IS[shape](value) else f"{place} is {reprlib.repr(value)}"
-    return next((wrong for where, *of in parts if (wrong := _misfit(*of, place=where))), "")
+            if name[-1] not in optional and name.rstrip("!") not in value:
+                return f"{place}.{name.rstrip('!')} is missing"
+        others = known.get("*", "anything")
+        parts = ((f"{place}.{name}", one, known.get(name, others)) for name, one in value.items())
+    wrong = (_misfit(one, inner, optional=optional, place=at) for at, one, inner in parts)
+    return next(filter(None, wrong), "")
 
 
 def others(
