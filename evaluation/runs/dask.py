@@ -63,17 +63,15 @@ def spread_on_cluster(
     scheduler: str,
     modules: Iterable[str] = (),
 ) -> Generator[Ended[W, R]]:
-    """Yield each work with what the function makes of it, as it is finished.
+    """Yield each work with what the function makes of it, as it is finished: `spread` on a cluster.
 
-    Works may be added while this runs. A work whose workers died again and again yields a `Failed`
-    of unknown place.
+    The function is sent to each worker once, the works with every task. A work whose workers died
+    again and again yields a `Failed` of unknown place.
 
     Parameters
     ----------
-    function : callable
-        Sent to each worker once; the works with every task.
-    works : deque
-        Emptied.
+    function, works
+        As of `spread`.
     scheduler : str
         Its address, such as ``tcp://host:8786``.
     modules : iterable of str
@@ -84,8 +82,6 @@ def spread_on_cluster(
     SettingsError
         If the scheduler cannot be reached or is gone, no worker is there, or a worker would not
         compute the same.
-    Exception
-        What the function raises.
     """
     expected = _about(tuple(modules), seen={})
     with _connected(scheduler) as client:

@@ -18,11 +18,11 @@ from evaluation.runs.manifest import others, with_ceiling
 from isac_track.privacy import mean_interval_s
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from evaluation.experiment.plan import Plan
     from evaluation.runs.cell_files import Index
-    from evaluation.runs.pieces import FailedCell
+    from evaluation.runs.pieces import Missing
 
 _LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
 
@@ -120,20 +120,18 @@ def _git_commit() -> str | None:
     return answer.stdout.strip() or None
 
 
-def merged_cells(
-    earlier: list[dict[str, Any]],
-    ready: Plan,
-    *,
-    files: Mapping[tuple[str, str], list[str]],
-    held: Mapping[str, Index],
+def entries_of(
+    ready: Plan, places: dict[tuple[str, str], str], missing: Iterable[Missing]
 ) -> list[dict[str, Any]]:
-    """Return the index of cells: those of this run, and finished ones of earlier axes.
-
-    An earlier level that was never finished (interrupted, or a plug-in that failed) is left out.
-    `files` are those of this run, by mechanism and consumer; `held`, what the files that are there
-    hold.
-    """
-    ours = [
+    """Return the entries of a run's cells, whose files are in `places` or to come."""
+    of_cell = {(one.unit.key, key): one.file for one in missing for key in one.consumers} | places
+    files: dict[tuple[str, str], list[str]] = {}
+    for unit in ready.units:  # block by block
+        for key, consumer in unit.consumers.items():
+            files.setdefault((unit.mechanism.spec, consumer.label), []).append(
+                of_cell[unit.key, key]
+            )
+    return [
         {
             "mechanism": mechanism.name,
             "level": mechanism.level,
@@ -148,14 +146,19 @@ def merged_cells(
         }
         for mechanism, consumer in ready.pairs
     ]
+
+
+def merged_cells(
+    earlier: Iterable[dict[str, Any]], ours: list[dict[str, Any]], *, held: Mapping[str, Index]
+) -> list[dict[str, Any]]:
+    """Return the index of cells: those of this run, and finished ones of earlier axes.
+
+    An earlier level that was never finished (interrupted, or a plug-in that failed) is left out:
+    `held` has what the files hold that are there.
+    """
     finished = [
         entry
         for entry in earlier
         if all(name in held and label_of(entry) in held[name].consumers for name in entry["files"])
     ]
     return with_ceiling(ours + others(finished, than=ours))
-
-
-def whole_cells(entries: list[dict[str, Any]], failed: list[FailedCell]) -> list[dict[str, Any]]:
-    """Return the index without entries that miss a cell: nothing is averaged over less."""
-    return with_ceiling(others(entries, than=[one.described() for one in failed]))

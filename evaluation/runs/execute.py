@@ -15,11 +15,11 @@ from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.work import LinkWork, attempt
 from evaluation.experiment.fingerprint import sources
 from evaluation.runs.cell_files import packed, places_of, read_rows, sound_files, write_gallery
-from evaluation.runs.describe import describe, merged_cells, whole_cells
+from evaluation.runs.describe import describe, entries_of, merged_cells
 from evaluation.runs.files import FOLDER, locked, write_checked
 from evaluation.runs.folder import check_folder, open_run
-from evaluation.runs.manifest import others, write_manifest
-from evaluation.runs.pieces import Failures, cut_for_cluster, files_of, missing_of, pieces_of
+from evaluation.runs.manifest import others, with_ceiling, write_manifest
+from evaluation.runs.pieces import Failures, cut_for_cluster, missing_of, pieces_of
 from evaluation.runs.workers import spread
 from isac_track import kalman as kernels
 from isac_track.command_line import check_interrupt
@@ -66,19 +66,16 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     manifest["damaged_cells"] = damaged
     # What failed when other axes were run, whose finished levels stay in the tables.
     failures = manifest.get("failed", []) if manifest["cells"] else []
-    ours = [
-        {"spec": mechanism.spec, "consumer": consumer.spec, "knowledge": consumer.knowledge}
-        for mechanism, consumer in ready.pairs
-    ]
+    ours = entries_of(ready, places, missing)
     manifest["failed"] = others(failures, than=ours)
-    manifest["cells"] = merged_cells(
-        manifest["cells"], ready, files=files_of(ready, places, missing), held=held
-    )
+    manifest["cells"] = merged_cells(manifest["cells"], ours, held=held)
     write_manifest(out, manifest | {"state": "running"})
     failed = _compute(missing, ready, tell)
     if failed:
-        manifest["failed"] += [one.described() for one in failed]
-        manifest["cells"] = whole_cells(manifest["cells"], failed)
+        described = [one.described() for one in failed]
+        manifest["failed"] += described
+        # No entry that misses a cell: nothing is averaged over less.
+        manifest["cells"] = with_ceiling(others(manifest["cells"], than=described))
         if not manifest["cells"]:
             write_manifest(out, manifest | {"state": "failed"})
             raise PluginError(failed[0].why)

@@ -65,16 +65,9 @@ def open_run(
 ) -> tuple[dict[str, Any], dict[str, Index], list[str]]:
     """Return the manifest of a run folder, new or continued, and the files that it has.
 
-    Cells that another version of the code computed are dropped from it and counted. `SHA256SUMS`
-    has no line then for which there is no cell.
-
-    Returns
-    -------
-    manifest : dict
-    files : dict
-        What the files of cells hold that are as they were written.
-    damaged : list of str
-        Names of the others.
+    Those are what the files of cells hold that are as they were written, and the names of the
+    others. Cells that another version of the code computed are dropped from it and counted.
+    `SHA256SUMS` has no line then for which there is no cell.
 
     Raises
     ------

@@ -70,20 +70,6 @@ def n_finished(ready: Plan) -> int:
     return ready.n_cells - sum(len(one.consumers) for one in missing_of(ready, places))
 
 
-def files_of(
-    ready: Plan, places: Mapping[tuple[str, str], str], missing: Sequence[Missing]
-) -> dict[tuple[str, str], list[str]]:
-    """Return the files of every mechanism and consumer, block by block, finished or to come."""
-    to_come = {(one.unit.key, key): one.file for one in missing for key in one.consumers}
-    files: dict[tuple[str, str], list[str]] = {}
-    for unit in ready.units:
-        for key, consumer in unit.consumers.items():
-            place = unit.key, key
-            name = places.get(place) or to_come[place]
-            files.setdefault((unit.mechanism.spec, consumer.label), []).append(name)
-    return files
-
-
 def pieces_of(missing: Sequence[Missing], ready: Plan) -> list[Work]:
     """Return what is to be computed: first scenes, block by block, then what is linked."""
     # The longest first: at the end no worker waits for long.

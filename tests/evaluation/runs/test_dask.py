@@ -430,12 +430,6 @@ class TestWhatIsRefused:
         with pytest.raises(SettingsError, match=message):
             Settings(**options)
 
-    def test_options_from_a_file_too(self, tmp_path, capsys):
-        file = tmp_path / "run.toml"
-        file.write_text('executor = "dask"\n', encoding="utf-8")
-        assert matrix.main(["--config", str(file)]) == 2
-        assert "needs --scheduler" in capsys.readouterr().err
-
 
 class TestADeathAtAnUnknownPlace:
     """Nobody knows at which cell the worker was: works are split until one cell is left."""
