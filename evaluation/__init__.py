@@ -19,21 +19,15 @@ if TYPE_CHECKING:
 
 __all__ = ["Results", "Settings", "load", "run"]
 
-_HOME = {
-    "Results": "evaluation.results",
-    "Settings": "evaluation.experiment.settings",
-    "load": "evaluation.results",
-    "run": "evaluation.results",
-}
-
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for
     # Lazy: `python -m evaluation.matrix --help` must not wait for pandas.
-    if name not in _HOME:
+    if name not in __all__:
         raise AttributeError(f"module 'evaluation' has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415
 
-    return getattr(import_module(_HOME[name]), name)
+    home = "experiment.settings" if name == "Settings" else "results"
+    return getattr(import_module(f"evaluation.{home}"), name)
 
 
 def __dir__() -> list[str]:

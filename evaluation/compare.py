@@ -18,7 +18,7 @@ from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
 _EXIT = """\
 exit codes: 0 done, 1 a headline number differs (with --fail-on-change), 2 wrong usage or data
@@ -41,13 +41,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = command.add_argument
     add("out_a", type=Path, metavar="OUT_A", help="folder of a run")
-    add(
-        "out_b",
-        type=Path,
-        metavar="OUT_B",
-        nargs="?",
-        help="folder of another; may be left out where two mechanisms of one run are compared",
-    )
+    about = "folder of another; may be left out where two mechanisms of one run are compared"
+    add("out_b", type=Path, metavar="OUT_B", nargs="?", help=about)
     for side in "ab":
         add(
             f"--mechanism-{side}",
@@ -58,19 +53,14 @@ def _parser() -> argparse.ArgumentParser:
     add("--all", action="store_true", help="every metric, and every number that is not identical")
     add("--json", action="store_true", help="print one JSON object instead")
     add("--csv", type=Path, metavar="FILE", help="write all numbers as a tidy table")
-    add(
-        "--fail-on-change",
-        action="store_true",
-        help="exit code 1 if a headline number differs after Holm",
-    )
+    about = "exit code 1 if a headline number differs after Holm"
+    add("--fail-on-change", action="store_true", help=about)
     return command
 
 
-def main(arguments: Iterable[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    return exit_code(
-        lambda: _run(_parser().parse_args(None if arguments is None else list(arguments)))
-    )
+    return exit_code(lambda: _run(_parser().parse_args(arguments)))
 
 
 def _run(options: argparse.Namespace) -> int:

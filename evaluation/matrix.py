@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
 import sys
 import tomllib
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
@@ -18,7 +19,7 @@ from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
@@ -30,28 +31,52 @@ examples:
   python -m evaluation.matrix --dataset walks.csv --mechanism fid:1..1000/10 --mechanism raw
   python -m evaluation.matrix --set privacy.epsilon_m=0.5 --out runs/wide
 """
-_CONFIG_KEYS = {
-    "preset": str,
-    "dataset": str,
-    "format": str,
-    "fps": float,
-    "scenes": int,
-    "seed": int,
-    "mechanism": list,
-    "predictor": list,
-    "attack": list,
-    "task": list,
-    "jobs": int,
-    "cell_timeout": float,
-    "executor": str,
-    "scheduler": str,
-    "out": str,
+_PRESETS = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
+_DEFAULT_DATA = "(default: students03 if it is here, else the simulated plaza)"
+_REPLACES = "repeatable; replaces the preset's"
+_OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
+    # Key of --config: its type, its metavar, and what --help says.
+    "preset": (str, "NAME", f"{_PRESETS} (default: paper)"),
+    "dataset": (
+        str,
+        "NAME|PATH",
+        f"a known data set (downloaded if need be) or your own file {_DEFAULT_DATA}",
+    ),
+    "format": (str, "NAME", "format of your own file; see docs/data.md"),
+    "fps": (float, "N", "frames per second of your own file"),
+    "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
+    "seed": (int, "N", "base seed of every random stream (default: 0)"),
+    "mechanism": (
+        list,
+        "SPEC",
+        f"sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT; {_REPLACES}",
+    ),
+    "predictor": (list, "SPEC", "the robot's predictor; repeatable; `none` for none"),
+    "attack": (
+        list,
+        "SPEC",
+        f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_REPLACES}",
+    ),
+    "task": (list, "NAME", f"what is to be linked; `none` for none; {_REPLACES}"),
+    "jobs": (int, "N", "worker processes (default: the cores, at most 8; 1 for little work)"),
+    "cell_timeout": (
+        float,
+        "S",
+        "kill and leave out a cell that takes longer than this many seconds (default: never)",
+    ),
+    "executor": (
+        str,
+        "local|dask",
+        "where cells are computed: here (default), or on a Dask cluster; see docs/cluster.md",
+    ),
+    "scheduler": (str, "ADDRESS", "of the Dask cluster, as tcp://host:8786"),
+    "out": (str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
 }
+_AXES = ("mechanism", "predictor", "attack", "task")
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command line of the matrix."""
-    presets = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
     command = Parser(
         prog="python -m evaluation.matrix",
         description="Evaluate sharing mechanisms: what a robot can still foresee, what leaks.",
@@ -60,43 +85,9 @@ def parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     add = command.add_argument
-    add("--preset", metavar="NAME", help=f"{presets} (default: paper)")
-    add(
-        "--dataset",
-        metavar="NAME|PATH",
-        help="a known data set (downloaded if need be) or your own file "
-        "(default: students03 if it is here, else the simulated plaza)",
-    )
-    add("--format", metavar="NAME", help="format of your own file; see docs/data.md")
-    add("--fps", type=float, metavar="N", help="frames per second of your own file")
-    add("--scenes", type=int, metavar="N", help="Monte Carlo scenes (default: the preset's)")
-    add("--seed", type=int, metavar="N", help="base seed of every random stream (default: 0)")
-    add(
-        "--mechanism",
-        action="append",
-        metavar="SPEC",
-        help="sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT; "
-        "repeatable; replaces the preset's",
-    )
-    add(
-        "--predictor",
-        action="append",
-        metavar="SPEC",
-        help="the robot's predictor; repeatable; `none` for none",
-    )
-    add(
-        "--attack",
-        action="append",
-        metavar="SPEC",
-        help="attack: a reconstruction, a linker, or LINKER@RECONSTRUCTION; repeatable; `none` "
-        "for none; replaces the preset's",
-    )
-    add(
-        "--task",
-        action="append",
-        metavar="NAME",
-        help="what is to be linked; repeatable; `none` for none; replaces the preset's",
-    )
+    for key, (kind, metavar, about) in _OPTIONS.items():
+        how = {"action": "append"} if kind is list else {"type": kind}
+        add(f"--{key.replace('_', '-')}", metavar=metavar, help=about, **how)
     add(
         "--set",
         action="append",
@@ -105,34 +96,13 @@ def parser() -> argparse.ArgumentParser:
         help="change a stage setting, such as privacy.epsilon_m=0.5; --list names all",
     )
     add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
-    add(
-        "--jobs",
-        type=int,
-        metavar="N",
-        help="worker processes (default: the cores, at most 8; 1 for little work)",
-    )
-    add(
-        "--cell-timeout",
-        type=float,
-        metavar="S",
-        help="kill and leave out a cell that takes longer than this many seconds (default: never)",
-    )
-    add(
-        "--executor",
-        metavar="local|dask",
-        help="where cells are computed: worker processes of this machine (default), or a Dask "
-        "cluster; see docs/cluster.md",
-    )
-    add("--scheduler", metavar="ADDRESS", help="of the Dask cluster, as tcp://host:8786")
-    add(
-        "--keep-scores",
-        action="store_true",
-        help="keep the raw scores of everybody who links as well: some hundred MB",
-    )
-    add("--out", type=Path, metavar="DIR", help="run folder (default: runs/DATASET-PRESET-SEED)")
-    add("--fresh", action="store_true", help="replace the run in the folder, do not continue it")
-    add("--list", action="store_true", help="list what can be named, and stop")
-    add("--dry-run", action="store_true", help="say what would be computed, and stop")
+    for option, about in {
+        "--keep-scores": "keep the raw scores of everybody who links as well: some hundred MB",
+        "--fresh": "replace the run in the folder, do not continue it",
+        "--list": "list what can be named, and stop",
+        "--dry-run": "say what would be computed, and stop",
+    }.items():
+        add(option, action="store_true", help=about)
     return command
 
 
@@ -145,38 +115,32 @@ def settings_from(options: argparse.Namespace) -> Settings:
         For anything unknown, malformed or contradictory.
     """
     values, stage_values = _read_config(options.config) if options.config else ({}, {})
-    for key in _CONFIG_KEYS:
-        given = getattr(options, key)
-        if given is not None:
-            values[key] = given
+    values |= {key: given for key in _OPTIONS if (given := getattr(options, key)) is not None}
     for text in options.set:
         name, equals, value = text.partition("=")
         if not equals:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
         stage_values[name.strip()] = value.strip()
-    if values.get("fps") is not None and values.get("dataset") is None:
-        raise SettingsError("--fps describes your own file: name it with --dataset PATH")
-    if values.get("format") is not None and values.get("dataset") is None:
-        raise SettingsError("--format describes your own file: name it with --dataset PATH")
+    for key in ("fps", "format"):
+        if key in values and "dataset" not in values:
+            raise SettingsError(f"--{key} describes your own file: name it with --dataset PATH")
+    for key in _AXES:
+        specs = values.pop(key, None)
+        if specs is not None and "none" in specs:
+            if len(specs) > 1:
+                raise SettingsError(
+                    f"--{key} none empties the axis and cannot be mixed with others"
+                )
+            specs = []
+        values[f"{key}s"] = None if specs is None else tuple(specs)
+    if "out" in values:
+        values["out"] = Path(values["out"])
     return Settings(
-        preset=values.get("preset", "paper"),
-        dataset=values.get("dataset"),
-        format=values.get("format"),
-        fps=values.get("fps"),
-        scenes=values.get("scenes"),
-        seed=values.get("seed", 0),
-        mechanisms=_axis(values.get("mechanism"), option="--mechanism"),
-        predictors=_axis(values.get("predictor"), option="--predictor"),
-        attacks=_axis(values.get("attack"), option="--attack"),
-        tasks=_axis(values.get("task"), option="--task"),
+        cell_timeout_s=values.pop("cell_timeout", None),
         stages=StageSettings().changed(stage_values),
-        jobs=values.get("jobs"),
-        cell_timeout_s=values.get("cell_timeout"),
-        executor=values.get("executor", "local"),
-        scheduler=values.get("scheduler"),
-        out=Path(values["out"]) if "out" in values else None,
         keep_scores=options.keep_scores,
         fresh=options.fresh,
+        **values,
     )
 
 
@@ -195,10 +159,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         _say(listing())
         _say(broken(), stream=sys.stderr)
         return DONE
-    return _run(settings_from(options), dry_run=options.dry_run)
-
-
-def _run(settings: Settings, *, dry_run: bool) -> int:
+    settings = settings_from(options)
     # Heavy imports only now: --help, --list and a typing error answer at once.
     from evaluation.experiment.plan import plan  # noqa: PLC0415
     from evaluation.reporting.tables import show  # noqa: PLC0415
@@ -208,58 +169,44 @@ def _run(settings: Settings, *, dry_run: bool) -> int:
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
     ready = plan(settings)
     _say(plan_lines(ready), stream=sys.stderr)
-    if dry_run:
+    if options.dry_run:
         return DONE
-    with _Bar() as bar, warnings.catch_warnings():
+    with _progress_bar() as update, warnings.catch_warnings():
         warnings.simplefilter("ignore", FailedCellsWarning)  # told below
-        results = run(ready=ready, progress=bar.update)
+        results = run(ready=ready, progress=update)
     _say((f"notice: {one}" for one in notices(results.manifest)), stream=sys.stderr)
     show(results)
     _say([f"\nresults in {results.out}; read {results.out / 'report.html'} first"])
     return FAILED_CELLS if len(results.failed) else DONE
 
 
-class _Bar:
-    """A live progress bar on a terminal; silent where nobody watches."""
+@contextlib.contextmanager
+def _progress_bar() -> Iterator[Callable[[int, int, str], None]]:
+    """Show how far a run is on a terminal; nothing where nobody watches."""
+    from rich import progress  # noqa: PLC0415
+    from rich.console import Console  # noqa: PLC0415
 
-    def __init__(self) -> None:
-        from rich.console import Console  # noqa: PLC0415
-        from rich.progress import (  # noqa: PLC0415
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
+    console = Console(stderr=True)
+    with progress.Progress(
+        progress.TextColumn("{task.description}", markup=False),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TextColumn("cells"),
+        progress.TimeElapsedColumn(),
+        progress.TextColumn("left"),
+        progress.TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+    ) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda done, total, what: bar.update(
+            task, completed=done, total=total, description=f"{what:<40.40}"
         )
-
-        console = Console(stderr=True)
-        self._progress = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("cells"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-            transient=True,
-        )
-        self._task = self._progress.add_task("starting", total=None)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def update(self, done: int, total: int, what: str) -> None:
-        self._progress.update(self._task, completed=done, total=total, description=f"{what:<40.40}")
 
 
 def _read_config(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the options of a file, and its stage settings by their dotted names."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -271,9 +218,9 @@ def _read_config(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     for key, value in content.items():
         if isinstance(value, dict):
             stage_values |= {f"{key}.{name}": inner for name, inner in value.items()}
-        elif key not in _CONFIG_KEYS:
+        elif key not in _OPTIONS:
             raise SettingsError(
-                f"--config {path}: unknown key {key!r}; known: {', '.join(_CONFIG_KEYS)} "
+                f"--config {path}: unknown key {key!r}; known: {', '.join(_OPTIONS)} "
                 "and tables of stage settings"
             )
         else:
@@ -282,27 +229,15 @@ def _read_config(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _typed(value: Any, *, key: str, path: Path) -> Any:  # noqa: ANN401 - as TOML has it
-    kind = _CONFIG_KEYS[key]
+    kind: Any = _OPTIONS[key][0]
     if kind is list and isinstance(value, str):
         return [value]
-    if kind is list and isinstance(value, list) and all(isinstance(one, str) for one in value):
-        return value
-    if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+    if kind is float and type(value) is int:
         return float(value)
-    if kind in (int, str) and type(value) is kind:
+    if type(value) is kind and (kind is not list or all(isinstance(one, str) for one in value)):
         return value
     noun = {list: "a list of SPECs", float: "a number", int: "a whole number", str: "text"}[kind]
     raise SettingsError(f"--config {path}: {key} must be {noun}, got {value!r}")
-
-
-def _axis(specs: list[str] | None, *, option: str) -> tuple[str, ...] | None:
-    if specs is None:
-        return None
-    if "none" in specs:
-        if len(specs) > 1:
-            raise SettingsError(f"{option} none empties the axis and cannot be mixed with others")
-        return ()
-    return tuple(specs)
 
 
 def _say(lines: Iterable[str], *, stream: Any = None) -> None:  # noqa: ANN401 - a text stream

@@ -19,12 +19,10 @@ from evaluation.experiment.settings import Settings
 from evaluation.reporting.run_results import Results
 from evaluation.reporting.tables import write_tex
 from evaluation.runs import folder
-from evaluation.runs.checksums import check_sound
+from evaluation.runs.cell_files import read_gallery
 from evaluation.runs.execute import execute
-from evaluation.runs.failures import COLUMNS as FAILED_COLUMNS
-from evaluation.runs.files import write_whole
-from evaluation.runs.gallery import read_gallery
-from evaluation.runs.lock import locked
+from evaluation.runs.files import FRAMES, check_sound, locked, write_whole
+from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.memory import given_back
 from evaluation.verdict import sections as verdict
 from evaluation.verdict.within_level import read_levels
@@ -86,38 +84,24 @@ def load(out: Path | str, *, pictures: bool = True) -> Results:
         If the folder holds no run, or a cell is missing or not as it was written.
     """
     out = Path(out)
-    manifest = folder.read_manifest(out)
+    manifest = read_manifest(out)
     with locked(out):
         check_sound(out, (name for entry in manifest["cells"] for name in entry["files"]))
         return build(out, pictures=pictures)
 
 
 def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
-    """Write summary, tables and figures of a run folder and return them.
+    """Write summary, tables and figures of a run folder, drawn by `jobs` workers, and return them.
 
-    Parameters
-    ----------
-    out : Path
-    pictures : bool
-        Without them there are neither figures nor `report.html`.
-    jobs : int
-        Worker processes that draw.
-
-    Raises
-    ------
-    IsacTrackError
-        If the folder holds no run, or a cell is missing or broken.
+    Otherwise as `load`, which locks the folder and checks its cells first.
     """
-    manifest = folder.read_manifest(out)
+    manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
     found, scored = summary.estimates(out, manifest)
     predictors = manifest["settings"]["predictors"]
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
-    flagged = flags.flags(
-        found,
-        slow=flags.slow_attacks(manifest),
-        once=flags.on_first_releases(out, manifest),
-    )
+    once = flags.on_first_releases(out, manifest)
+    flagged = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
     read = linkability.cards(out, manifest)
     linked = summary.linkage_estimates(read)
     known = families_in(manifest["cells"])
@@ -143,17 +127,8 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
         strongest={task: source.attack for task, source in best.items()},
         gallery=read_gallery(out),
     )
-    for frame, name in (
-        (results.summary, "summary.csv"),
-        (results.paper_table, "paper_table.csv"),
-        (results.claims, "paper_claims.csv"),
-        (results.matched, "matched.csv"),
-        (results.decisions, "decisions.csv"),
-        (results.curves, "curves.csv"),
-        (results.linkability, "linkability.csv"),
-        (results.failed, "failed.csv"),
-    ):
-        write_whole(out / name, frame.to_csv(index=False).encode())
+    for of, name in FRAMES.items():
+        write_whole(out / name, getattr(results, of).to_csv(index=False).encode())
     write_whole(out / "flags.json", flags.to_json(flagged))
     write_whole(out / "verdict.json", verdict.to_bytes(said))
     write_tex(results, folder=out / "tables")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluation.experiment.variants import BASE, chosen, settings_of
-from isac_track.command_line import Parser, check_interrupt, exit_code
+from isac_track.command_line import DONE, FAILED_CELLS, Parser, check_interrupt, exit_code
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(options: argparse.Namespace) -> int:
     manifest = None
     if options.out is not None:
-        from evaluation.runs.folder import read_manifest  # noqa: PLC0415 - --help answers at once
+        from evaluation.runs.manifest import read_manifest  # noqa: PLC0415 - --help answers at once
 
         manifest = read_manifest(options.out)
     elif not options.list:
@@ -96,7 +96,7 @@ def _command(options: argparse.Namespace) -> int:
     width = max(len(one.name) for one in variants)
     for one in variants:
         print(f"{one.name:<{width}}  {one.about}")
-    return 0
+    return DONE
 
 
 def _run(
@@ -111,68 +111,67 @@ def _run(
     outcomes = []
     for place, variant in enumerate(variants, start=1):
         print(f"{place} of {len(variants)}: {variant.name}", file=sys.stderr)
-        outcome = _attempt(variant, options=options, manifest=manifest, attacks=attacks)
+        started, why = time.monotonic(), ""
+        left_out: list[str] = []
+        try:
+            _compute(variant, options, manifest, attacks=attacks, left_out=left_out)
+        except IsacTrackError as error:
+            if variant.name == BASE:  # without it nothing can be said, every other one may fail
+                raise
+            why = str(error)
         check_interrupt()
-        outcomes.append(outcome)
-        for why in outcome["left_out"]:
-            print(f"notice: left out: {why}", file=sys.stderr)
-        done = f"done in {outcome['seconds']:.0f} s"
-        print(f"failed: {outcome['why']}" if outcome["why"] else done, file=sys.stderr)
-        rows, left_out = write(options.out)
+        seconds = round(time.monotonic() - started, 1)
+        outcomes.append(
+            {
+                "name": variant.name,
+                "state": "failed" if why else "finished",
+                "why": why,
+                "seconds": seconds,
+                "left_out": left_out,
+            }
+        )
+        for one in left_out:
+            print(f"notice: left out: {one}", file=sys.stderr)
+        print(f"failed: {why}" if why else f"done in {seconds:.0f} s", file=sys.stderr)
+        rows, not_shown = write(options.out)
     if options.json:
         found = sensitivity_table.to_json(rows, outcomes, out=options.out)
         print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True)
     else:
-        sensitivity_table.show(rows, left_out=left_out)
+        sensitivity_table.show(rows, left_out=not_shown)
     failed = [outcome for outcome in outcomes if outcome["why"]]
     for outcome in failed:
         print(f"failed: {outcome['name']}: {outcome['why']}", file=sys.stderr)
-    return 3 if failed else 0
+    return FAILED_CELLS if failed else DONE
 
 
-def _attempt(
+def _compute(
     variant: Variant,
-    *,
     options: argparse.Namespace,
     manifest: Mapping[str, Any],
+    *,
     attacks: Mapping[str, frozenset[str]],
-) -> dict[str, Any]:
-    """Run a variant, or what of it is missing; return what became of it.
-
-    Without the base nothing can be said, every other one may fail.
-    """
+    left_out: list[str],
+) -> None:
+    """Run a variant, or what of it is missing; say what is left out of it."""
     from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
     from evaluation.results import run  # noqa: PLC0415
-    from evaluation.runs.borrow import borrow  # noqa: PLC0415
+    from evaluation.runs.execute import borrow  # noqa: PLC0415
     from evaluation.verdict.sensitivity import folder_of  # noqa: PLC0415
 
-    left_out: tuple[str, ...] = ()
-    started, why = time.monotonic(), ""
-    try:
-        settings, left_out = settings_of(
-            variant,
-            manifest=manifest,
-            attacks=attacks,
-            out=folder_of(options.out, variant.name),
-            scenes=options.scenes,
-            jobs=options.jobs,
-            trust=options.trust,
-        )
-        ready = plan(settings)
-        sources = (options.out, folder_of(options.out, BASE))
-        borrow(ready, sources=sources, fresh=options.fresh)
-        run(ready=ready, pictures=False)  # `evaluation.report` draws those that matter
-    except IsacTrackError as error:
-        if variant.name == BASE:
-            raise
-        why = str(error)
-    return {
-        "name": variant.name,
-        "state": "failed" if why else "finished",
-        "why": why,
-        "seconds": round(time.monotonic() - started, 1),
-        "left_out": list(left_out),
-    }
+    settings, without = settings_of(
+        variant,
+        manifest=manifest,
+        attacks=attacks,
+        out=folder_of(options.out, variant.name),
+        scenes=options.scenes,
+        jobs=options.jobs,
+        trust=options.trust,
+    )
+    left_out += without
+    ready = plan(settings)
+    borrow(ready, sources=(options.out, folder_of(options.out, BASE)), fresh=options.fresh)
+    run(ready=ready, pictures=False)  # `evaluation.report` draws those that matter
 
 
 if __name__ == "__main__":

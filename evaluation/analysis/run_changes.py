@@ -6,7 +6,7 @@ import json
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-from evaluation.runs.folder import read_manifest
+from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:

@@ -60,9 +60,9 @@ def broken() -> list[str]:
 def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
     from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415
-    from evaluation.runs.checksums import CHECKSUMS  # noqa: PLC0415
+    from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415
     from evaluation.runs.folder import usable  # noqa: PLC0415
-    from evaluation.runs.missing_work import n_finished  # noqa: PLC0415
+    from evaluation.runs.pieces import n_finished  # noqa: PLC0415
 
     # Reading all of them would take seconds here; the run does, and says which are damaged.
     with usable(ready.out):

@@ -19,8 +19,8 @@ from evaluation.reporting.page_svg import Styles, dark_css, inline
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
 from evaluation.reporting.verdict_tables import section_of
-from evaluation.runs.failures import failed_lines
 from evaluation.runs.files import write_whole
+from evaluation.runs.pieces import failed_lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -26,8 +26,8 @@ from evaluation.reporting.summary_tables import (
 )
 from evaluation.reporting.terminal import say, show_table, standard_output
 from evaluation.reporting.verdict_tables import contrast_table, item_tables, short_tables
-from evaluation.runs.failures import failed_lines
 from evaluation.runs.files import write_whole
+from evaluation.runs.pieces import failed_lines
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,17 +11,19 @@ import contextlib
 import json
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, REPLICATES
 from evaluation.cells.link_setup import linkage_weights
+from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import ROWS
 from evaluation.cells.windows import COLUMNS as WINDOW_COLUMNS
-from evaluation.runs.checksums import FOLDER, checked, written_down
+from evaluation.runs.files import FOLDER, GALLERY, checked, write_whole, written_down
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 from isac_track.linkability import ProbeRanks
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    import pandas as pd
-
     from evaluation.cells.tables import Tables
     from evaluation.experiment.axes import Consumer
     from isac_track.types import Floats, Ints
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
 _NAMES: Final = ("source", "group", "search", "side")
+_NONE: Final = np.zeros(0, dtype=np.float32)
 _ALIKE: Final = frozenset(
     ("plr", "mel_s", "benchmark_mse_m2", "benchmark_plr", "chance", "duration_s")
 )
@@ -49,27 +50,22 @@ _PROBE_COLUMNS: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Held:
-    """What one consumer has in a file, as its metadata say."""
+class Held(NamedTuple):
+    """What one consumer has in a file: its key, the code of its plug-ins, and its tables."""
 
     key: str
     code: Mapping[str, str]
-    """Digest by module, of the code of its plug-ins."""
+    """Digest by module."""
     tables: Mapping[str, tuple[int, int]]
     """First row and number of rows."""
 
 
-@dataclass(frozen=True, slots=True)
-class Index:
-    """What a file of cells holds, as its metadata say."""
+class Index(NamedTuple):
+    """What a file of cells holds: key and code of the unit of work, and consumers by label."""
 
     unit: str
-    """Key of the unit of work."""
     code: Mapping[str, str]
-    """Digest by module, of the code of the unit."""
     consumers: Mapping[str, Held]
-    """By their labels."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -85,32 +81,29 @@ class LinkageOutcome:
 
 
 def packed(
-    found: Sequence[tuple[Consumer, str, Tables]],
+    found: Sequence[tuple[Consumer, str, Mapping[str, str], Tables]],
     *,
     unit: str,
     code: Mapping[str, str],
-    code_of: Mapping[str, Mapping[str, str]],
 ) -> bytes:
     """Return the file of some consumers of a unit of work.
 
     Parameters
     ----------
-    found : sequence of (consumer, key, tables)
+    found : sequence of (consumer, key, code of its plug-ins, tables)
     unit : str
         Its key.
     code : mapping
-        Digest by module, of the code of the unit.
-    code_of : mapping
-        Of each consumer, by its key: the same of its plug-ins.
+        Digest by module.
     """
     consumers, stacked, start = {}, [], 0
-    for consumer, key, tables in found:
+    for consumer, key, own, tables in found:
         places = {}
         for name, table in tables.items():
             places[name] = (start, table.num_rows)
             start += table.num_rows
             stacked.append(table)
-        consumers[consumer.label] = {"key": key, "code": dict(code_of[key]), "tables": places}
+        consumers[consumer.label] = {"key": key, "code": dict(own), "tables": places}
     whole = pa.concat_tables(stacked, promote_options="default").combine_chunks()
     index = {"unit": unit, "code": dict(code), "consumers": consumers}
     # The leading bytes of like numbers are alike: apart from the others they compress.
@@ -128,9 +121,7 @@ def packed(
         compression="zstd",
         compression_level=3,
         store_schema=False,
-        use_dictionary=[
-            name for name in whole.column_names if name not in apart and name != _SCORES
-        ],
+        use_dictionary=[name for name in whole.column_names if name not in (*apart, _SCORES)],
         column_encoding=dict.fromkeys([*apart, *elements], "BYTE_STREAM_SPLIT"),
     ) as writer:
         writer.write_table(whole)
@@ -140,13 +131,7 @@ def packed(
 
 
 def index_of(content: bytes | Path) -> Index | None:
-    """Return what a file of cells holds; None if it is none.
-
-    Parameters
-    ----------
-    content : bytes or Path
-        Of the file, or where it is.
-    """
+    """Return what a file of cells holds, given its content or where it is; None if it is none."""
     source = pa.BufferReader(content) if isinstance(content, bytes) else content
     try:
         return _index(pq.read_metadata(source).metadata)
@@ -156,22 +141,14 @@ def index_of(content: bytes | Path) -> Index | None:
 
 def _index(metadata: Mapping[bytes, bytes]) -> Index:
     told = json.loads(metadata[_INDEX])
-    return Index(
-        unit=told["unit"],
-        code=told["code"],
-        consumers={label: Held(**held) for label, held in told["consumers"].items()},
-    )
+    consumers = {label: Held(**held) for label, held in told["consumers"].items()}
+    return Index(unit=told["unit"], code=told["code"], consumers=consumers)
 
 
 def sound_files(out: Path, names: Sequence[str] = ()) -> tuple[dict[str, Index], list[str]]:
     """Return what the files hold that are as they were written, and the names of the others.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the run.
-    names : sequence of str
-        Files to look at besides those whose checksums are written down.
+    Those in `names` are looked at besides those whose checksums are written down.
     """
     sound, damaged = {}, []
     for name, content in checked(out, sorted({*names, *written_down(out)})):
@@ -193,26 +170,14 @@ def places_of(files: Mapping[str, Index]) -> dict[tuple[str, str], str]:
 
 def label_of(entry: Mapping[str, Any]) -> str:
     """Return the label of the consumer of an entry of a manifest."""
-    return (
-        f"{entry['consumer']} ({entry['knowledge']})" if entry["knowledge"] else entry["consumer"]
-    )
+    consumer: str = entry["consumer"]
+    return f"{consumer} ({entry['knowledge']})" if entry["knowledge"] else consumer
 
 
 def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) -> pa.Table:
-    """Return the rows of one consumer at one level: of all its blocks, in their order.
+    """Return the rows of one consumer at one level, an entry of a manifest: block by block.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the run.
-    entry : mapping
-        Of `cells` in its manifest.
-    columns : sequence of str
-
-    Raises
-    ------
-    DataError
-        If a cell is missing or broken, or has no such column; the message names it.
+    Raises DataError if a cell is missing or broken, or has no such column; the message names it.
     """
     tables = []
     for name in entry["files"]:
@@ -234,41 +199,24 @@ def read_outcome(out: Path, entry: Mapping[str, Any]) -> LinkageOutcome:
 
     Replicates are in single precision: those of a run would take half a gigabyte in double.
 
-    Raises
-    ------
-    DataError
-        If the cell is missing or broken; the message names it.
+    Raises DataError if the cell is missing or broken; the message names it.
     """
-    (name,) = entry["files"]
-    path = out / FOLDER / name
+    (file,) = entry["files"]
+    path = out / FOLDER / file
     tables = _tables(path, label_of(entry))
     with _readable(path):
         about = json.loads(tables[ABOUT]["about"][0].as_py())
         drawn = _rank_replicates(tables[ROWS], about, task=entry["consumer"].partition("/")[0])
-        if REPLICATES in tables:
-            drawn |= {
-                metric: column.to_numpy()
-                for metric in tables[REPLICATES].column_names
-                if (column := tables[REPLICATES][metric]).null_count == 0
-            }
-        estimates = {
-            row["metric"]: Estimate(
-                value=row["value"],
-                ci_low=row["ci_low"],
-                ci_high=row["ci_high"],
-                n=row["n"],
-                replicates=drawn.get(row["metric"], _NONE),
-            )
-            for row in tables[ESTIMATES]
-            .select(["metric", "value", "ci_low", "ci_high", "n"])
-            .to_pylist()
-        }
-        return LinkageOutcome(
-            estimates=estimates, numbers=about["numbers"], cohorts=about["cohorts"]
-        )
-
-
-_NONE: Final = np.zeros(0, dtype=np.float32)
+        others = tables.get(REPLICATES, pa.table({}))
+        for metric, column in zip(others.column_names, others.columns, strict=True):
+            if column.null_count == 0:
+                drawn[metric] = column.to_numpy()
+        columns = ["metric", "value", "ci_low", "ci_high", "n"]
+        estimates = {}
+        for row in tables[ESTIMATES].select(columns).to_pylist():
+            name = row.pop("metric")
+            estimates[name] = Estimate(**row, replicates=drawn.get(name, _NONE))
+        return LinkageOutcome(estimates, about["numbers"], about["cohorts"])
 
 
 def _rank_replicates(rows: pa.Table, about: Mapping[str, Any], *, task: str) -> dict[str, Any]:
@@ -302,21 +250,16 @@ def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> 
 
 
 def read_windows(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the windows of a linkage task at one level.
+    """Return the windows of a linkage task at one level; DataError if its cell is broken.
 
     The columns are those of `evaluation.cells.windows`, names as plain strings.
-
-    Raises
-    ------
-    DataError
-        If the cell is missing or broken; the message names it.
     """
     windows: pd.DataFrame = read_rows(out, entry, columns=WINDOW_COLUMNS).to_pandas()
     return windows.astype(dict.fromkeys(_NAMES, "object"))
 
 
 def read_probes(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
-    """Return how each probe of a linkage attack at one level fared.
+    """Return how each probe of a linkage attack at one level fared; DataError if it is broken.
 
     Returns
     -------
@@ -324,11 +267,6 @@ def read_probes(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
         A row for each probe: `search`, `source`, `group`; `above` and `tied`, how many candidates
         score above its mate and how many as high, the mate included (-1 and 0 without a mate);
         `mate_score`, `best_other_score` (NaN where there is none); `chance` of rank 1.
-
-    Raises
-    ------
-    DataError
-        If the cell is missing or broken; the message names it.
     """
     probes: pd.DataFrame = read_rows(out, entry, columns=_PROBE_COLUMNS).to_pandas()
     return probes.astype(dict.fromkeys(("search", "source", "group"), "object"))
@@ -339,12 +277,12 @@ def _tables(path: Path, label: str, *, with_scores: bool = False) -> dict[str, p
     with _readable(path):
         stat = path.stat()
         whole, index = _opened(path, (stat.st_mtime_ns, stat.st_size), with_scores)
-    if label not in index.consumers:
+    held = index.consumers.get(label)
+    if held is None:
         raise DataError(
             f"{path} has no rows of {label}; delete it and run the matrix again to compute it"
         )
-    places = index.consumers[label].tables
-    return {name: whole.slice(start, size) for name, (start, size) in places.items()}
+    return {name: whole.slice(start, size) for name, (start, size) in held.tables.items()}
 
 
 @lru_cache(maxsize=1)  # a file is read once for all of its consumers, who come one after another
@@ -369,3 +307,29 @@ def _readable(path: Path) -> Iterator[None]:
         raise DataError(
             f"{path} cannot be read ({error}); delete it and run the matrix again"
         ) from None
+
+
+def write_gallery(parts: Sequence[pd.DataFrame], *, out: Path) -> None:
+    """Keep sample tracks in a run folder; without parts there are none, nor earlier ones."""
+    if not parts:
+        (out / GALLERY).unlink(missing_ok=True)
+        return
+    content = pd.concat(parts, ignore_index=True).to_parquet(index=False, compression="zstd")
+    write_whole(out / GALLERY, content)
+
+
+def read_gallery(out: Path) -> pd.DataFrame | None:
+    """Return the sample tracks of a run folder; None if it has none.
+
+    Raises DataError if the file is broken.
+    """
+    path = out / GALLERY
+    if not path.exists():
+        return None
+    try:
+        rows = pd.read_parquet(path)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path} cannot be read ({error}); delete it") from None
+    if not set(SAMPLE_COLUMNS) <= set(rows.columns):
+        raise DataError(f"{path} is of another version; delete it")
+    return rows

@@ -12,22 +12,23 @@ import platform
 import threading
 import time
 import uuid
-from collections import deque
 from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from evaluation.cells.progress import Failed, note
 from evaluation.experiment.fingerprint import code_hash, source_digest
-from isac_track.command_line import check_interrupt
+from evaluation.runs.workers import hand_out
 from isac_track.errors import SettingsError, told
 
 if TYPE_CHECKING:
+    from collections import deque
     from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 
     from evaluation.experiment.axes import Consumer
+    from evaluation.runs.workers import Ended
     from isac_track.plugins import Plugin
 
 W = TypeVar("W")
@@ -50,7 +51,6 @@ _AHEAD: Final = 3
 _LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
 """Dask warns of large graphs; ours holds the tracks, once."""
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
-_BEGIN: Final = "start one with `dask scheduler`, and workers with `dask worker ADDRESS`"
 _LOADING: Final = threading.Lock()
 _FIRST_SEEN: Final[dict[str, str]] = {}
 """Digests of the source as this process loaded it: files may change under a running worker."""
@@ -62,18 +62,16 @@ def spread_on_cluster(
     *,
     scheduler: str,
     modules: Iterable[str] = (),
-) -> Generator[tuple[W, Iterable[R | Failed]]]:
-    """Yield each work with what the function makes of it, as it is finished.
+) -> Generator[Ended[W, R]]:
+    """Yield each work with what the function makes of it, as it is finished: `spread` on a cluster.
 
-    Works may be added while this runs. A work whose workers died again and again yields a `Failed`
-    of unknown place.
+    The function is sent to each worker once, the works with every task. A work whose workers died
+    again and again yields a `Failed` of unknown place.
 
     Parameters
     ----------
-    function : callable
-        Sent to each worker once; the works with every task.
-    works : deque
-        Emptied.
+    function, works
+        As of `spread`.
     scheduler : str
         Its address, such as ``tcp://host:8786``.
     modules : iterable of str
@@ -84,55 +82,16 @@ def spread_on_cluster(
     SettingsError
         If the scheduler cannot be reached or is gone, no worker is there, or a worker would not
         compute the same.
-    Exception
-        What the function raises.
     """
     expected = _about(tuple(modules), seen={})
     with _connected(scheduler) as client:
-        cluster = _Cluster(client, scheduler)
-        cluster.check_workers(expected)
-        run = f"isac-track-{uuid.uuid4().hex}"
-        context = _submitted(client, _loaded, _packed(function), key=f"{run}-context")
-        under_way: dict[Task, W] = {}
-        suspects: deque[W] = deque()
-        """They killed workers, or were where one that did was: one at a time, at the end."""
-        count = 0
+        cluster = _Cluster(function, client, scheduler, expected)
         try:
-            while works or suspects or under_way:
-                check_interrupt()
-                cluster.check()
-                most = _AHEAD * cluster.threads
-                while (works and len(under_way) < most) or (suspects and not under_way):
-                    work = works.popleft() if works else suspects.popleft()
-                    count += 1
-                    task = _submitted(
-                        client,
-                        _computed,
-                        context,
-                        _packed(work),
-                        expected,
-                        key=f"{run}-{count}",
-                    )
-                    under_way[task] = work
-                ended = [task for task in under_way if task.status not in ("pending", "lost")]
-                if not ended:
-                    time.sleep(_LOOK_S)
-                for task in ended:
-                    items = cluster.items(task)
-                    if items is None:
-                        time.sleep(_LOOK_S)
-                        continue
-                    work = under_way.pop(task)
-                    task.release()
-                    known = len(works)
-                    yield work, items
-                    if any(isinstance(one, Failed) and one.died for one in items):
-                        again = [works.pop() for _ in range(len(works) - known)]
-                        suspects.extend(reversed(again))
+            yield from hand_out(works, cluster)
         finally:
-            if under_way and client.status == "running":
+            if cluster.under_way and client.status == "running":
                 with contextlib.suppress(Exception):
-                    client.cancel([*under_way])
+                    client.cancel([*cluster.under_way])
 
 
 def own_modules(cells: Iterable[tuple[Plugin, Consumer]]) -> tuple[str, ...]:
@@ -146,28 +105,38 @@ def own_modules(cells: Iterable[tuple[Plugin, Consumer]]) -> tuple[str, ...]:
     return tuple(sorted(name for name in plugins if name.partition(".")[0] not in ours))
 
 
-class _Cluster:
-    """A connection to a scheduler, and how many threads its workers have."""
+class _Cluster(Generic[W, R]):
+    """The workers of a scheduler."""
 
-    def __init__(self, client: Client, scheduler: str) -> None:
-        self._client = client
-        self._scheduler = scheduler
+    knows_culprits = False
+
+    def __init__(
+        self,
+        function: Callable[[W], Iterable[R]],
+        client: Client,
+        scheduler: str,
+        expected: Mapping[str, str],
+    ) -> None:
+        self._client, self._scheduler, self._expected = client, scheduler, expected
+        self._run = f"isac-track-{uuid.uuid4().hex}"
+        self._count, self._threads = 0, 1
+        self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
-        self.threads = 1
+        self._check_workers()
+        self._function = self._submitted("context", _loaded, _packed(function))
 
-    def check_workers(self, expected: Mapping[str, str]) -> None:
+    def _check_workers(self) -> None:
         """Raise SettingsError unless workers are there that compute the same."""
         until = time.monotonic() + _FIRST_WORKER_S
-        while not self._count():
+        while not self._ask_threads():
             if time.monotonic() > until:
                 raise SettingsError(
                     f"the scheduler at {self._scheduler} has no workers; start some with "
                     f"`dask worker {self._scheduler}`"
                 )
             time.sleep(_LOOK_S)
-        modules = tuple(key.removeprefix("module ") for key in expected if " " in key)
         try:
-            answers = self._client.run(_about, modules, on_error="return")
+            answers = self._client.run(_about, _modules(self._expected), on_error="return")
         except (OSError, TimeoutError):
             raise self._gone() from None
         for worker, answer in answers.items():
@@ -178,31 +147,54 @@ class _Cluster:
                     f"worker {worker} lacks this isac-track ({type(answer).__name__}: {answer}); "
                     "install it there"
                 )
-            _check_alike(answer, expected, worker=worker)
+            _check_alike(answer, self._expected, worker=worker)
 
-    def check(self) -> None:
-        """Raise SettingsError if the scheduler is gone, or no worker has been left for long."""
+    def n_busy(self) -> int:
+        return len(self.under_way)
+
+    def has_room(self) -> bool:
+        return self.n_busy() < _AHEAD * self._threads
+
+    def start(self, work: W) -> None:
+        self._count += 1
+        arguments = (self._function, _packed(work), self._expected)
+        self.under_way[self._submitted(str(self._count), _computed, *arguments)] = work
+
+    def _submitted(self, key: str, function: Callable[..., Any], *arguments: object) -> Task:
+        return self._client.submit(function, *arguments, key=f"{self._run}-{key}", pure=False)
+
+    def ended(self) -> Iterator[Ended[W, R]]:
+        """Yield what has ended; SettingsError if scheduler or workers are gone for long."""
         if self._client.status != "running":
             raise self._gone()
-        now = time.monotonic()
-        if now < self._asked_s + _ASK_S:
-            return
-        if self._count():
-            self._worked_s = time.monotonic()
-        elif now > self._worked_s + _NO_WORKER_S:
-            raise SettingsError(
-                f"the scheduler at {self._scheduler} has had no worker for {_NO_WORKER_S:g} s; "
-                f"finished cells are kept; start some (`dask worker {self._scheduler}`) and run "
-                "the same command again"
-            )
+        if time.monotonic() >= self._asked_s + _ASK_S:
+            if self._ask_threads():
+                self._worked_s = time.monotonic()
+            elif self._asked_s > self._worked_s + _NO_WORKER_S:
+                raise SettingsError(
+                    f"the scheduler at {self._scheduler} has had no worker for {_NO_WORKER_S:g} s; "
+                    f"finished cells are kept; start some (`dask worker {self._scheduler}`) and "
+                    "run the same command again"
+                )
+        ended = [task for task in self.under_way if task.status not in ("pending", "lost")]
+        if not ended:
+            time.sleep(_LOOK_S)
+        for task in ended:
+            items = self._items(task)
+            if items is None:
+                time.sleep(_LOOK_S)
+                continue
+            work = self.under_way.pop(task)
+            task.release()
+            yield work, items
 
-    def items(self, task: Task) -> list[Any] | None:
+    def _items(self, task: Task) -> list[R | Failed] | None:
         """Return what came of a task; None if it is not there (any more)."""
         from distributed import CancelledError  # noqa: PLC0415 - an extra
         from distributed.scheduler import KilledWorker  # noqa: PLC0415
 
         try:
-            found: list[Any] = task.result(timeout=_FETCH_S)
+            found: list[R | Failed] = task.result(timeout=_FETCH_S)
         except KilledWorker:
             why = "its worker died (killed, crashed or out of memory), and others before it"
             return [Failed((), why, died=True)]
@@ -221,7 +213,7 @@ class _Cluster:
             raise
         return found
 
-    def _count(self) -> int:
+    def _ask_threads(self) -> int:
         """Ask for the threads of all workers; 0 without workers."""
         try:
             threads = self._client.sync(self._client.scheduler.ncores, callback_timeout=_ANSWER_S)
@@ -229,7 +221,7 @@ class _Cluster:
             raise self._gone() from None
         self._asked_s = time.monotonic()
         n_threads: int = sum(threads.values())
-        self.threads = n_threads or self.threads
+        self._threads = n_threads or self._threads
         return n_threads
 
     def _gone(self) -> SettingsError:
@@ -241,13 +233,21 @@ class _Cluster:
 
 @contextlib.contextmanager
 def _connected(scheduler: str) -> Iterator[Client]:
-    """Connect, and leave the cluster as it was."""
+    """Connect, and leave the cluster as it was; Dask's loggers are quiet meanwhile."""
     try:
         import dask  # noqa: PLC0415 - an extra
         import distributed  # noqa: PLC0415
     except ImportError:
         raise SettingsError("--executor dask: pip install 'isac-track[dask]'") from None
-    with _silenced(), dask.config.set(_LARGE):
+    noisy = ("distributed", "tornado", "asyncio")
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy]
+    loggers = [logging.getLogger(name) for name in {*names, "distributed", "asyncio"}]
+    levels = [logger.level for logger in loggers]
+    with contextlib.ExitStack() as ends:
+        for logger, level in zip(loggers, levels, strict=True):
+            ends.callback(logger.setLevel, level)
+            logger.setLevel(logging.CRITICAL)  # what matters is told in one line
+        ends.enter_context(dask.config.set(_LARGE))
         try:
             client: Client = distributed.Client(  # type: ignore[no-untyped-call,unused-ignore]
                 scheduler, timeout=_CONNECT_S, set_as_default=False
@@ -255,7 +255,8 @@ def _connected(scheduler: str) -> Iterator[Client]:
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise SettingsError(
-                f"no Dask scheduler answers at {scheduler!r} ({why}); {_BEGIN}"
+                f"no Dask scheduler answers at {scheduler!r} ({why}); start one with "
+                "`dask scheduler`, and workers with `dask worker ADDRESS`"
             ) from None
         try:
             yield client
@@ -264,35 +265,16 @@ def _connected(scheduler: str) -> Iterator[Client]:
                 client.close(timeout=_CONNECT_S)
 
 
-@contextlib.contextmanager
-def _silenced() -> Iterator[None]:
-    """Keep Dask's loggers quiet: what matters is told in one line."""
-    names = [name for name in logging.root.manager.loggerDict if _is_noisy(name)]
-    loggers = [logging.getLogger(name) for name in {*names, "distributed", "asyncio"}]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)
-
-
-def _is_noisy(name: str) -> bool:
-    return name.partition(".")[0] in ("distributed", "tornado", "asyncio")
-
-
-def _submitted(client: Client, function: Callable[..., Any], *arguments: object, key: str) -> Task:
-    return client.submit(function, *arguments, key=key, pure=False)
-
-
 def _packed(content: object) -> bytes:
     """Return it for the workers alone: the scheduler has no use for a user's plug-in."""
     import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
 
     packed: bytes = cloudpickle.dumps(content)
     return packed
+
+
+def _modules(about: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(key.removeprefix("module ") for key in about if " " in key)
 
 
 # From here on: in a worker, several threads at a time.
@@ -311,11 +293,9 @@ def _computed(
     """Return what a worker makes of a work; it may have joined after the others were checked."""
     from distributed import get_worker  # noqa: PLC0415 - an extra
 
-    modules = tuple(key.removeprefix("module ") for key in expected if " " in key)
-    _check_alike(_about(modules), expected, worker=get_worker().address)
+    _check_alike(_about(_modules(expected)), expected, worker=get_worker().address)
     work: W = _loaded(packed)
-    # Not lifted afterwards: it counts for the whole process, where others may be computing.
-    threadpool_limits(limits=1)
+    threadpool_limits(limits=1)  # not lifted: of the whole process, where others may be computing
     note()
     return list(function(work))
 
@@ -323,17 +303,8 @@ def _computed(
 def _about(modules: tuple[str, ...], *, seen: dict[str, str] | None = None) -> dict[str, str]:
     """Return all that the bits of a result depend on in a process.
 
-    Parameters
-    ----------
-    modules : tuple of str
-        Of the user's plug-ins.
-    seen : dict, optional
-        Digests of the source, filled at first sight; by default those of this process.
-
-    Raises
-    ------
-    SettingsError
-        If a module cannot be imported here.
+    `seen` has digests of the source, filled at first sight; by default those of this process.
+    Raises SettingsError if one of the user's modules cannot be imported here.
     """
     seen = _FIRST_SEEN if seen is None else seen
     with _LOADING:
@@ -341,7 +312,14 @@ def _about(modules: tuple[str, ...], *, seen: dict[str, str] | None = None) -> d
             seen["code"] = code_hash()
         for name in modules:
             if f"module {name}" not in seen:
-                seen[f"module {name}"] = _source(name)
+                try:
+                    import_module(name)
+                    seen[f"module {name}"] = source_digest(name)[:16]
+                except (Exception, SystemExit) as error:  # noqa: BLE001 - it may do anything at all
+                    raise SettingsError(
+                        f"cannot import {name!r} ({told(error)}), which a plug-in of the "
+                        "run needs; it must be importable on every worker, as by PYTHONPATH"
+                    ) from None
     return {
         "code": seen["code"],
         "python": platform.python_version(),
@@ -349,17 +327,6 @@ def _about(modules: tuple[str, ...], *, seen: dict[str, str] | None = None) -> d
         **{name: version(name) for name in _LIBRARIES},
         **{f"module {name}": seen[f"module {name}"] for name in modules},
     }
-
-
-def _source(name: str) -> str:
-    try:
-        import_module(name)
-        return source_digest(name)[:16]
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - an import may do anything at all
-        raise SettingsError(
-            f"cannot import {name!r} ({told(error)}), which a plug-in of the "
-            "run needs; it must be importable on every worker, as by PYTHONPATH"
-        ) from None
 
 
 def _check_alike(answer: Mapping[str, str], expected: Mapping[str, str], *, worker: str) -> None:

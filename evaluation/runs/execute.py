@@ -14,19 +14,12 @@ from evaluation.cells.progress import Failed, note, noted
 from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.work import LinkWork, attempt
 from evaluation.experiment.fingerprint import sources
-from evaluation.runs import folder as store
-from evaluation.runs.cell_files import packed, places_of, read_rows
-from evaluation.runs.checksums import write_checked
-from evaluation.runs.failures import FailedCell, Failures
-from evaluation.runs.gallery import write_gallery
-from evaluation.runs.manifest import (
-    describe,
-    described_failure,
-    failed_earlier,
-    merged_cells,
-    whole_cells,
-)
-from evaluation.runs.missing_work import cut_for_cluster, files_of, missing_of, pieces_of
+from evaluation.runs.cell_files import packed, places_of, read_rows, sound_files, write_gallery
+from evaluation.runs.describe import describe, entries_of, merged_cells
+from evaluation.runs.files import FOLDER, locked, write_checked
+from evaluation.runs.folder import check_folder, open_run
+from evaluation.runs.manifest import others, with_ceiling, write_manifest
+from evaluation.runs.pieces import Failures, cut_for_cluster, missing_of, pieces_of
 from evaluation.runs.workers import spread
 from isac_track import kalman
 from isac_track.command_line import check_interrupt
@@ -42,8 +35,7 @@ if TYPE_CHECKING:
     from evaluation.cells.work import Item
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan
-    from evaluation.runs.failures import Work
-    from evaluation.runs.missing_work import Missing
+    from evaluation.runs.pieces import FailedCell, Missing, Work
     from isac_track.plugins import Plugin
 
 
@@ -65,39 +57,71 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     IsacTrackError
         For anything that a user can mend; finished cells are kept.
     """
-    started = time.monotonic()
-    manifest, held, damaged = store.open_run(
-        ready.out, identity=ready.identity, fresh=ready.settings.fresh
-    )
+    started, out = time.monotonic(), ready.out
+    manifest, held, damaged = open_run(out, identity=ready.identity, fresh=ready.settings.fresh)
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = places_of(held)
     missing = missing_of(ready, places)
     manifest |= describe(ready)
     manifest["damaged_cells"] = damaged
-    manifest["failed"] = failed_earlier(manifest, ready)
-    manifest["cells"] = merged_cells(
-        manifest["cells"], ready, files=files_of(ready, places, missing), held=held
-    )
-    store.write_manifest(ready.out, manifest | {"state": "running"})
+    # What failed when other axes were run, whose finished levels stay in the tables.
+    failures = manifest.get("failed", []) if manifest["cells"] else []
+    ours = entries_of(ready, places, missing)
+    manifest["failed"] = others(failures, than=ours)
+    manifest["cells"] = merged_cells(manifest["cells"], ours, held=held)
+    write_manifest(out, manifest | {"state": "running"})
     failed = _compute(missing, ready, tell)
     if failed:
-        manifest["failed"] += [described_failure(one) for one in failed]
-        manifest["cells"] = whole_cells(manifest["cells"], failed)
+        described = [one.described() for one in failed]
+        manifest["failed"] += described
+        # No entry that misses a cell: nothing is averaged over less.
+        manifest["cells"] = with_ceiling(others(manifest["cells"], than=described))
         if not manifest["cells"]:
-            store.write_manifest(ready.out, manifest | {"state": "failed"})
+            write_manifest(out, manifest | {"state": "failed"})
             raise PluginError(failed[0].why)
-        warnings.warn(_summed_up(failed), FailedCellsWarning, stacklevel=4)
+        reasons = list(dict.fromkeys(one.why for one in failed))
+        more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
+        text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
+        warnings.warn(text, FailedCellsWarning, stacklevel=4)
     tell(ready.n_cells, ready.n_cells, "intervals, verdict, figures and report")
     manifest["gallery_without"] = _write_gallery(ready, failed)
-    manifest["exhausted_redraws"] = _exhausted_redraws(ready.out, manifest["cells"])
+    # How many agents kept a place without clearance; None if no cell tells.
+    manifest["exhausted_redraws"] = next(
+        (
+            int(read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum())
+            for entry in manifest["cells"]
+            if entry["kind"] == "predictor"
+        ),
+        None,
+    )
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
-    store.write_manifest(ready.out, manifest | {"state": "finished"})
+    write_manifest(out, manifest | {"state": "finished"})
 
 
-def _summed_up(failed: list[FailedCell]) -> str:
-    reasons = list(dict.fromkeys(one.why for one in failed))
-    more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
-    return f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
+def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
+    """Open the folder of a run and copy the cells into it that other runs have.
+
+    Each is taken from the first of the source folders that has it: what is keyed alike is the same.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be written or another process runs in it.
+    SettingsError
+        If it holds another run, which `fresh` replaces.
+    """
+    check_folder(ready.out)
+    with locked(ready.out):
+        manifest, files, _ = open_run(ready.out, identity=ready.identity, fresh=fresh)
+        write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
+        missing = missing_of(ready, places_of(files))
+        wanted = {(one.unit.key, key) for one in missing for key in one.consumers}
+        for source in sources:
+            for name, index in sound_files(source)[0].items():
+                held = {(index.unit, one.key) for one in index.consumers.values()}
+                if wanted & held:
+                    write_checked(ready.out, name, (source / FOLDER / name).read_bytes())
+                    wanted -= held
 
 
 def _write_gallery(ready: Plan, failed: list[FailedCell]) -> list[str]:
@@ -142,7 +166,7 @@ class _Files:
         self._of = {
             (one.unit.block, one.unit.mechanism.spec, consumer.label): one
             for one in missing
-            for consumer in one.consumers
+            for consumer in one.consumers.values()
         }
         self._found: dict[str, dict[str, Tables | None]] = {one.file: {} for one in missing}
 
@@ -151,23 +175,18 @@ class _Files:
         missing = self._of[block, mechanism.spec, consumer.label]
         found = self._found[missing.file]
         found[consumer.label] = tables
-        if len(found) < len(missing.keys):
+        if len(found) < len(missing.consumers):
             return
         del self._found[missing.file]
+        code = self._ready.code_of
         whole = [
-            (consumer, key, tables)
-            for key, consumer in zip(missing.keys, missing.consumers, strict=True)
-            if (tables := found[consumer.label]) is not None
+            (one, key, {name: code[name] for name in sources("", *one.plugins)}, tables)
+            for key, one in missing.consumers.items()
+            if (tables := found[one.label]) is not None
         ]
-        if not whole:
-            return
-        code_of = {
-            key: {name: self._ready.code_of[name] for name in sources("", *consumer.plugins)}
-            for consumer, key, _ in whole
-        }
-        unit = missing.unit
-        content = packed(whole, unit=unit.key, code=unit.code, code_of=code_of)
-        write_checked(self._ready.out, missing.file, content)
+        if whole:
+            content = packed(whole, unit=missing.unit.key, code=missing.unit.code)
+            write_checked(self._ready.out, missing.file, content)
 
 
 def _compute(
@@ -175,13 +194,14 @@ def _compute(
 ) -> list[FailedCell]:
     """Compute what is missing, and return what could not be."""
     works = deque(pieces_of(missing, ready))
-    total = sum(len(one.keys) for one in missing)
+    total = sum(len(one.consumers) for one in missing)
     files = _Files(missing, ready)
-    done = 0
     failures = Failures()
     if not works:
-        return failures.cells
+        return []
+    done = 0
     tell(done, total, "starting")
+    # Loops are loaded before workers start: each would compile for itself.
     if any(_uses_kernels(consumer) for _, consumer in ready.pairs):
         kalman.prepare()  # before workers start: each would compile for itself
         import_module("attacks.reconstruction._parabola_loop")
@@ -214,29 +234,14 @@ def _uses_kernels(consumer: Consumer) -> bool:
     return links or origin.startswith(("predictors.kalman", "attacks."))
 
 
-def _exhausted_redraws(out: Path, entries: list[dict[str, Any]]) -> int | None:
-    """Return how many agents kept a place without clearance; None if no cell tells."""
-    for entry in entries:
-        if entry["kind"] == "predictor":
-            table = read_rows(out, entry, columns=["exhausted"])
-            return int(table["exhausted"].to_numpy().sum())
-    return None
-
-
 def _computed(works: deque[Work], ready: Plan) -> Generator[tuple[Work, Iterable[Item | Failed]]]:
     """Yield every work with its cells, from this process or from workers; works may be added."""
-    compute = partial(
-        attempt, tracks=ready.tracks, stages=ready.settings.stages, seed=ready.settings.seed
-    )
     settings = ready.settings
+    compute = partial(attempt, tracks=ready.tracks, stages=settings.stages, seed=settings.seed)
     if settings.scheduler is None:
         return spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
     from evaluation.runs.dask import own_modules, spread_on_cluster  # noqa: PLC0415 - only there
 
     cut_for_cluster(works)
-    return spread_on_cluster(
-        compute,
-        works,
-        scheduler=settings.scheduler,
-        modules=own_modules(ready.pairs),
-    )
+    modules = own_modules(ready.pairs)
+    return spread_on_cluster(compute, works, scheduler=settings.scheduler, modules=modules)

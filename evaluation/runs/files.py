@@ -1,24 +1,56 @@
-"""Files that are there whole or not at all."""
+"""The files of a run folder: their names; written whole or not at all, checked, and locked.
+
+A file of cells counts as finished when its checksum is written down in `SHA256SUMS`, which is in
+the format of `sha256sum`. What was cut short, garbled or put there by somebody else does not match,
+and is computed again.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from isac_track.errors import DataError
+from isac_track.errors import DataError, SettingsError
+
+try:
+    import fcntl
+except ImportError:  # pragma: no cover - Windows has no flock
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
+
+FOLDER: Final = "cells"
+MANIFEST: Final = "manifest.json"
+CHECKSUMS: Final = "SHA256SUMS"
+GALLERY: Final = "gallery.parquet"
+PAGE: Final = "report.html"
+LOCK: Final = ".lock"
+FRAMES: Final = {
+    "summary": "summary.csv",
+    "paper_table": "paper_table.csv",
+    "claims": "paper_claims.csv",
+    "matched": "matched.csv",
+    "decisions": "decisions.csv",
+    "curves": "curves.csv",
+    "linkability": "linkability.csv",
+    "failed": "failed.csv",
+}
+"""By the names of `Results`."""
+WRITTEN: Final = (
+    *(*FRAMES.values(), "flags.json", "verdict.json", PAGE, GALLERY, CHECKSUMS),
+    *(f"tables/{name}.tex" for name in ("sweep", "attacks", "paper", "linkability", "verdict")),
+)
+"""All that a run leaves beside its manifest, its cells, and its figures."""
 
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file to a temporary name beside it and rename it.
 
-    Raises
-    ------
-    DataError
-        If the disk is full or the folder cannot be written.
+    Raises DataError if the disk is full or the folder cannot be written.
     """
     temporary = path.with_name(f".{path.name}.tmp")
     try:
@@ -28,3 +60,148 @@ def write_whole(path: Path, content: bytes) -> None:
         with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
             temporary.unlink(missing_ok=True)
         raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
+
+
+def write_checked(out: Path, name: str, content: bytes) -> None:
+    """Write a file of cells, and its checksum.
+
+    Raises DataError if the disk is full or the folder cannot be written.
+    """
+    # First the line: a kill in between leaves one without a cell, not a cell that looks damaged.
+    path = out / CHECKSUMS
+    try:
+        with path.open("ab+") as file:
+            file.seek(max(file.tell() - 1, 0))
+            # A line that was cut short, by a full disk say, must not spoil the next.
+            start = "" if file.read(1) in (b"", b"\n") else "\n"
+            file.write(f"{start}{hashlib.sha256(content).hexdigest()}  {FOLDER}/{name}\n".encode())
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
+    write_whole(out / FOLDER / name, content)
+
+
+def written_down(out: Path) -> set[str]:
+    """Return the files of cells that are there and whose checksums are written down.
+
+    Whether these are theirs takes longer: see `checked`. Raises DataError if the checksums cannot
+    be read, and OSError if the folder of the cells cannot.
+    """
+    return _present(out) & dict(_lines(out)).keys()
+
+
+def checked(out: Path, names: Iterable[str]) -> Iterator[tuple[str, bytes | None]]:
+    """Yield those of some files that are there, with their content.
+
+    It is None if it is not as it was written.
+    """
+    known = dict(_lines(out))
+    for name in dict.fromkeys(names):
+        content = None
+        try:
+            content = (out / FOLDER / name).read_bytes()
+        except FileNotFoundError:
+            continue
+        except OSError:
+            pass
+        is_sound = content and hashlib.sha256(content).hexdigest() == known.get(name)
+        yield name, content if is_sound else None
+
+
+def check_sound(out: Path, names: Iterable[str]) -> None:
+    """Raise DataError if a cell is not as it was written, or there is none at all."""
+    wanted = list(names)
+    if not wanted:
+        raise DataError(f"{out} holds no finished cell; run the matrix again")
+    damaged = [name for name, content in checked(out, wanted) if content is None]
+    if damaged:
+        more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
+        raise DataError(
+            f"{out / FOLDER / damaged[0]}{more}: not as the run wrote it (its checksum differs); "
+            "run the matrix again to compute it anew"
+        )
+
+
+def forget_missing(out: Path) -> None:
+    """Write the checksums anew, if one is of a cell that is not there or was written twice.
+
+    `sha256sum --check` would take it for damage. Lines of cells that are there stay.
+    """
+    lines, there = _lines(out), _present(out)
+    needed = {name: checksum for name, checksum in lines if name in there}
+    if set(lines) != set(needed.items()):
+        text = "".join(f"{checksum}  {FOLDER}/{name}\n" for name, checksum in needed.items())
+        write_whole(out / CHECKSUMS, text.encode())
+
+
+def _present(out: Path) -> set[str]:
+    try:
+        return {path.name for path in (out / FOLDER).iterdir()}
+    except (FileNotFoundError, NotADirectoryError):
+        return set()
+
+
+def _lines(out: Path) -> list[tuple[str, str]]:
+    """Return file and checksum of every whole line; of one that is there twice the last counts."""
+    path = out / CHECKSUMS
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise DataError(
+            f"{path} cannot be read: {error.strerror}; make it readable or delete it"
+        ) from None
+    pairs = (line.split(f"  {FOLDER}/", 1) for line in text.splitlines())
+    return [(pair[1], pair[0]) for pair in pairs if len(pair) > 1]
+
+
+@contextlib.contextmanager
+def locked(out: Path) -> Iterator[None]:
+    """Hold the lock of a run folder, which is made if it is missing: one run at a time writes.
+
+    The lock is the system's (flock): it ends with its process, however that ends.
+
+    Raises SettingsError if another process holds it, or the folder cannot be written.
+    """
+    if fcntl is None:  # pragma: no cover - as above
+        raise SettingsError("runs need a system with flock (Linux, macOS, WSL)")
+    path = out / LOCK
+    while (file := _locked(path)) is None:
+        pass  # its last owner has just deleted it: that lock is nobody else's obstacle
+    try:
+        with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
+            os.ftruncate(file, 0)
+            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+        os.close(file)
+
+
+def _locked(path: Path) -> int | None:
+    """Return the open file, locked; None if it is no longer the one of that name."""
+    way_out, what = "choose another --out", f"write to {path.parent}"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        way_out, what = f"make the folder writable or {way_out}", f"write {path}"
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise SettingsError(f"cannot {what}: {error.strerror}; {way_out}") from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with contextlib.suppress(FileNotFoundError):
+            if os.fstat(file).st_ino == path.stat().st_ino:
+                return file
+    except BlockingIOError:
+        owner = os.pread(file, 32, 0).decode(errors="replace").strip()
+        who = f" (process {owner})" if owner else ""
+        wrong = f"another run is writing to {path.parent}{who}; wait for it or choose another --out"
+    except OSError as error:  # some network file systems
+        wrong = f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
+    else:
+        wrong = ""
+    os.close(file)
+    if wrong:
+        raise SettingsError(wrong)
+    return None

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import gc
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
@@ -27,21 +27,17 @@ def given_back() -> Iterator[None]:
     from malloc meanwhile. With another C library, malloc is left as it is.
     """
     pool = pa.default_memory_pool()
-    _call_malloc("mallopt", _M_ARENA_MAX, 1)
+    libc: Any = None
+    with suppress(OSError, TypeError):  # Windows: there is no name for "this process"
+        libc = ctypes.CDLL(None)
+    is_glibc = hasattr(libc, "malloc_trim")
+    if is_glibc:
+        libc.mallopt(_M_ARENA_MAX, 1)
     pa.set_memory_pool(pa.system_memory_pool())
     try:
         yield
     finally:
         pa.set_memory_pool(pool)
         gc.collect()
-        _call_malloc("malloc_trim", ctypes.c_size_t(0))
-
-
-def _call_malloc(name: str, *arguments: int | ctypes.c_size_t) -> None:
-    """Call a function of glibc's malloc, if there is one."""
-    try:
-        library = ctypes.CDLL(None)
-    except (OSError, TypeError):  # Windows: there is no name for "this process"
-        return
-    if hasattr(library, "malloc_trim"):
-        getattr(library, name)(*arguments)
+        if is_glibc:
+            libc.malloc_trim(ctypes.c_size_t(0))

@@ -1,9 +1,10 @@
-"""Worker processes: each in a lane of its own, so that one that dies takes nobody along.
+"""Works handed out and taken back, and worker processes of this machine that do them.
 
-A pool of several that share a queue breaks as a whole when one of them is killed, and nobody can
-tell what it was at. Here each lane is a loky executor of one process. The process notes where it
-is before each cell, in a file that outlives it: that names the culprit, and tells how long a cell
-has been running. The file has no name in any folder, so that nobody has to remove it.
+Each worker is in a lane of its own, so that one that dies takes nobody along: a pool of several
+that share a queue breaks as a whole when one of them is killed, and nobody can tell what it was at.
+Here each lane is a loky executor of one process. The process notes where it is before each cell, in
+a file that outlives it: that names the culprit, and tells how long a cell has been running. The
+file has no name in any folder, so that nobody has to remove it.
 """
 
 from __future__ import annotations
@@ -18,24 +19,26 @@ import sys
 import tempfile
 import threading
 import time
+from collections import deque
 from multiprocessing import resource_tracker
 from multiprocessing.reduction import DupFd
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeAlias, TypeVar
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from evaluation.cells.progress import NOTE_BYTES, Failed, note, note_to
+from isac_track.command_line import check_interrupt
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections import deque
     from collections.abc import Callable, Generator, Iterable, Iterator
-    from typing import Self
 
     from joblib.externals.loky import Future
 
 W = TypeVar("W")
 R = TypeVar("R")
+Ended: TypeAlias = "tuple[W, list[R | Failed]]"
+"""A work, and what came of it."""
 
 _ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -45,6 +48,40 @@ _LOOK_S: Final = 0.25
 """How often running cells are held against their limit."""
 _SET_PARENT_DEATH_SIGNAL: Final = 1
 """Of Linux's prctl."""
+
+
+class _Crew(Protocol[W, R]):
+    """Those who compute: lanes of this machine, or a cluster."""
+
+    knows_culprits: bool
+    """Whether a worker's death blames nobody but the cell at which it came."""
+
+    def n_busy(self) -> int: ...
+    def has_room(self) -> bool: ...
+    def start(self, work: W) -> None: ...
+    def ended(self) -> Iterator[Ended[W, R]]: ...  # of the works under way, after a moment
+
+
+def hand_out(works: deque[W], crew: _Crew[W, R]) -> Generator[Ended[W, R]]:
+    """Yield each work with what came of it, as it is finished; works may be added meanwhile.
+
+    Where a death may be a neighbour's fault, what is added after one waits until nothing else is
+    left, and is tried one at a time.
+    """
+    suspects: deque[W] = deque()
+    while works or suspects or crew.n_busy():
+        check_interrupt()
+        while works and crew.has_room():
+            crew.start(works.popleft())
+        if suspects and not crew.n_busy():
+            crew.start(suspects.popleft())
+        for work, items in crew.ended():
+            known = len(works)
+            yield work, items
+            died = any(isinstance(one, Failed) and one.died for one in items)
+            if died and not crew.knows_culprits:
+                again = [works.pop() for _ in range(len(works) - known)]
+                suspects.extend(reversed(again))
 
 
 def spread(
@@ -84,19 +121,34 @@ def spread(
     with contextlib.ExitStack() as ends:
         lanes = []
         for _ in range(min(jobs, len(works))):
-            lanes.append(_Lane[W, R](ends.enter_context(_Board())))
-            ends.callback(lanes[-1].stop)
-        while works or any(lane.is_busy for lane in lanes):
-            for lane in lanes:
-                if works and not lane.is_busy:
-                    lane.start(function, works.popleft())
-            _wait([lane for lane in lanes if lane.is_busy])
-            for lane in lanes:
-                if lane.is_busy and limit_s is not None:
-                    lane.end_if_longer_than(limit_s)
-                finished = lane.finished()
-                if finished is not None:
-                    yield finished
+            lanes.append(_Lane[W, R](function, limit_s))
+            ends.callback(lanes[-1].close)
+        yield from hand_out(works, _Lanes(lanes))
+
+
+class _Lanes(Generic[W, R]):
+    knows_culprits = True
+
+    def __init__(self, lanes: list[_Lane[W, R]]) -> None:
+        self._lanes = lanes
+
+    def n_busy(self) -> int:
+        return sum(lane.future is not None for lane in self._lanes)
+
+    def has_room(self) -> bool:
+        return self.n_busy() < len(self._lanes)
+
+    def start(self, work: W) -> None:
+        next(lane for lane in self._lanes if lane.future is None).start(work)
+
+    def ended(self) -> Iterator[Ended[W, R]]:
+        from joblib.externals.loky import FIRST_COMPLETED, wait  # noqa: PLC0415 - only with workers
+
+        futures = [lane.future for lane in self._lanes if lane.future is not None]
+        wait(futures, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+        for lane in self._lanes:
+            if lane.future is not None and (items := lane.items()) is not None:
+                yield lane.work, items
 
 
 class _Board:
@@ -104,7 +156,7 @@ class _Board:
 
     def __init__(self) -> None:
         try:
-            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - closed by __exit__
+            self.file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - closed by its lane
             self.clear()
         except OSError as error:
             raise DataError(
@@ -112,24 +164,17 @@ class _Board:
                 "(TMPDIR names another folder)"
             ) from None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
     def __reduce__(self) -> tuple[Callable[[Any], int], tuple[Any]]:
-        return _descriptor, (DupFd(self._file.fileno()),)
+        return _descriptor, (DupFd(self.file.fileno()),)
 
     def clear(self) -> None:
         # All of its length: what is written over it later needs no room on a full disk.
-        os.pwrite(self._file.fileno(), b" " * NOTE_BYTES, 0)
+        os.pwrite(self.file.fileno(), b" " * NOTE_BYTES, 0)
 
     def read(self) -> tuple[int, float, list[str]]:
         """Return process, time and place; zeros and nothing if there is no whole note."""
-        content = os.pread(self._file.fileno(), NOTE_BYTES, 0)
         try:
-            pid, since, at = json.loads(content)
+            pid, since, at = json.loads(os.pread(self.file.fileno(), NOTE_BYTES, 0))
         except ValueError:
             return 0, 0.0, []
         return pid, since, at
@@ -143,35 +188,27 @@ def _descriptor(inherited: Any) -> int:  # noqa: ANN401 - of multiprocessing, un
 class _Lane(Generic[W, R]):
     """One worker process after another, one piece of work at a time."""
 
-    def __init__(self, board: _Board) -> None:
-        self._board = board
+    work: W
+
+    def __init__(self, function: Callable[[W], Iterable[R]], limit_s: float | None) -> None:
+        self._function, self._limit_s = function, limit_s
+        self._board = _Board()
         self._executor: Any = None
-        self._work: W
-        self._future: Future[list[R]] | None = None
         self._overdue = ""
+        self.future: Future[list[R]] | None = None
 
-    @property
-    def is_busy(self) -> bool:
-        return self._future is not None
-
-    @property
-    def future(self) -> Future[list[R]]:
-        assert self._future is not None
-        return self._future
-
-    def start(self, function: Callable[[W], Iterable[R]], work: W) -> None:
+    def start(self, work: W) -> None:
         from joblib.externals.loky import BrokenProcessPool  # noqa: PLC0415 - only with workers
 
-        self._overdue = ""
-        self._work = work
+        self.work, self._overdue = work, ""
         with _ctrl_c_is_not_inherited():
             try:
-                self._future = self._ready().submit(_listed, function, work)
+                self.future = self._submitted()
             except BrokenProcessPool:  # its worker was killed while it had nothing to do
-                self.stop()
-                self._future = self._ready().submit(_listed, function, work)
+                self._stop()
+                self.future = self._submitted()
 
-    def _ready(self) -> Any:  # noqa: ANN401 - of loky, untyped
+    def _submitted(self) -> Future[list[R]]:
         from joblib.externals.loky import ProcessPoolExecutor  # noqa: PLC0415 - as above
 
         if self._executor is None:
@@ -182,47 +219,46 @@ class _Lane(Generic[W, R]):
                 initargs=(self._board, os.getpid()),
                 env=_ONE_THREAD,
             )
-        return self._executor
+        future: Future[list[R]] = self._executor.submit(_listed, self._function, self.work)
+        return future
 
-    def finished(self) -> tuple[W, list[R | Failed]] | None:
-        """Return the work and what came of it, if it is done or the worker is."""
+    def items(self) -> list[R | Failed] | None:
+        """Return what came of the work, if it is done or the worker is; kill one that is late."""
         from joblib.externals.loky import BrokenProcessPool  # noqa: PLC0415 - as above
 
-        if self._future is None or not self._future.done():
+        assert self.future is not None
+        pid, since, at = self._board.read()
+        is_late = self._limit_s is not None and time.monotonic() - since > self._limit_s
+        if pid and at and is_late and not self._overdue:
+            self._overdue = f"it ran for longer than {self._limit_s:g} s"
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        if not self.future.done():
             return None
-        future, self._future = self._future, None
-        error = future.exception()
+        error = self.future.exception()
+        found = [] if error else self.future.result()
+        self.future = None
         if error is None:
-            return self._work, [*future.result()]
-        at = tuple(self._board.read()[2])
+            return [*found]
+        at = self._board.read()[2]
         if isinstance(error, BrokenProcessPool):
             why = self._overdue or "its worker died (killed, crashed or out of memory)"
-            self.stop()
-            return self._work, [Failed(at, why, died=not self._overdue)]
+            self._stop()
+            return [Failed(tuple(at), why, died=not self._overdue)]
         if isinstance(error, Exception):
             raise error
         # KeyboardInterrupt, say: raised by a plug-in, since no Ctrl-C reaches a worker.
-        return self._work, [Failed(at, f"it raised {type(error).__name__}")]
+        return [Failed(tuple(at), f"it raised {type(error).__name__}")]
 
-    def end_if_longer_than(self, limit_s: float) -> None:
-        """Kill the worker if its cell has been running for longer."""
-        pid, since, at = self._board.read()
-        if pid and at and not self._overdue and time.monotonic() - since > limit_s:
-            self._overdue = f"it ran for longer than {limit_s:g} s"
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-
-    def stop(self) -> None:
+    def _stop(self) -> None:
         """End the worker, whatever it is at."""
         if self._executor is not None:
             self._executor.shutdown(wait=True, kill_workers=True)
             self._executor = None
 
-
-def _wait(lanes: list[_Lane[W, R]]) -> None:
-    from joblib.externals.loky import FIRST_COMPLETED, wait  # noqa: PLC0415 - as above
-
-    wait([lane.future for lane in lanes], timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+    def close(self) -> None:
+        self._stop()
+        self._board.file.close()
 
 
 @contextlib.contextmanager
@@ -234,6 +270,9 @@ def _ctrl_c_is_not_inherited() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+# From here on: in a worker.
 
 
 def _begin(file: int, parent: int) -> None:

@@ -20,7 +20,7 @@ from evaluation.analysis.linkability import dataset_of, linked_tasks
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.analysis.strongest import strongest_of
 from evaluation.experiment.fingerprint import code_hash
-from evaluation.runs.folder import read_manifest
+from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate
 

@@ -11,7 +11,7 @@ import pandas as pd
 from evaluation.analysis.run_changes import verdict_of
 from evaluation.experiment.variants import BASE, variants
 from evaluation.runs.files import write_whole
-from evaluation.runs.folder import read_manifest
+from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from evaluation.cells.reconstruction import attacked_block, folds
 from evaluation.cells.sharing import share
 from evaluation.cells.work import Block, cells
 from evaluation.experiment.axes import Axes, Link
-from isac_track import plugins as registry
+from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.plugins import Plugin
 from isac_track.scenes import cut, make_scenes, track_order
@@ -34,7 +34,7 @@ def plugin(instance, name="spy"):
 def parsed(kind, one, name="mine"):
     """A plug-in from its SPEC, from an instance of one's own, or as it is."""
     if isinstance(one, str):
-        return registry.parse(kind, one)[0]
+        return plugins.parse(kind, one)[0]
     return one if isinstance(one, Plugin) else plugin(one, name)
 
 

@@ -10,7 +10,7 @@ from evaluation.analysis import decisions, linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
 from evaluation.reporting.run_results import Results
-from evaluation.runs.failures import COLUMNS as FAILED_COLUMNS
+from evaluation.runs.manifest import FAILED_COLUMNS
 from isac_track.config import StageSettings
 
 INDEPENDENT = ":adding=independent"

@@ -1,19 +1,18 @@
 """What a finished run's folder holds: rows of its cells, and everything that was computed."""
 
-import json
-
 import numpy as np
 
 from evaluation.cells.tables import ROWS
 from evaluation.experiment import fingerprint
 from evaluation.runs import cell_files
-from evaluation.runs.checksums import FOLDER
+from evaluation.runs.files import FOLDER
+from evaluation.runs.manifest import read_manifest
 
 
 def entry_of(out, spec, consumer, knowledge=""):
     """The manifest's entry of a consumer at a level."""
     wanted = spec, consumer, knowledge
-    cells = json.loads((out / "manifest.json").read_text(encoding="utf-8"))["cells"]
+    cells = read_manifest(out)["cells"]
     (entry,) = [one for one in cells if (one["spec"], one["consumer"], one["knowledge"]) == wanted]
     return entry
 

@@ -332,5 +332,5 @@ def test_redrawn_the_flags_are_the_same_and_fresh_removes_them(results, tmp_path
     assert build(copy, pictures=False).flags.equals(results.flags)
     assert (copy / "flags.json").read_bytes() == expected
     assert (copy / "tables" / "attacks.tex").is_file()
-    store._remove_run(copy, store.read_manifest(copy))
+    store._remove_run(copy)
     assert not any(copy.iterdir())

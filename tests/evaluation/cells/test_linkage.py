@@ -354,9 +354,7 @@ class TestCells:
             consumer = Consumer("control", task=task, control=control)
         result = found[consumer.spec, consumer.knowledge]
         tables = linkage_tables(result, level.known, keep_scores=keep_scores)
-        content = cell_files.packed(
-            [(consumer, "key", tables)], unit="", code={}, code_of={"key": {}}
-        )
+        content = cell_files.packed([(consumer, "key", {}, tables)], unit="", code={})
         (out / "cells").mkdir()
         (out / "cells" / "one.parquet").write_bytes(content)
         entry = {"consumer": consumer.spec, "knowledge": consumer.knowledge}

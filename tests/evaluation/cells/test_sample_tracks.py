@@ -7,7 +7,7 @@ import pytest
 from evaluation.cells import sample_tracks
 from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
-from evaluation.runs import gallery as gallery_file
+from evaluation.runs import cell_files as gallery_file
 from isac_track import plugins
 from isac_track.errors import DataError
 

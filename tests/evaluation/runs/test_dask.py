@@ -27,7 +27,7 @@ from evaluation.experiment.axes import Consumer
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster
 from evaluation.runs.execute import FailedCellsWarning
-from evaluation.runs.failures import Failures, cells_of, specs_of
+from evaluation.runs.pieces import Failures, cells_of, specs_of
 from isac_track import plugins
 from isac_track.errors import SettingsError
 
@@ -202,6 +202,12 @@ def on(cluster):
     return ("--executor", "dask", "--scheduler", cluster.address)
 
 
+def sent(settings, cluster, **changes):
+    """The same run on a cluster."""
+    own = {"jobs": None, "executor": "dask", "scheduler": cluster.address}
+    return replace(settings, **own, **changes)
+
+
 def cells(run):
     return sorted((run.out / "cells").glob("*.parquet")) if run.out.is_dir() else []
 
@@ -230,10 +236,13 @@ class TestResults:
         turned = [line.split(",") for line in lines[1:]]  # a task takes twice as many people
         lines += [f"{t},v{one[1:]},{y},-{x}".replace("--", "") for t, one, x, y in turned]
         Path(settings.dataset).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        settings = replace(settings, attacks=("kalman_rts", "profile"), tasks=("rerelease",))
-        there = replace(
-            settings, executor="dask", scheduler=cluster.address, out=tmp_path / "there"
+        settings = replace(
+            settings,
+            mechanisms=("raw", "fixed:0.7"),
+            attacks=("kalman_rts", "shape"),
+            tasks=("rerelease",),
         )
+        there = sent(settings, cluster, out=tmp_path / "there")
         evaluation.run(settings, pictures=False)
         evaluation.run(there, pictures=False)
         assert_same_bits(there, settings)
@@ -242,12 +251,8 @@ class TestResults:
 
     def test_leave_out_a_plugin_that_fails(self, settings, cluster, folder, monkeypatch):
         monkeypatch.syspath_prepend(str(folder))
-        changed = replace(
-            settings,
-            predictors=("least_squares", "cluster_plugins:Unlucky"),
-            executor="dask",
-            scheduler=cluster.address,
-        )
+        predictors = ("least_squares", "cluster_plugins:Unlucky")
+        changed = sent(settings, cluster, predictors=predictors)
         with pytest.warns(FailedCellsWarning, match="'cluster_plugins:Unlucky' failed: .*no luck"):
             results = evaluation.run(changed, pictures=False)
         assert set(results.failed["consumer"]) == {"cluster_plugins:Unlucky"}
@@ -305,44 +310,27 @@ class TestWhatIsKilled:
         wait_for(lambda: cluster.count(n_tasks) == 0, most_s=5)
 
     @pytest.mark.slow
-    def test_all_workers_end_the_run_in_one_line(self, slow, folder, monkeypatch, tmp_path):
-        monkeypatch.setattr(on_cluster, "_NO_WORKER_S", 1.0)
+    @pytest.mark.parametrize(
+        ("who", "signalled", "limit", "message"),
+        [
+            ("workers", signal.SIGKILL, "_NO_WORKER_S", "has had no worker for 1 s; finished ce"),
+            ("scheduler", signal.SIGSTOP, "_ANSWER_S", "is gone; finished cells"),
+        ],
+    )
+    def test_all_workers_or_a_scheduler_that_hangs_end_the_run_in_one_line(
+        self, slow, folder, monkeypatch, tmp_path, who, signalled, limit, message
+    ):
+        monkeypatch.setattr(on_cluster, limit, 1.0)
         with started(folder) as own:
-            there = replace(
-                slow,
-                jobs=None,
-                executor="dask",
-                scheduler=own.address,
-                out=tmp_path / "there",
-            )
+            there = sent(slow, own, out=tmp_path / "there")
 
-            def kill(done, _total, _what):
+            def end(done, _total, _what):
                 if done == 3:
-                    for worker in own.workers:
-                        os.killpg(worker.pid, signal.SIGKILL)
+                    for process in own.workers if who == "workers" else [own.scheduler]:
+                        os.killpg(process.pid, signalled)
 
-            with pytest.raises(SettingsError, match=r"has had no worker for 1 s; finished cells"):
-                evaluation.run(there, progress=kill)
-        assert 1 <= len(cells(there)) < 8
-
-    @pytest.mark.slow
-    def test_a_scheduler_that_hangs_counts_as_gone(self, slow, folder, monkeypatch, tmp_path):
-        monkeypatch.setattr(on_cluster, "_ANSWER_S", 2.0)
-        with started(folder) as own:
-            there = replace(
-                slow,
-                jobs=None,
-                executor="dask",
-                scheduler=own.address,
-                out=tmp_path / "there",
-            )
-
-            def stop(done, _total, _what):
-                if done == 3:
-                    os.killpg(own.scheduler.pid, signal.SIGSTOP)
-
-            with pytest.raises(SettingsError, match=f"{own.address} is gone; finished cells"):
-                evaluation.run(there, progress=stop)
+            with pytest.raises(SettingsError, match=f"{own.address} {message}"):
+                evaluation.run(there, progress=end)
         assert 1 <= len(cells(there)) < 8
 
     @pytest.mark.slow
@@ -355,7 +343,7 @@ class TestWhatIsKilled:
             mechanisms=("raw", "fixed:0.7"),
             predictors=("least_squares", "cluster_plugins:Killer", "kalman_cv"),
         )
-        there = replace(changed, executor="dask", scheduler=cluster.address, out=tmp_path / "there")
+        there = sent(changed, cluster, out=tmp_path / "there")
         with pytest.warns(FailedCellsWarning, match="its worker died"):
             found = evaluation.run(there, pictures=False)
         assert set(found.failed["consumer"]) == {"cluster_plugins:Killer"}
@@ -379,26 +367,21 @@ class TestWhatIsRefused:
     def test_a_scheduler_without_workers(self, settings, folder, monkeypatch):
         monkeypatch.setattr(on_cluster, "_FIRST_WORKER_S", 0.2)
         with started(folder, threads=()) as own:
-            there = replace(settings, executor="dask", scheduler=own.address)
+            there = sent(settings, own)
             with pytest.raises(SettingsError, match=f"{own.address} has no workers; .*dask worker"):
                 evaluation.run(there)
 
     def test_a_plugin_that_workers_cannot_import(self, settings, cluster, tmp_path, monkeypatch):
         (tmp_path / "here_alone.py").write_text(PLUGINS, encoding="utf-8")
         monkeypatch.syspath_prepend(str(tmp_path))
-        there = replace(
-            settings,
-            mechanisms=("here_alone:Slow:0.5",),
-            executor="dask",
-            scheduler=cluster.address,
-        )
+        there = sent(settings, cluster, mechanisms=("here_alone:Slow:0.5",))
         with pytest.raises(SettingsError, match=r"cannot import 'here_alone' .*on every worker"):
             evaluation.run(there)
 
     def test_workers_without_the_package(self, settings, folder, tmp_path):
         (tmp_path / "evaluation.py").write_text("raise ImportError('not here')", encoding="utf-8")
         with started(folder, threads=(1,), modules=tmp_path) as own:
-            there = replace(settings, executor="dask", scheduler=own.address)
+            there = sent(settings, own)
             with pytest.raises(SettingsError, match="lacks this isac-track"):
                 evaluation.run(there)
 
@@ -408,12 +391,7 @@ class TestWhatIsRefused:
         source = folder / "edited_plugin.py"
         source.write_text(PLUGINS, encoding="utf-8")
         monkeypatch.syspath_prepend(str(folder))
-        there = replace(
-            settings,
-            mechanisms=("edited_plugin:Slow:0.5",),
-            executor="dask",
-            scheduler=cluster.address,
-        )
+        there = sent(settings, cluster, mechanisms=("edited_plugin:Slow:0.5",))
         evaluation.run(there, pictures=False)
         source.write_text(PLUGINS + "# better now\n", encoding="utf-8")
         with pytest.raises(
@@ -451,12 +429,6 @@ class TestWhatIsRefused:
     def test_options_that_contradict_each_other(self, options, message):
         with pytest.raises(SettingsError, match=message):
             Settings(**options)
-
-    def test_options_from_a_file_too(self, tmp_path, capsys):
-        file = tmp_path / "run.toml"
-        file.write_text('executor = "dask"\n', encoding="utf-8")
-        assert matrix.main(["--config", str(file)]) == 2
-        assert "needs --scheduler" in capsys.readouterr().err
 
 
 class TestADeathAtAnUnknownPlace:
@@ -517,23 +489,19 @@ def test_each_thread_of_a_worker_notes_where_it_is_itself():
 @pytest.mark.slow
 def test_the_driver_stays_under_a_gigabyte(settings, cluster):
     """A hundred thousand scenes, 800 cells: what the driver takes for all that it gets back."""
-    many = replace(
-        settings,
-        scenes=100_000,
-        mechanisms=("raw", "fixed:0.7"),
-        predictors=("least_squares",),
-    )
-    code = (
-        "import resource; from evaluation.experiment.settings import Settings; "
-        "from evaluation.experiment.plan import plan; from evaluation.results import run; "
-        f"ready = plan(Settings(preset='smoke', dataset={many.dataset!r}, scenes=100_000, "
-        "mechanisms=('raw', 'fixed:0.7'), predictors=('least_squares',), attacks=(), tasks=(), "
-        f"executor='dask', scheduler={cluster.address!r}, out={str(many.out)!r})); "
-        "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024; peaks = []; "
-        "run(ready=ready, progress=lambda done, total, what: "
-        "done == total and peaks.append(peak()), pictures=False); "
-        "print(peaks[0], peak())"
-    )
+    axes = {"mechanisms": ("raw", "fixed:0.7"), "predictors": ("least_squares",)}
+    many = sent(settings, cluster, scenes=100_000, **axes)
+    code = f"""
+import resource
+from evaluation import Settings, run
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+peaks = []
+tell = lambda done, total, what: done == total and peaks.append(peak())
+run(Settings(preset="smoke", dataset={many.dataset!r}, scenes=100_000, attacks=(), tasks=(),
+    executor="dask", scheduler={cluster.address!r}, out={str(many.out)!r}, **{axes!r}),
+    progress=tell, pictures=False)
+print(peaks[0], peak())
+"""
     found = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=1200
     )

@@ -1,11 +1,13 @@
 """Runs: the files they leave, what continues, what is refused, and on what numbers depend."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.recordings import write_csv
 from helpers.runs import arrays, change_code, held_by, rows_of
 
 import evaluation
@@ -15,8 +17,8 @@ from evaluation.experiment.axes import Consumer
 from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
 from evaluation.results import build
-from evaluation.runs import folder
 from evaluation.runs.execute import FailedCellsWarning
+from evaluation.runs.manifest import read_manifest
 from isac_track import plugins, sharing
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError
@@ -27,17 +29,47 @@ from isac_track.sensing import sense_scenes
 KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
 
-@pytest.fixture
-def settings(csv_recording, tmp_path):
+def settings_of(dataset, out):
     return Settings(
         preset="smoke",
-        dataset=str(csv_recording),
+        dataset=str(dataset),
         scenes=12,
         mechanisms=("raw", "fid:1000", "fixed:0.7"),
         predictors=("least_squares",),
         attacks=(),
-        out=tmp_path / "run",
+        out=out,
     )
+
+
+@pytest.fixture
+def settings(csv_recording, tmp_path):
+    return settings_of(csv_recording, tmp_path / "run")
+
+
+@pytest.fixture(scope="module")
+def drawn(tracks, tmp_path_factory):
+    """A run with pictures, as it was left."""
+    folder = tmp_path_factory.mktemp("drawn")
+    return evaluation.run(settings_of(write_csv(folder / "walks.csv", tracks), folder / "run"))
+
+
+@pytest.fixture
+def finished(drawn, settings):
+    """The settings of that run, and a copy of its folder."""
+    shutil.copytree(drawn.out, settings.out)
+    return settings
+
+
+def run(settings, **changes):
+    return evaluation.run(replace(settings, **changes), pictures=False)
+
+
+def stamps(out):
+    return {path: path.stat().st_mtime_ns for path in (out / "cells").iterdir()}
+
+
+def assert_kept(before):
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in before.items())
 
 
 def computed(tracks, *, spec="fid:100", stages=None, seed=0, predictor="least_squares"):
@@ -154,352 +186,263 @@ def test_fid_at_eta_1_is_fixed_075_sample_by_sample(tracks, adding):
     assert np.array_equal(fid.xy, fixed.xy)
 
 
-def test_a_run_leaves_what_the_design_says(settings):
-    results = evaluation.run(settings)
-    out = settings.out
-    for name in ("manifest.json", "summary.csv", "paper_table.csv"):
-        assert (out / name).is_file()
-    held = held_by(out)  # a level each: the descriptors as shared and the predictor together
-    assert list(held.values()) == [{"shared", "least_squares"}] * 3
-    assert {name.rpartition(".")[2] for name in held} == {"parquet"}
-    assert {path.suffix for path in (out / "figures").iterdir()} == {".svg", ".pdf"}
-    assert {path.suffix for path in (out / "tables").iterdir()} == {".tex"}
-    assert list(results.summary.columns) == [
-        "dataset",
-        "mechanism",
-        "level",
-        "consumer",
-        "knowledge",
-        "metric",
-        "value",
-        "ci_low",
-        "ci_high",
-        "n",
-        "unit",
-        "family",
-        "adding",
-    ]
-    assert list(results.paper_table.columns) == [
-        "mechanism",
-        "level",
-        "metric",
-        "paper",
-        "ours",
-        "ci_low",
-        "ci_high",
-        "within",
-    ]
-    assert not results.summary.duplicated(KEY).any()
-    assert set(results.summary["metric"]) == {
-        "missed_conflict_rate",
-        "false_alarm_rate",
-        "distance_mae",
-        "plr",
-        "ael",
-        "mel",
-        "rmse",
-    }
-    assert set(results.summary["unit"]) == {"fraction", "s", "m"}
-    assert set(results.summary["consumer"]) == {"shared", "least_squares"}
-    raw = results.summary[results.summary["mechanism"] == "raw"]
-    assert raw["level"].isna().all()
-    assert results.paper_table["within"].isna().all()  # not the paper's recording
+class TestWhatARunLeaves:
+    def test_is_what_the_design_says(self, drawn):
+        for name in ("manifest.json", "summary.csv", "paper_table.csv"):
+            assert (drawn.out / name).is_file()
+        held = held_by(drawn.out)  # a level each: the descriptors as shared and the predictor
+        assert list(held.values()) == [{"shared", "least_squares"}] * 3
+        for folder_name, kinds in {
+            "cells": {"parquet"},
+            "figures": {"svg", "pdf"},
+            "tables": {"tex"},
+        }.items():
+            assert {path.suffix[1:] for path in (drawn.out / folder_name).iterdir()} == kinds
+        assert list(drawn.summary.columns) == [
+            *("dataset", "mechanism", "level", "consumer", "knowledge", "metric", "value"),
+            *("ci_low", "ci_high", "n", "unit", "family", "adding"),
+        ]
+        assert list(drawn.paper_table.columns) == [
+            *("mechanism", "level", "metric", "paper", "ours", "ci_low", "ci_high", "within"),
+        ]
+        assert not drawn.summary.duplicated(KEY).any()
+        assert set(drawn.summary["metric"]) == {
+            *("missed_conflict_rate", "false_alarm_rate", "distance_mae"),
+            *("plr", "ael", "mel", "rmse"),
+        }
+        assert set(drawn.summary["unit"]) == {"fraction", "s", "m"}
+        assert set(drawn.summary["consumer"]) == {"shared", "least_squares"}
+        assert drawn.summary.loc[drawn.summary["mechanism"] == "raw", "level"].isna().all()
+        assert drawn.paper_table["within"].isna().all()  # not the paper's recording
 
+    def test_the_frames_are_the_files(self, drawn):
+        read = pd.read_csv(drawn.out / "summary.csv", keep_default_na=True)
+        assert read["value"].to_numpy() == pytest.approx(drawn.summary["value"].to_numpy(), abs=0)
+        assert len(read) == len(drawn.summary) == 3 * 7
 
-def test_the_frames_are_the_files(settings):
-    results = evaluation.run(settings, pictures=False)
-    read = pd.read_csv(settings.out / "summary.csv", keep_default_na=True)
-    assert read["value"].to_numpy() == pytest.approx(results.summary["value"].to_numpy(), abs=0)
-    assert len(read) == len(results.summary) == 3 * 7
+    def test_the_summary_is_the_mean_over_the_rows_of_the_cells(self, drawn):
+        table = drawn.summary.set_index(["mechanism", "consumer", "metric"])["value"]
+        rows = rows_of(drawn.out, "raw", "shared")
+        assert len(rows) == 12 * 4
+        for metric, column in {"plr": "plr", "mel": "mel_s", "ael": "ael_s"}.items():
+            assert table["raw", "shared", metric] == pytest.approx(rows[column].mean())
+        assert table["raw", "shared", "rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))
+        rows = rows_of(drawn.out, "fixed:0.7", "least_squares")
+        assert len(rows) == 12
+        missed, alarms = (rows.loc[rows["conflict"] == one, "predicted"] for one in (True, False))
+        error = (rows["predicted_separation_m"] - rows["separation_m"]).abs()
+        for metric, expected in {
+            "missed_conflict_rate": (~missed).mean(),
+            "false_alarm_rate": alarms.mean(),
+            "distance_mae": error.mean(),
+        }.items():
+            assert table["fixed", "least_squares", metric] == pytest.approx(expected)
 
+    def test_the_manifest_is_enough_to_run_it_again(self, finished):
+        manifest = read_manifest(finished.out)
+        assert manifest["state"] == "finished"
+        assert manifest["dataset"]["sha256"] == plan(finished).dataset.sha256
+        assert manifest["dataset"]["tracks"] == 12
+        known = manifest["settings"]
+        assert known["mechanisms"] == ["raw", "fid:1000", "fixed:0.7"]
+        assert known["stages"] == StageSettings().flat()
+        assert {"isac_track", "python", "machine", "libraries", "git_commit"} <= (
+            manifest["environment"].keys()
+        )
+        assert manifest["wall_time_s"] > 0
+        again = Settings(
+            dataset=finished.dataset,
+            out=finished.out.with_name("again"),
+            stages=StageSettings().changed(known["stages"]),
+            **{name: known[name] for name in ("preset", "scenes", "seed")},
+            **{name: tuple(known[name]) for name in ("mechanisms", "predictors", "attacks")},
+        )
+        run(again)
+        first = (finished.out / "summary.csv").read_bytes()
+        assert (again.out / "summary.csv").read_bytes() == first
 
-def test_pictures_of_an_earlier_report_do_not_stay_beside_new_numbers(settings):
-    evaluation.run(settings, pictures=False)
-    folder.note_figures(settings.out, ["headline"])  # as a report that draws does
-    own = settings.out / "figures" / "mine.svg"
-    stale = [settings.out / name for name in ("report.html", "figures/headline.svg")]
-    own.parent.mkdir(parents=True)
-    for path in (own, *stale):
-        path.write_text("earlier")
-    evaluation.run(settings, pictures=False)
-    assert own.exists()
-    assert not any(path.exists() for path in stale)
+    def test_a_level_names_its_files_and_consumers_once(self, drawn):
+        held = json.loads((drawn.out / "manifest.json").read_text(encoding="utf-8"))
+        assert [len(one["files"]) for one in held["cells"]] == [1, 1, 1]
+        (consumers,) = held["consumers"]
+        assert [one["consumer"] for one in consumers] == ["shared", "least_squares"]
+        assert [one["consumer"] for one in drawn.manifest["cells"]] == 3 * [
+            *("shared", "least_squares")
+        ]
 
+    def test_the_report_redraws_without_computing(self, finished):
+        expected = (finished.out / "summary.csv").read_bytes()
+        (finished.out / "summary.csv").unlink()
+        build(finished.out, pictures=False)
+        assert (finished.out / "summary.csv").read_bytes() == expected
 
-def test_the_summary_is_the_mean_over_the_rows_of_the_cells(settings):
-    results = evaluation.run(settings, pictures=False)
-    table = results.summary.set_index(["mechanism", "consumer", "metric"])["value"]
-    rows = rows_of(settings.out, "raw", "shared")
-    assert len(rows) == 12 * 4
-    assert table["raw", "shared", "plr"] == pytest.approx(rows["plr"].mean())
-    assert table["raw", "shared", "mel"] == pytest.approx(rows["mel_s"].mean())
-    assert table["raw", "shared", "ael"] == pytest.approx(rows["ael_s"].mean())
-    assert table["raw", "shared", "rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))
-    rows = rows_of(settings.out, "fixed:0.7", "least_squares")
-    assert len(rows) == 12
-    conflicts = rows[rows["conflict"]]
-    assert table["fixed", "least_squares", "missed_conflict_rate"] == pytest.approx(
-        (~conflicts["predicted"]).mean()
-    )
-    others = rows[~rows["conflict"]]
-    assert table["fixed", "least_squares", "false_alarm_rate"] == pytest.approx(
-        others["predicted"].mean()
-    )
-    error = (rows["predicted_separation_m"] - rows["separation_m"]).abs()
-    assert table["fixed", "least_squares", "distance_mae"] == pytest.approx(error.mean())
+    def test_pictures_of_an_earlier_report_do_not_stay_beside_new_numbers(self, finished):
+        own = finished.out / "figures" / "mine.svg"
+        own.write_text("mine")
+        stale = [finished.out / "report.html", *finished.out.glob("figures/[!m]*.svg")]
+        assert len(stale) > 1
+        run(finished)
+        assert own.exists()
+        assert not any(path.exists() for path in stale)
+
+    def test_a_broken_manifest_or_cell_is_named(self, finished):
+        cell = min((finished.out / "cells").iterdir())
+        cell.write_bytes(b"not parquet")
+        with pytest.raises(DataError, match=f"{cell.name}.*delete it"):
+            build(finished.out)
+        for held, message in {
+            "{": r"manifest.json cannot be read",
+            "[]": "is not the manifest of a run",
+        }.items():
+            (finished.out / "manifest.json").write_text(held, encoding="utf-8")
+            with pytest.raises(DataError, match=message):
+                build(finished.out)
+        with pytest.raises(DataError, match="holds no run"):
+            build(finished.out / "nowhere")
 
 
 def test_workers_change_no_bit(settings, tmp_path):
-    # 600 scenes: three blocks for two workers.
-    alone = replace(settings, scenes=600)
-    evaluation.run(alone, pictures=False)
-    two = replace(alone, jobs=2, out=tmp_path / "two")
-    evaluation.run(two, pictures=False)
-    one_block = replace(settings, out=tmp_path / "levels", jobs=2)
-    evaluation.run(one_block, pictures=False)  # one block, shared out by levels
-    evaluation.run(replace(one_block, jobs=1, out=tmp_path / "single"), pictures=False)
-    for a, b in (("run", "two"), ("levels", "single")):
-        first = (tmp_path / a / "summary.csv").read_bytes()
-        assert first == (tmp_path / b / "summary.csv").read_bytes()
+    # 501 scenes: three blocks for two workers; 12: one, shared out by levels.
+    for scenes in (501, 12):
+        for jobs in (1, 2):
+            run(settings, scenes=scenes, jobs=jobs, out=tmp_path / f"{scenes}-{jobs}")
+        one, two = (tmp_path / f"{scenes}-{jobs}" / "summary.csv" for jobs in (1, 2))
+        assert one.read_bytes() == two.read_bytes()
 
 
-def test_adding_a_mechanism_changes_no_other_row_and_computes_only_its_cells(settings):
-    before = evaluation.run(settings, pictures=False).summary
-    stamps = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
-    wider = replace(settings, mechanisms=(*settings.mechanisms, "fixed:0.3", "clean"))
-    after = evaluation.run(wider, pictures=False).summary
-    assert len(after) == len(before) + 2 * 7
-    common = after.merge(before, on=list(before.columns))
-    assert len(common) == len(before)
-    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
+class TestAnotherRunInTheSameFolder:
+    def test_with_a_mechanism_more_computes_only_its_cells(self, finished, drawn):
+        kept = stamps(finished.out)
+        after = run(finished, mechanisms=(*finished.mechanisms, "fixed:0.3", "clean")).summary
+        assert len(after) == len(drawn.summary) + 2 * 7
+        common = after.merge(drawn.summary, on=list(drawn.summary.columns))
+        assert len(common) == len(drawn.summary)
+        assert_kept(kept)
 
+    def test_with_consumers_more_leaves_further_files(self, finished):
+        kept = stamps(finished.out)
+        wider = replace(finished, predictors=("least_squares", "kalman_cv"), attacks=("identity",))
+        after = run(wider).summary
+        assert_kept(kept)
+        names = {path.name for path in kept}
+        added = [held for name, held in held_by(finished.out).items() if name not in names]
+        assert sorted(map(sorted, added)) == [["identity (blind)"]] * 3 + [["kalman_cv"]] * 3
+        afresh = run(wider, fresh=True).summary
+        pd.testing.assert_frame_equal(afresh, after, check_exact=True)
+        assert len(list((finished.out / "cells").iterdir())) == 6
 
-def test_a_consumer_that_is_added_later_leaves_a_further_file(settings):
-    evaluation.run(settings, pictures=False)
-    stamps = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
-    wider = replace(settings, predictors=("least_squares", "kalman_cv"), attacks=("identity",))
-    after = evaluation.run(wider, pictures=False).summary
-    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
-    names = {path.name for path in stamps}
-    added = [held for name, held in held_by(settings.out).items() if name not in names]
-    assert sorted(map(sorted, added)) == [["identity (blind)"]] * 3 + [["kalman_cv"]] * 3
-    afresh = evaluation.run(replace(wider, fresh=True), pictures=False).summary
-    pd.testing.assert_frame_equal(afresh, after, check_exact=True)
-    assert len(list((settings.out / "cells").iterdir())) == 6
+    def test_after_a_plug_in_changed_computes_it_and_not_its_neighbours(
+        self, settings, monkeypatch
+    ):
+        wider = replace(settings, predictors=("least_squares", "kalman_cv"))
+        run(wider)
+        before, kept = held_by(settings.out), stamps(settings.out)
+        change_code(monkeypatch, "predictors.kalman")
+        assert run(wider).manifest["dropped_cells"] == 3
+        assert_kept(kept)
+        new = [held for name, held in held_by(settings.out).items() if name not in before]
+        assert new == [{"kalman_cv"}] * 3
 
+    def test_that_is_narrower_keeps_what_the_folder_has_unless_the_code_changed(
+        self, finished, monkeypatch
+    ):
+        narrow = run(finished, mechanisms=("raw",))
+        assert set(narrow.summary["mechanism"]) == {"raw", "fid", "fixed"}
+        change_code(monkeypatch, "isac_track.sensing")
+        narrow = run(finished, mechanisms=("raw",))
+        assert set(narrow.summary["mechanism"]) == {"raw"}
+        assert narrow.manifest["dropped_cells"] == 6
 
-def test_a_changed_plug_in_is_computed_again_and_its_neighbours_are_not(settings, monkeypatch):
-    wider = replace(settings, predictors=("least_squares", "kalman_cv"))
-    evaluation.run(wider, pictures=False)
-    before = held_by(settings.out)
-    stamps = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}
-    change_code(monkeypatch, "predictors.kalman")
-    again = evaluation.run(wider, pictures=False)
-    assert again.manifest["dropped_cells"] == 3
-    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
-    new = [held for name, held in held_by(settings.out).items() if name not in before]
-    assert new == [{"kalman_cv"}] * 3
+    @pytest.mark.parametrize("every", [1, 2])
+    def test_computes_missing_cells_again_and_alike(self, finished, every):
+        expected = (finished.out / "summary.csv").read_bytes()
+        for path in sorted((finished.out / "cells").iterdir())[::every]:
+            path.unlink()
+        if every == 1:
+            (finished.out / "cells").rmdir()
+        run(finished, out=str(finished.out))
+        assert (finished.out / "summary.csv").read_bytes() == expected
 
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"seed": 1}, "seed 0 -> 1"),
+            ({"scenes": 14}, "scenes 12 -> 14"),
+            (
+                {"stages": StageSettings().changed({"privacy.epsilon_m": 0.5})},
+                r"privacy.epsilon_m 0.3 -> 0.5",
+            ),
+        ],
+    )
+    def test_of_other_settings_is_refused_with_the_choice(self, finished, change, message):
+        with pytest.raises(SettingsError, match=rf"{message}.*--fresh .* or another --out"):
+            run(finished, **change)
+        run(finished, **change, fresh=True)
 
-def test_a_folder_of_the_earlier_layout_is_refused_with_the_way_out(settings):
-    evaluation.run(settings, pictures=False)
-    path = settings.out / "manifest.json"
-    manifest = json.loads(path.read_text(encoding="utf-8"))
-    del manifest["layout"]
-    path.write_text(json.dumps(manifest), encoding="utf-8")
-    earlier = settings.out / "cells" / "raw-shared_00000_0123456789abcdef.parquet"
-    earlier.write_bytes(b"of a consumer of its own")
-    for use in (lambda: evaluation.run(settings), lambda: evaluation.load(settings.out)):
-        with pytest.raises(DataError, match=r"another version.*again with --fresh or another --"):
-            use()
-    evaluation.run(replace(settings, fresh=True), pictures=False)
-    assert not earlier.exists()
+    def test_of_a_changed_recording_is_refused(self, finished, csv_recording):
+        text = csv_recording.read_text(encoding="utf-8").replace("0.40,w0,", "0.41,w0,")
+        csv_recording.write_text(text, encoding="utf-8")
+        with pytest.raises(SettingsError, match="sha256"):
+            run(finished)
 
+    def test_of_the_earlier_layout_is_refused_with_the_way_out(self, finished):
+        path = finished.out / "manifest.json"
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        del manifest["layout"]
+        path.write_text(json.dumps(manifest), encoding="utf-8")
+        earlier = finished.out / "cells" / "raw-shared_00000_0123456789abcdef.parquet"
+        earlier.write_bytes(b"of a consumer of its own")
+        for use in (lambda: evaluation.run(finished), lambda: evaluation.load(finished.out)):
+            with pytest.raises(DataError, match=r"another version.*again with --fresh or another"):
+                use()
+        run(finished, fresh=True)
+        assert not earlier.exists()
 
-def test_a_narrower_run_keeps_what_the_folder_already_has(settings):
-    evaluation.run(settings, pictures=False)
-    narrow = evaluation.run(replace(settings, mechanisms=("raw",)), pictures=False)
-    assert set(narrow.summary["mechanism"]) == {"raw", "fid", "fixed"}
+    def test_that_is_fresh_removes_only_what_a_run_wrote(self, finished):
+        notes = [finished.out / place / "mine.txt" for place in (".", "cells", "figures", "tables")]
+        for note in notes:
+            note.write_text("keep me", encoding="utf-8")
+        run(finished, mechanisms=("raw",), fresh=True)
+        assert all(note.read_text(encoding="utf-8") == "keep me" for note in notes)
+        assert len(list((finished.out / "cells").glob("*.parquet"))) == 1
+        assert [path.name for path in (finished.out / "figures").iterdir()] == ["mine.txt"]
 
-
-def test_missing_cells_are_computed_again_and_alike(settings):
-    evaluation.run(settings, pictures=False)
-    expected = (settings.out / "summary.csv").read_bytes()
-    for path in sorted((settings.out / "cells").iterdir())[::2]:
-        path.unlink()
-    evaluation.run(settings, pictures=False)
-    assert (settings.out / "summary.csv").read_bytes() == expected
-
-
-def test_cells_of_other_code_are_not_mixed_in(settings, monkeypatch):
-    evaluation.run(settings, pictures=False)
-    change_code(monkeypatch, "isac_track.sensing")
-    narrow = evaluation.run(replace(settings, mechanisms=("raw",)), pictures=False)
-    assert set(narrow.summary["mechanism"]) == {"raw"}
-    assert narrow.manifest["dropped_cells"] == 6
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"seed": 1}, "seed 0 -> 1"),
-        ({"scenes": 14}, "scenes 12 -> 14"),
-        (
-            {"stages": StageSettings().changed({"privacy.epsilon_m": 0.5})},
-            r"privacy.epsilon_m 0.3 -> 0.5",
-        ),
-    ],
-)
-def test_another_run_in_the_same_folder_is_refused_with_the_choice(settings, change, message):
-    evaluation.run(settings, pictures=False)
-    with pytest.raises(SettingsError, match=rf"{message}.*--fresh .* or another --out"):
-        evaluation.run(replace(settings, **change), pictures=False)
-    evaluation.run(replace(settings, **change, fresh=True), pictures=False)
-
-
-def test_a_changed_recording_is_refused(settings, csv_recording):
-    evaluation.run(settings, pictures=False)
-    text = csv_recording.read_text(encoding="utf-8").replace("0.40,w0,", "0.41,w0,")
-    csv_recording.write_text(text, encoding="utf-8")
-    with pytest.raises(SettingsError, match="sha256"):
-        evaluation.run(settings, pictures=False)
-
-
-def test_fresh_removes_only_what_a_run_wrote(settings):
-    evaluation.run(settings)
-    notes = [settings.out / place / "mine.txt" for place in (".", "cells", "figures", "tables")]
-    for note in notes:
-        note.write_text("keep me", encoding="utf-8")
-    evaluation.run(replace(settings, mechanisms=("raw",), fresh=True))
-    assert all(note.read_text(encoding="utf-8") == "keep me" for note in notes)
-    assert len(list((settings.out / "cells").glob("*.parquet"))) == 1
-
-
-def test_fresh_leaves_a_folder_with_somebody_elses_manifest_alone(settings):
-    (settings.out / "cells").mkdir(parents=True)
-    (settings.out / "manifest.json").write_text('{"name": "an extension"}', encoding="utf-8")
-    (settings.out / "cells" / "thesis.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(DataError, match="is not the manifest of a run"):
-        evaluation.run(replace(settings, fresh=True), pictures=False)
-    assert (settings.out / "cells" / "thesis.txt").is_file()
-
-
-def test_a_failed_plugin_leaves_the_folder_usable(settings, tmp_path, monkeypatch):
-    (tmp_path / "bad_plugins.py").write_text(BAD_PLUGINS, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.warns(FailedCellsWarning, match="2 cells failed and are left out: .*no luck"):
-        found = evaluation.run(
-            replace(settings, mechanisms=("raw", "bad_plugins:Raises")), pictures=False
-        )
-    assert set(found.summary["mechanism"]) == {"raw"}
-    assert set(found.failed["spec"]) == {"bad_plugins:Raises"}
-    results = evaluation.run(replace(settings, mechanisms=("fixed:0.7",)), pictures=False)
-    assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
-
-
-def test_a_lost_cell_folder_is_made_again(settings):
-    evaluation.run(settings, pictures=False)
-    expected = (settings.out / "summary.csv").read_bytes()
-    for path in (settings.out / "cells").iterdir():
-        path.unlink()
-    (settings.out / "cells").rmdir()
-    evaluation.run(replace(settings, out=str(settings.out)), pictures=False)
-    assert (settings.out / "summary.csv").read_bytes() == expected
-
-
-def test_a_folder_of_something_else_is_left_alone(settings):
-    settings.out.mkdir()
-    (settings.out / "thesis.txt").write_text("mine", encoding="utf-8")
-    for fresh in (False, True):
+    @pytest.mark.parametrize("fresh", [False, True])
+    def test_leaves_a_folder_of_something_else_alone(self, settings, fresh):
+        mine = settings.out / "cells" / "thesis.txt"
+        mine.parent.mkdir(parents=True)
+        mine.write_text("mine", encoding="utf-8")
         with pytest.raises(SettingsError, match="is not empty and holds no run"):
-            evaluation.run(replace(settings, fresh=fresh), pictures=False)
-    file = settings.out / "thesis.txt"
-    with pytest.raises(SettingsError, match="is a file"):
-        evaluation.run(replace(settings, out=file), pictures=False)
-
-
-def test_a_broken_manifest_or_cell_is_named(settings):
-    evaluation.run(settings)
-    cell = min((settings.out / "cells").iterdir())
-    cell.write_bytes(b"not parquet")
-    with pytest.raises(DataError, match=f"{cell.name}.*delete it"):
-        build(settings.out)
-    (settings.out / "manifest.json").write_text("{", encoding="utf-8")
-    with pytest.raises(DataError, match=r"manifest.json cannot be read"):
-        build(settings.out)
-    (settings.out / "manifest.json").write_text("[]", encoding="utf-8")
-    with pytest.raises(DataError, match="is not the manifest of a run"):
-        build(settings.out)
-    with pytest.raises(DataError, match="holds no run"):
-        build(settings.out / "nowhere")
-
-
-def test_the_manifest_is_enough_to_run_it_again(settings):
-    evaluation.run(settings, pictures=False)
-    manifest = json.loads((settings.out / "manifest.json").read_text(encoding="utf-8"))
-    assert manifest["state"] == "finished"
-    assert manifest["dataset"]["sha256"] == plan(settings).dataset.sha256
-    assert manifest["dataset"]["tracks"] == 12
-    assert manifest["settings"]["mechanisms"] == ["raw", "fid:1000", "fixed:0.7"]
-    assert manifest["settings"]["stages"] == StageSettings().flat()
-    assert {"isac_track", "python", "machine", "libraries", "git_commit"} <= (
-        manifest["environment"].keys()
-    )
-    assert manifest["wall_time_s"] > 0
-    again = Settings(
-        preset=manifest["settings"]["preset"],
-        dataset=settings.dataset,
-        scenes=manifest["settings"]["scenes"],
-        seed=manifest["settings"]["seed"],
-        mechanisms=tuple(manifest["settings"]["mechanisms"]),
-        predictors=tuple(manifest["settings"]["predictors"]),
-        attacks=tuple(manifest["settings"]["attacks"]),
-        stages=StageSettings().changed(manifest["settings"]["stages"]),
-        out=settings.out.with_name("again"),
-    )
-    evaluation.run(again, pictures=False)
-    first = (settings.out / "summary.csv").read_bytes()
-    assert (again.out / "summary.csv").read_bytes() == first
+            run(settings, fresh=fresh)
+        with pytest.raises(SettingsError, match="is a file"):
+            run(settings, out=mine)
+        (settings.out / "manifest.json").write_text('{"name": "an extension"}', encoding="utf-8")
+        with pytest.raises(DataError, match="is not the manifest of a run"):
+            run(settings, fresh=fresh)
+        assert mine.is_file()
 
 
 def test_nothing_dropped_goes_uncounted(settings, tmp_path):
-    text = "t,id,x,y\n" + "".join(
-        f"{t * 0.4:.1f},{name},{t * 0.3 + place},{place}\n"
-        for place, (name, n) in enumerate(
-            [("long1", 80), ("long2", 80), ("long3", 80), ("long4", 80), ("short", 9), ("dot", 1)]
-        )
-        for t in range(n)
-    )
+    people = {"long1": 80, "long2": 80, "long3": 80, "long4": 80, "short": 9, "dot": 1}
+    lines = ["t,id,x,y"]
+    for place, (name, n) in enumerate(people.items()):
+        lines += [f"{t * 0.4:.1f},{name},{t * 0.3 + place},{place}" for t in range(n)]
     path = tmp_path / "mixed.csv"
-    path.write_text(text, encoding="utf-8")
-    manifest = evaluation.run(replace(settings, dataset=str(path)), pictures=False).manifest[
-        "dataset"
-    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    manifest = run(settings, dataset=str(path)).manifest["dataset"]
     dropped = sum(repair["count"] for repair in manifest["repairs"] if "one" in repair["kind"])
     assert dropped == 1
-    assert manifest["tracks_used"] == 4
-    assert manifest["too_short"] == 1
-    assert manifest["tracks"] == 5
+    counts = {name: manifest[name] for name in ("tracks_used", "too_short", "tracks")}
+    assert counts == {"tracks_used": 4, "too_short": 1, "tracks": 5}
 
 
 def test_predictors_may_be_left_out(settings):
-    results = evaluation.run(replace(settings, predictors=()), pictures=False)
-    assert set(results.summary["consumer"]) == {"shared"}
-
-
-def test_the_report_redraws_without_computing(settings):
-    evaluation.run(settings)
-    expected = (settings.out / "summary.csv").read_bytes()
-    (settings.out / "summary.csv").unlink()
-    build(settings.out)
-    assert (settings.out / "summary.csv").read_bytes() == expected
+    assert set(run(settings, predictors=()).summary["consumer"]) == {"shared"}
 
 
 BAD_PLUGINS = """
-from dataclasses import dataclass, replace
-import numpy as np
-from isac_track.sharing import perturb
-from isac_track.types import Knowledge, Prediction
+from dataclasses import dataclass
+from isac_track.types import Knowledge
 
 @dataclass(frozen=True)
 class Raises:
@@ -507,93 +450,41 @@ class Raises:
         raise RuntimeError("no luck")
 
 @dataclass(frozen=True)
-class Exits:
-    def share(self, sensed, rng):
-        raise SystemExit(0)
-
-@dataclass(frozen=True)
-class Blind:
-    def share(self, sensed, rng):
-        return replace(perturb(sensed, 0.0, rng), sigma=np.full(sensed.t.size, np.nan))
-
-@dataclass(frozen=True)
 class Greedy:
     requires = frozenset({Knowledge.TRAIN})
     def predict(self, release, t_future):
-        return Prediction(np.zeros((*t_future.shape, 2)))
-
-@dataclass(frozen=True)
-class Nothing:
-    def share(self, sensed, rng):
-        return None
-
-@dataclass(frozen=True)
-class Mutates:
-    def share(self, sensed, rng):
-        sensed.xy[0] = 0
-        return perturb(sensed, 0.0, rng)
-
-@dataclass(frozen=True)
-class Retimes:
-    def share(self, sensed, rng):
-        release = perturb(sensed, 0.0, rng)
-        return replace(release, t=release.t + 1)
-
-@dataclass(frozen=True)
-class Shapeless:
-    requires = frozenset()
-    def predict(self, release, t_future):
-        return Prediction(np.zeros((1, 1, 2)))
-
-@dataclass(frozen=True)
-class NotANumber:
-    requires = frozenset()
-    def predict(self, release, t_future):
-        return Prediction(np.full((*t_future.shape, 2), np.nan))
-
-@dataclass(frozen=True)
-class Peeks:
-    requires = frozenset()
-    def predict(self, release, t_future):
-        return Prediction(np.zeros((*t_future.shape, 2)) + release.sigma.max())
+        raise RuntimeError("nobody asks")
 """
 
 
-@pytest.mark.parametrize(
-    ("axis", "name", "message"),
-    [
-        ("mechanisms", "Raises", "mechanism 'bad_plugins:Raises' failed: RuntimeError: no luck"),
-        ("mechanisms", "Exits", "failed: SystemExit"),
-        ("mechanisms", "Blind", "declared a sigma below 0 or NaN"),
-        ("predictors", "Greedy", "requires TRAIN, which a robot is never granted"),
-        ("mechanisms", "Nothing", "must return a Release, got NoneType"),
-        ("mechanisms", "Mutates", "failed: ValueError: assignment destination is read-only"),
-        ("mechanisms", "Retimes", "changed the tracks or their times"),
-        ("predictors", "Shapeless", r"must return a Prediction with mean \(48, 12, 2\)"),
-        ("predictors", "NotANumber", "failed: ValueError: a predicted position is not finite"),
-        ("predictors", "Peeks", "failed: AttributeError"),
-    ],
-)
-def test_a_plugin_that_breaks_its_contract_is_named(
-    settings, tmp_path, monkeypatch, axis, name, message
-):
+@pytest.fixture
+def bad(tmp_path, monkeypatch):
     (tmp_path / "bad_plugins.py").write_text(BAD_PLUGINS, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    changed = replace(settings, **{axis: (f"bad_plugins:{name}",)})
-    if axis == "mechanisms" or name == "Greedy":  # nothing at all is left
-        with pytest.raises(PluginError, match=message):
-            evaluation.run(changed, pictures=False)
-        return
-    with pytest.warns(FailedCellsWarning, match=message):
-        results = evaluation.run(changed, pictures=False)
-    assert set(results.failed["consumer"]) == {f"bad_plugins:{name}"}
-    assert set(results.summary["consumer"]) == {"shared"}
+
+
+@pytest.mark.usefixtures("bad")
+def test_a_failed_plugin_leaves_the_folder_usable(settings):
+    with pytest.raises(PluginError, match="'bad_plugins:Raises' failed: RuntimeError: no luck"):
+        run(settings, mechanisms=("bad_plugins:Raises",))  # nothing at all is left
+    with pytest.warns(FailedCellsWarning, match="2 cells failed and are left out: .*no luck"):
+        found = run(settings, mechanisms=("raw", "bad_plugins:Raises"))
+    assert set(found.summary["mechanism"]) == {"raw"}
+    assert set(found.failed["spec"]) == {"bad_plugins:Raises"}
+    results = run(settings, mechanisms=("fixed:0.7",))
+    assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
+
+
+@pytest.mark.usefixtures("bad")
+def test_a_predictor_that_wants_more_than_a_robot_has_is_refused(settings):
+    with pytest.raises(PluginError, match="requires TRAIN, which a robot is never granted"):
+        run(settings, predictors=("bad_plugins:Greedy",))
 
 
 def test_a_decision_by_probability_needs_a_covariance(settings):
     by_probability = StageSettings().changed({"conflict.decision": "probability"})
     with pytest.raises(SettingsError, match="'least_squares' has no covariance"):
-        evaluation.run(replace(settings, stages=by_probability), pictures=False)
+        run(settings, stages=by_probability)
 
 
 def test_a_decision_by_probability_trades_misses_against_alarms(tracks):
@@ -616,8 +507,7 @@ def test_a_decision_by_probability_trades_misses_against_alarms(tracks):
 
 def test_the_trackers_run_by_name_and_filterpy_agrees(settings):
     names = ("kalman_cv", "kalman_cv:engine=filterpy", "kalman_imm", "kalman_imm:engine=filterpy")
-    chosen = replace(settings, scenes=4, mechanisms=("fixed:0.7",), predictors=names)
-    results = evaluation.run(chosen, pictures=False)
+    results = run(settings, scenes=4, mechanisms=("fixed:0.7",), predictors=names)
     table = results.summary.set_index(["consumer", "metric"])["value"]
     for name in ("kalman_cv", "kalman_imm"):
         theirs = table[f"{name}:engine=filterpy"]
@@ -627,7 +517,7 @@ def test_the_trackers_run_by_name_and_filterpy_agrees(settings):
 
 def test_the_independent_rule_has_rows_of_its_own(settings):
     specs = ("raw", "fixed:0.5", "fixed:0.5,adding=independent")
-    results = evaluation.run(replace(settings, mechanisms=specs), pictures=False)
+    results = run(settings, mechanisms=specs)
     assert set(results.summary["mechanism"]) == {"raw", "fixed", "fixed:adding=independent"}
 
 
@@ -639,6 +529,6 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     ]
     path = tmp_path / "grouped.csv"
     path.write_text("\n".join(grouped) + "\n", encoding="utf-8")
-    results = evaluation.run(replace(settings, dataset=str(path)), pictures=False)
+    results = run(settings, dataset=str(path))
     assert set(results.summary["n"]) == {2}
     assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 7

@@ -25,9 +25,9 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.experiment.plan import plan
 from evaluation.reporting.announcements import plan_lines
 from evaluation.results import build
-from evaluation.runs import checksums
 from evaluation.runs import folder as store
-from evaluation.runs.lock import locked
+from evaluation.runs.files import check_sound, locked
+from evaluation.runs.manifest import read_manifest, write_manifest
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 TINY = evaluation.Settings(
@@ -94,12 +94,25 @@ def own_by_nobody(folder):
 
 class TestWhereTheFolderCannotBeUsed:
     @pytest.mark.parametrize("dry", [True, False])
-    def test_a_name_that_is_too_long_is_one_line(self, dry, tmp_path, capsys):
-        out = tmp_path / ("n" * 300)
-        assert matrix.main([*OPTIONS, "--out", str(out), *["--dry-run"] * dry]) == 2
-        line = one_line(capsys)
-        assert f"error: cannot use {out}" in line
-        assert line.endswith("File name too long; choose another --out")
+    @pytest.mark.parametrize(
+        ("name", "said"),
+        [
+            ("n" * 300, "File name too long; "),
+            ("file/run", "Not a directory; "),
+            ("/proc/run", "No such file or directory; "),
+        ],
+    )
+    def test_it_is_one_line(self, dry, name, said, tmp_path, capsys):
+        (tmp_path / "file").touch()
+        out = tmp_path / name
+        code = matrix.main([*OPTIONS, "--out", str(out), *["--dry-run"] * dry])
+        if dry and code == 0:  # nothing is there, and what cannot be made is told when it is
+            return
+        assert code == 2
+        errors = capsys.readouterr().err.splitlines()
+        assert said in errors[-1]
+        assert str(out) in errors[-1]
+        assert [line for line in errors if line.startswith("error: ")] == errors[-1:]
 
     @pytest.mark.parametrize("dry", [True, False])
     def test_a_name_that_no_folder_can_have_is_one_line(self, dry, tmp_path, capsys):
@@ -122,7 +135,7 @@ class TestWhereTheFolderCannotBeUsed:
                     with pytest.raises(SettingsError, match="Permission denied; choose another"):
                         look()
                 with pytest.raises(DataError, match=f"{out}.*Permission denied"):
-                    store.read_manifest(out)
+                    read_manifest(out)
         finally:
             tmp_path.chmod(0o700)
 
@@ -151,12 +164,6 @@ class TestWhereTheFolderCannotBeUsed:
         finally:
             (out / "cells").chmod(0o755)
 
-    def test_cells_that_are_a_file_are_named(self, out, capsys):
-        shutil.rmtree(out / "cells")
-        (out / "cells").touch()
-        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
-        assert f"cannot use {out / 'cells'}: File exists" in capsys.readouterr().err
-
     def test_a_cell_that_cannot_be_dropped_is_named(self, out, monkeypatch):
         def refuse(path, **_):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
@@ -166,35 +173,39 @@ class TestWhereTheFolderCannotBeUsed:
         with pytest.raises(SettingsError, match=f"cannot use {out}/cells/.*: Permission denied"):
             evaluation.run(replace(TINY, out=out), pictures=False)
 
-    def test_a_folder_in_place_of_a_cell_is_named(self, out):
-        cell = min((out / "cells").iterdir())
-        cell.unlink()
-        cell.mkdir()
-        with pytest.raises(DataError, match=f"cannot write {cell}: Is a directory"):
-            evaluation.run(replace(TINY, out=out), pictures=False)
-
-    def test_a_folder_in_place_of_the_lock_is_named(self, out, capsys):
-        (out / ".lock").mkdir()
-        assert report.main([str(out)]) == 2
-        assert f"cannot write {out / '.lock'}: Is a directory" in one_line(capsys)
-        assert (out / ".lock").is_dir()
+    @pytest.mark.parametrize(
+        ("name", "command", "said"),
+        [
+            ("cells", "matrix", "cannot use {path}: File exists"),
+            ("cells/*", "matrix", "cannot write {path}: Is a directory"),
+            (".lock", "report", "cannot write {path}: Is a directory"),
+            ("SHA256SUMS", "report", "{path} cannot be read: Is a directory"),
+            ("SHA256SUMS", "matrix", "{path} cannot be read: Is a directory"),
+        ],
+    )
+    def test_what_is_in_place_of_something_else_is_named(self, out, name, command, said, capsys):
+        path = min(out.glob(name), default=out / name)
+        if name == "cells":
+            shutil.rmtree(path)
+            path.touch()
+        else:
+            path.unlink(missing_ok=True)
+            path.mkdir()
+        words = [str(out)] if command == "report" else [*OPTIONS, "--out", str(out)]
+        assert {"report": report, "matrix": matrix}[command].main(words) == 2
+        errors = capsys.readouterr().err.splitlines()
+        assert said.format(path=path) in errors[-1]
+        assert [line for line in errors if line.startswith("error: ")] == errors[-1:]
+        assert path.is_dir() is (name != "cells")
 
     def test_where_nothing_can_be_locked_the_run_is_refused(self, out, capsys, monkeypatch):
         def refuse(*_):
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-        monkeypatch.setattr("evaluation.runs.lock.fcntl.flock", refuse)
+        monkeypatch.setattr("evaluation.runs.files.fcntl.flock", refuse)
         assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
         errors = capsys.readouterr().err.splitlines()
         assert errors[-1].startswith(f"error: cannot lock {out / '.lock'}: No locks available; ")
-
-    def test_a_folder_in_place_of_the_checksums_is_named(self, out, capsys):
-        (out / "SHA256SUMS").unlink()
-        (out / "SHA256SUMS").mkdir()
-        assert report.main([str(out)]) == 2
-        assert f"{out / 'SHA256SUMS'} cannot be read: Is a directory" in one_line(capsys)
-        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
-        assert f"{out / 'SHA256SUMS'} cannot be read: Is a directory" in one_line(capsys)
 
     def test_a_folder_that_may_not_be_written_has_no_lock(self, finished, everybodys):
         out = Path(shutil.copytree(finished, everybodys / "run"))
@@ -232,7 +243,7 @@ DAMAGE = {
     ),
     "a time in words": (lambda one: one.update(wall_time_s="abc"), "wall_time_s is 'abc'"),
     "no time at all": (lambda one: one.update(wall_time_s=10**400), "wall_time_s is 1000"),
-    "a cell that is none": (lambda one: one["cells"].append(None), "cells[4] is no table"),
+    "a cell that is none": (lambda one: one["cells"].append(None), "cells[2] is no table"),
     "no groups": (lambda one: one.pop("groups"), "groups is missing"),
     "a group twice": (
         lambda one: one.update(groups=[one["groups"][0]] * 2),
@@ -246,17 +257,21 @@ DAMAGE = {
         lambda one: one["settings"]["stages"].update({"a\nb": []}),
         r"settings.stages.a\nb is []",
     ),
+    "consumers that are not there": (
+        lambda one: one["cells"][1].update(consumers=7),
+        "cells name consumers[7]",
+    ),
     "an adversary that there is not": (
-        lambda one: one["cells"][0].update(knowledge="blind"),
-        "cells[0].knowledge is 'blind'",
+        lambda one: one["consumers"][0][0].update(knowledge="blind"),
+        "knowledge of shared at raw is 'blind'",
     ),
     "a control that there is not": (
-        lambda one: one["cells"][0].update(kind="control", consumer="split/control-x"),
-        "cells[0].consumer is 'split/control-x'",
+        lambda one: one["consumers"][0][0].update(kind="control", consumer="split/control-x"),
+        "split/control-x is no control",
     ),
     "a linker without its ceiling": (
-        lambda one: one["cells"][0].update(kind="linkage", knowledge="blind"),
-        "cells[0] has no ceiling",
+        lambda one: one["consumers"][0][0].update(kind="linkage", knowledge="blind"),
+        "the ceiling of shared at raw is missing",
     ),
 }
 
@@ -283,17 +298,27 @@ class TestManifest:
         assert len(list((out / "cells").iterdir())) == 2
         assert (out / "notes.txt").read_text() == "mine"
 
-    @pytest.mark.parametrize("held", ["[" * 100_000, r'{"identity": {"\ud800": 1}, "cells": []}'])
+    @pytest.mark.parametrize(
+        "held",
+        [
+            *(b"", b"{", b"[]", b'{"cells": 1}', b"\xff\xfe"),
+            *(b"[" * 100_000, rb'{"identity": {"\ud800": 1}, "cells": []}'),
+        ],
+    )
     def test_that_nothing_can_be_made_of_is_one_line(self, held, out, capsys):
-        (out / "manifest.json").write_text(held)
+        (out / "manifest.json").write_bytes(held)
         assert report.main([str(out)]) == 2
-        assert f"{out / 'manifest.json'} cannot be read" in one_line(capsys)
+        said = one_line(capsys)
+        path = out / "manifest.json"
+        assert f"{path} cannot be read" in said or f"{path} is not the manifest" in said
+        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
+        assert str(path) in capsys.readouterr().err.splitlines()[-1]
 
     def test_of_a_run_that_never_started_is_continued_but_has_no_report(self, tmp_path, capsys):
         out = tmp_path / "run"
         ready = plan(replace(TINY, out=out))
         manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)
-        store.write_manifest(out, manifest | {"code": ready.code, "state": "running"})
+        write_manifest(out, manifest | {"code": ready.code, "state": "running"})
         assert report.main([str(out)]) == 2
         assert f"{out} holds a run that never started" in one_line(capsys)
         assert len(evaluation.run(ready=ready, pictures=False).failed) == 0
@@ -304,7 +329,7 @@ class TestManifest:
         assert f"{out} holds no finished cell; run the matrix again" in one_line(capsys)
 
     def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(self, out, capsys):
-        edited(out, lambda one: one["cells"][0].update(kind="predictor"))
+        edited(out, lambda one: one["consumers"][0][0].update(kind="predictor"))
         assert report.main([str(out)]) == 2
         assert "has no column conflict: it is no cell of the kind" in one_line(capsys)
 
@@ -375,12 +400,12 @@ class TestAnyDamageOfAManifest:
         (bare / "manifest.json").write_text(content)
         with contextlib.suppress(IsacTrackError):
             opened, _, _ = store.open_run(bare, identity=whole["identity"], fresh=False)
-            store.write_manifest(bare, opened)  # a run goes on from here
+            write_manifest(bare, opened)  # a run goes on from here
             float(opened.get("wall_time_s", 0.0))
         (bare / "manifest.json").write_text(content)
         with contextlib.suppress(IsacTrackError):
-            manifest = store.read_manifest(bare)
-            checksums.check_sound(run, [name for one in manifest["cells"] for name in one["files"]])
+            manifest = read_manifest(bare)
+            check_sound(run, [name for one in manifest["cells"] for name in one["files"]])
             summary.estimates(run, manifest)
             flags.slow_attacks(manifest)
             flags.on_first_releases(run, manifest)

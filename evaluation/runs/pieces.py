@@ -1,0 +1,241 @@
+"""The work of a run in pieces: what is missing, how it is cut, and what is left when one fails.
+
+When a plug-in or a worker fails, its cell is left out by name, and the rest goes on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from evaluation.cells.work import Block, LinkWork
+from evaluation.experiment.axes import n_blocks
+from evaluation.experiment.constants import BLOCK_SCENES
+from evaluation.runs.cell_files import index_of, places_of
+from evaluation.runs.files import FOLDER, written_down
+from isac_track.scenes import track_order
+
+if TYPE_CHECKING:
+    from collections import deque
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Set as AbstractSet
+
+    import pandas as pd
+
+    from evaluation.cells.progress import Failed
+    from evaluation.cells.work import Levels
+    from evaluation.experiment.axes import Consumer
+    from evaluation.experiment.plan import Plan, Unit
+    from isac_track.plugins import Plugin
+
+Work: TypeAlias = "Block | LinkWork"
+Cell: TypeAlias = "tuple[int, Plugin, Consumer]"
+"""Block (0 for what is linked), mechanism and consumer."""
+_TASKS_PER_WORKER = 2
+_LEVELS_PER_TASK = 12
+"""Of what is linked."""
+_CLUSTER_TASKS = 64
+"""At least so many, where there are as many levels and blocks."""
+_MOST_NAMED = 3
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Missing:
+    """What a unit of work lacks: consumers by their keys, and the file that they will be in."""
+
+    unit: Unit
+    consumers: Mapping[str, Consumer]
+    file: str
+
+
+def missing_of(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Missing]:
+    """Return what the units of a run lack, given the file of every finished cell by its keys."""
+    missing = []
+    for unit in ready.units:
+        who = {key: one for key, one in unit.consumers.items() if (unit.key, key) not in places}
+        if who:
+            missing.append(Missing(unit, who, unit.file_of(who)))
+    return missing
+
+
+def n_finished(ready: Plan) -> int:
+    """Return how many cells of a run are finished by the checksums of its folder.
+
+    Raises DataError if these cannot be read, and OSError if the folder of the cells cannot.
+    """
+    indices = {name: index_of(ready.out / FOLDER / name) for name in written_down(ready.out)}
+    places = places_of({name: one for name, one in indices.items() if one is not None})
+    return ready.n_cells - sum(len(one.consumers) for one in missing_of(ready, places))
+
+
+def pieces_of(missing: Sequence[Missing], ready: Plan) -> list[Work]:
+    """Return what is to be computed: first scenes, block by block, then what is linked."""
+    # The longest first: at the end no worker waits for long.
+    links = sorted(_links(missing, ready), key=_pairs, reverse=True)
+    return [*_blocks(missing, ready), *links]
+
+
+def _blocks(missing: Sequence[Missing], ready: Plan) -> Iterator[Block]:
+    settings = ready.settings
+    order = track_order(
+        n_tracks=len(ready.tracks),
+        n_scenes=settings.n_scenes,
+        agents=settings.stages.scenes.agents,
+        seed=settings.seed,
+    )
+    count = n_blocks(settings.n_scenes)
+    of_scenes = [one for one in missing if not next(iter(one.consumers.values())).task]
+    for number in range(count):
+        levels = _levels([one for one in of_scenes if one.unit.block == number])
+        # Split where there are few blocks for the workers; each piece senses the block again, so
+        # that there are no more than an even load takes.
+        n_pieces = 1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // count)
+        first = number * BLOCK_SCENES
+        scenes = order[first : first + BLOCK_SCENES]
+        for piece in _shared_out(levels, n_pieces):
+            yield Block(number=number, first_scene=first, order=scenes, levels=piece)
+
+
+def _links(missing: Sequence[Missing], ready: Plan) -> Iterator[LinkWork]:
+    for sessions in ready.sessions:
+        levels = _levels([one for one in missing if one.unit.stage == sessions.task.name])
+        # Each piece senses the sessions again, which takes less than one level.
+        for first in range(0, len(levels), _LEVELS_PER_TASK):
+            yield LinkWork(
+                sessions=sessions,
+                groups=tuple(sorted(set(ready.tracks.group))),
+                levels=levels[first : first + _LEVELS_PER_TASK],
+                keep_scores=ready.settings.keep_scores,
+            )
+
+
+def _levels(missing: Sequence[Missing]) -> Levels:
+    """Return the levels of some units of one block, or of one task: all stages together."""
+    levels: dict[str, tuple[Plugin, list[Consumer]]] = {}
+    for one in missing:
+        mechanism = one.unit.mechanism
+        levels.setdefault(mechanism.spec, (mechanism, []))[1].extend(one.consumers.values())
+    return tuple((mechanism, tuple(consumers)) for mechanism, consumers in levels.values())
+
+
+def _pairs(work: LinkWork) -> int:
+    """Return how many pairs are compared: what a linker takes goes by it."""
+    sides = (work.sessions.probe.search, work.sessions.gallery.search)
+    probes, gallery = (np.bincount(side, minlength=len(work.sessions.searches)) for side in sides)
+    return len(work.levels) * int((probes * gallery).sum())
+
+
+def _shared_out(levels: Levels, n_pieces: int) -> list[Levels]:
+    """Split levels; neighbours take alike long, so every n-th level is in a piece."""
+    return [levels[piece::n_pieces] for piece in range(min(n_pieces, len(levels)))]
+
+
+def cut_for_cluster(works: deque[Work]) -> None:
+    """Cut work into pieces for some dozen threads, in place: workers come and go."""
+    n_pieces = -(-_CLUSTER_TASKS // len(works))
+    for _ in range(len(works)):
+        work = works.popleft()
+        works.extend(replace(work, levels=piece) for piece in _shared_out(work.levels, n_pieces))
+
+
+@dataclass(frozen=True, slots=True)
+class FailedCell:
+    """A cell that could not be computed, and why."""
+
+    block: int
+    mechanism: Plugin
+    consumer: Consumer
+    why: str
+
+    def described(self) -> dict[str, Any]:
+        """Return its entry in a manifest."""
+        return {
+            "spec": self.mechanism.spec,
+            "kind": self.consumer.kind,
+            "consumer": self.consumer.spec,
+            "knowledge": self.consumer.knowledge,
+            "block": self.block,
+            "why": self.why,
+        }
+
+
+class Failures:
+    """The failed cells of a run, and those that a worker died at once."""
+
+    def __init__(self) -> None:
+        self.cells: list[FailedCell] = []
+        self._died_at: set[tuple[tuple[int, str, str], ...]] = set()
+
+    def rest(
+        self, work: Work, failure: Failed, *, finished: AbstractSet[tuple[str, str]]
+    ) -> list[Work]:
+        """Return what is still to be done of a work in which something failed.
+
+        A worker's death is tried once more. `finished` has the specs of what is finished of it.
+        """
+        left = only(work, lambda cell: specs_of(cell) not in finished)
+        culprits = only(left, lambda cell: _is_at(cell, failure.at))
+        innocent = only(left, lambda cell: not _is_at(cell, failure.at))
+        if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
+            culprits, innocent = innocent, culprits
+        again = self._once_more(culprits, place_is_known=bool(failure.at)) if failure.died else []
+        if not again:
+            self.cells += [FailedCell(*cell, failure.why) for cell in cells_of(culprits)]
+        return [*again, *([innocent] if innocent.levels else ())]
+
+    def _once_more(self, culprits: Work, *, place_is_known: bool) -> list[Work]:
+        """Return the work at which a worker died, in smaller parts; none if it was its second."""
+        key = tuple((cell[0], *specs_of(cell)) for cell in cells_of(culprits))
+        is_vague = not place_is_known and len(key) > 1
+        if key in self._died_at and not is_vague:
+            return []
+        self._died_at.add(key)
+        if is_vague and len(culprits.levels) == 1:  # it is not known where it was: cell by cell
+            self._died_at.update((one,) for one in key)
+            mechanism, consumers = culprits.levels[0]
+            return [replace(culprits, levels=((mechanism, (one,)),)) for one in consumers]
+        # One level at a time: the next death, if there is one, takes no others along.
+        return [replace(culprits, levels=(level,)) for level in culprits.levels]
+
+
+def cells_of(work: Work) -> Iterator[Cell]:
+    """Yield the cells of a piece of work."""
+    number = work.number if isinstance(work, Block) else 0
+    for mechanism, consumers in work.levels:
+        for consumer in consumers:
+            yield number, mechanism, consumer
+
+
+def specs_of(cell: Cell) -> tuple[str, str]:
+    """Return how a cell is noted while it is computed."""
+    return cell[1].spec, cell[2].label
+
+
+def only(work: Work, wanted: Callable[[Cell], bool]) -> Work:
+    """Return the work with no other cells."""
+    chosen = [cell for cell in cells_of(work) if wanted(cell)]
+    levels = (
+        (mechanism, tuple(one for _, of, one in chosen if of is mechanism))
+        for mechanism, _ in work.levels
+    )
+    return replace(work, levels=tuple(level for level in levels if level[1]))
+
+
+def _is_at(cell: Cell, at: tuple[str, ...]) -> bool:
+    """Whether a cell is where the work was; in a mechanism, all of its consumers are."""
+    return not at or (cell[1].spec == at[0] and at[1] in ("", cell[2].label))
+
+
+def failed_lines(rows: pd.DataFrame) -> list[str]:
+    """Return what failed, by `failed.csv`: for each consumer and reason the levels left out."""
+    lines = []
+    for (consumer, knowledge, why), part in rows.groupby(
+        ["consumer", "knowledge", "why"], sort=False
+    ):
+        who = f"{consumer} ({knowledge})" if str(knowledge) else consumer
+        specs = list(part["spec"].unique())
+        more = f" and {len(specs) - _MOST_NAMED} more" if len(specs) > _MOST_NAMED else ""
+        lines.append(f"{who} at {', '.join(specs[:_MOST_NAMED])}{more}: {why}; left out everywhere")
+    return lines
