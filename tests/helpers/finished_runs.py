@@ -9,7 +9,7 @@ import pandas as pd
 from evaluation.analysis import decisions, linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
-from evaluation.reporting.run_results import Results
+from evaluation.reporting.rows import Results
 from evaluation.runs.failures import COLUMNS as FAILED_COLUMNS
 from isac_track.config import StageSettings
 
