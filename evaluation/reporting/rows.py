@@ -12,14 +12,12 @@ import pandas as pd
 
 from evaluation.analysis.families import (
     ADDING_RULES,
-    CLEAN,
     FID,
     FIXED,
-    RAW,
     Family,
     families_in,
 )
-from evaluation.analysis.keys import Source, is_attack, level_text
+from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import dataset_of, linked_tasks, remarks
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION
@@ -46,7 +44,6 @@ _KNOWN: Final = {
 }
 ENDS: Final = ["value", "ci_low", "ci_high"]
 """Columns of an estimate."""
-_ORDER = (CLEAN, RAW, "fid", "fixed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +108,6 @@ def is_control(one: Family) -> bool:
     return one.family in CONTROLS
 
 
-def rank_of(one: Family) -> int:
-    """Return where a mechanism stands: no error first, the paper's, strangers', then controls."""
-    if is_control(one):
-        return len(_ORDER) + 1
-    return _ORDER.index(one.family) if one.family in _ORDER else len(_ORDER)
-
-
 def parameters_text(one: Family) -> str:
     """Return a mechanism's parameters without its adding rule, short."""
     text = one.parameters.replace(",", ", ")
@@ -171,11 +161,6 @@ def rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
         if (row := block.get(source)) is not None and math.isfinite(row["rank1"])
     ]
     return pd.DataFrame(rows, columns=["mechanism", "level", *ENDS, "chance", "links"])
-
-
-def attacked(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a summary without what is no adversary's knowledge."""
-    return frame.assign(knowledge=frame["knowledge"].where(is_attack(frame), ""))
 
 
 def telling(

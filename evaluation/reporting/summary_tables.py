@@ -20,7 +20,6 @@ from evaluation.analysis.metrics import (
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.rows import (
-    attacked,
     by_level,
     mechanism_columns,
     of_source,
@@ -103,8 +102,9 @@ def _amount(rows: Mapping[str, Mapping[str, Any]], metric: str) -> Cell:
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of descriptors as shared and after attacks; none without attacks."""
     is_attacked = is_attack(summary)
-    rows = summary[(is_attacked | (summary["consumer"] == SHARED)) & bool(is_attacked.any())]
-    return attacked(rows[rows["metric"].isin(RECONSTRUCTION)])
+    rows = summary.assign(knowledge=summary["knowledge"].where(is_attacked, ""))
+    is_shown = (is_attacked | (rows["consumer"] == SHARED)) & bool(is_attacked.any())
+    return rows[is_shown & rows["metric"].isin(RECONSTRUCTION)]
 
 
 def sources_of(rows: pd.DataFrame) -> list[Source]:

@@ -161,9 +161,9 @@ def said(name: str, of: str | Callable[[Any], object] = "") -> Made:
     return Column(name, align="left"), lambda record: word(take(record))
 
 
-def decided(name: str, of: str = "") -> Made:
+def decided(name: str) -> Made:
     """Return a column of decisions."""
-    return Column(name, align="left"), lambda record: decision(record[of or name])
+    return Column(name, align="left"), lambda record: decision(record[name])
 
 
 def counted(name: str, unit: str, *keys: str, **shown: Any) -> Made:  # noqa: ANN401 - see `number`

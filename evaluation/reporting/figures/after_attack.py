@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from evaluation.reporting.rows import Results
 
-LABEL = "PLR, shared or attacked (%)"
 # The oracle is set apart: grey, thin and hollow.
 _ORACLE: dict[str, Any] = {"linewidth": 0.8, "markerfacecolor": "white"}
 _ORACLE_LOOKS = Look("#777777", "D", (0, (2, 1.5))), Look("#999999", "v", (0, (4, 1.5)))
@@ -75,7 +74,7 @@ def attack_figure(run: Results) -> Figure | None:
                 # Those of attacks would crowd each other.
                 line.draw_raw(ax, scheme=None if source == AS_SHARED else scheme)
         figure_style.level_axis(axes[0], log=scheme.log)
-        axes[0].set_ylabel(LABEL)
+        axes[0].set_ylabel("PLR, shared or attacked (%)")
     # A share: the whole axis, with a little room for markers at its ends.
     panels[0, 0].set_ylim(-3.0, 103.0)
     handles: list[Any] = [line.handle for line in lines.values()]

@@ -14,13 +14,13 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath, text_to_path
 from matplotlib.transforms import Affine2D
 
-from evaluation.analysis.families import ADDING_RULES, FID
+from evaluation.analysis.families import ADDING_RULES, CLEAN, FID, FIXED, RAW
 from evaluation.analysis.keys import level_text
 from evaluation.analysis.linkability import INVALID
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import PERCENT, Look
-from evaluation.reporting.rows import family_of, parameters_text, rank_of, schemes
+from evaluation.reporting.rows import family_of, is_control, parameters_text, schemes
 from evaluation.reporting.table import shortened
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 # The page turns pure black and white over in the dark; what stands on a colour must stay.
 _ON_DARK, _ON_BRIGHT = "#fefefe", "#010101"
+_ORDER = (CLEAN, RAW, FID, FIXED)
 _CELL_IN = 0.155
 _CELL_POINTS = 6.2
 _ROOM_IN = 0.06
@@ -127,12 +128,14 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
 
 
 def _in_order(cells: Iterable[Where], known: Mapping[str, Family]) -> list[Where]:
-    """Return the columns: no error first, FID with less and less, fixed, then the controls."""
+    """Return the columns: no error, FID with less and less, fixed, strangers', then controls."""
     names = list(dict.fromkeys(name for name, _ in cells))
 
     def key(where: Where) -> tuple[int, int, float]:
         one, at = family_of(known, where[0]), where[1] or 0.0
-        return rank_of(one), names.index(where[0]), -at if one.family == FID else at
+        place = len(_ORDER) + is_control(one)
+        rank = _ORDER.index(one.family) if one.family in _ORDER else place
+        return rank, names.index(where[0]), -at if one.family == FID else at
 
     return sorted(cells, key=key)
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from evaluation.analysis.linkability import LinkedTask
     from evaluation.reporting.rows import Results, Scheme
 
-LABEL = "rank 1 (%)"
 _CHANCE_LOOK = Look("#777777", "", "-")
 _CEILING_LOOK = Look("#000000", "", (0, (6, 2)))
 # What is near chance gets a shorter axis: on a whole one it would be a line at the bottom.
@@ -91,7 +90,7 @@ def linkage_figure(run: Results) -> Figure | None:
         name = row.task.name
         is_simulated = name in TASKS and TASKS[name].simulated
         note = "(simulated)" if is_simulated else _NOTES.get(name, "")
-        in_row[0].set_ylabel("\n".join(filter(None, [name, note, LABEL])))
+        in_row[0].set_ylabel("\n".join(filter(None, [name, note, "rank 1 (%)"])))
         in_row[0].set_ylim(-0.03 * row.limit, 1.03 * row.limit)
         if row.limit < PERCENT:
             ends = f"axis ends at {row.limit:g} %"
