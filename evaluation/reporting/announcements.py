@@ -142,7 +142,8 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
     if dataset["name"] in KNOWN:
         words += ["--dataset", dataset["name"]]
     else:
-        words += ["--dataset", dataset["path"], "--format", dataset["format"]]
+        words += ["--dataset", dataset["path"]]
+        words += ["--format", dataset["format"]] if dataset["format"] else []
         words += [] if identity.get("fps") is None else ["--fps", str(identity["fps"])]
     words += [] if identity["scenes"] == usual.scenes else ["--scenes", str(identity["scenes"])]
     words += ["--seed", str(identity["seed"])] if identity["seed"] else []

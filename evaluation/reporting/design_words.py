@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from evaluation.analysis.families import Family
     from evaluation.verdict.choose_level import Check, Choice, Level, Scheme
 
+_ANSWERED = ("met", "chosen", "stricter", "also_meets", "is_saturated")
 _CHECKED = ("name", "limit", "measured", "status")
 _UNMET = {"not met": "exceeds the limits of", "cannot say": "cannot be judged by"}
 _LEVEL_NAMES = {FID: "eta", FIXED: "d_sigma"}
@@ -46,11 +47,7 @@ def to_json(choice: Choice) -> dict[str, Any]:
             {
                 "adding": one.adding,
                 "family": one.name,
-                "met": one.met,
-                "chosen": _plain(one.chosen),
-                "stricter": _plain(one.stricter),
-                "also_meets": list(one.also_meets),
-                "is_saturated": one.is_saturated,
+                **{name: _plain(getattr(one, name)) for name in _ANSWERED},
                 "checks": [
                     _plain({name: getattr(check, name) for name in _CHECKED})
                     | {"reason": reason(check)}

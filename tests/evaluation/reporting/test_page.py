@@ -9,7 +9,6 @@ from helpers.finished_runs import (
     MANIFEST,
     VERDICT,
     emptied,
-    levels,
     make_flags,
     make_run,
 )
@@ -18,18 +17,12 @@ from markupsafe import escape
 
 from evaluation.reporting import page
 from evaluation.reporting.announcements import command
-from evaluation.reporting.figures.drawing import draw_all
 from isac_track.errors import DataError
 
 
-def draw(run):
-    return draw_all(run, folder=run.out / "figures")
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    run = make_run(tmp_path_factory.mktemp("run"), at=levels(rules=("",)))
-    return page.write(run, drawn=draw(run)).read_text(encoding="utf-8")
+@pytest.fixture
+def made(page_path):
+    return page_path.read_text(encoding="utf-8")
 
 
 class TestTheFile:
@@ -65,7 +58,7 @@ class TestTheFile:
     def test_every_figure_has_a_title_and_words_with_numbers(self, made):
         tags = Tags(made)
         svgs = tags.of("svg")
-        assert len(svgs) == 9
+        assert len(svgs) == 10
         assert all(svg["role"] == "img" and svg["viewbox"] for svg in svgs)
         told = re.findall(r"<title id=.*?>(.*?)</title><desc id=.*?>(.*?)</desc>", made)
         assert len(told) == len(svgs)

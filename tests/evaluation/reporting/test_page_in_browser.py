@@ -1,15 +1,10 @@
-"""The page in a real browser: a real run, opened from its file as its reader would."""
+"""The page in a real browser, opened from its file as its reader would."""
 
 import csv
 import io
 import shutil
-from dataclasses import replace
 
 import pytest
-
-import evaluation
-from evaluation.reporting import page
-from isac_track.config import StageSettings
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -36,25 +31,6 @@ SIDEWAYS = "() => document.documentElement.scrollWidth - document.documentElemen
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """The page of a small run with everything in it."""
-    stages = StageSettings()
-    settings = evaluation.Settings(
-        preset="smoke",
-        dataset="plaza",
-        scenes=8,
-        mechanisms=("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1", "offset:0.4"),
-        predictors=("least_squares", "kalman_cv"),
-        attacks=("radial_rts", "shape"),
-        tasks=("rerelease",),
-        stages=replace(stages, linkage=replace(stages.linkage, most_people=40)),
-        jobs=1,
-        out=tmp_path_factory.mktemp("page") / "run",
-    )
-    return evaluation.run(settings).out / page.PAGE
-
-
-@pytest.fixture(scope="module")
 def browser():
     with sync_api.sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
@@ -63,7 +39,7 @@ def browser():
 
 
 @pytest.fixture
-def opened(browser, made):
+def opened(browser, page_path):
     """How to open the page; at the end nothing may have gone wrong or been asked for."""
     contexts, trouble, requests = [], [], []
 
@@ -74,7 +50,7 @@ def opened(browser, made):
         tab.on("console", lambda message: trouble.append(f"{message.type}: {message.text}"))
         tab.on("pageerror", lambda error: trouble.append(str(error)))
         tab.on("request", lambda request: requests.append(request.url))
-        tab.goto(made.as_uri())
+        tab.goto(page_path.as_uri())
         return tab
 
     yield to_open
@@ -82,7 +58,7 @@ def opened(browser, made):
         context.close()
     assert trouble == []
     asked = [url for url in requests if not url.startswith("data:")]
-    assert asked == [made.as_uri()] * len(contexts)
+    assert asked == [page_path.as_uri()] * len(contexts)
 
 
 @pytest.mark.parametrize("viewport", [PHONE, DESK], ids=["phone", "desk"])

@@ -9,6 +9,7 @@ from helpers.finished_runs import (
     STRONGEST,
     levels,
     make_curves,
+    make_gallery,
     make_linkability,
     make_run,
     make_summary,
@@ -330,23 +331,6 @@ class TestMissesAndFalseAlarms:
         (point,) = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 1]
         assert point.get_xydata().tolist() == [[pytest.approx(12.0), pytest.approx(12.0)]]
         assert draw(make_run(curves=make_curves()[:0]), "false_alarms") is None
-
-
-def make_gallery():
-    """As `gallery.parquet`: four straight walks, every other shared sample leaks."""
-    t = np.arange(8.0)
-    return pd.concat(
-        pd.DataFrame(
-            {
-                "track": track, "source": f"p{track}", "mechanism": mechanism,
-                "attack": "radial_rts", "epsilon_m": 0.3, "t": t, "x_true": t, "y_true": track,
-                "x_shared": t + 0.1, "y_shared": track + 0.2, "x_rec": t, "y_rec": track + 0.1,
-                "leaked_shared": t % 2 == 0, "leaked_rec": t > 1,
-            }
-        )
-        for track in range(4)
-        for mechanism in ("raw", "fid:1", "fixed:0.8")
-    )  # fmt: skip
 
 
 class TestTheGallery:
