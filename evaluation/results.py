@@ -16,7 +16,7 @@ from evaluation.analysis.strongest import strongest
 from evaluation.analysis.sweeps import Sweeps
 from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
-from evaluation.reporting.run_results import Results
+from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex
 from evaluation.runs import folder
 from evaluation.runs.cell_files import read_gallery
@@ -141,8 +141,7 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
 def _draw(results: Results, *, jobs: int) -> None:
     # matplotlib is slow to import, and only needed to draw.
     from evaluation.reporting import page  # noqa: PLC0415
-    from evaluation.reporting.figures.draw_all import draw_all  # noqa: PLC0415
-    from evaluation.reporting.figures.drawing import figures_of  # noqa: PLC0415
+    from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415
 
     folder.note_figures(results.out, [one.name for one in figures_of(results)])
     page.write(results, drawn=draw_all(results, folder=results.out / "figures", jobs=jobs))

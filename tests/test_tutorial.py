@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from helpers.processes import ROOT
 
-from evaluation.reporting.figures import draw_all
+from evaluation.reporting.figures import drawing
 from evaluation.results import build
 
 EXAMPLE = ROOT / "examples" / "tutorial"
@@ -38,12 +38,12 @@ def finished(tmp_path_factory):
     folder, said = tmp_path_factory.mktemp("tutorial"), io.StringIO()
     for path in EXAMPLE.glob("*.py"):
         shutil.copy(path, folder)
-    figures = draw_all.figures_of
+    figures = drawing.figures_of
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.chdir(folder)
         patch.syspath_prepend(folder)
         patch.setattr(
-            draw_all,
+            drawing,
             "figures_of",
             lambda run: [one for one in figures(run) if one.name == "after_attack"],
         )

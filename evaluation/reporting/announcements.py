@@ -1,4 +1,4 @@
-"""What a run says of itself in lines: what can be named, what is to be done, what to know of it.
+"""What a run says of itself in lines: what can be named, what is to be done, and how once more.
 
 Nothing heavy is imported: `--list` answers at once.
 """
@@ -6,17 +6,21 @@ Nothing heavy is imported: `--list` answers at once.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from evaluation.experiment.plan import Plan
     from isac_track.plugins import Kind
 
+CONSUMERS: Final = ("predictor", "attack", "task")
+_COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _MOST_SECONDS = 120
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
@@ -38,11 +42,8 @@ def listing() -> list[str]:
     width = max(len(name) for entries in sections.values() for name in entries)
     lines = []
     for title, entries in sections.items():
-        lines += [
-            f"{title}:",
-            *(f"  {name:<{width}}  {text}" for name, text in entries.items()),
-            "",
-        ]
+        said = [f"  {name:<{width}}  {text}" for name, text in entries.items()]
+        lines += [f"{title}:", *said, ""]
     return lines
 
 
@@ -81,10 +82,13 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     for spec in dict.fromkeys(one.spec for one in ready.axes.consumers if one.is_slow):
         rows = [one for one in ready.axes.consumers if one.is_slow and one.spec == spec]
         cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)
-        about = "it does not say how" if math.isnan(cost_s) else f"about {_duration(cost_s)}"
+        about = (
+            f"about {cost_s:.0f} s" if cost_s < _MOST_SECONDS else f"about {cost_s / 60:.0f} min"
+        )
         yield (
-            f"notice: attack {spec} is slow: {about} for {len(rows)} adversaries at {n_levels} "
-            "levels in one process; it runs on one release of each source track"
+            f"notice: attack {spec} is slow: "
+            f"{'it does not say how' if math.isnan(cost_s) else about} for {len(rows)} adversaries "
+            f"at {n_levels} levels in one process; it runs on one release of each source track"
         )
 
 
@@ -93,25 +97,62 @@ def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     for spec, asked in manifest["granted"].items():
         yield f"{spec} asked for {' and '.join(asked)}, which a robot does not have by default"
     for family in manifest["without_rule"]:
-        yield (
-            f"{family} does not say by `adding` how it adds its error: it is judged under both "
-            "rules"
-        )
-    if manifest["dropped_cells"]:
-        yield f"{manifest['dropped_cells']} cells of another code version were dropped"
+        told = "does not say by `adding` how it adds its error: it is judged under both rules"
+        yield f"{family} {told}"
+    if dropped := manifest["dropped_cells"]:
+        yield f"{dropped} cells of another code version were dropped"
     if damaged := manifest["damaged_cells"]:
-        yield (
-            f"{len(damaged)} cells were not as they had been written and are computed anew, "
-            f"{damaged[0]} for one"
-        )
-    if manifest["exhausted_redraws"]:
-        yield (
-            f"{manifest['exhausted_redraws']} background agents found no place with "
-            "scenes.clearance_m and kept their last draw"
-        )
+        told = "cells were not as they had been written and are computed anew"
+        yield f"{len(damaged)} {told}, {damaged[0]} for one"
+    if redraws := manifest["exhausted_redraws"]:
+        told = "background agents found no place with scenes.clearance_m and kept their last draw"
+        yield f"{redraws} {told}"
     for why in manifest["gallery_without"]:
         yield f"track gallery without {why}"
 
 
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < _MOST_SECONDS else f"{seconds / 60:.0f} min"
+def command(manifest: Mapping[str, Any]) -> str:
+    """Return the command that makes the run again.
+
+    The one that was given, with the data set and the seed named in any case; of a run that was
+    started from Python one that names all that is not usual.
+    """
+    given = [str(word) for word in manifest["environment"].get("command", ())]
+    if given and Path(given[0]).name in _COMMANDS:
+        options = [word for word in given[1:] if word != "matrix"]
+    else:
+        options = same_run(manifest, axes=("mechanism", *CONSUMERS))
+    for name, value in (
+        ("--dataset", manifest["dataset"]["name"]),
+        ("--seed", manifest["settings"]["seed"]),
+    ):
+        if not any(word == name or word.startswith(f"{name}=") for word in options):
+            options += [name, str(value)]
+    return shlex.join(["python", "-m", "evaluation.matrix", *options])
+
+
+def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) -> list[str]:
+    """Return the options that give the identity and some axes of a run again."""
+    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
+
+    identity, settings, dataset = (manifest[key] for key in ("identity", "settings", "dataset"))
+    name, usual_stages = settings["preset"], StageSettings().flat()
+    usual = PRESETS.get(name, PRESETS["paper"])
+    words = ["--preset", name] if name in PRESETS and name != "paper" else []
+    if dataset["name"] in KNOWN:
+        words += ["--dataset", dataset["name"]]
+    else:
+        words += ["--dataset", dataset["path"]]
+        words += ["--format", dataset["format"]] if dataset["format"] else []
+        words += [] if identity.get("fps") is None else ["--fps", str(identity["fps"])]
+    words += [] if identity["scenes"] == usual.scenes else ["--scenes", str(identity["scenes"])]
+    words += ["--seed", str(identity["seed"])] if identity["seed"] else []
+    for option in axes:
+        used = settings.get(f"{option}s", [])
+        if set(used) != set(getattr(usual, f"{option}s")):
+            for value in used or ["none"]:
+                words += [f"--{option}", value]
+    for key, value in settings.get("stages", {}).items():
+        if usual_stages.get(key, value) != value:
+            words += ["--set", f"{key}={value}"]
+    return words

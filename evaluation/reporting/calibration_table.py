@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from evaluation.analysis.calibration import FITTED
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
-from evaluation.reporting.table import Column, number, table, word, words
-from evaluation.reporting.terminal import show_table, standard_output
+from evaluation.reporting import terminal
+from evaluation.reporting.table import Column, Table, number, word, words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,10 +23,11 @@ _ABOUT = (
 
 def show(found: Mapping[str, Calibration]) -> None:
     """Print constants and numbers by what was fixed beforehand."""
-    rows = []
-    for name in FITTED:
-        values = [number(getattr(fit, name), digits=2) for fit, _ in found.values()]
-        rows.append([word(name), number(None), *values])
+    rows = [
+        [word(name), number(None)]
+        + [number(getattr(fit, name), digits=2) for fit, _ in found.values()]
+        for name in FITTED
+    ]
     for mechanism, level, metric, published in PUBLISHED:
         spec = mechanism if level is None else f"{mechanism}:{level:g}"
         numbers = [published, *(ours[spec, metric] for _, ours in found.values())]
@@ -35,6 +36,4 @@ def show(found: Mapping[str, Calibration]) -> None:
         rows.append([word(f"{spec} {metric}"), *cells])
     columns = [*words("constant or number"), Column("paper"), *map(Column, found)]
     title = "paper, and what each set of constants gives"
-    show_table(
-        table("calibration", title, columns, rows, notes=[_ABOUT]), console=standard_output()
-    )
+    terminal.show([Table("calibration", title, columns, rows, notes=[_ABOUT])])

@@ -3,27 +3,43 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from functools import partial
+from operator import attrgetter, itemgetter
+from typing import TYPE_CHECKING, TypeAlias
 
 from rich.text import Text
 
 from evaluation.analysis.families import LEVEL_UNITS
 from evaluation.analysis.keys import Source, level_text
-from evaluation.analysis.linkability import REMARKS, remarks
+from evaluation.analysis.linkability import remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
-from evaluation.reporting import table as tables
 from evaluation.reporting.design_words import closer, notes, reasons, sentence
-from evaluation.reporting.linkage_tables import MARKS
+from evaluation.reporting.linkage_tables import MARKS, MEANING
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    amount,
+    built,
+    estimated,
+    metric_column,
+    said,
+    word,
+)
 from evaluation.reporting.terminal import literal, say, show_table, standard_output
 from evaluation.verdict.choose_level import METRIC_OF, UNKNOWN
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from rich.console import Console
 
-    from evaluation.reporting.table import Cell, Column, Table
+    from evaluation.reporting.table import Made, Table
     from evaluation.verdict.choose_level import Attacked, Choice, Level, Linked
+
+
+_Row: TypeAlias = "tuple[str, str, str, Level | None]"
+"""Adding rule, mechanism, level, and what it comes to."""
 
 
 def show(choice: Choice, *, console: Console | None = None) -> None:
@@ -47,10 +63,9 @@ def show(choice: Choice, *, console: Console | None = None) -> None:
         _say(f"{scheme.name}, {scheme.adding} adding", "bold cyan", console=console)
         for reason in [*reasons(scheme), *["meets everything that was asked"] * scheme.met]:
             _say(f"- {reason}", console=console)
-    said = notes(choice)
-    if said:
-        console.print()
-    for note in said:
+    for place, note in enumerate(notes(choice)):
+        if place == 0:
+            console.print()
         _say(f"NOTICE: {note}", "yellow", console=console)
     command = closer(choice)
     if command:
@@ -71,102 +86,68 @@ def _say(text: str, style: str = "", *, console: Console) -> None:
 
 def answer_tables(choice: Choice) -> list[Table]:
     """Return the chosen levels beside raw: as shared, after a reconstruction, and linked."""
-    rows = [*([choice.raw] if choice.raw else []), *(scheme.chosen for scheme in choice.schemes)]
+    rows: list[_Row] = [("", "raw", "", choice.raw)] if choice.raw else []
+    for scheme in choice.schemes:
+        at = "none" if scheme.chosen is None else level_text(scheme.chosen.level)
+        rows.append((f"{scheme.adding} adding", scheme.name, at, scheme.chosen))
+    keys = [*(said(name, itemgetter(place)) for place, name in enumerate(("adding", "")))]
+    keys.append((Column("level"), lambda row: word(row[2])))
+
+    def shown(name: str, title: str, columns: list[Made], notes: Sequence[str] = ()) -> Table:
+        options = {"notes": notes, "marks": MEANING, "n_headings": 1, "n_keys": 3}
+        return built(name, title, rows, [*keys, *columns], **options)
+
     limits = choice.limits.of(*METRIC_OF)
     after = choice.limits.of(*DESCRIPTORS) if choice.limits.after_attack else {}
     shared = {name: limit for name, limit in limits.items() if name not in after}
-    title = "Utility, and privacy as shared"
-    found = [_table(choice, "shared", title, *_numbers(rows, METRIC_OF, limits=shared))]
-    attacked = [None if row is None else row.after_attack for row in rows]
+    columns = [_number(name, lambda level: level, shared) for name in METRIC_OF]
+    found = [shown("shared", "Utility, and privacy as shared", columns)]
+    attacked = [None if level is None else level.after_attack for *_, level in rows]
     if any(attacked):
+        columns = [_number(name, attrgetter("after_attack"), after) for name in DESCRIPTORS]
         title = f"After the best reconstruction: {_attacks(attacked)}"
-        columns = _numbers(attacked, DESCRIPTORS, limits=after)
-        found.append(_table(choice, "attacked", title, *columns))
+        found.append(shown("attacked", title, columns))
     if choice.tasks:
-        found.append(_linked(choice, rows))
+        columns, about = [], []
+        for place, task in enumerate(choice.tasks):
+            limit = choice.limits.given.get(SUCCESS) if task.limited else None
+            columns.append((_headed(SUCCESS, task.task, limit=limit), partial(_rank1, place)))
+            ran = [one for *_, row in rows if row and (one := row.tasks[place]).attack]
+            chances = dict.fromkeys(amount(SUCCESS, one.chance).text for one in ran)
+            where = "" if task.limited else f", {task.dataset}"
+            if chances:
+                about.append(f"{task.task}{where}: {_attacks(ran)}; chance {', '.join(chances)} %")
+        found.append(shown("linked", "Rank 1 of the strongest attack", columns, about))
     return found
 
 
-def _numbers(
-    found: Sequence[Level | Attacked | None], names: Iterable[str], *, limits: Mapping[str, float]
-) -> tuple[list[Column], list[list[Cell]]]:
-    """Return a column for each name, and its cells."""
-    columns, cells = [], []
-    for name in names:
-        metric = METRIC_OF[name]
-        columns.append(_column(metric, limit=limits.get(name)))
-        values = [UNKNOWN if one is None else one.numbers[name] for one in found]
-        cells.append([tables.estimated(metric, value) for value in values])
-    return columns, cells
+def _number(
+    name: str, take: Callable[[Level], Level | Attacked | None], limits: Mapping[str, float]
+) -> Made:
+    """Return the column of a number of what is taken from a level."""
+    metric = METRIC_OF[name]
+
+    def cell(row: _Row) -> Cell:
+        one = take(row[3]) if row[3] else None
+        return estimated(metric, one.numbers[name] if one else UNKNOWN)
+
+    return _headed(metric, limit=limits.get(name)), cell
 
 
-def _column(metric: str, name: str = "", *, limit: float | None) -> Column:
+def _headed(metric: str, name: str = "", *, limit: float | None) -> Column:
     above = "" if limit is None else f"<= {limit * METRICS[metric].scale:.4g}"
-    unit = METRICS[metric].unit
-    return tables.Column(name or METRICS[metric].head, unit, above=above)
+    return replace(metric_column(metric, name), above=above)
 
 
-def _linked(choice: Choice, rows: Sequence[Level | None]) -> Table:
-    """Return rank 1 by task, what its marks mean, and what guessing achieves."""
-    columns, cells, about = [], [], []
-    for place, task in enumerate(choice.tasks):
-        found = [None if row is None else row.tasks[place] for row in rows]
-        limit = choice.limits.given.get(SUCCESS) if task.limited else None
-        columns.append(_column(SUCCESS, task.task, limit=limit))
-        cells.append([_rank1(one) for one in found])
-        known = [one for one in found if one and one.attack]
-        chances = dict.fromkeys(tables.amount(SUCCESS, one.chance).text for one in known)
-        where = "" if task.limited else f", {task.dataset}"
-        if chances:
-            about.append(f"{task.task}{where}: {_attacks(known)}; chance {', '.join(chances)} %")
-    title = "Rank 1 of the strongest attack"
-    return _table(choice, "linked", title, columns, cells, notes=about)
-
-
-def _rank1(one: Linked | None) -> Cell:
-    if one is None:
-        return tables.word("")
-    mark = "".join(
-        MARKS[name] for name in remarks({"outcome": one.outcome, "invalid": one.invalid})
-    )
-    return tables.estimated(SUCCESS, one.rank1, mark=mark)
+def _rank1(place: int, row: _Row) -> Cell:
+    if row[3] is None:
+        return Cell()
+    one = row[3].tasks[place]
+    marks = (MARKS[name] for name in remarks({"outcome": one.outcome, "invalid": one.invalid}))
+    return estimated(SUCCESS, one.rank1, mark="".join(marks))
 
 
 def _attacks(found: Iterable[Attacked | Linked | None]) -> str:
     """Return the attacks of some levels, each once."""
-    labels = [Source(one.attack, one.knowledge).label for one in found if one and one.attack]
+    labels = [Source(one.attack, one.knowledge).label for one in found if one]
     return ", ".join(dict.fromkeys(labels))
-
-
-def _table(
-    choice: Choice,
-    name: str,
-    title: str,
-    columns: Sequence[Column],
-    cells: Sequence[Sequence[Cell]],
-    *,
-    notes: Sequence[str] = (),
-) -> Table:
-    """Return columns beside the levels that they are of."""
-    levels = [["", "raw", ""]] if choice.raw else []
-    levels += [
-        [
-            f"{scheme.adding} adding",
-            scheme.name,
-            "none" if scheme.chosen is None else level_text(scheme.chosen.level),
-        ]
-        for scheme in choice.schemes
-    ]
-    return tables.table(
-        name,
-        title,
-        [*tables.words("adding", ""), tables.Column("level"), *columns],
-        [
-            [*map(tables.word, level), *row]
-            for level, row in zip(levels, zip(*cells, strict=True), strict=True)
-        ],
-        notes=notes,
-        marks={MARKS[remark]: text for remark, text in REMARKS.items()},
-        n_headings=1,
-        n_keys=3,
-    )

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import math
 import shlex
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 from evaluation.analysis.families import FID, FIXED
 from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
-from evaluation.experiment.presets import PRESETS
+from evaluation.reporting.announcements import same_run
 from evaluation.reporting.table import estimated
 from evaluation.verdict.choose_level import ASKED, METRIC_OF, TARGETS
-from isac_track.config import StageSettings
-from isac_track.datasets.registry import KNOWN
+from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from evaluation.analysis.families import Family
     from evaluation.verdict.choose_level import Check, Choice, Level, Scheme
-    from isac_track.intervals import Estimate
 
+_ANSWERED = ("met", "chosen", "stricter", "also_meets", "is_saturated")
+_CHECKED = ("name", "limit", "measured", "status")
+_UNMET = {"not met": "exceeds the limits of", "cannot say": "cannot be judged by"}
 _LEVEL_NAMES = {FID: "eta", FIXED: "d_sigma"}
 
 
@@ -40,17 +42,17 @@ def to_json(choice: Choice) -> dict[str, Any]:
         "predictor": choice.predictor,
         "adding": list(choice.adding),
         "limits": limits | {"after_attack": choice.limits.after_attack},
-        "raw": _level_json(choice.raw),
+        "raw": _plain(choice.raw),
         "schemes": [
             {
                 "adding": one.adding,
                 "family": one.name,
-                "met": one.met,
-                "chosen": _level_json(one.chosen),
-                "stricter": _level_json(one.stricter),
-                "also_meets": list(one.also_meets),
-                "is_saturated": one.is_saturated,
-                "checks": [_check_json(check) for check in one.checks],
+                **{name: _plain(getattr(one, name)) for name in _ANSWERED},
+                "checks": [
+                    _plain({name: getattr(check, name) for name in _CHECKED})
+                    | {"reason": reason(check)}
+                    for check in one.checks
+                ],
                 "reasons": reasons(one),
             }
             for one in choice.schemes
@@ -60,53 +62,20 @@ def to_json(choice: Choice) -> dict[str, Any]:
     }
 
 
-def _plain(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else value
-
-
-def _number(one: Estimate) -> dict[str, float | None]:
-    return {name: _plain(getattr(one, name)) for name in ("value", "ci_low", "ci_high")}
-
-
-def _level_json(level: Level | None) -> dict[str, Any] | None:
-    if level is None:
-        return None
-    after = level.after_attack
-    return {
-        "mechanism": level.mechanism,
-        "level": level.level,
-        **{name: _number(one) for name, one in level.numbers.items()},
-        "after_attack": after
-        and {
-            "attack": after.attack,
-            "knowledge": after.knowledge,
-            **{name: _number(one) for name, one in after.numbers.items()},
-        },
-        "tasks": [
-            {
-                "task": one.task,
-                "dataset": one.dataset,
-                "limited": one.limited,
-                "attack": one.attack,
-                "knowledge": one.knowledge,
-                SUCCESS: _number(one.rank1),
-                "chance": _plain(one.chance),
-                "outcome": one.outcome,
-                "invalid": one.invalid,
-            }
-            for one in level.tasks
-        ],
-    }
-
-
-def _check_json(check: Check) -> dict[str, Any]:
-    return {
-        "name": check.name,
-        "limit": check.limit,
-        "measured": _number(check.measured),
-        "status": check.status,
-        "reason": reason(check),
-    }
+def _plain(value: Any) -> Any:  # noqa: ANN401 - what JSON has
+    """Return a level, or what it holds, as plain values; what is unknown is None."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, Estimate):
+        value = {name: getattr(value, name) for name in ("value", "ci_low", "ci_high")}
+    if is_dataclass(value):
+        held = {one.name: getattr(value, one.name) for one in fields(value)}
+        value = {}
+        for name, of in held.items():
+            value |= of if name == "numbers" else {name: of}
+    return {name: _plain(of) for name, of in value.items()} if isinstance(value, dict) else value
 
 
 def reason(check: Check) -> str:
@@ -128,35 +97,27 @@ def reason(check: Check) -> str:
 
 def reasons(scheme: Scheme) -> list[str]:
     """Return how the level was chosen, why not a stricter one, and which limits do not hold."""
-    found = [_choice(scheme)]
-    if scheme.also_meets:
-        named = ", ".join(map(level_text, scheme.also_meets))
-        found.append(
-            f"{_symbol(scheme)} = {named} would meet the targets, but a less strict "
-            "level does not: not chosen, it may be chance"
-        )
-    return [*found, *_reasons(scheme.checks)]
+    extreme, opposite = ("smallest", "largest") if scheme.falls else ("largest", "smallest")
+    symbol, chosen, failed = _symbol(scheme), _at(scheme, scheme.chosen), ""
+    if scheme.stricter is not None:
+        failed = f"{_at(scheme, scheme.stricter)} does not ({'; '.join(_reasons(scheme.missed))})"
+    if scheme.chosen is None:
+        found = f"no {symbol} of the run meets the targets, not even the {opposite}: {failed}"
+    elif failed:
+        found = f"{chosen} is the {extreme} that meets the targets; {failed}"
+    else:
+        found = f"{chosen} meets the targets and is the {extreme} of the run"
+        same = " (stricter ones would share the same: every sample has the full error)"
+        found += same * scheme.is_saturated
+    also = (
+        f"{symbol} = {', '.join(map(level_text, scheme.also_meets))} would meet the targets, but a "
+        "less strict level does not: not chosen, it may be chance"
+    )
+    return [found, *[also] * bool(scheme.also_meets), *_reasons(scheme.checks)]
 
 
 def _reasons(checks: Iterable[Check]) -> list[str]:
     return [reason(check) for check in checks if check.status != "met"]
-
-
-def _choice(scheme: Scheme) -> str:
-    extreme, opposite = ("smallest", "largest") if scheme.falls else ("largest", "smallest")
-    failed = ""
-    if scheme.stricter is not None:
-        why = "; ".join(_reasons(scheme.missed))
-        failed = f"{_at(scheme, scheme.stricter)} does not ({why})"
-    if scheme.chosen is None:
-        none = f"no {_symbol(scheme)} of the run meets the targets"
-        return f"{none}, not even the {opposite}: {failed}"
-    chosen = _at(scheme, scheme.chosen)
-    if failed:
-        return f"{chosen} is the {extreme} that meets the targets; {failed}"
-    same = " (stricter ones would share the same: every sample has the full error)"
-    same *= scheme.is_saturated
-    return f"{chosen} meets the targets and is the {extreme} of the run{same}"
 
 
 def _symbol(scheme: Scheme) -> str:
@@ -164,8 +125,8 @@ def _symbol(scheme: Scheme) -> str:
     return _LEVEL_NAMES.get(scheme.family.family, "level")
 
 
-def _at(scheme: Scheme, level: Level) -> str:
-    return f"{_symbol(scheme)} = {level_text(level.level) or 'none'}"
+def _at(scheme: Scheme, level: Level | None) -> str:
+    return f"{_symbol(scheme)} = {level_text(level.level) or 'none'}" if level else ""
 
 
 def sentence(choice: Choice) -> str:
@@ -191,11 +152,8 @@ def _said(scheme: Scheme) -> str:
     if scheme.met:
         return f"{_name(scheme)} meets everything"
     what = [
-        f"{words} {_listed(names)}"
-        for status, words in (
-            ("not met", "exceeds the limits of"),
-            ("cannot say", "cannot be judged by"),
-        )
+        f"{text} {_listed(names)}"
+        for status, text in _UNMET.items()
         if (names := [check.name for check in scheme.checks if check.status == status])
     ]
     return f"{_name(scheme)} meets the targets but {' and '.join(what)}"
@@ -203,47 +161,36 @@ def _said(scheme: Scheme) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     """Return limits by name, in words: PLR, MEL and rank 1 in split, rerelease."""
-    words = [METRICS[METRIC_OF[name]].head for name in names if "/" not in name]
-    tasks = [name.partition("/")[2] for name in names if "/" in name]
-    ranks = [f"rank 1 in {', '.join(tasks)}"] if tasks else []
-    return " and ".join([*([", ".join(words)] if words else []), *ranks])
+    heads = ", ".join(METRICS[METRIC_OF[name]].head for name in names if "/" not in name)
+    tasks = ", ".join(name.partition("/")[2] for name in names if "/" in name)
+    return " and ".join(filter(None, [heads, tasks and f"rank 1 in {tasks}"]))
 
 
 def _name(scheme: Scheme) -> str:
-    level = "" if scheme.chosen is None else _at(scheme, scheme.chosen)
-    return f"{scheme.name} {level} ({scheme.adding})"
+    return f"{scheme.name} {_at(scheme, scheme.chosen)} ({scheme.adding})"
 
 
 def notes(choice: Choice) -> list[str]:
     """Return what else is to be known of the run and of the question."""
     dataset, schemes = choice.manifest["dataset"], choice.schemes
-    found = []
-    if dataset["simulated"]:
-        found.append(dataset.get("notice") or "the tracks are simulated")
     has_fixed = {scheme.adding for scheme in schemes if scheme.name == FIXED}
-    missing = [rule for rule in choice.adding if rule not in has_fixed]
-    if missing:
-        found.append(f"the run has no level of fixed with {' or '.join(missing)} adding")
-    undeclared = dict.fromkeys(one.name for one in schemes if not one.family.adding)
-    if undeclared:
-        found.append(
-            f"{', '.join(undeclared)}: declares no adding rule, so that it is judged under both"
-        )
-    raw_misses = _reasons(choice.raw_checks)
-    if raw_misses and any(scheme.chosen is None for scheme in schemes):
-        found.append(
-            f"raw positions, without any added error, miss the targets themselves "
-            f"({'; '.join(raw_misses)}): no level can be expected to meet them"
-        )
-    crowds = [one.task for one in choice.tasks if not one.limited]
-    if crowds and SUCCESS in choice.limits.given:
-        found.append(f"--max-rank1 does not limit {', '.join(crowds)}: simulated people")
-    if not choice.is_current and closer(choice):
-        found.append(
-            "the run is of another version of the code, which would drop its finished cells; "
-            "the command below fills a new folder"
-        )
-    return found
+    missing = " or ".join(rule for rule in choice.adding if rule not in has_fixed)
+    undeclared = ", ".join(dict.fromkeys(one.name for one in schemes if not one.family.adding))
+    raw_misses = "; ".join(_reasons(choice.raw_checks))
+    crowds = ", ".join(one.task for one in choice.tasks if not one.limited)
+    found = {
+        dataset.get("notice") or "the tracks are simulated": dataset["simulated"],
+        f"the run has no level of fixed with {missing} adding": missing,
+        f"{undeclared}: declares no adding rule, so that it is judged under both": undeclared,
+        f"raw positions, without any added error, miss the targets themselves ({raw_misses}): no "
+        "level can be expected to meet them": raw_misses
+        and any(scheme.chosen is None for scheme in schemes),
+        f"--max-rank1 does not limit {crowds}: simulated people": crowds
+        and SUCCESS in choice.limits.given,
+        "the run is of another version of the code, which would drop its finished cells; the "
+        "command below fills a new folder": not choice.is_current and closer(choice),
+    }
+    return [text for text, is_so in found.items() if is_so]
 
 
 def closer(choice: Choice) -> str | None:
@@ -256,15 +203,13 @@ def closer(choice: Choice) -> str | None:
     ends = [_ends(scheme, hopeless=hopeless) for scheme in choice.schemes]
     if not any(ends):
         return None
-    words = ["python", "-m", "evaluation.matrix", *_same_run(choice.manifest)]
+    words = ["python", "-m", "evaluation.matrix", *same_run(choice.manifest)]
     words += [] if choice.is_current else ["--mechanism", "raw"]
     for scheme, at in zip(choice.schemes, ends, strict=True):
         one = scheme.chosen or scheme.stricter
-        if at:
-            words += ["--mechanism", _spec(scheme.family, at)]
-        elif not choice.is_current and one is not None:
-            level = "" if one.level is None else f"{one.level:.12g}"
-            words += ["--mechanism", _spec(scheme.family, level)]
+        if at or not (choice.is_current or one is None):
+            alone = "" if one is None or one.level is None else f"{one.level:.12g}"
+            words += ["--mechanism", _spec(scheme.family, at or alone)]
     out = choice.out
     folder = out if choice.is_current else out.with_name(f"{out.resolve().name}-closer")
     return shlex.join([*words, "--out", str(folder)])
@@ -293,31 +238,3 @@ def _ends(scheme: Scheme, *, hopeless: bool) -> str:
     else:
         return ""
     return f"{low:.12g}..{high:.12g}/10"
-
-
-def _same_run(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the options that give the identity and the consumers of a run again."""
-    identity, settings, dataset = (manifest[key] for key in ("identity", "settings", "dataset"))
-    name, usual_stages = settings["preset"], StageSettings().flat()
-    usual = PRESETS.get(name, PRESETS["paper"])
-    words = ["--preset", name] if name in PRESETS and name != "paper" else []
-    if dataset["name"] in KNOWN:
-        words += ["--dataset", dataset["name"]]
-    else:
-        words += ["--dataset", dataset["path"], "--format", dataset["format"]]
-        words += [] if identity.get("fps") is None else ["--fps", str(identity["fps"])]
-    words += [] if identity["scenes"] == usual.scenes else ["--scenes", str(identity["scenes"])]
-    words += ["--seed", str(identity["seed"])] if identity["seed"] else []
-    for option, default in (
-        ("predictor", usual.predictors),
-        ("attack", usual.attacks),
-        ("task", usual.tasks),
-    ):
-        used = settings.get(f"{option}s", [])
-        if set(used) != set(default):
-            for value in used or ["none"]:
-                words += [f"--{option}", value]
-    for key, value in settings.get("stages", {}).items():
-        if usual_stages.get(key, value) != value:
-            words += ["--set", f"{key}={value}"]
-    return words

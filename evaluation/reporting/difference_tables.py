@@ -17,18 +17,27 @@ from evaluation.analysis.families import with_unit
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
-from evaluation.reporting.table import Cell, Column, amount, level, table, word, words
-from evaluation.reporting.terminal import aligned, say, show_table, standard_output
-from evaluation.reporting.texts import shortened
+from evaluation.reporting import terminal
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    Table,
+    amount,
+    built,
+    level,
+    said,
+    shortened,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     import pandas as pd
     from rich.console import Console
 
     from evaluation.analysis.differences import Comparison
-    from evaluation.reporting.table import Table
+    from evaluation.reporting.table import Made
+    from evaluation.reporting.terminal import Part
 
 _MOST_SHOWN = 20
 _ROOM = 24
@@ -76,101 +85,97 @@ def show(comparison: Comparison, *, every: bool = False, console: Console | None
 
     `every` shows all numbers that are not identical instead of the surest of the headline.
     """
-    console = standard_output() if console is None else console
-    _show_header(comparison, console=console)
-    _show_counts(comparison, console=console)
-    rows = comparison.rows if every else comparison.headline
-    other = rows[rows["finding"] != IDENTICAL]
-    shown = other if every else other.head(_MOST_SHOWN)
-    show_table(differences(shown, of=len(other), room=console.width), console=console)
-    if len(shown) < len(other):
-        say(console, "(all of them: --all, or --csv FILE)", wrap=True)
-    if comparison.verdicts is not None:
-        _show_verdicts(comparison.verdicts, console=console)
+    console = terminal.standard_output() if console is None else console
+    terminal.show(_printed(comparison, every=every, room=console.width), console=console)
 
 
-def _show_header(comparison: Comparison, *, console: Console) -> None:
+def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part]:
     for name, about in (("A", comparison.a), ("B", comparison.b)):
         mechanism = f", mechanism {about['mechanism']}" if "mechanism" in about else ""
-        text = (
-            f"{name}: {about['out']} ({about['dataset']}, {about['people']} clusters of people, "
-            f"{about['scenes']} scenes, seed {about['seed']}{mechanism})"
-        )
-        say(console, text, "bold", wrap=True)
-    console.print()
-    rows = [
+        text = f"{about['out']} ({about['dataset']}, {about['people']} clusters of people"
+        text += f", {about['scenes']} scenes, seed {about['seed']}{mechanism})"
+        yield f"{name}: {text}", "bold"
+    yield ""
+    changed = [
         [f"{kind}:", name, f"{_value(a)} -> {_value(b)}"]
         for kind, values in comparison.changed.items()
         for name, (a, b) in values.items()
     ]
-    if rows:
-        say(console, "What changed, A -> B", "bold")
-        for line in aligned(rows, left={0, 1, 2}):
-            say(console, line, wrap=True)
-    else:
-        say(console, "Nothing changed in data, settings, code and libraries.", "bold", wrap=True)
+    nothing = "Nothing changed in data, settings, code and libraries."
+    yield "What changed, A -> B" if changed else nothing, "bold"
+    yield from terminal.aligned(changed, left={0, 1, 2})
     for axis, sides in comparison.only.items():
         for side, names in zip("AB", sides, strict=True):
             if names:
-                say(console, f"{axis} only in {side}: {short_list(names)}", wrap=True)
+                yield f"{axis} only in {side}: {short_list(names)}"
+    yield from ("", *_counted(comparison))
+    rows = comparison.rows if every else comparison.headline
+    other = rows[rows["finding"] != IDENTICAL]
+    shown = other if every else other.head(_MOST_SHOWN)
+    yield differences(shown, of=len(other), room=room)
+    if len(shown) < len(other):
+        yield "(all of them: --all, or --csv FILE)"
+    verdicts = comparison.verdicts
+    if verdicts is not None and any(verdicts.values()):
+        text = f"Verdict: {len(verdicts['changed'])} of {verdicts['in_both']} decisions changed"
+        only = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
+        yield from ("", (f"{text} ({', '.join(only)})", "bold"))
+        for item in verdicts["changed"]:
+            yield f"{item['id']}: {item['a']} -> {item['b']}"
 
 
-def _show_counts(comparison: Comparison, *, console: Console) -> None:
+def _counted(comparison: Comparison) -> Iterator[Part]:
+    """Yield how many numbers are identical, differ, or cannot be told."""
     rows, only = comparison.rows, comparison.only_numbers
-    console.print()
-    text = (
-        f"{counts(rows)[IDENTICAL]} of {len(rows)} numbers are identical "
-        f"({only[0]} more are only in A, {only[1]} only in B)"
-    )
-    say(console, text, "bold", wrap=True)
+    text = f"{counts(rows)[IDENTICAL]} of {len(rows)} numbers are identical"
+    yield f"{text} ({only[0]} more are only in A, {only[1]} only in B)", "bold"
     others = rows[~rows["headline"]]
     for name, of in (("headline", comparison.headline), ("others", others)):
         found = counts(of)
         if len(of):
             untested = f", {found[UNTESTED]} without an interval" * bool(found[UNTESTED])
-            text = (
+            yield (
                 f"{name}: {found[DIFFERS]} of {len(of)} differ (p <= {SIGNIFICANCE:g} after "
                 f"Holm), {found[UNDECIDED]} undecided, {found[IDENTICAL]} identical{untested}"
             )
-            say(console, text, wrap=True)
     kinds = rows["pairing"].value_counts()
     text = "; ".join(f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds)
-    say(console, f"({text})", wrap=True)
+    yield f"({text})"
 
 
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
     """Return the table of some differences out of many, for so many characters."""
     which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
-    is_mixed = len(set(shown["pairing"])) > 1
-    return table(
+    marks = _MARKS if len(set(shown["pairing"])) > 1 else {}
+
+    def side(name: str) -> Made:
+        return Column(name.upper()), lambda row: amount(row["metric"], row[name])
+
+    def change(row: Mapping[Any, Any]) -> Cell:
+        ends = (row[name] for name in ("difference", "ci_low", "ci_high"))
+        return amount(row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], ""))
+
+    def p_value(row: Mapping[Any, Any]) -> Cell:
+        p = row["p_holm"]
+        return Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p)
+
+    return built(
         "differences",
         f"{which} differences, B - A with 95 % intervals, p after Holm",
+        shown.to_dict("records"),
         [
-            *words(""),
-            Column("level"),
-            *words("metric"),
-            *(Column(name) for name in ("A", "B", "B - A", "p")),
+            said("", lambda row: _heading(row, room=room)),
+            (Column("level"), lambda row: Cell() if _apart(row) else level(row["level_a"])),
+            said("metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()),
+            side("a"),
+            side("b"),
+            (Column("B - A"), change),
+            (Column("p"), p_value),
         ],
-        [_cells(row, room=room, is_mixed=is_mixed) for row in shown.to_dict("records")],
         marks={mark: _PAIRED[kind] for kind, mark in _MARKS.items()},
         n_headings=1,
         n_keys=3,
     )
-
-
-def _cells(row: Mapping[Any, Any], *, room: int, is_mixed: bool) -> list[Cell]:
-    metric, p = METRICS[row["metric"]], row["p_holm"]
-    mark = _MARKS.get(row["pairing"], "") if is_mixed else ""
-    return [
-        word(_heading(row, room=room)),
-        word("") if _apart(row) else level(row["level_a"]),
-        word(f"{metric.head} {metric.unit}".rstrip()),
-        *(amount(metric.name, row[side]) for side in "ab"),
-        amount(
-            *(metric.name, row["difference"], row["ci_low"], row["ci_high"]), sign="+", mark=mark
-        ),
-        Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p),
-    ]
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
@@ -181,26 +186,14 @@ def _heading(row: Mapping[Any, Any], *, room: int) -> str:
         else str(row[f"mechanism_{side}"])
         for side in "ab"
     )
-    full = f"{source}: {with_unit(a) if a == b else f'{a} -> {b}'}"
-    bare = f"{source}: {a if a == b else f'{a} -> {b}'}"
-    return full if len(full) <= room else shortened(bare, room=room)
+    if a == b and len(full := f"{source}: {with_unit(a)}") <= room:
+        return full
+    return shortened(f"{source}: {a if a == b else f'{a} -> {b}'}", room=room)
 
 
 def _apart(row: Mapping[Any, Any]) -> bool:
     """Return whether the two levels are not the same."""
     return level_text(row["level_a"]) != level_text(row["level_b"])
-
-
-def _show_verdicts(verdicts: Mapping[str, Any], *, console: Console) -> None:
-    changed = verdicts["changed"]
-    if not any(verdicts.values()):
-        return
-    console.print()
-    text = f"Verdict: {len(changed)} of {verdicts['in_both']} decisions changed"
-    only = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
-    say(console, f"{text} ({', '.join(only)})", "bold", wrap=True)
-    for item in changed:
-        say(console, f"{item['id']}: {item['a']} -> {item['b']}", wrap=True)
 
 
 def _value(value: object) -> str:

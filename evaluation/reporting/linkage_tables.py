@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from attacks.tasks.controls import CONTROLS
@@ -14,142 +15,115 @@ from evaluation.reporting.rows import family_of, mechanism_columns, telling
 from evaluation.reporting.table import (
     Cell,
     Column,
+    Table,
     amount,
     built,
     counted,
     measured,
     said,
-    table,
+    shortened,
     word,
     words,
 )
-from evaluation.reporting.texts import shortened
 from isac_track.linkability import LEVEL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import pandas as pd
-
     from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Source, Where
+    from evaluation.analysis.keys import Where
     from evaluation.analysis.linkability import LinkedTask
-    from evaluation.reporting.table import Table
+    from evaluation.reporting.rows import Results
+    from evaluation.reporting.table import Columns
 
 MARKS = dict(zip(REMARKS, "~?!", strict=True))
 """Of what is to be said of a cell that does not simply link."""
-_MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
+MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
 TOO_WEAK = "attack too weak"
 _USUAL = "informed"
 _COHORTS = {WITHOUT_GROUPS: "walking groups", WITHOUT_FROZEN: "frozen annotations"}
 _LABEL_WIDTH = 30
 
 
-def rank_table(
-    task: LinkedTask, known: Mapping[str, Family], *, people: int | None = None
-) -> Table:
-    """Return rank 1 of the attacks of a task, a row each, at the levels that tell.
-
-    Parameters
-    ----------
-    task : LinkedTask
-    known : mapping
-        The mechanisms of the run.
-    people : int, optional
-        How many are linked.
-    """
+def rank_table(run: Results, task: LinkedTask) -> Table:
+    """Return rank 1 of the attacks of a task, a row each, at the levels that tell."""
+    known = run.families
     wheres = telling(task.cells, known, controls=False)
-    families = [family_of(known, name) for name, _ in wheres]
-    columns = [
-        Column(
-            f"{one.name} {level_text(at)}".rstrip(),
-            above=one.adding,
-            # A level of the default rule keeps its interval longest.
-            weight=2.0 * (one.adding != "independent") + (at is not None),
-        )
-        for one, (_, at) in zip(families, wheres, strict=True)
-    ]
+    columns = words("attack")
+    for name, at in wheres:
+        one = family_of(known, name)
+        # A level of the default rule keeps its interval longest.
+        weight = 2.0 * (one.adding != "independent") + (at is not None)
+        heading = f"{one.name} {level_text(at)}".rstrip()
+        columns.append(Column(heading, above=one.adding, weight=weight))
     cells = [
         [
-            word(shortened(_label(source), room=_LABEL_WIDTH)),
+            word(shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH)),
             *(_rank(task.cells[where].get(source)) for where in wheres),
         ]
         for source in task.attacks
     ]
     some = [next(iter(task.cells[where].values())) for where in wheres]
     cells.append([word("chance"), *(amount(SUCCESS, row["chance"]) for row in some)])
-    notes = [_size(some[0], people=people), _confounders(task, wheres, known), _controls(task)]
-    notes.append("Unmarked cells link, by the ranks of all mates.")
+    about = "Unmarked cells link, by the ranks of all mates."
     if (CLEAN, None) in wheres:
-        notes[-1] += " clean: no error at all, the ceiling."
-    return table(
+        about += " clean: no error at all, the ceiling."
+    people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
+    notes = _size(some[0], people=people), _confounders(task, wheres, known), _controls(task), about
+    return Table(
         f"linkage-{task.name}",
         f"{_title(task)}; rank 1 in %, 95 % intervals",
-        [*words("attack"), *columns],
+        columns,
         cells,
         notes=list(filter(None, notes)),
-        marks=_MEANING,
+        marks=MEANING,
     )
 
 
-def cells_table(task: LinkedTask, known: Mapping[str, Family]) -> Table:
+def cells_table(run: Results, task: LinkedTask) -> Table:
     """Return every attack and adversary of a task at the levels that tell, a row each."""
-    return built(
-        f"cells-{task.name}",
-        f"{_title(task)}, every adversary; 95 % intervals",
-        [
-            {**row, "attack": source.consumer}
-            for where in telling(task.cells, known)
-            for source, row in task.cells[where].items()
-        ],
-        [
-            *mechanism_columns(known),
-            said("attack"),
-            said("adversary", "knowledge"),
-            measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
-            measured("chance", "chance", metric=SUCCESS),
-            said("outcome"),
-            said("shortcut", "invalid"),
-            counted("candidates", "", "gallery_mean", digits=0),
-            counted("people", "", "n_clusters", digits=0),
-        ],
-        n_headings=3,
-        n_keys=5,
-    )
+    records = [
+        {**row, "attack": source.consumer}
+        for where in telling(task.cells, run.families)
+        for source, row in task.cells[where].items()
+    ]
+    columns: Columns = [
+        *mechanism_columns(run.families),
+        "attack",
+        said("adversary", "knowledge"),
+        measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
+        measured("chance", "chance", metric=SUCCESS),
+        "outcome",
+        said("shortcut", "invalid"),
+        counted("candidates", "", "gallery_mean", digits=0),
+        counted("people", "", "n_clusters", digits=0),
+    ]
+    title = f"{_title(task)}, every adversary; 95 % intervals"
+    return built(f"cells-{task.name}", title, records, columns, n_headings=3, n_keys=5)
 
 
-def doubt_table(linkability: pd.DataFrame, known: Mapping[str, Family]) -> Table:
+def doubt_table(run: Results) -> Table:
     """Return the linkage cells that measure nothing: invalid ones, and too weak attacks."""
-    of = linkability[linkability["cohort"] == "all"]
+    of = run.linkability[run.linkability["cohort"] == "all"]
     of = of.assign(**of[["knowledge", "outcome", "invalid"]].astype(object).fillna(""))
     of = of[(of["knowledge"] != "") & ((of["invalid"] != "") | (of["outcome"] == TOO_WEAK))]
-    return built(
-        "doubts",
-        "Linkage cells that measure nothing",
-        of.to_dict("records"),
-        [
-            said("task/attack", "consumer"),
-            said("adversary", "knowledge"),
-            *mechanism_columns(known),
-            said(
-                "why",
-                lambda row: (
-                    f"invalid: {row['invalid']} tells people apart"
-                    if row["invalid"]
-                    else REMARKS[TOO_WEAK]
-                ),
-            ),
-        ],
-        n_keys=5,
-    )
+
+    def why(row: Mapping[str, Any]) -> str:
+        shortcut = f"invalid: {row['invalid']} tells people apart"
+        return shortcut if row["invalid"] else REMARKS[TOO_WEAK]
+
+    columns: Columns = [
+        said("task/attack", "consumer"),
+        said("adversary", "knowledge"),
+        *mechanism_columns(run.families),
+        said("why", why),
+    ]
+    title = "Linkage cells that measure nothing"
+    return built("doubts", title, of.to_dict("records"), columns, n_keys=5)
 
 
 def _title(task: LinkedTask) -> str:
     return f"{task.name}: {task.about}" if task.about else task.name
-
-
-def _label(source: Source) -> str:
-    return source.consumer if source.knowledge == _USUAL else source.label
 
 
 def _rank(row: Mapping[str, Any] | None) -> Cell:
@@ -176,14 +150,11 @@ def _confounders(task: LinkedTask, wheres: Sequence[Where], known: Mapping[str, 
     """Return what the best attack of one level links without each confounder."""
     # A level of the mechanisms under test before raw and the ceiling.
     for where in sorted(wheres, key=lambda where: where[1] is None):
-        rows = {
-            source: row
-            for source in task.attacks
-            if (row := task.cells[where].get(source)) is not None and row["rank1"] >= 0
-        }
-        if not rows:
+        block = task.cells[where]
+        ran = [one for one in task.attacks if one in block and block[one]["rank1"] >= 0]
+        if not ran:
             continue
-        best = max(rows, key=lambda source: rows[source]["rank1"])
+        best = max(ran, key=lambda one: block[one]["rank1"])
         parts = [
             f"without {what} {_against_chance(cohort)}"
             for name, what in _COHORTS.items()
@@ -193,7 +164,7 @@ def _confounders(task: LinkedTask, wheres: Sequence[Where], known: Mapping[str, 
             one = family_of(known, where[0])
             rule = f" ({one.adding})" if one.adding == "independent" else ""
             place = f"{one.name} {level_text(where[1])}".rstrip()
-            value = _against_chance(rows[best], before="chance ")
+            value = _against_chance(block[best], before="chance ")
             return f"{place}{rule}, {best.consumer}: {value}; {', '.join(parts)}"
     return ""
 
@@ -205,30 +176,27 @@ def _against_chance(row: Mapping[str, Any], *, before: str = "") -> str:
 
 def _controls(task: LinkedTask) -> str:
     """Return how many controls beat chance, and which audits leak at how many levels."""
-    tests: dict[str, list[float]] = {}
+    tests: dict[str, list[bool]] = {}
     for row in task.controls:
         name = row["consumer"].partition("/control-")[2]
-        p_values = tests.setdefault(name, [])
+        found = tests.setdefault(name, [])
         # One that only sees times says the same at every level.
-        if not (p_values and name in CONTROLS and CONTROLS[name].sees_times_only):
-            p_values.append(row["p_value"])
-    beaten = {name: sum(p <= LEVEL for p in p_values) for name, p_values in tests.items()}
+        if not (found and name in CONTROLS and CONTROLS[name].sees_times_only):
+            found.append(row["p_value"] <= LEVEL)
+    beaten = {name: sum(found) for name, found in tests.items()}
+    n_tests = sum(map(len, tests.values()))
     often = [
         f"{name} {count} of {len(tests[name])}"
         for name, count in beaten.items()
         if count > len(tests[name]) / 2
     ]
-    parts = []
-    if tests:
-        n_tests = sum(map(len, tests.values()))
-        told = "; ".join([f"{LEVEL * n_tests:.1f} expected", *often])
-        count = f"{sum(beaten.values())} of {n_tests}"
-        parts.append(f"controls: {count} beat chance at {100 * LEVEL:g} % ({told})")
-    leaks: dict[str, int] = {}
+    told = "; ".join([f"{LEVEL * n_tests:.1f} expected", *often])
+    count = f"{sum(beaten.values())} of {n_tests}"
+    parts = [f"controls: {count} beat chance at {100 * LEVEL:g} % ({told})"] * bool(tests)
+    leaks: Counter[str] = Counter()
     for block in task.cells.values():
-        names = {row[INVALID] for row in block.values() if row[INVALID]}
-        for name in sorted({part for one in names for part in one.split(", ")}):
-            leaks[name] = leaks.get(name, 0) + 1
+        names = {name for row in block.values() for name in row[INVALID].split(", ") if name}
+        leaks.update(sorted(names))
     leaky = [f"{name} at {count} of {len(task.cells)} levels" for name, count in leaks.items()]
     if leaky or tests:
         parts.append(f"audits that leak: {', '.join(leaky) or 'none'}")

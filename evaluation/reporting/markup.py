@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from evaluation.reporting.texts import printable
+from evaluation.reporting.table import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -19,24 +19,21 @@ if TYPE_CHECKING:
     from evaluation.reporting.table import Cell, Column, Table
 
 TEMPLATES: Final = Path(__file__).with_name("templates")
-HTML: Final = Environment(
-    loader=FileSystemLoader(TEMPLATES),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
+_OPTIONS: dict[str, Any] = {
+    "loader": FileSystemLoader(TEMPLATES),
+    "undefined": StrictUndefined,
+    "trim_blocks": True,
+    "lstrip_blocks": True,
+}
+HTML: Final = Environment(autoescape=True, **_OPTIONS)
 _LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `tex`
-    loader=FileSystemLoader(TEMPLATES),
-    undefined=StrictUndefined,
+    **_OPTIONS,
     block_start_string="<%",
     block_end_string="%>",
     variable_start_string="<<",
     variable_end_string=">>",
     comment_start_string="<#",
     comment_end_string="#>",
-    trim_blocks=True,
-    lstrip_blocks=True,
     keep_trailing_newline=True,
 )
 PREAMBLE: Final = "% Needs \\usepackage{booktabs}. Values with 95 % intervals.\n"
@@ -74,8 +71,9 @@ def escape(text: str) -> str:
 
 def latex(tables: Iterable[Table]) -> str:
     """Return a file of tabulars, several of a table that is too wide for a page."""
+    template = _LATEX.get_template("table.tex.j2")
     return PREAMBLE + "\n".join(
-        _LATEX.get_template("table.tex.j2").render(
+        template.render(
             table=table,
             columns=[table.columns[place] for place in places],
             groups=_groups(table, places),
@@ -90,7 +88,7 @@ def _pages(table: Table) -> list[list[int]]:
     """Return which columns go into each tabular."""
     places = [place for place, column in enumerate(table.columns) if not column.is_long]
     keys = [place for place in places if place < table.n_keys]
-    others = [place for place in places if place not in keys]
+    others = places[len(keys) :]
     starts = range(0, max(1, len(others)), _MOST_COLUMNS)
     return [[*keys, *others[start : start + _MOST_COLUMNS]] for start in starts]
 
@@ -102,16 +100,9 @@ def _groups(table: Table, places: Sequence[int]) -> list[list[list[str]]]:
     for _, rows in groupby(table.rows, key=lambda row: row[: table.n_headings]):
         lines = []
         for row in rows:
-            cells = [row[place] for place in places]
-            columns = [table.columns[place] for place in places]
-            lines.append(
-                [
-                    _tex(cell, of=of, beside=not below)
-                    for cell, of in zip(cells, columns, strict=True)
-                ]
-            )
-            if below and any(cell.low for cell in cells):
-                lines.append([_small(cell) for cell in cells])
+            lines.append([_tex(row[n], of=table.columns[n], beside=not below) for n in places])
+            if below and any(row[place].low for place in places):
+                lines.append([_small(row[place]) for place in places])
         groups.append(lines)
     return groups
 
@@ -119,11 +110,9 @@ def _groups(table: Table, places: Sequence[int]) -> list[list[list[str]]]:
 def _tex(cell: Cell, *, of: Column, beside: bool) -> str:
     if not cell.text:
         return "--" if of.align == "right" and of.name != "level" else ""
-    text = (
-        f"${cell.text}$" if cell.value is not None and cell.text[0] in "+-" else escape(cell.text)
-    )
-    if cell.mark:
-        text += rf"\textsuperscript{{{escape(cell.mark)}}}"
+    is_signed = cell.value is not None and cell.text[0] in "+-"
+    text = f"${cell.text}$" if is_signed else escape(cell.text)
+    text += rf"\textsuperscript{{{escape(cell.mark)}}}" if cell.mark else ""
     return " ".join(filter(None, [text, _small(cell) if beside else "", escape(cell.unit)]))
 
 

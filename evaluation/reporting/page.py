@@ -1,33 +1,34 @@
 """`report.html`: the whole run on one page that asks nothing of anybody.
 
 One file without a request to anywhere, readable on a phone and in print, light and dark.
+
+A figure becomes a part of it: no prolog, ids of its own, few bytes, and colours that can change.
+Styles become classes of the page, so that each is written once and the dark page can turn black
+and white over. What must keep its colour on coloured ground is a shade off black or white.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
 from typing import TYPE_CHECKING, Any, Final
-
-from markupsafe import Markup
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
+from evaluation.reporting.announcements import command
+from evaluation.reporting.answer_tables import section_of
 from evaluation.reporting.figures.drawing import figures_of
 from evaluation.reporting.markup import HTML, TEMPLATES
-from evaluation.reporting.page_command import command
-from evaluation.reporting.page_svg import Styles, dark_css, inline
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
-from evaluation.reporting.verdict_tables import section_of
 from evaluation.runs.files import write_whole
 from evaluation.runs.pieces import failed_lines
+from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from evaluation.reporting.run_results import Results
-    from evaluation.reporting.table import Table
+    from evaluation.reporting.rows import Results
 
 PAGE: Final = "report.html"
 SECTIONS: Final = {
@@ -47,22 +48,33 @@ SECTIONS: Final = {
 """Of the page, in order."""
 _PER_POINT = 4.0 / 3.0
 """CSS pixels of a point."""
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """A figure of the page."""
-
-    name: str
-    section: str
-    title: str
-    caption: str
-    task: str
-    text: str
-    box: str
-    width: float
-    """Of the view box, px at the size of print."""
-    content: Markup
+DARK = {
+    "#000000": "#e8e8e6",
+    "#ffffff": "#17191c",
+    "#dddddd": "#3a3d42",
+    "#777777": "#a2a6ab",
+    "#999999": "#8d9196",
+    "#0072b2": "#4ba9e8",
+    "#d55e00": "#f0883c",
+    "#009e73": "#2bc299",
+}
+"""Colours of the figures that change in the dark: the others can be read on either ground."""
+_HEAD = re.compile(r"^.*?<svg\b([^>]*)>", re.DOTALL)
+_VIEW_BOX = re.compile(r'viewBox="([\d. +-]+)"')
+_DROPPED = re.compile(
+    r"<metadata>.*?</metadata>|<!--.*?-->|<defs>\s*<style.*?</style>\s*</defs>|<title>.*?</title>",
+    re.DOTALL,
+)
+_REFERENCE = re.compile(r'(?:xlink:)?href="#([^"]+)"|url\(#([^)]+)\)')
+_ID = re.compile(r'\sid="([^"]+)"')
+_STYLE = re.compile(r'\sstyle="([^"]*)"')
+_PATH = re.compile(r'\sd="([^"]*)"')
+_PLACE = re.compile(r'\s(x|y)="(-?\d+\.\d+)"')
+_MOVE = re.compile(r"translate\([^)]*\)")
+_NUMBER = re.compile(r"-?\d+\.\d+")
+_EMPTY = re.compile(r"<g(?:\s[^<>]*)?/>|<g(?:\s[^<>]*)?>\s*</g>")
+_COLOUR = re.compile(r"#[0-9a-f]{6}\b")
+_DIGITS = 2
 
 
 def write(run: Results, *, drawn: Iterable[Path]) -> Path:
@@ -94,90 +106,111 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
     svgs : mapping of str to bytes
         Name of a figure to its SVG.
     """
-    styles = Styles()
-    figures = _figures(run, svgs, styles=styles)
-    tables = page_tables(run)
+    styles: dict[str, str] = {}
+    figures: list[dict[str, Any]] = []
+    for one in figures_of(run):
+        if one.name in svgs:
+            content, box = inline(svgs[one.name], name=f"f{len(figures)}", styles=styles)
+            width_px = round(float(box.split()[2]) * _PER_POINT)  # at the size of print
+            figures.append({"of": one, "box": box, "width": width_px, "content": content})
     return HTML.get_template("report.html.j2").render(
         contents=SECTIONS,
+        run=run,
         manifest=run.manifest,
         dataset=run.dataset,
-        notice=run.manifest["dataset"].get("notice") or "",
-        verdict=run.verdict,
-        questions=_questions(run.verdict, tables),
+        verdict=run.verdict or {},
+        section_of=section_of,
+        decision=decision,
         figures=figures,
-        tables=tables,
-        tasks=[
-            {
-                "name": task.name,
-                "about": task.about,
-                "simulated": task.name in TASKS and TASKS[task.name].simulated,
-            }
-            for task in run.tasks
-        ],
+        tables=page_tables(run),
+        tasks=run.tasks,
+        known_tasks=TASKS,
         flag_lines=[
             one.removeprefix("flag: ").removesuffix(": flags.json")
             for one in weak_attacks.lines(run.flags)
         ],
         failed_lines=failed_lines(run.failed),
-        about_tasks=_about_tasks(run.manifest),
         command=command(run.manifest),
-        css=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),  # noqa: S704 - ours
-        figure_css=Markup(styles.css()),  # noqa: S704 - classes of matplotlib's styles
-        dark_css=Markup(dark_css()),  # noqa: S704 - colours
-        js=Markup((TEMPLATES / "report.js").read_text(encoding="utf-8")),  # noqa: S704 - ours
+        css=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
+        figure_css=style_css(styles),
+        dark_css=dark_css(),
+        js=(TEMPLATES / "report.js").read_text(encoding="utf-8"),
     )
 
 
-def _figures(run: Results, svgs: Mapping[str, bytes], *, styles: Styles) -> list[Shown]:
-    figures: list[Shown] = []
-    for one in figures_of(run):
-        if one.name not in svgs:
-            continue
-        content, box = inline(svgs[one.name], name=f"f{len(figures)}", styles=styles)
-        figures.append(
-            Shown(
-                name=one.name,
-                section=one.section,
-                title=one.title,
-                caption=one.caption,
-                task=one.task,
-                text=one.words(),
-                box=box,
-                width=round(float(box.split()[2]) * _PER_POINT),
-                content=Markup(content),  # noqa: S704 - matplotlib's, without any text
-            )
-        )
-    return figures
+def style_css(styles: Mapping[str, str]) -> str:
+    """Return the rules of all styles, of which each has a class; colours may change in the dark."""
+
+    def variable(found: re.Match[str]) -> str:
+        colour = found[0]
+        return f"var(--f-{colour[1:]},{colour})" if colour in DARK else colour
+
+    return "\n".join(f".{name}{{{_COLOUR.sub(variable, style)}}}" for style, name in styles.items())
 
 
-def _questions(
-    verdict: Mapping[str, Any] | None, tables: Mapping[str, Table]
-) -> list[dict[str, Any]]:
-    """Return the sections of the verdict that have items, with how often each decision fell."""
-    names = [name.removeprefix("verdict-") for name in tables if name.startswith("verdict-")]
-    counts = (verdict or {}).get("counts") or {}
-    return [
-        {
-            "title": section_of(name).question,
-            "about": section_of(name).about,
-            "counts": [(decision(what), count) for what, count in counts.get(name, {}).items()],
-            "table": tables[f"verdict-{name}"],
-        }
-        for name in names
-    ]
+def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
+    """Return what stands inside the svg element of a page, and the view box.
+
+    Parameters
+    ----------
+    svg : bytes
+        As matplotlib writes it.
+    name : str
+        Unique on the page; in front of every id.
+    styles : dict
+        Of the whole page, a class by style; gets those of the figure.
+
+    Returns
+    -------
+    (content, view box)
+        The view box as `x y width height`.
+
+    Raises
+    ------
+    DataError
+        If it is no SVG with a view box.
+    """
+    text = svg.decode()
+    head = _HEAD.match(text)
+    box = _VIEW_BOX.search(head.group(1)) if head else None
+    if head is None or box is None:
+        raise DataError(f"figure {name} is no SVG with a view box; draw it again")
+    body = _DROPPED.sub("", text[head.end() : text.rindex("</svg>")])
+    referred = {one or other for one, other in _REFERENCE.findall(body)}
+    short = {old: f"{name}-{place}" for place, old in enumerate(sorted(referred))}
+
+    def reference(found: re.Match[str]) -> str:
+        by_href, by_url = found.groups()
+        return f'href="#{short[by_href]}"' if by_href else f"url(#{short[by_url]})"
+
+    def path(found: re.Match[str]) -> str:
+        text = _NUMBER.sub(lambda one: _rounded(one[0]), " ".join(found[1].split()))
+        text = re.sub(r"\s*([MLQCzZ])\s*", r"\1", text)
+        return f' d="{text}"'
+
+    def style(found: re.Match[str]) -> str:
+        one = re.sub(r"\s*([:;,])\s*", r"\1", found[1].strip().rstrip(";"))
+        name = styles.setdefault(one, f"s{len(styles)}")
+        return f' class="{name}"'
+
+    body = _ID.sub(lambda one: f' id="{short[one[1]]}"' if one[1] in short else "", body)
+    body = _REFERENCE.sub(reference, body)
+    body = _PATH.sub(path, body)
+    body = _PLACE.sub(lambda one: f' {one[1]}="{_rounded(one[2])}"', body)
+    body = _MOVE.sub(lambda one: _NUMBER.sub(lambda at: _rounded(at[0]), one[0]), body)
+    body = _STYLE.sub(style, body)
+    body = re.sub(r">\s+<", "><", body)
+    before = ""
+    while before != body:  # a group of empty groups is empty
+        before, body = body, _EMPTY.sub("", body)
+    return body.strip(), box.group(1)
 
 
-def _about_tasks(manifest: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    """Return what is known of each task: who is linked, among how many, and what shows."""
-    tasks = (manifest.get("linkage") or {}).get("tasks", {})
-    return [
-        {
-            "name": name,
-            "about": said["about"],
-            "people": said["people"],
-            "low": min(said["candidates"].values(), default=0),
-            "high": max(said["candidates"].values(), default=0),
-            "scene": name in TASKS and TASKS[name].shows_scene,
-        }
-        for name, said in tasks.items()
-    ]
+def dark_css() -> str:
+    """Return the colours of the dark page."""
+    return "".join(f"--f-{old[1:]}:{new};" for old, new in DARK.items())
+
+
+def _rounded(number: str) -> str:
+    text = f"{float(number):.{_DIGITS}f}".rstrip("0").rstrip(".")
+    return "0" if text in {"-0", ""} else text

@@ -1,28 +1,101 @@
-"""What tables and figures pick from the frames of a run: mechanisms, levels and sources."""
+"""A finished run as frames, and what is picked from them: mechanisms, levels, sources, sweeps."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.analysis.families import ADDING_RULES, CLEAN, RAW, Family
-from evaluation.analysis.keys import Source, is_attack
+import numpy as np
+import pandas as pd
+
+from evaluation.analysis.families import (
+    ADDING_RULES,
+    FID,
+    FIXED,
+    Family,
+    families_in,
+)
+from evaluation.analysis.keys import Source, level_text
+from evaluation.analysis.linkability import dataset_of, linked_tasks, remarks
+from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.reporting.table import Column, level, said
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    import pandas as pd
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
 
     from evaluation.analysis.keys import Where
+    from evaluation.analysis.linkability import LinkedTask
     from evaluation.reporting.table import Made
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
 HEADLINE: Final = (("raw", None), ("fid", 1.0), ("fid", 1000.0), ("fixed", 0.7), ("fixed", 1.0))
 """The few levels that tell the story: mechanism without its adding rule, and level."""
-_ORDER = (CLEAN, RAW, "fid", "fixed")
+_LOG_SPAN = 30.0
+"""An axis is logarithmic where the levels of a mechanism that we do not know span more."""
+_SYMBOLS: Final = {FID: ("η = ", ""), FIXED: ("", " m")}
+_KNOWN: Final = {
+    FID: ("FID-controlled sharing", "FID threshold η (1/(m² s))", True),
+    FIXED: ("fixed added error", "Added error Δσ (m)", False),
+}
+ENDS: Final = ["value", "ci_low", "ci_high"]
+"""Columns of an estimate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """A finished run as data frames; the columns are those of the files in `out`."""
+
+    out: Path
+    manifest: dict[str, Any]
+    summary: pd.DataFrame
+    paper_table: pd.DataFrame
+    claims: pd.DataFrame
+    matched: pd.DataFrame
+    decisions: pd.DataFrame
+    curves: pd.DataFrame
+    flags: pd.DataFrame
+    linkability: pd.DataFrame
+    verdict: dict[str, Any]
+    """As in `verdict.json`."""
+    failed: pd.DataFrame
+    """Cells that could not be computed, and why; no other table holds their levels."""
+    strongest: Mapping[str, Source] = field(default_factory=dict)
+    """Of every linkage task the attack that the verdict is about; under "" the reconstruction."""
+    gallery: pd.DataFrame | None = None
+    """Sample tracks, as in `gallery.parquet`."""
+
+    @cached_property
+    def dataset(self) -> str:
+        """Name of the data set."""
+        name: str = self.manifest["dataset"]["name"]
+        return name
+
+    @cached_property
+    def ours(self) -> pd.DataFrame:
+        """The summary without the tasks that have a data set of their own."""
+        return self.summary[self.summary["dataset"] == self.dataset]
+
+    @cached_property
+    def families(self) -> dict[str, Family]:
+        """The mechanisms of the run by name."""
+        return families_in(self.summary)
+
+    @cached_property
+    def tasks(self) -> list[LinkedTask]:
+        """The tasks in which somebody links, of the run's data set or of their own."""
+        expected = self.linkability["consumer"].map(
+            lambda name: dataset_of(name, dataset=self.dataset)
+        )
+        return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
+
+    def link_of(self, task: LinkedTask) -> Source:
+        """Return the attack that stands for a task: the strongest, or the first of the run."""
+        return self.strongest.get(task.name, task.attacks[0])
 
 
 def family_of(known: Mapping[str, Family], mechanism: str) -> Family:
@@ -35,40 +108,29 @@ def is_control(one: Family) -> bool:
     return one.family in CONTROLS
 
 
-def rank_of(one: Family) -> int:
-    """Return where a mechanism stands: no error first, the paper's, strangers', then controls."""
-    if is_control(one):
-        return len(_ORDER) + 1
-    return _ORDER.index(one.family) if one.family in _ORDER else len(_ORDER)
-
-
 def parameters_text(one: Family) -> str:
     """Return a mechanism's parameters without its adding rule, short."""
     text = one.parameters.replace(",", ", ")
     return text.replace("d_sigma=", "Δσ=").replace("tau_s=", "τ=")
 
 
-def mechanism_columns(
-    known: Mapping[str, Family], where: Callable[[Any], Where] | None = None
-) -> list[Made]:
-    """Return the columns mechanism, adding rule and level of records, or of where these are."""
-
-    def at(record: Any) -> Where:  # noqa: ANN401 - a row of any frame
-        return where(record) if where else (record["mechanism"], record["level"])
-
+def mechanism_columns(known: Mapping[str, Family]) -> list[Made]:
+    """Return the columns mechanism, adding rule and level of records that have them."""
     return [
-        said("mechanism", lambda record: family_of(known, at(record)[0]).name),
-        said("adding", lambda record: family_of(known, at(record)[0]).adding),
-        (Column("level"), lambda record: level(at(record)[1])),
+        said("mechanism", lambda record: family_of(known, record["mechanism"]).name),
+        said("adding", lambda record: family_of(known, record["mechanism"]).adding),
+        (Column("level"), lambda record: level(record["level"])),
     ]
 
 
-def by_level(frame: pd.DataFrame) -> dict[Where, list[dict[str, Any]]]:
+def by_level(frame: pd.DataFrame) -> dict[Where, list[dict[Any, Any]]]:
     """Return the rows of each mechanism level, levels rising, mechanisms as in the run."""
-    blocks: dict[Where, list[dict[str, Any]]] = {name: [] for name in _wheres(frame)}
-    for row in frame.to_dict("records"):
-        blocks[_where(row)].append({str(key): value for key, value in row.items()})
-    return blocks
+    order = {name: place for place, name in enumerate(frame["mechanism"].unique())}
+    found: dict[Where, list[dict[Any, Any]]] = {}
+    for row in frame.sort_values("level", kind="stable", na_position="first").to_dict("records"):
+        at = None if math.isnan(row["level"]) else float(row["level"])
+        found.setdefault((row["mechanism"], at), []).append(row)
+    return {where: found[where] for where in sorted(found, key=lambda where: order[where[0]])}
 
 
 def sources_at(rows: Iterable[Mapping[Any, Any]]) -> dict[Source, dict[str, Mapping[Any, Any]]]:
@@ -80,9 +142,25 @@ def sources_at(rows: Iterable[Mapping[Any, Any]]) -> dict[Source, dict[str, Mapp
     return found
 
 
-def attacked(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a summary without what is no adversary's knowledge."""
-    return frame.assign(knowledge=frame["knowledge"].where(is_attack(frame), ""))
+def of_source(frame: pd.DataFrame, source: Source) -> pd.DataFrame:
+    """Return the rows of a summary that are of some positions."""
+    is_same = frame["knowledge"].fillna("") == source.knowledge
+    return frame[is_same & (frame["consumer"] == source.consumer)]
+
+
+def rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
+    """Return rank 1 of an attack where it is known, levels rising, as a summary has metrics.
+
+    Columns: mechanism, level, value, ci_low, ci_high, chance, and whether it links.
+    """
+    rows = [
+        [mechanism, math.nan if level is None else level]
+        + [row[key] for key in ("rank1", "ci_low", "ci_high", "chance")]
+        + [not remarks(row)]
+        for (mechanism, level), block in task.cells.items()
+        if (row := block.get(source)) is not None and math.isfinite(row["rank1"])
+    ]
+    return pd.DataFrame(rows, columns=["mechanism", "level", *ENDS, "chance", "links"])
 
 
 def telling(
@@ -98,36 +176,128 @@ def telling(
         levels.setdefault(mechanism, []).append(at)
     wanted = {name: [at for of, at in HEADLINE if of == name] for name, _ in HEADLINE}
     told: dict[str, list[float | None]] = {}
+    has_any = False
     for mechanism, ats in levels.items():
         one = family_of(known, mechanism)
+        told[mechanism] = ats if len(ats) == 1 else [ats[0], ats[-1]]
         if one.name in wanted:
             told[mechanism] = [at for at in ats if at in wanted[one.name]]
+            has_any |= told[mechanism] not in ([], [None])
         elif is_control(one):
             told[mechanism] = ats if controls else [at for at in ats if at is None]
-        else:
-            told[mechanism] = ats if len(ats) == 1 else [ats[0], ats[-1]]
-    if not any(
-        at is not None and at in wanted.get(family_of(known, name).name, ())
-        for name, ats in told.items()
-        for at in ats
-    ):
-        told = levels
-    order = {name: place for place, name in enumerate(levels)}
+    told = told if has_any else levels
+    order = list(levels)
 
     def place(mechanism: str) -> tuple[bool, int, int]:
         one = family_of(known, mechanism)
-        rule = ADDING_RULES.index(one.adding) if one.adding in ADDING_RULES else len(ADDING_RULES)
-        return one.is_added, rule if one.is_added else 0, order[mechanism]
+        rule = (*ADDING_RULES, one.adding).index(one.adding)
+        return one.is_added, rule * one.is_added, order.index(mechanism)
 
     return [(name, at) for name in sorted(told, key=place) for at in told[name]]
 
 
-def _wheres(frame: pd.DataFrame) -> list[Where]:
-    ordered = frame[["mechanism", "level"]].drop_duplicates()
-    names = list(ordered["mechanism"].unique())
-    wheres = [_where(row) for row in ordered.to_dict("records")]
-    return sorted(wheres, key=lambda one: (names.index(one[0]), -1.0 if one[1] is None else one[1]))
+@dataclass(frozen=True, eq=False, slots=True)
+class Scheme:
+    """A way of adding error, and the axis of its level."""
+
+    name: str
+    """Family and parameters, without the adding rule."""
+    title: str
+    label: str
+    """Of the axis."""
+    log: bool
+    mechanisms: Mapping[str, str]
+    """By adding rule; the same under both where none is declared."""
+    place: int
+    """Among all schemes: what it looks like."""
+
+    @property
+    def has_rule(self) -> bool:
+        """Whether it declares an adding rule; without one it is shown wherever a rule is."""
+        return len(set(self.mechanisms.values())) == len(self.mechanisms)
+
+    @property
+    def rules(self) -> list[str]:
+        """Adding rules under which it was run; one of them where it declares none."""
+        return list(self.mechanisms)[: None if self.has_rule else 1]
+
+    def rules_in(self, *frames: pd.DataFrame) -> list[str]:
+        """Return those of its rules under which any of some frames has rows."""
+        return [rule for rule in self.rules if any(len(self.of(one, rule)) for one in frames)]
+
+    def rule_text(self, rule: str) -> str:
+        """Return an adding rule of it in words."""
+        return f"{rule} adding" if self.has_rule else "any adding"
+
+    def at(self, level: float) -> str:
+        """Return a level with what it is."""
+        symbol, unit = _SYMBOLS.get(self.name, ("", ""))
+        return f"{symbol}{level_text(level)}{unit}"
+
+    def of(self, frame: pd.DataFrame, rule: str) -> pd.DataFrame:
+        """Return the rows of its levels under a rule that its axis can show, levels rising."""
+        rows = frame[frame["mechanism"] == self.mechanisms.get(rule)]
+        rows = rows[rows["level"] > 0 if self.log else rows["level"].notna()]
+        return rows.sort_values("level")
+
+    def ends(self, rows: pd.DataFrame, rule: str, metric: str) -> str:
+        """Return both ends of its line in words: `18.7 % at η = 1 to 51.9 % at η = 1000`."""
+        of = self.of(rows[np.isfinite(rows["value"])], rule)
+        shown = METRICS[metric]
+        return " to ".join(
+            f"{shown.scale * row['value']:.{shown.digits}f} {shown.unit} at {self.at(row['level'])}"
+            for row in of.iloc[[0, -1] if len(of) > 1 else slice(None)].to_dict("records")
+        )
 
 
-def _where(row: Mapping[Any, Any]) -> Where:
-    return str(row["mechanism"]), None if math.isnan(row["level"]) else float(row["level"])
+def schemes(summary: pd.DataFrame) -> list[Scheme]:
+    """Return what is swept in a run: every mechanism with levels but the controls.
+
+    FID and fixed noise come first, the others in the order of the run; adding rules of one are
+    one scheme.
+    """
+    found: dict[str, dict[str, str]] = {name: {} for name in _KNOWN}
+    levels = summary[["mechanism", "level"]].drop_duplicates().dropna()
+    for mechanism, one in families_in(summary).items():
+        if one.is_added and not is_control(one) and (levels["mechanism"] == mechanism).any():
+            rules = found.setdefault(one.name, {})
+            rules.update(dict.fromkeys(one.rules, mechanism))
+    result = []
+    for place, (name, rules) in enumerate(found.items()):
+        own = levels.loc[levels["mechanism"].isin(list(rules.values())), "level"]
+        spans = bool((own > 0).all() and own.max() >= _LOG_SPAN * own.min())
+        title, label, log = _KNOWN.get(name, (name, f"level of {name}", spans))
+        ordered = {rule: rules[rule] for rule in ADDING_RULES if rule in rules}
+        result.append(Scheme(name, title, label, log, ordered, place))
+    return [one for one in result if one.mechanisms]
+
+
+def rules_of(of: list[Scheme]) -> list[str]:
+    """Return the adding rules of some schemes."""
+    return [rule for rule in ADDING_RULES if any(rule in one.mechanisms for one in of)]
+
+
+def compared_levels(summary: pd.DataFrame) -> list[Where]:
+    """Return raw, the strictest FID level and of all else the level that costs as much.
+
+    Under each adding rule; without FID the level that costs most.
+    """
+    rates = summary[(summary["metric"] == MISSED_RATE) & summary["value"].notna()]
+    if rates.empty:
+        return []
+    rates = rates[rates["consumer"] == rates["consumer"].iloc[0]]
+    wheres: list[Where] = [("raw", None)] if (rates["mechanism"] == "raw").any() else []
+    known = schemes(summary)
+    for rule in rules_of(known):
+        target = np.inf
+        for one in known:
+            rows = one.of(rates, rule)
+            if rows.empty or any(name == one.mechanisms[rule] for name, _ in wheres):
+                continue
+            row = rows.iloc[0]
+            if one.name == FID:
+                target = row["value"]
+            else:
+                row = rows.loc[(rows["value"] - min(target, rows["value"].max())).abs().idxmin()]
+            wheres.append((one.mechanisms[rule], float(row["level"])))
+    return wheres

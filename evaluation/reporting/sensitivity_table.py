@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-from evaluation.reporting.table import table, word, words
-from evaluation.reporting.terminal import say, show_table, standard_output
+from evaluation.reporting import terminal
+from evaluation.reporting.table import built, said
 from evaluation.verdict.rules import SECTIONS
 from evaluation.verdict.sensitivity import TURNED, counts
 
@@ -56,26 +58,24 @@ def to_json(rows: pd.DataFrame, variants: list[dict[str, Any]], *, out: Path) ->
 
 def show(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
     """Print the table, and what changed sign, in words."""
-    console = standard_output()
     shown = [section for section in SECTIONS if section in set(rows["section"])]
-    cells = [
-        [
-            word(variant),
-            *(
-                word(", ".join(f"{n} {change}" for change, n in found.get(section, {}).items()))
-                for section in shown
-            ),
-        ]
-        for variant, found in counts(rows).items()
-    ]
+    columns = [said("variant", itemgetter(0))]
+    columns += [said(section, partial(_changes, section)) for section in shown]
     title = "Items of the verdict, by section"
-    show_table(table("sensitivity", title, words("variant", *shown), cells), console=console)
-    console.print()
-    say(console, _ABOUT, wrap=True)
-    for name, why in left_out.items():
-        say(console, f"left out: {name}: {why}; name it with --variant to run it", wrap=True)
     lines = turned(rows)
-    console.print()
-    say(console, "Changed sign:" if lines else "No item changed sign.", "bold")
-    for line in lines:
-        say(console, f"- {line}", wrap=True)
+    terminal.show(
+        [
+            built("sensitivity", title, counts(rows).items(), columns),
+            *("", _ABOUT),
+            *(
+                f"left out: {name}: {why}; name it with --variant to run it"
+                for name, why in left_out.items()
+            ),
+            *("", ("Changed sign:" if lines else "No item changed sign.", "bold")),
+            *(f"- {line}" for line in lines),
+        ]
+    )
+
+
+def _changes(section: str, record: tuple[str, Mapping[str, Mapping[str, int]]]) -> str:
+    return ", ".join(f"{n} {change}" for change, n in record[1].get(section, {}).items())

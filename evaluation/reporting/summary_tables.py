@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from evaluation.analysis.families import LEVEL_UNITS, families_in
-from evaluation.analysis.keys import AS_SHARED, ORACLE, is_attack
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
     EXPOSURE,
@@ -21,24 +20,24 @@ from evaluation.analysis.metrics import (
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.rows import (
-    attacked,
     by_level,
     mechanism_columns,
+    of_source,
     sources_at,
     telling,
 )
-from evaluation.reporting.table import Cell, Column, built, metric_column, metric_of, said
+from evaluation.reporting.table import Cell, Column, amount, built, metric_column, said
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
     from collections.abc import Set as AbstractSet
 
     import pandas as pd
 
-    from evaluation.analysis.keys import Source, Where
-    from evaluation.reporting.table import Made, Table
+    from evaluation.reporting.table import Columns, Made, Table
 
 _WEIGHTS = {MISSED_RATE: 3.0, EXPOSURE: 3.0, "rmse": 2.5, "ael": 2.0, "mel": 2.0}
+_SHARED = SHARED, ", shared"
 SCOPE = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
 """What the levels are."""
 
@@ -54,50 +53,58 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
     found = []
     for place, predictor in enumerate(predictors or [SHARED]):
         drawn = {predictor} if place else {predictor, SHARED}
-        one = _sweep(
-            others[others["consumer"].isin(drawn)],
-            name=f"sweep-{place}" if place else "sweep",
-            title=("All levels" if place else "All levels as shared")
-            + (f", predictor {predictor}" if predictor != SHARED else ""),
-        )
-        found += [one] if one.rows else []
-    return found
+        rows = others[others["consumer"].isin(drawn)]
+        present = set(rows["metric"])
+        columns = [
+            (
+                metric_column(metric, f"{METRICS[metric].head}{end}", weight=_weight(metric)),
+                _taken(Source(consumer), metric),
+            )
+            for metrics, consumer, end in ((UTILITY, predictor, ""), (DESCRIPTORS, *_SHARED))
+            for metric in metrics
+            if metric in present
+        ]
+        name, title = (f"sweep-{place}", "") if place else ("sweep", " as shared")
+        title += f", predictor {predictor}" if predictor != SHARED else ""
+        notes = [] if place else [f"Levels: {SCOPE}."]
+        found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
+    return [one for one in found if one.rows]
 
 
-def _sweep(rows: pd.DataFrame, *, name: str, title: str) -> Table:
-    present = set(rows["metric"])
-    return built(
-        name,
-        f"{title}; 95 % intervals",
-        by_level(rows).items(),
-        [
-            *mechanism_columns(families_in(rows), itemgetter(0)),
-            *(
-                _metric(one, f"{METRICS[one].head}{', shared' * (one in DESCRIPTORS)}")
-                for one in (*UTILITY, *DESCRIPTORS)
-                if one in present
-            ),
-        ],
-        notes=[f"Levels: {SCOPE}."] if name == "sweep" else [],
-        n_headings=2,
-        n_keys=3,
-    )
+def _by_level(
+    name: str, title: str, rows: pd.DataFrame, columns: list[Made], *, notes: list[str]
+) -> Table:
+    """Return a table with a row for each mechanism level."""
+    records = [
+        {"mechanism": mechanism, "level": at, "of": sources_at(of)}
+        for (mechanism, at), of in by_level(rows).items()
+    ]
+    columns = [*mechanism_columns(families_in(rows)), *columns]
+    title = f"{title}; 95 % intervals"
+    return built(name, title, records, columns, notes=notes, n_headings=2, n_keys=3)
 
 
-def _metric(metric: str, name: str) -> Made:
-    """Return the column of a metric of levels with their rows."""
+def _taken(source: Source, metric: str) -> Callable[[Any], Cell]:
+    """Return what takes the cell of a metric of some positions from a level with its rows."""
+    return lambda level: _amount(level["of"].get(source, {}), metric)
 
-    def cell(record: tuple[Where, Sequence[Mapping[str, Any]]]) -> Cell:
-        return next((metric_of(row) for row in record[1] if row["metric"] == metric), Cell())
 
-    return metric_column(metric, name, weight=_WEIGHTS.get(metric, 1.0)), cell
+def _weight(metric: str) -> float:
+    return _WEIGHTS.get(metric, 1.0)
+
+
+def _amount(rows: Mapping[str, Mapping[str, Any]], metric: str) -> Cell:
+    """Return the cell of one of some rows of `summary.csv` by metric."""
+    row = rows.get(metric)
+    return amount(metric, row["value"], row["ci_low"], row["ci_high"]) if row else Cell()
 
 
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of descriptors as shared and after attacks; none without attacks."""
     is_attacked = is_attack(summary)
-    rows = summary[(is_attacked | (summary["consumer"] == SHARED)) & bool(is_attacked.any())]
-    return attacked(rows[rows["metric"].isin(RECONSTRUCTION)])
+    rows = summary.assign(knowledge=summary["knowledge"].where(is_attacked, ""))
+    is_shown = (is_attacked | (rows["consumer"] == SHARED)) & bool(is_attacked.any())
+    return rows[is_shown & rows["metric"].isin(RECONSTRUCTION)]
 
 
 def sources_of(rows: pd.DataFrame) -> list[Source]:
@@ -120,42 +127,17 @@ def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset(
     rows = after_attack(summary)
     rows = rows[rows["metric"] == EXPOSURE]
     shown = most_knowing(sources_of(rows))
-    # The strongest keep their intervals longest.
-    means = {
-        source: rows.loc[
-            (rows["consumer"] == source.consumer) & (rows["knowledge"] == source.knowledge), "value"
-        ].mean()
-        for source in shown
-    }
-    columns = [
-        (
-            Column(source.label, weight=np.inf if source == AS_SHARED else float(means[source])),
-            partial(_of_source, source),
-        )
-        for source in shown
-    ]
-    notes = []
-    if any(source.knowledge == ORACLE for source in shown):
-        notes.append("The oracle is a reference: it stands where nobody less can run the attack.")
-    notes += [
-        f"{source.consumer} saw only the first release of each source track."
-        for source in shown
-        if source.consumer in slow
-    ]
-    return built(
-        "exposure",
-        "After attack: PLR in % at all levels; 95 % intervals",
-        by_level(rows).items() if len(shown) > 1 else (),
-        [*mechanism_columns(families_in(rows), itemgetter(0)), *columns],
-        notes=notes,
-        n_headings=2,
-        n_keys=3,
-    )
-
-
-def _of_source(source: Source, record: tuple[Where, Sequence[Mapping[str, Any]]]) -> Cell:
-    found = sources_at(record[1]).get(source)
-    return metric_of(found[EXPOSURE]) if found else Cell()
+    columns = []
+    for source in shown:
+        # The strongest keep their intervals longest.
+        weight = np.inf if source == AS_SHARED else float(of_source(rows, source)["value"].mean())
+        columns.append((Column(source.label, weight=weight), _taken(source, EXPOSURE)))
+    oracle = "The oracle is a reference: it stands where nobody less can run the attack."
+    notes = [oracle] * any(source.knowledge == ORACLE for source in shown)
+    ran = [source.consumer for source in shown if source.consumer in slow]
+    notes += [f"{name} saw only the first release of each source track." for name in ran]
+    title = "After attack: PLR in % at all levels"
+    return _by_level("exposure", title, rows if len(shown) > 1 else rows[:0], columns, notes=notes)
 
 
 def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
@@ -174,62 +156,51 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     rows = after_attack(summary)
     known = families_in(rows)
     blocks = by_level(rows)
-    title = "After attack, every adversary; 95 % intervals"
+    title = "After attack, every adversary"
     if only is not None:
-        title = f"{'As shared' if only == AS_SHARED else f'After {only.label}'}; 95 % intervals"
-    records = []
-    for where in telling(blocks, known) if only is None else blocks:
-        found = sources_at(blocks[where])
-        if only is not None:
-            found = {source: found[source] for source in found if source == only}
-        records += [(where, *row) for row in _merged(found)]
-    return built(
-        "attacks",
-        title,
-        records,
-        [
-            *mechanism_columns(known, itemgetter(0)),
-            said("positions", itemgetter(1)),
-            said("adversary", itemgetter(2)),
-            *(
-                (metric_column(one, weight=_WEIGHTS.get(one, 1.0)), lambda of, n=n: of[3][n])
-                for n, one in enumerate(RECONSTRUCTION)
-            ),
-        ],
-        n_headings=3,
-        n_keys=5,
-    )
-
-
-def _merged(
-    found: Mapping[Source, Mapping[str, Mapping[str, Any]]],
-) -> list[tuple[str, str, tuple[Cell, ...]]]:
-    """Return the rows of a level; one for adversaries whose numbers are the same."""
-    shared = _amounts(found.get(AS_SHARED, {}))
-    groups: dict[tuple[str, tuple[str, ...]], tuple[list[str], tuple[Cell, ...]]] = {}
-    adversaries: dict[str, int] = {}
-    for source, metrics in found.items():
-        adversaries[source.consumer] = adversaries.get(source.consumer, 0) + 1
-        cells = _amounts(metrics)
-        if source.consumer == IDENTITY and AS_SHARED in found and _same(cells, shared):
-            continue
-        key = source.consumer, tuple(cell.full for cell in cells)
-        groups.setdefault(key, ([], cells))[0].append(source.knowledge)
-    return [
-        (
-            "as shared" if knows == [""] else consumer,
-            "any" if len(knows) == adversaries[consumer] > 1 else ", ".join(knows),
-            cells,
+        title = "As shared" if only == AS_SHARED else f"After {only.label}"
+    records = [
+        {"mechanism": where[0], "level": where[1]} | row
+        for where in (telling(blocks, known) if only is None else blocks)
+        for row in _merged(
+            {of: found for of, found in sources_at(blocks[where]).items() if only in (None, of)}
         )
-        for (consumer, _), (knows, cells) in groups.items()
     ]
+    columns: Columns = [
+        *mechanism_columns(known),
+        *map(said, ("positions", "adversary")),
+        *((metric_column(one, weight=_weight(one)), itemgetter(one)) for one in RECONSTRUCTION),
+    ]
+    title = f"{title}; 95 % intervals"
+    return built("attacks", title, records, columns, n_headings=3, n_keys=5)
 
 
-def _amounts(metrics: Mapping[str, Mapping[str, Any]]) -> tuple[Cell, ...]:
-    return tuple(metric_of(metrics[one]) if one in metrics else Cell() for one in RECONSTRUCTION)
-
-
-def _same(cells: Iterable[Cell], shared: Iterable[Cell]) -> bool:
-    """Whether the descriptors agree; only an attack has a ratio to the benchmark."""
-    pairs = zip(cells, shared, strict=True)
-    return all(not one.text or one.text == cell.text for cell, one in pairs)
+def _merged(found: Mapping[Source, Mapping[str, Mapping[str, Any]]]) -> list[dict[str, Any]]:
+    """Return the rows of a level; one for adversaries whose numbers are the same."""
+    cells = {
+        source: {metric: _amount(rows, metric) for metric in RECONSTRUCTION}
+        for source, rows in found.items()
+    }
+    consumers = [source.consumer for source in found]
+    shared = cells.get(AS_SHARED)
+    groups: dict[tuple[str, tuple[str, ...]], list[Source]] = {}
+    for source, of in cells.items():
+        # Only an attack has a ratio to the benchmark.
+        is_same = shared and all(
+            of[one].text == cell.text for one, cell in shared.items() if cell.text
+        )
+        if source.consumer != IDENTITY or not is_same:
+            key = source.consumer, tuple(cell.full for cell in of.values())
+            groups.setdefault(key, []).append(source)
+    rows = []
+    for sources in groups.values():
+        consumer, knows = sources[0].consumer, [source.knowledge for source in sources]
+        is_any = len(sources) == consumers.count(consumer) > 1
+        rows.append(
+            {
+                "positions": "as shared" if knows == [""] else consumer,
+                "adversary": "any" if is_any else ", ".join(knows),
+                **cells[sources[0]],
+            }
+        )
+    return rows

@@ -93,14 +93,20 @@ class Cell:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Table:
-    """Rows of cells below named columns."""
+    """Rows of cells below named columns.
+
+    Raises
+    ------
+    ValueError
+        If a row has not a cell for each column.
+    """
 
     name: str
     """Unique in a report."""
     title: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    notes: tuple[str, ...] = ()
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Cell]]
+    notes: Sequence[str] = ()
     marks: Mapping[str, str] | None = None
     """Of every mark that may be used: what it means."""
     n_headings: int = 0
@@ -108,78 +114,45 @@ class Table:
     n_keys: int = 1
     """Leading columns that say what a row is of: repeated where a table is split."""
 
+    def __post_init__(self) -> None:
+        n = len(self.columns)
+        if any(len(row) != n for row in self.rows):
+            raise ValueError(f"table {self.name}: rows need {n} cells each")
+
     @property
-    def numeric(self) -> tuple[bool, ...]:
+    def numeric(self) -> list[bool]:
         """Which columns hold numbers."""
-        columns = zip(*self.rows, strict=True) if self.rows else ([] for _ in self.columns)
-        return tuple(any(cell.value is not None for cell in column) for column in columns)
+        places = range(len(self.columns))
+        return [any(row[place].value is not None for row in self.rows) for place in places]
 
     @property
     def legend(self) -> str:
         """What the marks mean that are used; empty without any."""
         used = {mark for row in self.rows for cell in row for mark in cell.mark}
-        return "; ".join(
-            f"{mark} {text}" for mark, text in (self.marks or {}).items() if mark in used
-        )
+        known = (self.marks or {}).items()
+        return "; ".join(f"{mark} {text}" for mark, text in known if mark in used)
 
 
 Made: TypeAlias = "tuple[Column, Callable[[Any], Cell]]"
 """A column, and what makes the cell of a record."""
-
-
-def table(
-    name: str,
-    title: str,
-    columns: Sequence[Column],
-    rows: Sequence[Sequence[Cell]],
-    *,
-    notes: Sequence[str] = (),
-    marks: Mapping[str, str] | None = None,
-    n_headings: int = 0,
-    n_keys: int = 1,
-) -> Table:
-    """Return a table of any sequences.
-
-    Raises
-    ------
-    ValueError
-        If a row has not a cell for each column.
-    """
-    if any(len(row) != len(columns) for row in rows):
-        raise ValueError(f"table {name}: rows need {len(columns)} cells each")
-    return Table(
-        name,
-        title,
-        tuple(columns),
-        tuple(map(tuple, rows)),
-        tuple(notes),
-        marks,
-        n_headings,
-        n_keys,
-    )
+Columns: TypeAlias = "list[Made | str]"
+"""Those of words may be named alone."""
 
 
 def built(
     name: str,
     title: str,
     records: Iterable[Any],
-    columns: Iterable[Made],
-    *,
-    notes: Sequence[str] = (),
-    n_headings: int = 0,
-    n_keys: int = 1,
+    columns: Iterable[Made | str],
+    **options: Any,  # noqa: ANN401 - the other fields of `Table`
 ) -> Table:
-    """Return a table with a row for each record, its columns given with what makes their cells."""
-    pairs = list(columns)
-    return table(
-        name,
-        title,
-        [column for column, _ in pairs],
-        [[cell(record) for _, cell in pairs] for record in records],
-        notes=notes,
-        n_headings=n_headings,
-        n_keys=n_keys,
-    )
+    """Return a table with a row for each record.
+
+    Its columns are given with what makes their cells, or by the name of what they say.
+    """
+    made = [said(one) if isinstance(one, str) else one for one in columns]
+    rows = [[cell(record) for _, cell in made] for record in records]
+    return Table(name, title, [column for column, _ in made], rows, **options)
 
 
 def said(name: str, of: str | Callable[[Any], object] = "") -> Made:
@@ -188,23 +161,19 @@ def said(name: str, of: str | Callable[[Any], object] = "") -> Made:
     return Column(name, align="left"), lambda record: word(take(record))
 
 
-def decided(name: str, of: str = "") -> Made:
+def decided(name: str) -> Made:
     """Return a column of decisions."""
-    return Column(name, align="left"), lambda record: decision(record[of or name])
+    return Column(name, align="left"), lambda record: decision(record[name])
 
 
-def counted(
-    name: str,
-    unit: str,
-    *keys: str,
-    scale: float = 1.0,
-    digits: int = 1,
-    sign: str = "-",
-) -> Made:
+def counted(name: str, unit: str, *keys: str, **shown: Any) -> Made:  # noqa: ANN401 - see `number`
     """Return a column of numbers: keys of value and, if there is one, both ends of the interval."""
-    return Column(name, unit), lambda record: number(
-        *(record[key] for key in keys), scale=scale, digits=digits, sign=sign
-    )
+    return Column(name, unit), lambda record: number(*(record[key] for key in keys), **shown)
+
+
+def points(name: str, *keys: str) -> Made:
+    """Return a column of differences of shares."""
+    return counted(name, "points", *keys, scale=100.0, sign="+")
 
 
 def measured(name: str, *keys: str, metric: str = "", sign: str = "-") -> Made:
@@ -232,9 +201,7 @@ def decision(text: object) -> Cell:
 
 def number(
     value: float | None,
-    low: float | None = None,
-    high: float | None = None,
-    *,
+    *interval: float | None,
     scale: float = 1.0,
     digits: int = 1,
     sign: str = "-",
@@ -247,25 +214,16 @@ def number(
     """
     if value is None or not math.isfinite(value):
         return Cell("")
-    ends = ("", "")
-    if low is not None and high is not None and math.isfinite(low) and math.isfinite(high):
-        ends = (f"{scale * low:{sign}.{digits}f}", f"{scale * high:{sign}.{digits}f}")
-    text = f"{scale * value:{sign}.{digits}f}"
-    return Cell(text, *ends, unit=unit, mark=mark, value=scale * float(value))
+    known = [scale * one for one in (value, *interval) if one is not None and math.isfinite(one)]
+    text, *ends = (f"{one:{sign}.{digits}f}" for one in known)
+    low, high = ends if len(ends) > 1 else ("", "")
+    return Cell(text, low, high, unit, mark, value=known[0])
 
 
-def amount(
-    metric: str,
-    value: float | None,
-    low: float | None = None,
-    high: float | None = None,
-    *,
-    sign: str = "-",
-    mark: str = "",
-) -> Cell:
+def amount(metric: str, *values: float | None, sign: str = "-", mark: str = "") -> Cell:
     """Return a cell with a metric and its interval, in the unit and digits in which it is shown."""
     shown = METRICS[metric]
-    return number(value, low, high, scale=shown.scale, digits=shown.digits, sign=sign, mark=mark)
+    return number(*values, scale=shown.scale, digits=shown.digits, sign=sign, mark=mark)
 
 
 def estimated(metric: str, one: Estimate, *, mark: str = "") -> Cell:
@@ -273,18 +231,25 @@ def estimated(metric: str, one: Estimate, *, mark: str = "") -> Cell:
     return amount(metric, one.value, one.ci_low, one.ci_high, mark=mark)
 
 
-def metric_of(row: Mapping[str, Any], *, mark: str = "") -> Cell:
-    """Return the cell of a row of `summary.csv`."""
-    return amount(row["metric"], row["value"], row["ci_low"], row["ci_high"], mark=mark)
-
-
-def metric_column(metric: str, name: str = "", *, weight: float = 0.0) -> Column:
+def metric_column(metric: str, name: str = "", **more: Any) -> Column:  # noqa: ANN401 - see `Column`
     """Return the column of a metric, under its own name or another."""
-    shown = METRICS[metric]
-    return Column(name or shown.head, shown.unit, weight=weight)
+    return Column(name or METRICS[metric].head, METRICS[metric].unit, **more)
 
 
 def level(value: float | None) -> Cell:
     """Return a level; empty for a mechanism without one."""
     known = value is not None and math.isfinite(value)
     return Cell(level_text(value), value=value if known else None)
+
+
+def shortened(name: str, *, room: int) -> str:
+    """Return a name without its middle if it is too long: its settings are at the end."""
+    if len(name) <= room:
+        return name
+    end = (room - 3) // 2
+    return f"{name[: room - 3 - end]}...{name[-end:]}"
+
+
+def printable(text: str) -> str:
+    """Return a name without what could move a cursor or break a line."""
+    return "".join(character if character.isprintable() else "?" for character in text)

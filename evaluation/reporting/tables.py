@@ -1,42 +1,45 @@
-"""Which tables of a run are shown where: in the terminal, on the page and as LaTeX files."""
+"""Which tables of a run are shown where: terminal, page, LaTeX files, and README and docs.
+
+In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table NAME of
+`docs/results/RUN.csv`, a copy of the `summary.csv` of a run.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
+import re
+from typing import TYPE_CHECKING, Final
+
+import pandas as pd
 
 from evaluation.analysis import weak_attacks
-from evaluation.analysis.keys import Source
-from evaluation.reporting.linkage_tables import cells_table, doubt_table, rank_table
-from evaluation.reporting.markup import latex
-from evaluation.reporting.paper_tables import (
-    claims_table,
-    decision_table,
-    flag_table,
-    matched_table,
-    paper_table,
-)
-from evaluation.reporting.schemes import compared_levels
-from evaluation.reporting.summary_tables import (
-    after_attack,
-    attack_table,
-    exposure_table,
-    sources_of,
-    sweep_tables,
-)
-from evaluation.reporting.terminal import say, show_table, standard_output
-from evaluation.reporting.verdict_tables import contrast_table, item_tables, short_tables
+from evaluation.reporting import answer_tables as answers
+from evaluation.reporting import linkage_tables as linkage
+from evaluation.reporting import summary_tables as levels
+from evaluation.reporting import terminal
+from evaluation.reporting.markup import latex, markdown
 from evaluation.runs.files import write_whole
 from evaluation.runs.pieces import failed_lines
+from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from rich.console import Console
 
-    from evaluation.reporting.run_results import Results
+    from evaluation.reporting.rows import Results
     from evaluation.reporting.table import Table
+    from evaluation.reporting.terminal import Part
+
+
+DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
+    "sweep": lambda summary: levels.sweep_tables(summary)[0],
+    "exposure": levels.exposure_table,
+    "attacks": levels.attack_table,
+}
+"""By the name in a block."""
+_BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def show(run: Results, *, console: Console | None = None) -> None:
@@ -48,45 +51,57 @@ def show(run: Results, *, console: Console | None = None) -> None:
     console : Console, optional
         By default standard output, as wide as the terminal or 116 columns where there is none.
     """
-    console = standard_output() if console is None else console
-    _show_header(run, console=console)
-    for one in _printed(run):
-        show_table(one, console=console)
+    terminal.show(_printed(run), console=console)
+
+
+def _printed(run: Results) -> Iterator[Part]:
+    dataset, identity = run.manifest["dataset"], run.manifest["identity"]
+    used = f"{dataset['tracks_used']} of {dataset['tracks']} tracks used"
+    about = f"{used}, {identity['scenes']} scenes, seed {identity['seed']}"
+    yield f"{dataset['name']}: {about}", "bold"
+    notice = dataset.get("notice")
+    if notice or dataset.get("simulated"):
+        yield f"NOTICE: {notice or 'the tracks are simulated'}", "yellow"
+    yield from levels.sweep_tables(run.ours)
+    yield _exposure(run)
+    yield levels.attack_table(run.ours)
+    yield from (linkage.rank_table(run, task) for task in run.tasks)
+    yield answers.paper_table(run)
+    yield answers.claims_table(run)
     for name, why in run.manifest.get("linkage", {}).get("skipped", {}).items():
-        console.print()
-        say(console, f"{name} is left out: {why}", "yellow", wrap=True)
-    flags = weak_attacks.lines(run.flags)
-    if flags:
-        console.print()
-        flags.append("(Not adjusted: of two equally good attacks, a flag at one level in 40.)")
-    for line in flags:
-        say(console, line, "yellow", wrap=True)
-    _show_verdict(run, console=console)
+        yield ""
+        yield f"{name} is left out: {why}", "yellow"
+    if flags := weak_attacks.lines(run.flags):
+        note = "(Not adjusted: of two equally good attacks, a flag at one level in 40.)"
+        yield ""
+        yield from ((line, "yellow") for line in [*flags, note])
+    if run.verdict and run.verdict["items"]:
+        yield ""
+        yield "Verdict", "bold"
+        yield from (f"- {one}" for one in run.verdict["answer"])
+        yield from answers.short_tables(run.verdict)
+        yield "(?: undecided, no statement either way. Items, intervals and reasons: verdict.json.)"
     for line in failed_lines(run.failed):
-        say(console, f"failed: {line}", "red", wrap=True)
+        yield f"failed: {line}", "red"
 
 
 def page_tables(run: Results) -> dict[str, Table]:
     """Return the tables of the page by name; none of them is empty."""
     items = run.verdict["items"] if run.verdict else []
-    strongest = [
-        Source(f"{task}/{source.consumer}" if task else source.consumer, source.knowledge)
-        for task, source in run.strongest.items()
-    ]
     found = [
-        paper_table(run.paper_table, run.families, dataset=run.dataset),
-        claims_table(run.claims),
-        *sweep_tables(run.ours),
-        matched_table(run.matched, strongest=strongest),
-        exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
-        attack_table(run.ours),
-        *(_ranks(run)),
-        *(cells_table(task, run.families) for task in run.tasks),
-        decision_table(run.decisions, run.families, wheres=compared_levels(run.ours)),
-        flag_table(run.flags, run.families),
-        doubt_table(run.linkability, run.families),
-        contrast_table(items),
-        *item_tables(items).values(),
+        answers.paper_table(run),
+        answers.claims_table(run),
+        *levels.sweep_tables(run.ours),
+        answers.matched_table(run),
+        _exposure(run),
+        levels.attack_table(run.ours),
+        *(linkage.rank_table(run, task) for task in run.tasks),
+        *(linkage.cells_table(run, task) for task in run.tasks),
+        answers.decision_table(run),
+        answers.flag_table(run),
+        linkage.doubt_table(run),
+        answers.contrast_table(items),
+        *answers.item_tables(items).values(),
     ]
     return {one.name: one for one in found if one.rows}
 
@@ -101,60 +116,67 @@ def write_tex(run: Results, *, folder: Path) -> None:
     """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
-    attacks = [attack_table(run.ours, only=source) for source in sources_of(after_attack(run.ours))]
+    sources = levels.sources_of(levels.after_attack(run.ours))
+    attacks = [levels.attack_table(run.ours, only=source) for source in sources]
     files = {
-        "sweep": sweep_tables(run.ours),
+        "sweep": levels.sweep_tables(run.ours),
         "attacks": attacks,
-        "paper": [paper_table(run.paper_table, run.families, dataset=run.dataset)],
-        "linkability": _ranks(run),
-        "verdict": short_tables(run.verdict) if run.verdict else [],
+        "paper": [answers.paper_table(run)],
+        "linkability": [linkage.rank_table(run, task) for task in run.tasks],
+        "verdict": answers.short_tables(run.verdict) if run.verdict else [],
     }
     for name, tables in files.items():
         write_whole(folder / f"{name}.tex", latex(tables).encode())
 
 
-def _printed(run: Results) -> list[Table]:
-    return [
-        *sweep_tables(run.ours),
-        exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
-        attack_table(run.ours),
-        *_ranks(run),
-        paper_table(run.paper_table, run.families, dataset=run.dataset),
-        claims_table(run.claims),
-    ]
+def write_docs(run: Results, *, root: Path) -> list[Path]:
+    """Write the summary of a run into `docs/results` and all blocks anew; return what changed.
+
+    Parameters
+    ----------
+    run : Results
+    root : Path
+        With README.md and docs/.
+
+    Raises
+    ------
+    DataError
+        If there is no README.md, a block names what is not there, or a file cannot be written.
+    """
+    if not (root / "README.md").is_file():
+        raise DataError(f"{root} has no README.md: run this in the repository")
+    settings, results = run.manifest["settings"], root / "docs" / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    path = results / f"{run.dataset}-{settings['preset']}-{settings['seed']}.csv"
+    write_whole(path, run.summary.to_csv(index=False).encode())
+    changed = [path]
+    for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
+        text = page.read_text(encoding="utf-8")
+        new = filled(text, results=results)
+        if new != text:
+            write_whole(page, new.encode())
+            changed.append(page)
+    return changed
 
 
-def _ranks(run: Results) -> list[Table]:
-    known: Mapping[str, Mapping[str, int]] = run.manifest.get("linkage", {}).get("tasks", {})
-    return [
-        rank_table(task, run.families, people=known.get(task.name, {}).get("people"))
-        for task in run.tasks
-    ]
+def filled(text: str, *, results: Path) -> str:
+    """Return a text with all of its blocks written anew.
+
+    Raises
+    ------
+    DataError
+        If a block names a table or a run that is not there.
+    """
+
+    def block(found: re.Match[str]) -> str:
+        start, name, run, end = found.groups()
+        path = results / f"{run}.csv"
+        if name not in DOCS or not path.is_file():
+            raise DataError(f"no table {name!r} of {path}; known: {', '.join(DOCS)}")
+        return f"{start}{markdown(DOCS[name](pd.read_csv(path, keep_default_na=True)))}{end}"
+
+    return _BLOCK.sub(block, text)
 
 
-def _show_header(run: Results, *, console: Console) -> None:
-    dataset, identity = run.manifest["dataset"], run.manifest["identity"]
-    text = (
-        f"{dataset['name']}: {dataset['tracks_used']} of {dataset['tracks']} tracks used, "
-        f"{identity['scenes']} scenes, seed {identity['seed']}"
-    )
-    say(console, text, "bold", wrap=True)
-    notice = dataset.get("notice")
-    if notice or dataset.get("simulated"):
-        say(console, f"NOTICE: {notice or 'the tracks are simulated'}", "yellow", wrap=True)
-
-
-def _show_verdict(run: Results, *, console: Console) -> None:
-    if not run.verdict or not run.verdict["items"]:
-        return
-    console.print()
-    say(console, "Verdict", "bold")
-    for sentence in run.verdict["answer"]:
-        say(console, f"- {sentence}", wrap=True)
-    for one in short_tables(run.verdict):
-        show_table(one, console=console)
-    say(
-        console,
-        "(?: undecided, no statement either way. Items, intervals and reasons: verdict.json.)",
-        wrap=True,
-    )
+def _exposure(run: Results) -> Table:
+    return levels.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))

@@ -6,21 +6,23 @@ import os
 import re
 import sys
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from rich.console import Console
 from rich.text import Text
 
-from evaluation.reporting.texts import printable
+from evaluation.reporting.table import Table, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from collections.abc import Set as AbstractSet
 
-    from evaluation.reporting.table import Cell, Table
+    from evaluation.reporting.table import Cell
 
 PIPE_WIDTH = 116
 """Columns where there is no terminal: room for every interval of a sweep."""
+Part: TypeAlias = "Table | str | tuple[str, str]"
+"""Of what is printed: a table, or a text, which may have a style."""
 _HEAD_WIDTH = 10
 _SHORT = 8
 _LEAST_WORDS = 16
@@ -33,13 +35,23 @@ def standard_output() -> Console:
     return Console(width=PIPE_WIDTH if piped else None, highlight=False)
 
 
+def show(parts: Iterable[Part], *, console: Console | None = None) -> None:
+    """Print tables, paragraphs with or without a style, and empty lines for empty texts."""
+    console = standard_output() if console is None else console
+    for part in parts:
+        text, style = part if isinstance(part, tuple) else (part, "")
+        if isinstance(text, Table):
+            show_table(text, console=console)
+        elif text:
+            say(console, text, style, wrap=True)
+        else:
+            console.print()
+
+
 def say(console: Console, text: str, style: str = "", *, wrap: bool = False) -> None:
     """Print text as it is, without markup and in characters that the terminal has."""
-    console.print(
-        Text(literal(console, text), style=style),
-        no_wrap=not wrap,
-        overflow="fold" if wrap else "crop",
-    )
+    shown = Text(literal(console, text), style=style)
+    console.print(shown, no_wrap=not wrap, overflow="fold" if wrap else "crop")
 
 
 def literal(console: Console, text: str) -> str:
@@ -47,26 +59,14 @@ def literal(console: Console, text: str) -> str:
     return printable(text).encode(console.encoding, "replace").decode(console.encoding)
 
 
-def aligned(
-    rows: Sequence[Sequence[str]],
-    *,
-    left: AbstractSet[int] = frozenset(),
-    close: AbstractSet[int] = frozenset(),
-) -> list[str]:
-    """Return the rows as lines whose columns line up.
-
-    Cells go to the right of their column except in `left`; the columns of `close` stand near
-    the one before.
-    """
+def aligned(rows: Sequence[Sequence[str]], *, left: AbstractSet[int] = frozenset()) -> list[str]:
+    """Return the rows as lines whose columns line up, to the right of them except in `left`."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for row in rows:
-        line = ""
-        for column, (cell, width) in enumerate(zip(row, widths, strict=True)):
-            gap = "" if column == 0 else " " if column in close else "  "
-            line += gap + (cell.ljust(width) if column in left else cell.rjust(width))
-        lines.append(line.rstrip())
-    return lines
+    places = list(enumerate(widths))
+    return [
+        "  ".join(row[n].ljust(w) if n in left else row[n].rjust(w) for n, w in places).rstrip()
+        for row in rows
+    ]
 
 
 def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
@@ -78,23 +78,19 @@ def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
     """
     if not table.rows:
         return
-    columns = [
-        place
-        for place, column in enumerate(table.columns)
-        if place >= table.n_headings and not column.is_long
-    ]
-    keys = [place for place in columns if place < table.n_keys]
-    others = [place for place in columns if place not in keys]
-    parts = _parts(table, keys, others, width=console.width, whole=whole)
-    for part in parts:
-        intervals, lines = _fitting(table, part, console.width)
-        left_out = intervals < _intervals(table, part)
+    is_bare = not table.title.endswith("intervals")
+    told = " (intervals where there is room)" if is_bare else " where there is room"
+    for part in _parts(table, width=console.width, whole=whole):
+        # The last of the light ones go first.
+        order = sorted(
+            _intervals(table, part), key=lambda place: (-table.columns[place].weight, place)
+        )
+        for n in range(len(order), -1, -1):
+            lines = _lines(table, part, intervals=set(order[:n]), width=console.width)
+            if _width(lines) <= console.width:
+                break
         console.print()
-        told = " where there is room"
-        if not table.title.endswith("intervals"):
-            told = f" (intervals{told})"
-        title = table.title + told * left_out
-        say(console, title, "bold", wrap=True)
+        say(console, table.title + told * (n < len(order)), "bold", wrap=True)
         for line, style in lines:
             say(console, line, style)
     for note in [*([f"({table.legend})"] if table.legend else []), *table.notes]:
@@ -106,35 +102,28 @@ def _intervals(table: Table, columns: Iterable[int]) -> set[int]:
     return {place for place in columns if any(row[place].low for row in table.rows)}
 
 
-def _parts(
-    table: Table, keys: list[int], others: list[int], *, width: int, whole: bool
-) -> list[list[int]]:
+def _width(lines: Iterable[tuple[str, str]]) -> int:
+    return max(len(line) for line, _ in lines)
+
+
+def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
     """Return the columns in parts that fit, with intervals if `whole`, each beside the keys."""
+    columns = [
+        place
+        for place, column in enumerate(table.columns)
+        if place >= table.n_headings and not column.is_long
+    ]
+    keys = [place for place in columns if place < table.n_keys]
     parts = [keys]
-    for place in others:
+    for place in columns[len(keys) :]:
         wider = [*parts[-1], place]
         intervals = _intervals(table, wider) if whole else set()
         lines = _lines(table, wider, intervals=intervals, width=width)
-        if len(parts[-1]) > len(keys) and max(len(line) for line, _ in lines) > width:
+        if len(parts[-1]) > len(keys) and _width(lines) > width:
             parts.append([*keys, place])
         else:
             parts[-1] = wider
     return parts
-
-
-def _fitting(
-    table: Table, columns: list[int], width: int
-) -> tuple[set[int], list[tuple[str, str]]]:
-    """Return which columns keep their intervals, and the lines."""
-    # The last of the light ones go first.
-    order = sorted(
-        _intervals(table, columns), key=lambda place: (-table.columns[place].weight, place)
-    )
-    for n in range(len(order), -1, -1):
-        lines = _lines(table, columns, intervals=set(order[:n]), width=width)
-        if max(len(line) for line, _ in lines) <= width:
-            break
-    return set(order[:n]), lines
 
 
 def _lines(
@@ -143,9 +132,8 @@ def _lines(
     """Return the lines with their styles: heads, headings, and rows whose columns line up."""
     shown = [_column(table, place, has_interval=place in intervals) for place in columns]
     depth = max(len(head) for head, _ in shown)
-    heads = [[""] * (depth - len(head)) + head for head, _ in shown]
-    grid = [[head[line] for head in heads] for line in range(depth)]
-    grid += [list(cells) for cells in zip(*(cells for _, cells in shown), strict=True)]
+    filled = [[*[""] * (depth - len(head)), *head, *cells] for head, cells in shown]
+    grid = [list(cells) for cells in zip(*filled, strict=True)]
     headings = [_heading(table, row) for row in table.rows]
     for place, (heading, cells) in enumerate(zip(headings, grid[depth:], strict=True)):
         # Short, alone and without a level: it stands where the level would.
@@ -156,26 +144,20 @@ def _lines(
     lines: list[tuple[str, str]] = []
     above = ""
     for line, row in zip(aligned(wrapped, left=left), owner, strict=True):
-        if row < depth:
-            lines.append((line, "bold"))
-            continue
-        heading = headings[row - depth]
+        heading = headings[row - depth] if row >= depth else ""
         if heading and heading != above:
             lines.append((heading, "bold cyan"))
         above = heading
-        lines.append((line, ""))
+        lines.append((line, "bold" if row < depth else ""))
     return lines
 
 
 def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str], list[str]]:
     """Return the head of a column in lines, and its cells; intervals stand close to their value."""
     column, cells = table.columns[place], [row[place] for row in table.rows]
-    is_number = column.align == "right"
+    missing = "-" if column.align == "right" and place >= table.n_keys else ""
     room = max(len(cell.mark) for cell in cells)
-    values = [
-        (cell.text or ("-" if is_number and place >= table.n_keys else "")) + cell.mark.ljust(room)
-        for cell in cells
-    ]
+    values = [f"{cell.text or missing}{cell.mark.ljust(room)}" for cell in cells]
     values = [
         " ".join(filter(None, [text, cell.unit])) for text, cell in zip(values, cells, strict=True)
     ]
@@ -187,21 +169,16 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
     if not has_interval:
         return head, values
     width = max(map(len, values))
-    ends = [_ends(cell) for cell in cells]
+    # A hyphen where neither end has a sign.
+    ends = [
+        cell.interval
+        if "+" in cell.interval or "-" in cell.interval or not cell.low
+        else f"{cell.low}-{cell.high}"
+        for cell in cells
+    ]
     room = max(map(len, [*ends, *(line[width + 1 :] for line in head)]))
-    return (
-        [line.rjust(width).ljust(width + 1 + room) for line in head],
-        [
-            f"{value.rjust(width)} {end.ljust(room)}"
-            for value, end in zip(values, ends, strict=True)
-        ],
-    )
-
-
-def _ends(cell: Cell) -> str:
-    """Return both ends of an interval, with a hyphen where none of them has a sign."""
-    is_signed = cell.low.startswith(("+", "-")) or cell.high.startswith(("+", "-"))
-    return cell.interval if is_signed or not cell.low else f"{cell.low}-{cell.high}"
+    rows = [f"{value:>{width}} {end:<{room}}" for value, end in zip(values, ends, strict=True)]
+    return [line.rjust(width).ljust(width + 1 + room) for line in head], rows
 
 
 def _heading(table: Table, row: Sequence[Cell]) -> str:

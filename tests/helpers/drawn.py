@@ -1,6 +1,19 @@
-"""What every drawn figure must keep to."""
+"""Figures of a run, drawn, and what every one must keep to."""
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from evaluation.reporting.figures.drawing import figures_of
+from evaluation.reporting.figures.style import style
+
+
+def draw(run, name, *, whole=False):
+    """Draw a figure of a run by its name, with `whole` to its last line; None without one."""
+    found = [one for one in figures_of(run) if one.name == name]
+    with style():
+        figure = found[0].draw(run) if found else None
+        if whole and figure is not None:
+            figure.draw_without_rendering()
+    return figure
 
 
 def assert_is_readable(figure):

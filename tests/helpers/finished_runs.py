@@ -9,7 +9,7 @@ import pandas as pd
 from evaluation.analysis import decisions, linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
-from evaluation.reporting.run_results import Results
+from evaluation.reporting.rows import Results
 from evaluation.runs.manifest import FAILED_COLUMNS
 from isac_track.config import StageSettings
 
@@ -161,6 +161,23 @@ def make_curves(at=None, *, dataset="students03"):
         for x in (0.0, 0.5, 1.0)
     ]
     return pd.DataFrame(rows, columns=decisions.CURVE_COLUMNS)
+
+
+def make_gallery():
+    """As `gallery.parquet`: four straight walks, every other shared sample leaks."""
+    t = np.arange(8.0)
+    return pd.concat(
+        pd.DataFrame(
+            {
+                "track": track, "source": f"p{track}", "mechanism": mechanism,
+                "attack": "radial_rts", "epsilon_m": 0.3, "t": t, "x_true": t, "y_true": track,
+                "x_shared": t + 0.1, "y_shared": track + 0.2, "x_rec": t, "y_rec": track + 0.1,
+                "leaked_shared": t % 2 == 0, "leaked_rec": t > 1,
+            }
+        )
+        for track in range(4)
+        for mechanism in ("raw", "fid:1", "fixed:0.8")
+    )  # fmt: skip
 
 
 def make_paper_table():

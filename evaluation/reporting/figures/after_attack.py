@@ -1,9 +1,7 @@
-"""PLR as shared and after each attack, over the level: the figure of what filtering brings back."""
+"""PLR over the level: as shared, after each attack, and the headline beside who is found again."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,72 +12,38 @@ from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import LOOKS, Look
-from evaluation.reporting.schemes import rules_of, schemes
+from evaluation.reporting.figures.style import LOOKS, Line, Look
+from evaluation.reporting.rows import of_source, rank1_rows, rules_of, schemes
 from evaluation.reporting.summary_tables import after_attack, sources_of
+from evaluation.reporting.table import shortened
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from evaluation.reporting.run_results import Results
-    from evaluation.reporting.schemes import Scheme
+    from evaluation.reporting.rows import Results
 
-LABEL = "PLR, shared or attacked (%)"
-_PERCENT = 100.0
-_SHARED_LOOK = Look("#000000", "o", "-")
 # The oracle is set apart: grey, thin and hollow.
-_ORACLE_LOOKS = (
-    Look("#777777", "D", (0, (2, 1.5))),
-    Look("#999999", "v", (0, (4, 1.5))),
-)
+_ORACLE: dict[str, Any] = {"linewidth": 0.8, "markerfacecolor": "white"}
+_ORACLE_LOOKS = Look("#777777", "D", (0, (2, 1.5))), Look("#999999", "v", (0, (4, 1.5)))
+_SHARED_LOOK = Look("#000000", "o", "-")
+_LOOKS = _SHARED_LOOK, Look("#0072B2", "s", "--"), Look("#D55E00", "^", "-.")
+_MOST_SINGLE = 2
+"""Panels that fit into one column of a journal."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    source: Source
-    look: Look
-
-    @property
-    def is_oracle(self) -> bool:
-        return self.source.knowledge == ORACLE
-
-    @property
-    def label(self) -> str:
-        if self.source == AS_SHARED:
-            return "as shared"
-        return f"{self.source.label}, a reference" if self.is_oracle else self.source.label
-
-    @property
-    def apart(self) -> dict[str, Any]:
-        return {"linewidth": 0.8, "markerfacecolor": "white"} if self.is_oracle else {}
-
-    def of(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """Return its rows in percent."""
-        rows = rows[
-            (rows["consumer"] == self.source.consumer)
-            & (rows["knowledge"] == self.source.knowledge)
-        ]
-        numbers = rows[["value", "ci_low", "ci_high"]] * _PERCENT
-        found: pd.DataFrame = rows[["mechanism", "level"]].join(numbers)
-        return found
-
-
-def drawings(run: Results) -> list[Drawing]:
-    """Return the figure of what is left after attack."""
+def drawings(_: Results) -> list[Drawing]:
+    """Return the figures of the first screen, and of what is left after attack."""
+    about = "What the descriptor says, and what an adversary gets"
+    caption = "If the descriptor told linkability, the lines would fall together."
+    every = "PLR as shared and after each attack, over the level"
     return [
-        Drawing(
-            name="after_attack",
-            section="after",
-            title="PLR as shared and after each attack, over the level",
-            draw=partial(attack_figure, run.ours, dataset=run.dataset),
-            words=partial(_words, run.ours, strongest=run.strongest.get("")),
-        )
+        Drawing("after_attack", "after", every, attack_figure, _words),
+        Drawing("headline", "answer", about, headline_figure, _headline_words, caption),
     ]
 
 
-def attack_figure(summary: pd.DataFrame, *, dataset: str) -> Figure | None:
+def attack_figure(run: Results) -> Figure | None:
     """Return PLR over the level, as shared and after each attack; None without attacks or levels.
 
     One column for each adding rule, one row for each way of adding error. Of each attack the
@@ -87,32 +51,17 @@ def attack_figure(summary: pd.DataFrame, *, dataset: str) -> Figure | None:
     run is drawn as a reference. The control, which repeats what was shared, is left out, and so
     is what lies beyond the looks that there are.
     """
-    rows = _exposure(summary)
+    rows = _exposure(after_attack(run.ours))
     known = schemes(rows)
-    series = {
-        (scheme, rule, line): found
-        for scheme in known
-        for rule in scheme.mechanisms
-        for line in _lines(rows)
-        if not (found := scheme.of(line.of(rows), rule)).empty
-    }
-    drawn = [line for line in _lines(rows) if any(key[2] == line for key in series)]
-    if not any(line.source != AS_SHARED for line in drawn):
+    every = _lines(rows).items()
+    lines = {of: line for of, line in every if any(one.rules_in(line.rows) for one in known)}
+    if not lines.keys() - {AS_SHARED}:
         return None
-    known = [scheme for scheme in known if any(key[0] is scheme for key in series)]
-    columns = rules_of(known)
-    figure = figure_style.empty_figure(
-        width_in=figure_style.SINGLE_COLUMN_IN
-        if len(columns) == 1
-        else figure_style.DOUBLE_COLUMN_IN,
-        height_in=2.0 * len(known) + 0.9,
+    known = [one for one in known if one.rules_in(*(line.rows for line in lines.values()))]
+    columns, height_in = rules_of(known), 2.0 * len(known) + 0.9
+    figure, panels = figure_style.panels(
+        len(known), len(columns), height_in=height_in, sharex="row", sharey=True
     )
-    panels = figure.subplots(len(known), len(columns), sharex="row", sharey=True, squeeze=False)
-    raws = {
-        line: float(raw["value"].iloc[0])
-        for line in drawn
-        if len(raw := line.of(rows[rows["mechanism"] == "raw"]))
-    }
     for scheme, axes in zip(known, panels, strict=True):
         for rule, ax in zip(columns, axes, strict=True):
             if rule not in scheme.mechanisms:
@@ -120,92 +69,117 @@ def attack_figure(summary: pd.DataFrame, *, dataset: str) -> Figure | None:
                 continue
             ax.set_title(f"{scheme.title}, {scheme.rule_text(rule)}")
             ax.set_xlabel(scheme.label)
-            for line in drawn:
-                if (scheme, rule, line) in series:
-                    _draw(ax, series[scheme, rule, line], line=line)
-                if line in raws:
-                    _draw_raw(ax, raws[line], line=line, scheme=scheme)
+            for source, line in lines.items():
+                line.draw(ax, scheme, rule)
+                # Those of attacks would crowd each other.
+                line.draw_raw(ax, scheme=None if source == AS_SHARED else scheme)
         figure_style.level_axis(axes[0], log=scheme.log)
-        axes[0].set_ylabel(LABEL)
+        axes[0].set_ylabel("PLR, shared or attacked (%)")
     # A share: the whole axis, with a little room for markers at its ends.
     panels[0, 0].set_ylim(-3.0, 103.0)
-    _legend(figure, drawn, has_raw=bool(raws))
-    figure_style.title(figure, dataset=dataset, what="what an adversary who filters gets back")
+    handles: list[Any] = [line.handle for line in lines.values()]
+    if any(line.raw is not None for line in lines.values()):
+        handles.append(figure_style.black_handle("raw (attacks: at its edge)", dashes=":"))
+    figure_style.legend(figure, [*handles, figure_style.band_handle("95 % interval")])
+    what = "what an adversary who filters gets back"
+    figure_style.title(figure, dataset=run.dataset, what=what)
     return figure
 
 
-def _words(summary: pd.DataFrame, *, strongest: Source | None) -> str:
+def _words(run: Results) -> str:
+    strongest, rows = run.strongest.get(""), _exposure(after_attack(run.ours))
     if strongest is None:
         return ""
-    rows = _exposure(summary)
-    shared, after = (
-        rows[(rows["consumer"] == one.consumer) & (rows["knowledge"] == one.knowledge)]
-        for one in (AS_SHARED, strongest)
-    )
-    parts = []
-    for scheme in schemes(summary):
-        for rule in scheme.rules:
-            before, left = (scheme.ends(of, rule, EXPOSURE) for of in (shared, after))
-            if before:
-                parts.append(
-                    f"{scheme.title}, {scheme.rule_text(rule)}: as shared {before}; after "
-                    f"{strongest.label} {left}."
-                )
+    shared, after = of_source(rows, AS_SHARED), of_source(rows, strongest)
+    parts = [
+        f"{scheme.title}, {scheme.rule_text(rule)}: as shared {before}; after {strongest.label} "
+        f"{scheme.ends(after, rule, EXPOSURE)}."
+        for scheme in schemes(run.ours)
+        for rule in scheme.rules
+        if (before := scheme.ends(shared, rule, EXPOSURE))
+    ]
     return f"Lines of PLR over the level. {' '.join(parts)}"
 
 
-def _exposure(summary: pd.DataFrame) -> pd.DataFrame:
-    rows = after_attack(summary)
+def _exposure(rows: pd.DataFrame) -> pd.DataFrame:
     found: pd.DataFrame = rows[(rows["metric"] == EXPOSURE) & np.isfinite(rows["value"])]
     return found
 
 
-def _lines(rows: pd.DataFrame) -> list[_Line]:
+def _lines(rows: pd.DataFrame) -> dict[Source, Line]:
     """Return what is drawn, with its looks."""
     chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
     oracle = [source for source in chosen if source.knowledge == ORACLE]
     others = [source for source in chosen if source.knowledge and source not in oracle]
-    return [
-        *(_Line(source, _SHARED_LOOK) for source in chosen if source == AS_SHARED),
-        *(_Line(source, look) for source, look in zip(others, LOOKS, strict=False)),
-        *(_Line(source, look) for source, look in zip(oracle, _ORACLE_LOOKS, strict=False)),
-    ]
+    looks = {AS_SHARED: _SHARED_LOOK} if AS_SHARED in chosen else {}
+    looks |= dict(zip(others, LOOKS, strict=False))
+    references = dict(zip(oracle, _ORACLE_LOOKS, strict=False))
+    return {
+        of: Line("as shared" if of == AS_SHARED else of.label, look, of_source(rows, of))
+        for of, look in looks.items()
+    } | {
+        of: Line(f"{of.label}, a reference", look, of_source(rows, of), apart=_ORACLE)
+        for of, look in references.items()
+    }
 
 
-def _draw(ax: Axes, found: pd.DataFrame, *, line: _Line) -> None:
-    look = line.look
-    level, value, low, high = (found[k].to_numpy() for k in ("level", "value", "ci_low", "ci_high"))
-    ax.plot(
-        level,
-        value,
-        color=look.colour,
-        marker=look.marker,
-        linestyle=look.dashes,
-        **line.apart,
-    )
-    figure_style.band(ax, x=level, low=low, high=high, look=look)
+def headline_figure(run: Results) -> Figure | None:
+    """Return PLR as shared, after the strongest attack, and the strongest link, over the level.
+
+    One panel for each way of adding error, under the paper's adding rule if it was run. None
+    without levels.
+    """
+    lines, known = headline_lines(run), schemes(run.ours)
+    rule = next(iter(rules_of(known)), "")
+    known = [scheme for scheme in known if not scheme.of(lines[0].rows, rule).empty]
+    if not known:
+        return None
+    widths = figure_style.SINGLE_COLUMN_IN, figure_style.DOUBLE_COLUMN_IN
+    figure = figure_style.placed_figure(width_in=widths[len(known) > _MOST_SINGLE], height_in=2.65)
+    margins_in = 0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines)
+    panels = figure_style.placed(
+        figure, 1, len(known), margins_in=margins_in, gaps_in=(0.22, 0.0), sharey=True
+    )[0]
+    for scheme, ax in zip(known, panels, strict=True):
+        ax.set_title(scheme.title)
+        ax.set_xlabel(scheme.label)
+        for line in lines:
+            line.draw(ax, scheme, rule)
+            line.draw_raw(ax, scheme=scheme)
+        figure_style.level_axis(ax, log=scheme.log)
+    panels[0].set_ylim(0.0, 103.0)
+    panels[0].set_ylabel("%")
+    raw = figure_style.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
+    figure_style.legend(figure, [*(line.handle for line in lines), raw], columns=1)
+    figure_style.title(figure, dataset=run.dataset, what=f"{rule} adding", one_line=True)
+    return figure
 
 
-def _draw_raw(ax: Axes, value: float, *, line: _Line, scheme: Scheme) -> None:
-    """Draw raw as a dotted line; for attacks, which would crowd each other, at raw's edge only."""
-    whole, at_edge = (0.0, 1.0), (0.95, 1.0) if scheme.log else (0.0, 0.06)
-    ax.plot(
-        whole if line.source == AS_SHARED else at_edge,
-        [value, value],
-        transform=ax.get_yaxis_transform(),
-        color=line.look.colour,
-        linestyle=":",
-        zorder=2.6,
-    )
+def headline_lines(run: Results) -> list[Line]:
+    """Return the lines of the headline, those as shared first."""
+    plr = _exposure(run.ours)
+    rows = {"PLR as shared: the descriptor": of_source(plr, AS_SHARED)}
+    attack = run.strongest.get("")
+    if attack is not None:
+        rows[f"PLR after {_short(attack)}"] = of_source(plr, attack)
+    # A walk that was shared twice, or whatever was linked first.
+    for task in sorted(run.tasks, key=lambda one: one.name != "rerelease")[:1]:
+        source = run.link_of(task)
+        label = f"found again ({task.name}, rank 1): {_short(source)}"
+        rows[label] = rank1_rows(task, source)
+    return [Line(label, look, of) for (label, of), look in zip(rows.items(), _LOOKS, strict=False)]
 
 
-def _legend(figure: Figure, lines: list[_Line], *, has_raw: bool) -> None:
-    handles: list[Any] = []
-    for line in lines:
-        handle = figure_style.line_handle(line.label, line.look)
-        handle.set(**line.apart)
-        handles.append(handle)
-    if has_raw:
-        handles.append(figure_style.black_handle("raw (attacks: at its edge)", dashes=":"))
-    handles.append(figure_style.band_handle("95 % interval"))
-    figure_style.legend(figure, handles)
+def _headline_words(run: Results) -> str:
+    known, lines = schemes(run.ours), headline_lines(run)
+    rule = next(iter(rules_of(known)), "")
+    parts = []
+    for scheme in known:
+        ends = {line.label: scheme.ends(line.rows, rule, EXPOSURE) for line in lines}
+        said = [f"{label} {text}" for label, text in ends.items() if text]
+        parts += [f"{scheme.title}: {'; '.join(said)}."] if said else []
+    return f"Lines over the level, {rule} adding. {' '.join(parts)}"
+
+
+def _short(source: Source) -> str:
+    return shortened(source.label, room=figure_style.NAME_LENGTH)

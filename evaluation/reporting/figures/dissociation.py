@@ -6,7 +6,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.collections import LineCollection
 from matplotlib.ticker import FixedLocator, NullLocator
 
@@ -16,28 +15,34 @@ from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import Look
-from evaluation.reporting.rows import by_level, family_of, is_control, parameters_text
-from evaluation.reporting.schemes import rules_of, schemes
-from evaluation.reporting.texts import shortened
+from evaluation.reporting.figures.style import PERCENT, Look
+from evaluation.reporting.rows import (
+    ENDS,
+    family_of,
+    is_control,
+    parameters_text,
+    rank1_rows,
+    rules_of,
+    schemes,
+)
+from evaluation.reporting.table import shortened
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Source
     from evaluation.analysis.linkability import LinkedTask
-    from evaluation.reporting.run_results import Results
-    from evaluation.reporting.schemes import Scheme
+    from evaluation.reporting.rows import Results
 
-_PERCENT = 100.0
 _DISSOCIATED = ("rerelease", "handover")
 # Apart from every line, and from each other in grey.
 _MARKERS = ("D", "^", "P", "v", "X", "p", "h")
 _COLOURS = ("#CC79A7", "#009E73", "#E69F00", "#56B4E9")
+_EDGE: dict[str, Any] = {"markeredgecolor": "black", "markeredgewidth": 0.6}
 _MOST_LABELS = 12
 _RIGHT = 0.6
 """Share of an axis behind which labels stand on the left of their marker."""
@@ -48,11 +53,9 @@ def drawings(run: Results) -> list[Drawing]:
     """Return a figure for each task in which the same walk is found again."""
     return [
         Drawing(
-            name=f"dissociation-{task.name}",
-            section="against",
-            title=f"{task.name}: rank 1 over each descriptor, controls marked",
-            draw=partial(dissociation_figure, run, task),
-            words=partial(_words, run, task),
+            *(f"dissociation-{task.name}", "against"),
+            f"{task.name}: rank 1 over each descriptor, controls marked",
+            *(partial(dissociation_figure, task=task), partial(_words, task=task)),
             task=task.name,
         )
         for task in run.tasks
@@ -60,7 +63,7 @@ def drawings(run: Results) -> list[Drawing]:
     ]
 
 
-def dissociation_figure(run: Results, task: LinkedTask) -> Figure | None:
+def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
     """Return rank 1 of the strongest attack of a task over PLR, AEL and MEL as shared.
 
     One row for each adding rule. What is swept is a line over its levels; a dissociation control
@@ -76,31 +79,41 @@ def dissociation_figure(run: Results, task: LinkedTask) -> Figure | None:
     ]
     if not rules:
         return None
-    controls = list(
-        dict.fromkeys(one.family for one in families_in(points).values() if is_control(one))
-    )
-    figure = figure_style.placed_figure(
-        width_in=figure_style.DOUBLE_COLUMN_IN, height_in=1.75 * len(rules) + 1.0
-    )
+    controls = dict.fromkeys(one.family for one in families_in(points).values() if is_control(one))
+    looks = {
+        name: Look(_COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)], "")
+        for place, name in enumerate(controls)
+    }
+    figure = figure_style.placed_figure(height_in=1.75 * len(rules) + 1.0)
+    margins_in, sharing = (0.45, 0.1, 0.5, 0.85), {"sharex": "col", "sharey": True}
     panels = figure_style.placed(
-        figure, rows=len(rules), columns=len(DESCRIPTORS), left_in=0.45, right_in=0.1, top_in=0.5,
-        bottom_in=0.85, gap_in=0.18, between_in=0.3, sharex="col", sharey=True,
-    )  # fmt: skip
+        figure, len(rules), len(DESCRIPTORS), margins_in=margins_in, gaps_in=(0.18, 0.3), **sharing
+    )
+    for metric, in_column in zip(DESCRIPTORS, panels.T, strict=True):
+        shown = _on_axes(points, metric)
+        for rule, ax in zip(rules, in_column, strict=True):
+            for scheme in known:
+                rows, look = scheme.of(shown, rule), figure_style.look_of(scheme)
+                ax.plot(rows["x"], rows["y"], **look.line, zorder=2.5)
+                _bars(ax, rows, colour=look.colour)
+            _draw_controls(ax, shown, rule=rule, looks=looks)
+        in_column[-1].set_xlabel(figure_style.label(metric))
+        if metric == EXPOSURE:
+            in_column[-1].set_xlim(left=-2.0)
+        else:
+            _second_axis(in_column[-1], shown["x"].to_numpy())
     for rule, in_row in zip(rules, panels, strict=True):
         in_row[0].set_title(f"{rule} adding")
         in_row[0].set_ylabel("rank 1 (%)")
-        for metric, ax in zip(DESCRIPTORS, in_row, strict=True):
-            for scheme in known:
-                _draw_line(ax, scheme.of(points, rule), metric=metric, scheme=scheme)
-            _draw_controls(ax, points, rule=rule, metric=metric, controls=controls)
-    for metric, ax in zip(DESCRIPTORS, panels[-1], strict=True):
-        ax.set_xlabel(figure_style.label(metric))
-        if metric == EXPOSURE:
-            ax.set_xlim(left=-2.0)
-        else:
-            _second_axis(ax, points[metric].to_numpy())
-    panels[0, 0].set_ylim(-3.0, min(103.0, 1.12 * _PERCENT * float(points["ci_high"].max())))
-    _legend(figure, points, schemes=known, controls=controls)
+    panels[0, 0].set_ylim(-3.0, min(103.0, 1.12 * PERCENT * float(points["ci_high"].max())))
+    handles = figure_style.scheme_handles(known)
+    if (points["mechanism"] == RAW).any():
+        handles.append(figure_style.black_handle("raw", marker="*"))
+    for name, look in looks.items():
+        handle = figure_style.line_handle(f"control: {name}", look, markersize=6, **_EDGE)
+        handles.append(handle)
+    handles.append(figure_style.black_handle("bars: 95 % intervals; number: level", dashes="-"))
+    figure_style.legend(figure, handles, columns=4)
     who = shortened(source.label, room=figure_style.NAME_LENGTH)
     figure_style.title(figure, dataset=run.dataset, what=f"{task.name}, {who}", one_line=True)
     return figure
@@ -109,94 +122,71 @@ def dissociation_figure(run: Results, task: LinkedTask) -> Figure | None:
 def dissociation_points(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
     """Return the descriptors as shared with rank 1 of an attack, a row for each level.
 
-    Columns: mechanism, level, family, adding, rank1, ci_low, ci_high, and for each descriptor its
-    value, `_low` and `_high`.
+    Columns: mechanism, level, family, adding; value, ci_low and ci_high of rank 1; and for each
+    descriptor its value, `_low` and `_high`.
     """
     known = families_in(summary)
-    shared = summary[(summary["consumer"] == SHARED) & summary["metric"].isin(DESCRIPTORS)]
-    rows = []
-    for where, of in by_level(shared).items():
-        row = task.cells.get(where, {}).get(source)
-        if row is None or not np.isfinite(row["rank1"]) or len(of) < len(DESCRIPTORS):
-            continue
-        one = family_of(known, where[0])
-        ends = (("", "value"), ("_low", "ci_low"), ("_high", "ci_high"))
-        rows.append(
-            {"mechanism": where[0], "level": np.nan if where[1] is None else where[1]}
-            | {"family": one.family, "adding": one.adding}
-            | {key: row[key] for key in ("rank1", "ci_low", "ci_high")}
-            | {f"{of_one['metric']}{end}": of_one[key] for of_one in of for end, key in ends}
-        )
-    return pd.DataFrame(rows)
+    points = rank1_rows(task, source)
+    for metric in DESCRIPTORS:
+        rows = summary[(summary["consumer"] == SHARED) & (summary["metric"] == metric)]
+        names = dict(zip(ENDS, (metric, f"{metric}_low", f"{metric}_high"), strict=True))
+        rows = rows[["mechanism", "level", *ENDS]].rename(columns=names)
+        points = points.merge(rows, on=["mechanism", "level"])
+    of = [family_of(known, name) for name in points["mechanism"]]
+    return points.assign(family=[one.family for one in of], adding=[one.adding for one in of])
 
 
-def _words(run: Results, task: LinkedTask) -> str:
+def _words(run: Results, *, task: LinkedTask) -> str:
     source = run.link_of(task)
     points = dissociation_points(run.ours, task, source=source)
     known = families_in(points)
     marked = points["mechanism"].map(lambda name: is_control(known[name]) or name == RAW)
     said = [
         f"{row['mechanism']} {level_text(row['level'])}".rstrip()
-        + f": PLR {_PERCENT * row['plr']:.0f} %, rank 1 {_PERCENT * row['rank1']:.0f} %"
+        + f": PLR {PERCENT * row['plr']:.0f} %, rank 1 {PERCENT * row['value']:.0f} %"
         for row in points[marked].to_dict("records")
     ]
     lines = points[points["level"].notna() & ~marked]
     titles = ", ".join(scheme.title for scheme in schemes(points))
     return (
         f"Rank 1 of {source.label} over PLR, AEL and MEL as shared. {titles} are lines from rank 1 "
-        f"of {_PERCENT * lines['rank1'].min():.0f} to {_PERCENT * lines['rank1'].max():.0f} %. Did "
+        f"of {PERCENT * lines['value'].min():.0f} to {PERCENT * lines['value'].max():.0f} %. Did "
         f"a descriptor tell linkability by itself, the controls would lie on the lines. "
         f"{'; '.join(said)}."
     )
 
 
-def _draw_line(ax: Axes, rows: pd.DataFrame, *, metric: str, scheme: Scheme) -> None:
-    look = figure_style.look_of(scheme)
-    ax.plot(
-        METRICS[metric].scale * rows[metric],
-        _PERCENT * rows["rank1"],
-        color=look.colour,
-        marker=look.marker,
-        linestyle=look.dashes,
-        zorder=2.5,
-    )
-    _bars(ax, rows, metric=metric, colour=look.colour)
+def _on_axes(points: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """Return descriptor x and rank 1 y with their intervals, in the units of the axes."""
+    scale = METRICS[metric].scale
+    x = {f"x{end}": scale * points[f"{metric}{end}"] for end in ("", "_low", "_high")}
+    y = {"y": points["value"], "y_low": points["ci_low"], "y_high": points["ci_high"]}
+    return points.assign(**x, **{name: PERCENT * of for name, of in y.items()})
 
 
-def _draw_controls(
-    ax: Axes, points: pd.DataFrame, *, rule: str, metric: str, controls: Sequence[str]
-) -> None:
+def _draw_controls(ax: Axes, shown: pd.DataFrame, *, rule: str, looks: Mapping[str, Look]) -> None:
     """Draw raw as a star, and every control with its level."""
-    known, scale = families_in(points), METRICS[metric].scale
-    raw = points[points["mechanism"] == RAW]
-    ax.plot(
-        scale * raw[metric], _PERCENT * raw["rank1"], "*", color="black", markersize=7, zorder=4
-    )
-    _bars(ax, raw, metric=metric, colour="black")
+    known = families_in(shown)
+    raw = shown[shown["mechanism"] == RAW]
+    ax.plot(raw["x"], raw["y"], "*", color="black", markersize=7, zorder=4)
+    _bars(ax, raw, colour="black")
     labelled = 0
-    for name in controls:
-        look = _look(name, controls)
-        rows = points[(points["family"] == name) & points["adding"].isin([rule, ""])]
-        _bars(ax, rows, metric=metric, colour=look.colour)
-        ax.plot(
-            scale * rows[metric],
-            _PERCENT * rows["rank1"],
-            look.marker,
-            color=look.colour,
-            markersize=6.5,
-            markeredgecolor="black",
-            markeredgewidth=0.6,
-            zorder=5,
-        )
+    for name, look in looks.items():
+        rows = shown[(shown["family"] == name) & shown["adding"].isin([rule, ""])]
+        _bars(ax, rows, colour=look.colour)
+        at: dict[str, Any] = {"color": look.colour, "markersize": 6.5, "zorder": 5}
+        ax.plot(rows["x"], rows["y"], look.marker, **at, **_EDGE)
         for row in rows.to_dict("records"):
             labelled += 1
             if labelled > _MOST_LABELS or np.isnan(row["level"]):
                 continue
+            parameters = parameters_text(known[row["mechanism"]])
+            text = ", ".join(filter(None, [figure_style.number(row["level"]), parameters]))
             # To the side where there is room.
-            is_right = row[metric] > _RIGHT * float(points[metric].max())
+            is_right = row["x"] > _RIGHT * float(shown["x"].max())
             ax.annotate(
-                _control_text(row, known),
-                (scale * row[metric], _PERCENT * row["rank1"]),
+                text,
+                (row["x"], row["y"]),
                 xytext=(-4.5 if is_right else 4.5, 3.0),
                 textcoords="offset points",
                 horizontalalignment="right" if is_right else "left",
@@ -204,26 +194,12 @@ def _draw_controls(
             )
 
 
-def _control_text(row: Mapping[Any, Any], known: Mapping[str, Family]) -> str:
-    parameters = parameters_text(family_of(known, row["mechanism"]))
-    return ", ".join(filter(None, [figure_style.number(row["level"]), parameters]))
-
-
-def _look(name: str, controls: Sequence[str]) -> Look:
-    place = controls.index(name)
-    return Look(_COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)], "")
-
-
-def _bars(ax: Axes, rows: pd.DataFrame, *, metric: str, colour: str) -> None:
+def _bars(ax: Axes, rows: pd.DataFrame, *, colour: str) -> None:
     """Draw the intervals both ways."""
-    scale = METRICS[metric].scale
-    x, left, right = (scale * rows[name] for name in (metric, f"{metric}_low", f"{metric}_high"))
-    y, low, high = (_PERCENT * rows[name] for name in ("rank1", "ci_low", "ci_high"))
-    segments = [
-        *([(a, b), (c, b)] for a, b, c in zip(left, y, right, strict=True)),
-        *([(a, b), (a, c)] for a, b, c in zip(x, low, high, strict=True)),
-    ]
-    known = [one for one in segments if np.isfinite(one).all()]
+    low = rows[["x_low", "y", "x", "y_low"]].to_numpy().reshape(-1, 2)
+    high = rows[["x_high", "y", "x", "y_high"]].to_numpy().reshape(-1, 2)
+    segments = np.stack([low, high], axis=1)
+    known = segments[np.isfinite(segments).all(axis=(1, 2))]
     ax.add_collection(LineCollection(known, colors=colour, linewidths=0.5, alpha=0.7, zorder=2))
 
 
@@ -239,19 +215,3 @@ def _second_axis(ax: Axes, values: Any) -> None:  # noqa: ANN401 - (n,) s
     ax.xaxis.set_major_locator(FixedLocator([0.0] * has_zero + _SECONDS))
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_major_formatter(lambda value, _: figure_style.number(value))
-
-
-def _legend(
-    figure: Figure, points: pd.DataFrame, *, schemes: Sequence[Scheme], controls: Sequence[str]
-) -> None:
-    handles: list[Any] = [
-        figure_style.line_handle(scheme.title, figure_style.look_of(scheme)) for scheme in schemes
-    ]
-    if (points["mechanism"] == RAW).any():
-        handles.append(figure_style.black_handle("raw", marker="*"))
-    for name in controls:
-        handle = figure_style.line_handle(f"control: {name}", _look(name, controls))
-        handle.set(markersize=6, markeredgecolor="black", markeredgewidth=0.6)
-        handles.append(handle)
-    handles.append(figure_style.black_handle("bars: 95 % intervals; number: level", dashes="-"))
-    figure_style.legend_in_rows(figure, handles, columns=4)

@@ -1,18 +1,28 @@
-"""What a figure of a run is: a file in this folder with a function `drawings` makes some."""
+"""The figures of a run: a file in this folder with a function `drawings` makes some."""
 
 from __future__ import annotations
 
+import contextlib
+from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
+from evaluation.cells.progress import Failed
+from evaluation.reporting.figures.style import rendered, style
+from evaluation.runs.files import write_whole
+from evaluation.runs.workers import spread
+from isac_track.errors import DataError
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from matplotlib.figure import Figure
 
-    from evaluation.reporting.run_results import Results
+    from evaluation.reporting.rows import Results
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -24,9 +34,9 @@ class Drawing:
     section: str
     """Of the page."""
     title: str
-    draw: Callable[[], Figure | None]
+    draw: Callable[[Results], Figure | None]
     """None where the run has nothing to draw."""
-    words: Callable[[], str]
+    words: Callable[[Results], str]
     """What it shows, in numbers, for whoever does not see it."""
     caption: str = ""
     task: str = ""
@@ -41,3 +51,42 @@ def figures_of(run: Results) -> list[Drawing]:
     return [
         one for module in modules if hasattr(module, "drawings") for one in module.drawings(run)
     ]
+
+
+def draw_all(run: Results, *, folder: Path, jobs: int = 1) -> list[Path]:
+    """Draw every figure that the results allow, as SVG and PDF, and return the files written.
+
+    Parameters
+    ----------
+    run : Results
+    folder : Path
+        Made if it is missing.
+    jobs : int
+        Worker processes; what they draw does not depend on their number.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be written.
+    """
+    with contextlib.suppress(OSError):  # write_whole says what is wrong
+        folder.mkdir(parents=True, exist_ok=True)
+    files: dict[str, bytes] = {}
+    draw = partial(_drawn, run=run, step=jobs)
+    for _, found in spread(draw, deque(range(jobs)), jobs=jobs, limit_s=None):
+        for one in found:
+            if isinstance(one, Failed):
+                raise DataError(f"cannot draw the figures: {one.why}; run evaluation.report again")
+            files |= one
+    for name in sorted(files):
+        write_whole(folder / name, files[name])
+    return [folder / name for name in sorted(files)]
+
+
+def _drawn(first: int, *, run: Results, step: int) -> Iterator[dict[str, bytes]]:
+    """Yield the files of every so many-th figure by name; one that is empty has none."""
+    with style():
+        for one in figures_of(run)[first::step]:  # one at a time is in memory
+            figure = one.draw(run)
+            if figure is not None:
+                yield {f"{one.name}.{kind}": of for kind, of in rendered(figure).items()}

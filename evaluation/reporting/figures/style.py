@@ -1,4 +1,4 @@
-"""How figures look, and how they become files: style, axes, legend and title.
+"""How figures look, and how they become files: style, axes, lines, legend and title.
 
 The same figure gives the same bytes: no dates, no random ids, and nothing from the user's own
 matplotlib settings. Colours are those of Okabe and Ito; marker and line style tell the same in
@@ -10,7 +10,8 @@ from __future__ import annotations
 import contextlib
 import io
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,17 +23,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
+from evaluation.analysis.families import RAW
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
+    import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from numpy.typing import NDArray
 
-    from evaluation.reporting.schemes import Scheme
+    from evaluation.reporting.rows import Scheme
     from isac_track.types import Floats
 
 Dashes = Literal["", "-", "--", "-.", ":"] | tuple[float, tuple[float, ...]]
@@ -44,39 +47,12 @@ CHARACTERS_PER_IN = 17.5
 LOG_RATIO = 5.0
 """A logarithmic axis has too few ticks where the data span less."""
 NAME_LENGTH = 40
+PERCENT = 100.0
 
 _BAND_ALPHA = 0.18
 _IMAGE_DPI = 200
 _HANDLE_CHARACTERS = 10
-_RC = {
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "axes.labelsize": 7.5,
-    "axes.linewidth": 0.6,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 7.5,
-    "figure.titlesize": 8,
-    "font.size": 7,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.4,
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "legend.handlelength": 2.6,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 3.2,
-    "pdf.fonttype": 42,
-    # Outlines look the same where the font is missing; the PDF holds the words.
-    "svg.fonttype": "path",
-    "svg.hashsalt": "isac-track",
-    # Names are shown as they are, whatever `$` or `_` they hold.
-    "text.parse_math": False,
-    "xtick.labelsize": 7,
-    "xtick.major.width": 0.6,
-    "ytick.labelsize": 7,
-    "ytick.major.width": 0.6,
-}
+_STYLE = Path(__file__).parents[1] / "templates" / "figures.mplstyle"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +62,11 @@ class Look:
     colour: str
     marker: str
     dashes: Dashes
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """As matplotlib's lines take it."""
+        return {"color": self.colour, "marker": self.marker, "linestyle": self.dashes}
 
 
 # Dotted is kept for the raw baseline.
@@ -101,56 +82,53 @@ LOOKS = (
 @contextlib.contextmanager
 def style() -> Iterator[None]:
     """Set matplotlib's defaults and ours, whatever the user's own settings are."""
-    with styles.context(["default", _RC]), warnings.catch_warnings():
+    with styles.context(["default", _STYLE]), warnings.catch_warnings():
         # A data set may be named in a script that the bundled font lacks.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         yield
 
 
-def empty_figure(*, width_in: float, height_in: float) -> Figure:
-    """Return a figure that makes room for its labels, legend and title."""
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+def panels(
+    rows: int,
+    columns: int,
+    *,
+    height_in: float,
+    **sharing: Any,  # noqa: ANN401 - as matplotlib's subplots take it
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure that makes room for its labels, legend and title, and its panels.
+
+    A single column of panels fits into one column of a journal. `sharing`: sharex, sharey.
+    """
+    width_in = SINGLE_COLUMN_IN if columns == 1 else DOUBLE_COLUMN_IN
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
 
 
-def placed_figure(*, width_in: float, height_in: float) -> Figure:
+def placed_figure(*, width_in: float = DOUBLE_COLUMN_IN, height_in: float) -> Figure:
     """Return a figure whose panels are placed by hand."""
     return Figure(figsize=(width_in, height_in), dpi=_IMAGE_DPI)
 
 
 def placed(
     figure: Figure,
-    *,
     rows: int,
     columns: int,
-    left_in: float,
-    right_in: float,
-    top_in: float,
-    bottom_in: float,
-    gap_in: float,
-    between_in: float = 0.0,
-    sharex: bool | Literal["col"] = False,
-    sharey: bool = False,
+    *,
+    margins_in: tuple[float, float, float, float],
+    gaps_in: tuple[float, float],
+    **sharing: Any,  # noqa: ANN401 - as above
 ) -> NDArray[Any]:
-    """Return a grid of panels, (rows, columns), within margins and with gaps in inches."""
-    width_in, height_in = figure.get_size_inches()
-    panel_width_in = (width_in - left_in - right_in - gap_in * (columns - 1)) / columns
-    panel_height_in = (height_in - top_in - bottom_in - between_in * (rows - 1)) / rows
-    panels: NDArray[Any] = figure.subplots(
-        rows,
-        columns,
-        squeeze=False,
-        sharex=sharex,
-        sharey=sharey,
-        gridspec_kw={
-            "left": left_in / width_in,
-            "right": 1.0 - right_in / width_in,
-            "top": 1.0 - top_in / height_in,
-            "bottom": bottom_in / height_in,
-            "wspace": gap_in / panel_width_in,
-            "hspace": between_in / panel_height_in,
-        },
-    )
-    return panels
+    """Return a grid of panels, (rows, columns).
+
+    `margins_in` are left, right, top and bottom, `gaps_in` between columns and between rows.
+    """
+    size_in, gaps = figure.get_size_inches(), np.array(gaps_in)
+    left, right, top, bottom = np.array(margins_in) / size_in[[0, 0, 1, 1]]
+    n, share = np.array([columns, rows]), np.array([1.0 - left - right, 1.0 - top - bottom])
+    wspace, hspace = gaps / ((share * size_in - gaps * (n - 1)) / n)
+    figure.subplots_adjust(left, bottom, 1.0 - right, 1.0 - top, wspace, hspace)
+    axes: NDArray[Any] = figure.subplots(rows, columns, squeeze=False, **sharing)
+    return axes
 
 
 def rendered(figure: Figure) -> dict[str, bytes]:
@@ -173,8 +151,52 @@ def rendered(figure: Figure) -> dict[str, bytes]:
     return {"svg": svg.getvalue(), "pdf": pdf.getvalue()}
 
 
-def band(ax: Axes, *, x: Floats, low: Floats, high: Floats, look: Look) -> None:
-    """Fill the interval around a line; it has gaps where the interval is unknown."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Line:
+    """A line over the level, and what stands beside it in a legend."""
+
+    label: str
+    look: Look
+    rows: pd.DataFrame
+    """Columns mechanism, level, value, ci_low and ci_high, as in a summary."""
+    scale: float = PERCENT
+    """To the unit of the axis."""
+    has_band: bool = True
+    apart: Mapping[str, Any] = field(default_factory=dict)
+    """What sets it apart from the others, as matplotlib's lines take it."""
+
+    @property
+    def raw(self) -> float | None:
+        """Where it is without any added error, in the unit of the axis."""
+        found = self.rows.loc[self.rows["mechanism"] == RAW, "value"]
+        return self.scale * float(found.iloc[0]) if len(found) else None
+
+    @property
+    def handle(self) -> Line2D:
+        """The legend's entry of it."""
+        return line_handle(self.label, self.look, **self.apart)
+
+    def draw(self, ax: Axes, scheme: Scheme, rule: str) -> None:
+        """Draw it over the levels of a scheme; its band has gaps where the interval is unknown."""
+        rows = scheme.of(self.rows, rule)
+        if len(rows):
+            x = rows["level"].to_numpy()
+            y, *ends = (self.scale * rows[key].to_numpy() for key in ("value", "ci_low", "ci_high"))
+            ax.plot(x, y, **self.look.line, **self.apart)
+            if self.has_band:
+                band(ax, x, *ends, look=self.look)
+
+    def draw_raw(self, ax: Axes, *, scheme: Scheme | None = None) -> None:
+        """Draw raw as a dotted line, or of a scheme at the edge where its levels end in raw."""
+        if self.raw is not None:
+            at = (0.0, 1.0) if scheme is None else (0.95, 1.0) if scheme.log else (0.0, 0.06)
+            # Above the axis itself, where the value is zero.
+            look: dict[str, Any] = {"color": self.look.colour, "linestyle": ":", "zorder": 2.6}
+            ax.plot(at, [self.raw] * 2, transform=ax.get_yaxis_transform(), **look)
+
+
+def band(ax: Axes, x: Floats, low: Floats, high: Floats, *, look: Look) -> None:
+    """Fill the interval around a line."""
     ax.fill_between(x, low, high, color=look.colour, alpha=_BAND_ALPHA, linewidth=0)
 
 
@@ -219,25 +241,22 @@ def number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def line_handle(text: str, look: Look) -> Line2D:
+def line_handle(text: str, look: Look, **more: Any) -> Line2D:  # noqa: ANN401 - matplotlib's
     """Return the legend's entry of a line."""
-    return Line2D([], [], color=look.colour, marker=look.marker, linestyle=look.dashes, label=text)
+    return Line2D([], [], label=text, **look.line, **more)
+
+
+def scheme_handles(schemes: Sequence[Scheme]) -> list[Artist]:
+    """Return the legend's entries of what is swept."""
+    return [line_handle(scheme.title, look_of(scheme)) for scheme in schemes]
 
 
 def black_handle(
     text: str, *, marker: str = "", dashes: Dashes = "", hollow: bool = False
 ) -> Line2D:
     """Return the legend's entry of something that has no colour of its own."""
-    return Line2D(
-        [],
-        [],
-        color="black",
-        marker=marker,
-        markersize=5,
-        markerfacecolor="white" if hollow else "black",
-        linestyle=dashes,
-        label=text,
-    )
+    face = "white" if hollow else "black"
+    return line_handle(text, Look("black", marker, dashes), markersize=5, markerfacecolor=face)
 
 
 def band_handle(text: str) -> Patch:
@@ -245,28 +264,18 @@ def band_handle(text: str) -> Patch:
     return Patch(color="black", alpha=_BAND_ALPHA, linewidth=0, label=text)
 
 
-def legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Put a legend below the panels, in as few rows as its words allow."""
+def legend(figure: Figure, handles: Sequence[Artist], *, columns: int = 0) -> None:
+    """Put a legend below the panels: in as few rows as its words allow, or in some columns."""
+    place: dict[str, Any] = {"loc": "outside lower center"}
+    if columns:
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.0)}
+        place |= {"borderaxespad": 0.2, "columnspacing": 1.4}
     room = CHARACTERS_PER_IN * figure.get_figwidth()
     widths = [len(str(handle.get_label())) + _HANDLE_CHARACTERS for handle in handles]
-    columns = next(
-        n
-        for n in range(len(handles), 0, -1)
-        if n == 1 or sum(max(column) for column in np.array_split(widths, n)) <= room
-    )
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
-
-
-def legend_in_rows(figure: Figure, handles: Sequence[Artist], *, columns: int) -> None:
-    """Put a legend along the lower edge of a figure that is placed by hand."""
-    figure.legend(
-        handles=handles,
-        loc="lower center",
-        bbox_to_anchor=(0.5, 0.0),
-        ncols=columns,
-        borderaxespad=0.2,
-        columnspacing=1.4,
-    )
+    n = columns or len(handles)
+    while not columns and n > 1 and sum(map(max, np.array_split(widths, n))) > room:
+        n -= 1
+    figure.legend(handles=handles, ncols=n, **place)
 
 
 def title(figure: Figure, *, dataset: str, what: str, one_line: bool = False) -> None:
@@ -275,13 +284,10 @@ def title(figure: Figure, *, dataset: str, what: str, one_line: bool = False) ->
     if len(name) > NAME_LENGTH:
         name = name[: NAME_LENGTH - 1] + "…"
     separator = ": " if one_line or figure.get_figwidth() > SINGLE_COLUMN_IN else "\n"
-    top = 1.0 - 0.05 / figure.get_figheight() if figure.get_layout_engine() is None else None
-    figure.suptitle(
-        f"{name}{separator}{what}",
-        x=0.01,
-        horizontalalignment="left",
-        **({} if top is None else {"y": top, "verticalalignment": "top"}),
-    )
+    place: dict[str, Any] = {"x": 0.01, "horizontalalignment": "left"}
+    if figure.get_layout_engine() is None:
+        place |= {"y": 1.0 - 0.05 / figure.get_figheight(), "verticalalignment": "top"}
+    figure.suptitle(f"{name}{separator}{what}", **place)
 
 
 def _plain_ticks(axis: Axis, locator: LogLocator) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,17 +15,19 @@ from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import LOOKS, Look
-from evaluation.reporting.schemes import Scheme, schemes
+from evaluation.reporting.figures.style import LOOKS, Line, Look
+from evaluation.reporting.rows import Scheme, schemes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping
 
     import pandas as pd
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from evaluation.reporting.run_results import Results
+    from evaluation.reporting.rows import Results
+    from isac_track.types import Floats
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _EXPOSURE_LABEL = "Exposure, shared (s)"
@@ -41,119 +42,66 @@ _LOOKS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    """What a line of a panel shows."""
-
-    consumer: str
-    metric: str
-    look: Look
-    has_band: bool = True
-
-    @property
-    def label(self) -> str:
-        return METRICS[self.metric].head if self.consumer == SHARED else self.consumer
-
-    def of(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return its rows in the units of the axes."""
-        rows = frame[
-            (frame["consumer"] == self.consumer)
-            & (frame["metric"] == self.metric)
-            & np.isfinite(frame["value"])
-        ]
-        numbers = rows[["value", "ci_low", "ci_high"]] * METRICS[self.metric].scale
-        found: pd.DataFrame = rows[["mechanism", "level"]].join(numbers)
-        return found
-
-
 def drawings(run: Results) -> list[Drawing]:
-    """Return a figure for each mechanism that is swept."""
-    return [
-        Drawing(
-            name=name,
-            section="figures",
-            title=f"Missed conflicts, PLR and exposure over the level: {scheme.title}",
-            draw=partial(sweep_figure, run.ours, scheme=scheme, dataset=run.dataset),
-            words=partial(_words, run.ours, scheme=scheme),
-        )
-        for name, scheme in _named(schemes(run.ours)).items()
-    ]
-
-
-def _named(known: Sequence[Scheme]) -> dict[str, Scheme]:
-    """Return the mechanisms under plain names of files, each another."""
-    found: dict[str, Scheme] = {}
-    for one in known:
+    """Return a figure for each mechanism that is swept, under plain names of files."""
+    found: dict[str, Drawing] = {}
+    for one in schemes(run.ours):
         plain = f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', one.name)[:_MOST_CHARACTERS]}"
         name = _FILES.get(one.name, plain)
-        found[f"{name}-{one.place}" if name in found else name] = one
-    return found
+        name += f"-{one.place}" * (name in found)
+        title = f"Missed conflicts, PLR and exposure over the level: {one.title}"
+        draw, words = partial(sweep_figure, scheme=one), partial(_words, scheme=one)
+        found[name] = Drawing(name, "figures", title, draw, words)
+    return list(found.values())
 
 
-def sweep_figure(summary: pd.DataFrame, *, scheme: Scheme, dataset: str) -> Figure | None:
+def sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
     """Return missed conflicts, PLR and exposure lengths over the level; None without levels.
 
     One column for each adding rule, one row for each quantity. Of more than five predictors the
     first five are drawn.
     """
-    ours = summary[~is_attack(summary)]
-    predictors = _predictors(ours)[: len(LOOKS)]
-    series = {
-        (rule, line): found
-        for rule in scheme.rules
-        for lines in _rows(predictors).values()
-        for line in lines
-        if not (found := scheme.of(line.of(ours), rule)).empty
-    }
-    if not series:
-        return None
-    columns = [rule for rule in scheme.rules if any(key[0] == rule for key in series)]
-    known = {line for _, line in series}
+    every = _rows(run.ours[~is_attack(run.ours)])
     rows = {
         label: drawn
-        for label, lines in _rows(predictors).items()
-        if (drawn := [line for line in lines if line in known])
+        for label, lines in every.items()
+        if (drawn := {of: line for of, line in lines.items() if scheme.rules_in(line.rows)})
     }
-    raws = {
-        line: float(raw["value"].iloc[0])
-        for line in known
-        if len(raw := line.of(ours[ours["mechanism"] == "raw"]))
-    }
-    has_paper = dataset == DATASET and scheme.name in _FILES and "linear" in columns
-    figure = figure_style.empty_figure(
-        width_in=figure_style.SINGLE_COLUMN_IN
-        if len(columns) == 1
-        else figure_style.DOUBLE_COLUMN_IN,
-        height_in=1.35 * len(rows) + 0.9,
+    lines = {of: line for drawn in rows.values() for of, line in drawn.items()}
+    columns = scheme.rules_in(*(line.rows for line in lines.values()))
+    if not columns:
+        return None
+    has_paper = run.dataset == DATASET and scheme.name in _FILES and "linear" in columns
+    figure, panels = figure_style.panels(
+        len(rows), len(columns), height_in=1.35 * len(rows) + 0.9, sharex=True, sharey="row"
     )
-    panels = figure.subplots(len(rows), len(columns), sharex=True, sharey="row", squeeze=False)
     for rule, axes in zip(columns, panels.T, strict=True):
         axes[0].set_title(scheme.rule_text(rule))
         axes[-1].set_xlabel(scheme.label)
-        for lines, ax in zip(rows.values(), axes, strict=True):
-            for line in lines:
-                if (rule, line) in series:
-                    _draw(ax, series[rule, line], line=line)
-                if line in raws:
-                    # Above the axis itself, where the value is zero.
-                    ax.axhline(raws[line], color=line.look.colour, linestyle=":", zorder=2.6)
-                if has_paper and rule == "linear":
-                    _draw_paper(ax, line=line, scheme=scheme)
+        for drawn, ax in zip(rows.values(), axes, strict=True):
+            for (consumer, metric), line in drawn.items():
+                line.draw(ax, scheme, rule)
+                line.draw_raw(ax)
+                if has_paper and rule == "linear" and consumer in (SHARED, PREDICTOR):
+                    _draw_paper(ax, metric, look=line.look, scheme=scheme)
     figure_style.level_axis(panels[0, 0], log=scheme.log)
-    for (label, lines), ax in zip(rows.items(), panels[:, 0], strict=True):
+    for (label, drawn), ax in zip(rows.items(), panels[:, 0], strict=True):
         ax.set_ylabel(label)
-        values = [found["value"].to_numpy() for (_, line), found in series.items() if line in lines]
-        values += [np.array([raws[line]]) for line in lines if line in raws]
+        values: list[Floats] = []
+        for line in drawn.values():
+            of = [scheme.of(line.rows, rule)["value"].to_numpy() for rule in columns]
+            values += [line.scale * one for one in of]
+            values += [] if line.raw is None else [np.array([line.raw])]
         figure_style.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
-    lines = [line for of in rows.values() for line in of]
-    _legend(figure, lines=lines, has_raw=bool(raws), has_paper=has_paper)
+    _legend(figure, lines, has_paper=has_paper)
+    predictors = [consumer for consumer, metric in lines if metric == MISSED_RATE]
     only = f", predictor {predictors[0]}" if len(predictors) == 1 else ""
-    figure_style.title(figure, dataset=dataset, what=f"{scheme.title}{only}")
+    figure_style.title(figure, dataset=run.dataset, what=f"{scheme.title}{only}")
     return figure
 
 
-def _words(summary: pd.DataFrame, *, scheme: Scheme) -> str:
-    of = summary[~is_attack(summary)]
+def _words(run: Results, *, scheme: Scheme) -> str:
+    of = run.ours[~is_attack(run.ours)]
     first = of.loc[of["metric"] == MISSED_RATE, "consumer"].head(1)
     parts = []
     for rule in scheme.rules:
@@ -169,66 +117,61 @@ def _words(summary: pd.DataFrame, *, scheme: Scheme) -> str:
     return f"Panels over the level, with 95 % bands. {' '.join(parts)}"
 
 
-def _rows(predictors: list[str]) -> dict[str, list[_Line]]:
-    """Return the lines of the panels under the label of their axis."""
+def _rows(ours: pd.DataFrame) -> dict[str, dict[tuple[str, str], Line]]:
+    """Return the lines of the panels under the label of their axis, by consumer and metric."""
+    known = ours[np.isfinite(ours["value"])]
+
+    def line(consumer: str, metric: str, name: str, look: Look, *, has_band: bool = True) -> Line:
+        rows = known[(known["consumer"] == consumer) & (known["metric"] == metric)]
+        return Line(name, look, rows, METRICS[metric].scale, has_band)
+
+    predictors = list(known.loc[known["metric"] == MISSED_RATE, "consumer"].unique())[: len(LOOKS)]
     # The bands of many predictors would hide each other.
     n_bands = len(predictors) if len(predictors) <= _MOST_BANDS else 1
+    shared = {
+        (SHARED, metric): line(SHARED, metric, METRICS[metric].head, look)
+        for metric, look in _LOOKS.items()
+    }
     return {
-        figure_style.label(MISSED_RATE): [
-            _Line(name, MISSED_RATE, LOOKS[n], has_band=n < n_bands)
+        figure_style.label(MISSED_RATE): {
+            (name, MISSED_RATE): line(name, MISSED_RATE, name, LOOKS[n], has_band=n < n_bands)
             for n, name in enumerate(predictors)
-        ],
-        figure_style.label(EXPOSURE): [_Line(SHARED, EXPOSURE, _LOOKS[EXPOSURE])],
-        _EXPOSURE_LABEL: [_Line(SHARED, metric, _LOOKS[metric]) for metric in ("ael", "mel")],
+        },
+        figure_style.label(EXPOSURE): {(SHARED, EXPOSURE): shared.pop((SHARED, EXPOSURE))},
+        _EXPOSURE_LABEL: shared,
     }
 
 
-def _predictors(summary: pd.DataFrame) -> list[str]:
-    rows = summary[(summary["metric"] == MISSED_RATE) & summary["value"].notna()]
-    return [str(name) for name in rows["consumer"].unique()]
-
-
-def _draw(ax: Axes, found: pd.DataFrame, *, line: _Line) -> None:
-    look = line.look
-    level, value, low, high = (found[k].to_numpy() for k in ("level", "value", "ci_low", "ci_high"))
-    ax.plot(level, value, color=look.colour, marker=look.marker, linestyle=look.dashes)
-    if line.has_band:
-        figure_style.band(ax, x=level, low=low, high=high, look=look)
-
-
-def _draw_paper(ax: Axes, *, line: _Line, scheme: Scheme) -> None:
+def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: Scheme) -> None:
     """Mark the paper's numbers; raw, which has no level, goes to the edge next to it."""
-    if line.consumer not in (SHARED, PREDICTOR):
-        return
-    for mechanism, level, metric, value in PUBLISHED:
-        if metric == line.metric and mechanism in ("raw", scheme.name):
+    for mechanism, level, of, value in PUBLISHED:
+        if of == metric and mechanism in ("raw", scheme.name):
             edge = 1.0 if scheme.log else 0.0
+            transform = ax.get_yaxis_transform() if level is None else ax.transData
             ax.plot(
-                [edge if level is None else level],
-                [value * METRICS[metric].scale],
-                transform=ax.get_yaxis_transform() if level is None else ax.transData,
-                marker=line.look.marker,
+                *([edge if level is None else level], [value * METRICS[metric].scale]),
+                marker=look.marker,
                 markersize=5,
+                zorder=5,
+                clip_on=False,
                 markerfacecolor="white",
                 markeredgecolor="black",
-                clip_on=False,
-                zorder=5,
+                transform=transform,
             )
 
 
-def _legend(figure: Figure, *, lines: list[_Line], has_raw: bool, has_paper: bool) -> None:
-    predictors = [line for line in lines if line.metric == MISSED_RATE]
+def _legend(figure: Figure, lines: Mapping[tuple[str, str], Line], *, has_paper: bool) -> None:
+    predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
     # An only predictor is in the title, and PLR has its own axis.
-    named = (predictors if len(predictors) > 1 else []) + [
-        line for line in lines if line.metric in ("ael", "mel")
-    ]
-    handles: list[Any] = [figure_style.line_handle(line.label, line.look) for line in named]
-    if has_raw:
+    named = predictors if len(predictors) > 1 else []
+    named += [line for (_, metric), line in lines.items() if metric in ("ael", "mel")]
+    handles: list[Artist] = [line.handle for line in named]
+    if any(line.raw is not None for line in lines.values()):
         handles.append(figure_style.black_handle("raw", dashes=":"))
-    only = "" if all(line.has_band for line in lines) else f" (predictors: {lines[0].label})"
+    all_banded = all(line.has_band for line in predictors)
+    only = "" if all_banded else f" (predictors: {predictors[0].label})"
     handles.append(figure_style.band_handle(f"95 % interval{only}"))
     if has_paper:
-        handles.append(
-            figure_style.black_handle("paper (raw at the edge)", marker="o", hollow=True)
-        )
+        text = "paper (raw at the edge)"
+        handles.append(figure_style.black_handle(text, marker="o", hollow=True))
     figure_style.legend(figure, handles)

@@ -9,36 +9,31 @@ import numpy as np
 
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
+from evaluation.reporting.figures.style import PERCENT, Look
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from evaluation.reporting.run_results import Results
+    from evaluation.reporting.rows import Results
+    from isac_track.types import Floats
 
-_PERCENT = 100.0
 _SHARED_COLOUR, _REBUILT_COLOUR = "#D55E00", "#0072B2"
 _BAR_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
 def drawings(run: Results) -> list[Drawing]:
     """Return the gallery, if the run has one."""
+    title = "Tracks: true, shared and rebuilt"
+    caption = "The people of the run's first scene, not chosen by how they look."
     if run.gallery is None:
         return []
-    return [
-        Drawing(
-            name="track_gallery",
-            section="gallery",
-            title="Tracks: true, shared and rebuilt",
-            caption="The people of the run's first scene, not chosen by how they look.",
-            draw=partial(gallery_figure, run.gallery),
-            words=partial(_words, run.gallery),
-        )
-    ]
+    draw, words = partial(gallery_figure, rows=run.gallery), partial(_words, rows=run.gallery)
+    return [Drawing("track_gallery", "gallery", title, draw, words, caption)]
 
 
-def gallery_figure(rows: pd.DataFrame) -> Figure | None:
+def gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
     """Return a panel for each person and mechanism; None without rows.
 
     Shared samples that leak are dots, stretches of the reconstruction that leak are thick.
@@ -47,13 +42,9 @@ def gallery_figure(rows: pd.DataFrame) -> Figure | None:
         return None
     people = list(rows["track"].unique())
     mechanisms = list(rows["mechanism"].unique())
-    figure = figure_style.placed_figure(
-        width_in=figure_style.DOUBLE_COLUMN_IN, height_in=1.75 * len(people) + 0.85
-    )
-    panels = figure_style.placed(
-        figure, rows=len(people), columns=len(mechanisms), left_in=0.3, right_in=0.1, top_in=0.6,
-        bottom_in=0.4, gap_in=0.12, between_in=0.2,
-    )  # fmt: skip
+    figure = figure_style.placed_figure(height_in=1.75 * len(people) + 0.85)
+    shape, margins_in = (len(people), len(mechanisms)), (0.3, 0.1, 0.6, 0.4)
+    panels = figure_style.placed(figure, *shape, margins_in=margins_in, gaps_in=(0.12, 0.2))
     width, height = panels[0, 0].get_position().size * figure.get_size_inches()
     for person, in_row in zip(people, panels, strict=True):
         of = rows[rows["track"] == person]
@@ -67,23 +58,28 @@ def gallery_figure(rows: pd.DataFrame) -> Figure | None:
             _scale_bar(ax, span_m=corners[0][1] - corners[0][0])
     for mechanism, ax in zip(mechanisms, panels[0], strict=True):
         ax.set_title(mechanism, fontweight="bold", pad=14)
-    figure_style.legend_in_rows(figure, _handles(), columns=5)
+    black, blue = Look("black", "", "-"), Look(_REBUILT_COLOUR, "", "-")
+    dot = Look(_SHARED_COLOUR, "o", "")
+    handles = [
+        figure_style.line_handle("true", black, linewidth=0.8),
+        figure_style.line_handle("shared", dot, markersize=1.1, alpha=0.6),
+        figure_style.line_handle("shared, leaks", dot, markersize=2.4),
+        figure_style.line_handle("rebuilt", blue, linewidth=0.7),
+        figure_style.line_handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
+    ]
+    figure_style.legend(figure, handles, columns=5)
     first = rows.iloc[0]
-    figure_style.title(
-        figure,
-        dataset="tracks",
-        what=f"true, shared, rebuilt by {first['attack']} (blind); a leak is closer than "
-        f"{first['epsilon_m']:g} m",
-        one_line=True,
-    )
+    leak = f"a leak is closer than {first['epsilon_m']:g} m"
+    what = f"true, shared, rebuilt by {first['attack']} (blind); {leak}"
+    figure_style.title(figure, dataset="tracks", what=what, one_line=True)
     return figure
 
 
-def _words(rows: pd.DataFrame) -> str:
+def _words(_: Results, *, rows: pd.DataFrame) -> str:
     shares = rows.groupby("mechanism", sort=False)[["leaked_shared", "leaked_rec"]].mean()
     said = [
-        f"{mechanism}: {_PERCENT * share['leaked_shared']:.0f} % of the shared samples leak, "
-        f"{_PERCENT * share['leaked_rec']:.0f} % of the rebuilt ones"
+        f"{mechanism}: {PERCENT * share['leaked_shared']:.0f} % of the shared samples leak, "
+        f"{PERCENT * share['leaked_rec']:.0f} % of the rebuilt ones"
         for mechanism, share in shares.iterrows()
     ]
     return (
@@ -92,8 +88,8 @@ def _words(rows: pd.DataFrame) -> str:
     )
 
 
-def _window(of: pd.DataFrame, *, shape: float) -> list[tuple[float, float]]:
-    """Return the limits in m that hold a walk and most of what was shared, equal in scale."""
+def _window(of: pd.DataFrame, *, shape: float) -> Floats:
+    """Return limits, (2, 2) m: they hold a walk and most of what was shared, equal in scale."""
     shared = of[["x_shared", "y_shared"]].to_numpy()
     # A few far samples would make the walk tiny.
     low, high = np.percentile(shared, [5.0, 95.0], axis=0)
@@ -102,11 +98,9 @@ def _window(of: pd.DataFrame, *, shape: float) -> list[tuple[float, float]]:
         low, high = np.minimum(low, walk.min(axis=0)), np.maximum(high, walk.max(axis=0))
     middle, half = 0.5 * (low + high), 0.5 * (high - low) + 0.2
     half_x = max(half[0], half[1] * shape, 0.5)
-    half_y = half_x / shape
-    return [
-        (float(middle[0] - half_x), float(middle[0] + half_x)),
-        (float(middle[1] - half_y), float(middle[1] + half_y)),
-    ]
+    half = np.array([half_x, half_x / shape])
+    limits: Floats = np.stack([middle - half, middle + half], axis=1)
+    return limits
 
 
 def _draw(ax: Axes, part: pd.DataFrame) -> None:
@@ -118,23 +112,12 @@ def _draw(ax: Axes, part: pd.DataFrame) -> None:
     x, y = part["x_rec"].to_numpy(), part["y_rec"].to_numpy()
     leaked = part["leaked_rec"].to_numpy()
     ax.plot(x, y, color=_REBUILT_COLOUR, linewidth=0.7, zorder=2)
-    ax.plot(
-        *(np.where(leaked, values, np.nan) for values in (x, y)),
-        color=_REBUILT_COLOUR,
-        linewidth=3.2,
-        alpha=0.35,
-        solid_capstyle="round",
-        zorder=1.5,
-    )
+    look = {"color": _REBUILT_COLOUR, "linewidth": 3.2, "alpha": 0.35, "solid_capstyle": "round"}
+    ax.plot(*(np.where(leaked, values, np.nan) for values in (x, y)), **look, zorder=1.5)
     ax.plot(part["x_true"], part["y_true"], color="black", linewidth=0.8, zorder=4)
-    shares = [_PERCENT * part[name].mean() for name in ("leaked_shared", "leaked_rec")]
-    ax.text(
-        0.0,
-        1.02,
-        f"leaks: shared {shares[0]:.0f} %, rebuilt {shares[1]:.0f} %",
-        transform=ax.transAxes,
-        verticalalignment="bottom",
-    )
+    shares = [PERCENT * part[name].mean() for name in ("leaked_shared", "leaked_rec")]
+    said = f"leaks: shared {shares[0]:.0f} %, rebuilt {shares[1]:.0f} %"
+    ax.text(0.0, 1.02, said, transform=ax.transAxes, verticalalignment="bottom")
     ax.grid(visible=False)
     ax.set_xticks([])
     ax.set_yticks([])
@@ -147,17 +130,3 @@ def _scale_bar(ax: Axes, *, span_m: float) -> None:
     x, y = left + 0.03 * span_m, bottom + 0.06 * (ax.get_ylim()[1] - bottom)
     ax.plot([x, x + length], [y, y], color="#777777", linewidth=1.2, zorder=6)
     ax.text(x + length, y, f" {length:g} m", verticalalignment="center", color="#777777", zorder=6)
-
-
-def _handles() -> list[Any]:
-    from matplotlib.lines import Line2D  # noqa: PLC0415 - computing rows needs no figure
-
-    blue = _REBUILT_COLOUR
-    dots: dict[str, Any] = {"color": _SHARED_COLOUR, "marker": "o", "linestyle": ""}
-    return [
-        Line2D([], [], color="black", linewidth=0.8, label="true"),
-        Line2D([], [], markersize=1.1, alpha=0.6, label="shared", **dots),
-        Line2D([], [], markersize=2.4, label="shared, leaks", **dots),
-        Line2D([], [], color=blue, linewidth=0.7, label="rebuilt"),
-        Line2D([], [], color=blue, linewidth=3.2, alpha=0.35, label="rebuilt, leaks"),
-    ]

@@ -17,6 +17,7 @@ from helpers.summaries import (
 from rich.console import Console
 
 from evaluation import matrix
+from evaluation.analysis.families import ADDING_RULES
 from evaluation.experiment.axes import axes
 from evaluation.reporting.design_tables import show
 from evaluation.reporting.design_words import closer, notes, reasons, to_json
@@ -64,27 +65,20 @@ class TestShown:
 
     def test_keys_are_stable(self, made):
         found = to_json(asked(made(), **LIMITS))
-        assert list(found) == [
-            "met", "answer", "out", "dataset", "simulated", "scenes", "seed", "predictor",
-            "adding", "limits", "raw", "schemes", "refine", "notes",
-        ]  # fmt: skip
-        assert list(found["schemes"][0]) == [
-            "adding", "family", "met", "chosen", "stricter", "also_meets", "is_saturated",
-            "checks", "reasons",
-        ]  # fmt: skip
-        assert list(found["schemes"][0]["chosen"]) == [
-            "mechanism", "level", "missed", "false_alarm", "plr", "ael", "mel", "after_attack",
-            "tasks",
-        ]  # fmt: skip
-        assert list(found["schemes"][0]["checks"][0]) == [
-            "name", "limit", "measured", "status", "reason",
-        ]  # fmt: skip
-        assert [(one["adding"], one["family"]) for one in found["schemes"]] == [
-            ("linear", "fid"),
-            ("linear", "fixed"),
-            ("independent", "fid"),
-            ("independent", "fixed"),
-        ]
+        first = found["schemes"][0]
+        every = "met answer out dataset simulated scenes seed predictor adding limits raw schemes"
+        task = "task dataset limited attack knowledge rank1 chance outcome invalid"
+        for one, names in (
+            (found, f"{every} refine notes"),
+            (first, "adding family met chosen stricter also_meets is_saturated checks reasons"),
+            (first["chosen"], "mechanism level missed false_alarm plr ael mel after_attack tasks"),
+            (first["chosen"]["after_attack"], "attack knowledge plr ael mel"),
+            (first["chosen"]["tasks"][0], task),
+            (first["checks"][0], "name limit measured status reason"),
+        ):
+            assert list(one) == names.split()
+        rules = [(one["adding"], one["family"]) for one in found["schemes"]]
+        assert rules == [(rule, name) for rule in ADDING_RULES for name in ("fid", "fixed")]
         assert found["raw"]["level"] is None
 
     def test_limits_stand_above_what_they_are_about(self, made):

@@ -16,19 +16,13 @@ from helpers.pages import Tags
 from markupsafe import escape
 
 from evaluation.reporting import page
-from evaluation.reporting.figures.draw_all import draw_all
-from evaluation.reporting.page_command import command
+from evaluation.reporting.announcements import command
 from isac_track.errors import DataError
 
 
-def draw(run):
-    return draw_all(run, folder=run.out / "figures")
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    run = make_run(tmp_path_factory.mktemp("run"))
-    return page.write(run, drawn=draw(run)).read_text(encoding="utf-8")
+@pytest.fixture
+def made(page_path):
+    return page_path.read_text(encoding="utf-8")
 
 
 class TestTheFile:
@@ -64,7 +58,7 @@ class TestTheFile:
     def test_every_figure_has_a_title_and_words_with_numbers(self, made):
         tags = Tags(made)
         svgs = tags.of("svg")
-        assert len(svgs) == 9
+        assert len(svgs) == 10
         assert all(svg["role"] == "img" and svg["viewbox"] for svg in svgs)
         told = re.findall(r"<title id=.*?>(.*?)</title><desc id=.*?>(.*?)</desc>", made)
         assert len(told) == len(svgs)
@@ -138,12 +132,57 @@ class TestTheCommand:
                                               "walks.csv"]  # fmt: skip
         assert command(manifest) == ("python -m evaluation.matrix --seed=3 --dataset walks.csv")
 
-    def test_a_run_from_python_names_all_of_its_axes_and_what_was_changed(self):
+    def test_a_run_from_python_names_all_that_is_not_usual(self):
         manifest = copy.deepcopy(MANIFEST)
         manifest["environment"]["command"] = ["/lib/ipykernel_launcher.py", "-f", "x"]
         manifest["settings"]["stages"]["privacy.epsilon_m"] = 0.5
         assert command(manifest) == (
-            "python -m evaluation.matrix --preset paper --scenes 500 --mechanism raw --mechanism "
+            "python -m evaluation.matrix --dataset students03 --seed 3 --mechanism raw --mechanism "
             "fid:1 --predictor least_squares --attack none --task rerelease --set "
-            "privacy.epsilon_m=0.5 --dataset students03 --seed 3"
+            "privacy.epsilon_m=0.5"
         )
+
+
+class TestTheInlineFigure:
+    SVG = (
+        b'<?xml version="1.0"?>\n<!DOCTYPE svg PUBLIC "x" "http://outside">\n'
+        b'<svg xmlns:xlink="http://www.w3.org/1999/xlink" width="10pt" viewBox="0 0 10 20">'
+        b"<metadata>made by</metadata><defs><style>*{color:red}</style></defs>"
+        b'<g id="unused"><!-- secret --><path id="a" d="M 1.23456 2 \nL 3 4 \nz\n" '
+        b'style="fill: #ffffff; stroke: #123456"/></g>'
+        b'<g id="empty"/><use xlink:href="#a" x="1.98765" clip-path="url(#clip)"/>'
+        b'<clipPath id="clip"/></svg>'
+    )
+
+    def test_what_is_not_the_figure_goes_and_the_path_is_the_same_in_short(self):
+        content, box = page.inline(self.SVG, name="f1", styles={})
+        assert 'd="M1.23 2L3 4z"' in content
+        assert 'x="1.99"' in content
+        assert box == "0 0 10 20"
+        for gone in ("metadata", "secret", "style", "xlink", "unused", "empty", "http"):
+            assert gone not in content
+
+    def test_ids_get_the_figures_name_and_references_follow(self):
+        one, _ = page.inline(self.SVG, name="f1", styles={})
+        other, _ = page.inline(self.SVG, name="f2", styles={})
+        ids = re.findall(r' id="([^"]+)"', one)
+        assert len(ids) == 2
+        assert not set(ids) & set(re.findall(r' id="([^"]+)"', other))
+        assert set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', one)) == {
+            (ids[0], ""),
+            ("", ids[1]),
+        }
+
+    def test_black_and_white_can_change_and_other_colours_stay(self):
+        styles = {}
+        content, _ = page.inline(self.SVG, name="f1", styles=styles)
+        (name,) = re.findall(r'class="(\w+)"', content)
+        assert page.style_css(styles) == (f".{name}{{fill:var(--f-ffffff,#ffffff);stroke:#123456}}")
+        assert "--f-ffffff:#17191c;" in page.dark_css()
+        page.inline(self.SVG, name="f2", styles=styles)
+        assert page.style_css(styles).count("{") == 1  # written once for all figures
+
+    @pytest.mark.parametrize("broken", [b"", b"<p>no</p>", b"<svg width='3'></svg>"])
+    def test_what_is_no_figure_is_refused_by_name(self, broken):
+        with pytest.raises(DataError, match="f7"):
+            page.inline(broken, name="f7", styles={})

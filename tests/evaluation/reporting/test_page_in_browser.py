@@ -1,30 +1,23 @@
-"""The page in a real browser: a real run, opened from its file as its reader would."""
+"""The page in a real browser, opened from its file as its reader would."""
 
 import csv
 import io
 import shutil
-from dataclasses import replace
 
 import pytest
-
-import evaluation
-from evaluation.reporting import page
-from isac_track.config import StageSettings
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 
 ARGUMENTS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+FIGURES = [
+    "headline", "fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability",
+    "heat_map-rerelease", "dissociation-rerelease", "false_alarms", "track_gallery",
+]  # fmt: skip
 PHONE, DESK = {"width": 390, "height": 844}, {"width": 1440, "height": 900}
 BOXES = """
 () => [...document.querySelectorAll('svg[role=img]')].map((svg) => {
@@ -38,25 +31,6 @@ SIDEWAYS = "() => document.documentElement.scrollWidth - document.documentElemen
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """The page of a small run with everything in it."""
-    stages = StageSettings()
-    settings = evaluation.Settings(
-        preset="smoke",
-        dataset="plaza",
-        scenes=8,
-        mechanisms=("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1", "offset:0.4"),
-        predictors=("least_squares", "kalman_cv"),
-        attacks=("radial_rts", "shape"),
-        tasks=("rerelease",),
-        stages=replace(stages, linkage=replace(stages.linkage, most_people=40)),
-        jobs=1,
-        out=tmp_path_factory.mktemp("page") / "run",
-    )
-    return evaluation.run(settings).out / page.PAGE
-
-
-@pytest.fixture(scope="module")
 def browser():
     with sync_api.sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
@@ -65,7 +39,7 @@ def browser():
 
 
 @pytest.fixture
-def opened(browser, made):
+def opened(browser, page_path):
     """How to open the page; at the end nothing may have gone wrong or been asked for."""
     contexts, trouble, requests = [], [], []
 
@@ -76,7 +50,7 @@ def opened(browser, made):
         tab.on("console", lambda message: trouble.append(f"{message.type}: {message.text}"))
         tab.on("pageerror", lambda error: trouble.append(str(error)))
         tab.on("request", lambda request: requests.append(request.url))
-        tab.goto(made.as_uri())
+        tab.goto(page_path.as_uri())
         return tab
 
     yield to_open
@@ -84,7 +58,7 @@ def opened(browser, made):
         context.close()
     assert trouble == []
     asked = [url for url in requests if not url.startswith("data:")]
-    assert asked == [made.as_uri()] * len(contexts)
+    assert asked == [page_path.as_uri()] * len(contexts)
 
 
 @pytest.mark.parametrize("viewport", [PHONE, DESK], ids=["phone", "desk"])
@@ -92,21 +66,7 @@ class TestOnEitherScreen:
     def test_every_figure_is_seen_and_lies_within_the_page(self, opened, viewport):
         tab = opened(viewport)
         boxes = tab.evaluate(BOXES)
-        assert {box["name"] for box in boxes} == {
-            f"fig-{name}"
-            for name in (
-                "headline",
-                "fid_threshold",
-                "fixed_error",
-                "operating_points",
-                "after_attack",
-                "linkability",
-                "heat_map-rerelease",
-                "dissociation-rerelease",
-                "false_alarms",
-                "track_gallery",
-            )
-        }
+        assert {box["name"] for box in boxes} == {f"fig-{name}" for name in FIGURES}
         for box in boxes:
             assert min(box["width"], box["height"]) > 100, box
             assert box["left"] >= 0, box
@@ -127,25 +87,27 @@ class TestOnEitherScreen:
         assert tab.locator("#fig-headline").bounding_box()["y"] < 0.8 * viewport["height"]
 
 
-def test_light_and_dark_are_two_pages(opened):
-    grounds, inks = {}, {}
-    for scheme in ("light", "dark"):
-        tab = opened(color_scheme=scheme)
-        grounds[scheme] = tab.evaluate("() => getComputedStyle(document.body).backgroundColor")
-        inks[scheme] = tab.evaluate(
-            "() => getComputedStyle(document.querySelector('#fig-headline svg')).fill"
-        )
-    assert grounds == {"light": "rgb(255, 255, 255)", "dark": "rgb(23, 25, 28)"}
-    assert inks == {"light": "rgb(0, 0, 0)", "dark": "rgb(232, 232, 230)"}
+GROUND = "() => getComputedStyle(document.body).backgroundColor"
+
+
+@pytest.mark.parametrize(
+    ("scheme", "ground", "ink"),
+    [
+        ("light", "rgb(255, 255, 255)", "rgb(0, 0, 0)"),
+        ("dark", "rgb(23, 25, 28)", "rgb(232, 232, 230)"),
+    ],
+)
+def test_light_and_dark_are_two_pages(opened, scheme, ground, ink):
+    tab = opened(color_scheme=scheme)
+    assert tab.evaluate(GROUND) == ground
+    fill = "() => getComputedStyle(document.querySelector('#fig-headline svg')).fill"
+    assert tab.evaluate(fill) == ink
 
 
 def test_in_print_it_is_light_whatever_the_screen_is_and_has_no_buttons(opened):
     tab = opened(color_scheme="dark")
     tab.emulate_media(media="print", color_scheme="dark")
-    assert (
-        tab.evaluate("() => getComputedStyle(document.body).backgroundColor")
-        == "rgb(255, 255, 255)"
-    )
+    assert tab.evaluate(GROUND) == "rgb(255, 255, 255)"
     assert not tab.locator(".copy").first.is_visible()
     assert tab.locator("#table-paper table").is_visible()
 
@@ -161,18 +123,15 @@ class TestTables:
         tab = opened()
         head = tab.locator(f"{self.PAPER} th").nth(self.OURS)
         before = self.values(tab, self.OURS)
-        numbers = [float(text.split()[0]) for text in before]
+        numbers = sorted(float(text.split()[0]) for text in before)
         # As words they would be in another order.
         assert sorted(before) != sorted(before, key=lambda text: float(text.split()[0]))
         assert head.get_attribute("aria-sort") is None
-        head.locator("button").click()
-        assert head.get_attribute("aria-sort") == "ascending"
-        after = [float(text.split()[0]) for text in self.values(tab, self.OURS)]
-        assert after == sorted(numbers)
-        head.locator("button").click()
-        assert head.get_attribute("aria-sort") == "descending"
-        after = [float(text.split()[0]) for text in self.values(tab, self.OURS)]
-        assert after == sorted(numbers, reverse=True)
+        for way, expected in (("ascending", numbers), ("descending", numbers[::-1])):
+            head.locator("button").click()
+            assert head.get_attribute("aria-sort") == way
+            after = [float(text.split()[0]) for text in self.values(tab, self.OURS)]
+            assert after == expected
         tab.locator(f"{self.PAPER} th button").first.click()
         assert tab.locator(f"{self.PAPER} th[aria-sort]").count() == 1
 
@@ -194,7 +153,14 @@ class TestTables:
             assert n_empty > 0
             assert levels[-n_empty:] == [""] * n_empty
 
-    def copied(self, tab):
+    @pytest.mark.parametrize("has_clipboard", [True, False])
+    def test_copy_gives_the_table_as_csv_with_or_without_a_clipboard(self, opened, has_clipboard):
+        options = {"permissions": ["clipboard-read", "clipboard-write"]} if has_clipboard else {}
+        tab = opened(**options)
+        if not has_clipboard:
+            tab.evaluate(
+                "() => { navigator.clipboard.writeText = () => Promise.reject(new Error()) }"
+            )
         tab.evaluate(
             "() => document.addEventListener('copy', () => {"
             " window.copied = document.activeElement.value ?? String(getSelection()); })"
@@ -202,23 +168,10 @@ class TestTables:
         tab.locator("#table-claims .copy").click()
         tab.wait_for_function("() => document.getElementById('said').textContent !== ''")
         assert tab.locator("#said").text_content() == "Copied"
-
-    def shown(self, tab):
-        return tab.locator("#table-claims table").evaluate(
+        shown = tab.locator("#table-claims table").evaluate(
             "(table) => [...table.rows].map("
             "(row) => [...row.cells].map((cell) => cell.textContent.trim()))"
         )
-
-    def test_copy_gives_the_table_as_csv(self, opened):
-        tab = opened(permissions=["clipboard-read", "clipboard-write"])
-        self.copied(tab)
-        text = tab.evaluate("() => navigator.clipboard.readText()")
-        assert any("," in cell for row in self.shown(tab) for cell in row)  # to be quoted
-        assert list(csv.reader(io.StringIO(text))) == self.shown(tab)
-
-    def test_without_a_clipboard_it_is_copied_the_old_way(self, opened):
-        tab = opened()
-        tab.evaluate("() => { navigator.clipboard.writeText = () => Promise.reject(new Error()) }")
-        self.copied(tab)
-        text = tab.evaluate("() => window.copied")
-        assert list(csv.reader(io.StringIO(text))) == self.shown(tab)
+        assert any("," in cell for row in shown for cell in row)  # to be quoted
+        source = "navigator.clipboard.readText()" if has_clipboard else "window.copied"
+        assert list(csv.reader(io.StringIO(tab.evaluate(f"() => {source}")))) == shown

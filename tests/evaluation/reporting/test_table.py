@@ -13,12 +13,12 @@ from evaluation.reporting.markup import escape, html, latex, markdown, to_csv
 from evaluation.reporting.table import (
     Cell,
     Column,
+    Table,
     amount,
     built,
     decision,
     number,
     said,
-    table,
     word,
     words,
 )
@@ -41,7 +41,7 @@ def make_table(*, n_columns=3, n_rows=4, names=("fid", "fixed"), notes=(), marks
         for name in names
         for place in range(1, n_rows + 1)
     ]
-    return table("some", "A title", columns, rows, notes=notes, marks=marks, n_headings=1, n_keys=2)
+    return Table("some", "A title", columns, rows, notes=notes, marks=marks, n_headings=1, n_keys=2)
 
 
 def printed(one, *, width=120, encoding="utf-8", **options):
@@ -94,14 +94,14 @@ class TestCells:
 
     def test_a_column_of_numbers_is_one_even_with_gaps(self):
         rows = [[word("a"), number(None)], [word("b"), number(1.0)]]
-        assert table("x", "x", [*words("name"), Column("n")], rows).numeric == (False, True)
+        assert Table("x", "x", [*words("name"), Column("n")], rows).numeric == [False, True]
 
     def test_a_row_has_a_cell_for_each_column(self):
         with pytest.raises(ValueError, match="table x: rows need 1 cells"):
-            table("x", "x", words("name"), [[word("a"), word("b")]])
+            Table("x", "x", words("name"), [[word("a"), word("b")]])
 
     def test_columns_make_the_cells_of_records(self):
-        one = built("x", "x", [{"a": 1, "b": 2}], [said("a"), said("c", "b"), said("d", len)])
+        one = built("x", "x", [{"a": 1, "b": 2}], ["a", said("c", "b"), said("d", len)])
         assert [cell.text for cell in one.rows[0]] == ["1", "2", "2"]
 
 
@@ -116,7 +116,7 @@ class TestTheTerminal:
     def test_a_short_name_without_a_level_stands_in_its_own_row(self):
         one = make_table(n_columns=1)
         rows = [[word("raw"), Cell(), number(5.0)], *one.rows]
-        text = printed(table("x", "x", one.columns, rows, n_headings=1, n_keys=2))
+        text = printed(Table("x", "x", one.columns, rows, n_headings=1, n_keys=2))
         assert re.search(r"^ *raw +5\.0", text, flags=re.MULTILINE)
 
     @pytest.mark.parametrize("width", [40, 60, 80, 100, 116, 200])
@@ -152,19 +152,19 @@ class TestTheTerminal:
         assert "1.0~ 1.0-2.0" in text
 
     def test_signed_intervals_are_in_brackets(self):
-        one = table("x", "x", [Column("d")], [[number(-1.0, -2.0, 1.0, sign="+")]])
+        one = Table("x", "x", [Column("d")], [[number(-1.0, -2.0, 1.0, sign="+")]])
         assert "-1.0 [-2.0, +1.0]" in printed(one)
 
     def test_missing_numbers_are_a_dash(self):
         one = make_table(n_columns=1)
         rows = [[*row[:2], number(None)] for row in one.rows]
-        text = printed(table("x", "x", one.columns, rows, n_headings=1, n_keys=2))
+        text = printed(Table("x", "x", one.columns, rows, n_headings=1, n_keys=2))
         assert len(re.findall(r"^ *\d +-$", text, flags=re.MULTILINE)) == 8
 
     def test_long_words_wrap_and_long_columns_are_left_out(self):
         columns = [*words("claim"), Column("n"), Column("why", align="left", is_long=True)]
         text = printed(
-            table("x", "x", columns, [[word("it falls " * 20), number(1.0), word("evidence")]]),
+            Table("x", "x", columns, [[word("it falls " * 20), number(1.0), word("evidence")]]),
             width=60,
         )
         assert max(map(len, text.splitlines())) <= 60
@@ -209,7 +209,7 @@ class TestLatex:
     def test_values_stand_with_their_intervals_and_marks(self):
         text = latex([make_table(n_columns=1, mark="?", marks={"?": "weak"})])
         assert r"fid & 1 & 1.0\textsuperscript{?} {\scriptsize [1.0, 2.0]} \\" in text
-        signed = latex([table("x", "x", [Column("d")], [[number(-4.5)], [number(None)]])])
+        signed = latex([Table("x", "x", [Column("d")], [[number(-4.5)], [number(None)]])])
         assert "$-4.5$ \\\\\n-- \\\\" in signed
 
     def test_many_intervals_stand_below_and_more_columns_in_further_tabulars(self):
@@ -235,7 +235,7 @@ class TestHtmlMarkdownAndCsv:
         assert [one.get("data-value") for one in tags.of("td")] == [None, "1", "1"]
 
     def test_decisions_are_a_sign_a_word_and_a_colour(self):
-        text = html(table("x", "x", words("decision"), [[decision("does not track")]]))
+        text = html(Table("x", "x", words("decision"), [[decision("does not track")]]))
         assert '<td class="t bad">✗ does not track</td>' in text
 
     def test_markdown_has_as_many_cells_in_every_line(self):

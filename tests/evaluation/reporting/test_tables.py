@@ -2,6 +2,7 @@
 
 import io
 import re
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -28,16 +29,25 @@ from rich.console import Console
 from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import Source
 from evaluation.analysis.linkability import linked_tasks
+from evaluation.reporting.answer_tables import (
+    claims_table,
+    contrast_table,
+    effect,
+    item_tables,
+    matched_table,
+    paper_table,
+    short_tables,
+)
 from evaluation.reporting.linkage_tables import cells_table, doubt_table, rank_table
-from evaluation.reporting.paper_tables import claims_table, matched_table, paper_table
+from evaluation.reporting.markup import markdown
 from evaluation.reporting.rows import telling
 from evaluation.reporting.summary_tables import attack_table, exposure_table, sweep_tables
-from evaluation.reporting.tables import page_tables, show, write_tex
-from evaluation.reporting.verdict_tables import contrast_table, item_tables, short_tables
+from evaluation.reporting.tables import DOCS, filled, page_tables, show, write_docs, write_tex
+from isac_track.errors import DataError
 
 HEADLINE = (("fid", (1.0, 1000.0)), ("fixed", (0.7, 1.0)))
 STRANGER = [*levels(swept=HEADLINE, others=[]), *[("ou", at) for at in (0.2, 0.4, 0.8)]]
-KNOWN = families_in(make_summary([*STRANGER, *levels()]))
+KNOWN = [*STRANGER, *levels()]
 TOLD = ["clean", "raw", "fid 1", "fid 1000", "fixed 0.7", "fixed 1"]
 
 
@@ -66,9 +76,10 @@ def task_of(frame):
     return found
 
 
-def ranks(frame=None, **options):
-    frame = make_linkability() if frame is None else frame
-    return rank_table(task_of(frame), KNOWN, **options)
+def ranks(frame=None, people=MappingProxyType({})):
+    run = make_run(at=KNOWN, linkability=make_linkability() if frame is None else frame)
+    run.manifest["linkage"]["tasks"] = people
+    return rank_table(run, task_of(run.linkability))
 
 
 def with_interval(row, *, name="value", scale=100, digits=1):
@@ -272,7 +283,7 @@ class TestLinkage:
     def test_it_says_what_the_task_is(self):
         frame = make_linkability(tasks=("handover-2s",))
         frame = frame.assign(gallery_min=21, gallery_mean=37.66, gallery_max=52, n_mated=201)
-        table = ranks(frame, people=275)
+        table = ranks(frame, {"handover-2s": {"people": 275}})
         assert table.title.startswith("handover-2s: all pseudonyms rotate after 2 s")
         assert table.notes[0].startswith(
             "275 people; 201 of 276 releases have a mate among 21 to 52 (mean 37.7) candidates."
@@ -351,7 +362,7 @@ class TestLinkage:
         assert shown(make_run(linkability=read)) == shown(make_run(linkability=frame))
 
     def test_every_adversary_of_a_task_has_a_row_at_every_level_that_tells(self):
-        table = cells_table(task_of(make_linkability()), families_in(make_summary()))
+        table = cells_table(make_run(), task_of(make_linkability()))
         assert len(table.rows) == 6 * (2 + 2 * 4 + 4)
         row = row_of(table, "raw", "", "", "shape", "blind")
         assert [cell.text for cell in row[1:]] == ["0.7", "links", "", "138", "175"]
@@ -362,7 +373,7 @@ class TestLinkage:
         frame.loc[0, "invalid"] = "noise_level"
         frame.loc[1, "outcome"] = "attack too weak"
         frame.loc[2, "outcome"] = "no link detected"
-        table = doubt_table(frame, {})
+        table = doubt_table(make_run(linkability=frame))
         assert [row[-1].text for row in table.rows] == [
             "invalid: noise_level tells people apart",
             "attack too weak: it fails on clean too",
@@ -370,12 +381,8 @@ class TestLinkage:
 
 
 class TestThePaper:
-    def table(self, **changes):
-        run = make_run(**changes)
-        return paper_table(run.paper_table, run.families, dataset=run.dataset)
-
     def test_it_has_bias_interval_and_tolerance(self):
-        table = self.table()
+        table = paper_table(make_run())
         assert [cell.full for cell in row_of(table, "fid", "linear", "1", "missed (%)")] == (
             ["30.5", "26.0 [20.5, 32.2]", "-4.5", "yes", "no (4.0)"]
         )
@@ -387,14 +394,14 @@ class TestThePaper:
         )
 
     def test_another_recording_is_compared_but_not_judged(self):
-        table = self.table(dataset="plaza")
-        assert table.notes == (
-            "The paper used students03; ours are of plaza, so they need not agree.",
-        )
+        table = paper_table(make_run(dataset="plaza"))
+        assert table.notes == [
+            "The paper used students03; ours are of plaza, so they need not agree."
+        ]
         assert heads(table)[-1] == "ours - paper"
 
     def test_claims_show_answer_effect_and_interval(self):
-        rows = texts(claims_table(make_run().claims))
+        rows = texts(claims_table(make_run()))
         assert rows[0][2:4] == ["holds", "-8.8 [-12.2, -5.5] points"]
         assert rows[1][2:4] == ["does not hold", "0.012 [0.001, 0.020] s"]
         assert rows[2][2:4] == ["undecided", "368.8 points"]
@@ -402,7 +409,7 @@ class TestThePaper:
 
 class TestMatchedPoints:
     def test_the_middle_one_is_shown(self):
-        row = matched_table(make_matched(), strongest=[]).rows[0]
+        row = matched_table(make_run(strongest={})).rows[0]
         assert [cell.full for cell in row[-4:]] == [
             "8.0", "20.0 [10.0, 30.0]", "40.0 [30.0, 50.0]", "-8.0 [-9.0, -7.0]"
         ]  # fmt: skip
@@ -482,3 +489,61 @@ class TestLatex:
         assert len(rows) == (1 + len(ATTACKS)) * (1 + 2 * 5)
         assert r" & linear & linear & " in files["linkability.tex"]
         assert r"% rerelease: one walk sensed and shared twice" in files["linkability.tex"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "text"),
+    [
+        ("fraction", 0.0554, "+5.5 [+5.4, +5.6] points"),
+        ("s", 0.0554, "+0.055 [+0.054, +0.056] s"),
+        ("correlation", 0.136, "+0.14 [+0.14, +0.14]"),
+        ("ratio", 4.537, "4.54 [4.54, 4.54] times"),
+    ],
+)
+def test_an_effect_has_the_digits_that_its_unit_needs(unit, value, text):
+    row = {"unit": unit, "effect": value, "ci_low": value - 0.001, "ci_high": value + 0.001}
+    assert effect(row, signed=True).full == text
+
+
+BLOCK = "Before.\n<!-- table: sweep students03-paper-3 -->\nold\n<!-- end -->\nAfter.\n"
+
+
+@pytest.fixture
+def root(tmp_path):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "README.md").write_text(BLOCK, encoding="utf-8")
+    (tmp_path / "docs" / "other.md").write_text("Nothing.\n", encoding="utf-8")
+    return tmp_path
+
+
+def test_the_summary_and_the_blocks_are_written_and_written_again_the_same(root):
+    run = make_run()
+    path = root / "docs" / "results" / "students03-paper-3.csv"
+    assert write_docs(run, root=root) == [path, root / "README.md"]
+    text = (root / "README.md").read_text(encoding="utf-8")
+    expected = markdown(DOCS["sweep"](run.summary))
+    assert text == BLOCK.replace("old\n", expected)
+    assert (root / "docs" / "other.md").read_text(encoding="utf-8") == "Nothing.\n"
+    assert write_docs(run, root=root) == [path]
+    assert filled(text, results=path.parent) == text
+
+
+def test_every_table_is_the_same_from_the_file(tmp_path):
+    frame = make_summary(levels())
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    read = pd.read_csv(tmp_path / "run.csv")
+    for make in DOCS.values():
+        assert markdown(make(read)) == markdown(make(frame))
+
+
+@pytest.mark.parametrize("mark", ["sweep nowhere-paper-0", "nothing students03-paper-3"])
+def test_what_is_not_there_is_named(root, mark):
+    (root / "README.md").write_text(f"<!-- table: {mark} -->\n<!-- end -->\n", encoding="utf-8")
+    with pytest.raises(DataError, match=mark.split()[0]):
+        write_docs(make_run(), root=root)
+
+
+def test_outside_the_repository_nothing_is_written(tmp_path):
+    with pytest.raises(DataError, match="no README"):
+        write_docs(make_run(), root=tmp_path)
+    assert not list(tmp_path.iterdir())

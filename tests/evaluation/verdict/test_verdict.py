@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.planted_worlds import KINDS, TASK, World, run, said_of, simulated
 
-from evaluation.reporting.verdict_tables import short_tables
+from evaluation.reporting.answer_tables import short_tables
 from evaluation.verdict import rules
 from evaluation.verdict.sections import to_bytes
 

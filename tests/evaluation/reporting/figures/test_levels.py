@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.drawn import assert_is_readable, named
+from helpers.drawn import assert_is_readable, draw, named
 from helpers.finished_runs import (
     INDEPENDENT,
     STRONGEST,
@@ -23,13 +23,9 @@ from helpers.finished_runs import (
 
 from evaluation.analysis import matching
 from evaluation.reporting.figures import style as figure_style
-from evaluation.reporting.figures.after_attack import attack_figure
-from evaluation.reporting.figures.draw_all import draw_all
-from evaluation.reporting.figures.drawing import figures_of
-from evaluation.reporting.figures.headline import headline_figure, headline_lines
-from evaluation.reporting.figures.operating_points import operating_figure
-from evaluation.reporting.figures.sweep import sweep_figure
-from evaluation.reporting.schemes import compared_levels, schemes
+from evaluation.reporting.figures.after_attack import headline_lines
+from evaluation.reporting.figures.drawing import draw_all, figures_of
+from evaluation.reporting.rows import compared_levels, schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
 BOTH = levels(swept=SWEPT)
@@ -39,14 +35,7 @@ STRANGERS = [
     *[("ou", at) for at in (0.2, 0.4, 0.8)],
     *[("mine", at) for at in (1.0, 10.0, 1000.0)],
 ]
-ODD_NAMES = [
-    "<script>",
-    "a_$b^{c}$ & \\d",
-    "広場 & 'x'",
-    "line\nbreak\x1b[31m",
-    "x" * 300,
-    "",
-]
+ODD_NAMES = ["<script>", "a_$b^{c}$ & \\d", "広場 & 'x'", "line\nbreak\x1b[31m", "x" * 300, ""]
 
 
 def scheme_of(frame, name):
@@ -54,23 +43,17 @@ def scheme_of(frame, name):
 
 
 def sweep(frame, name, dataset="students03"):
-    known = [one for one in schemes(frame) if one.name == name]
-    with figure_style.style():
-        return sweep_figure(frame, scheme=known[0], dataset=dataset) if known else None
+    return draw(make_run(dataset=dataset, summary=frame.assign(dataset=dataset)), name)
 
 
-def figures_from(frame, matched, dataset="students03"):
-    with figure_style.style():
-        found = [
-            sweep(frame, "fid", dataset),
-            sweep(frame, "fixed", dataset),
-            operating_figure(frame, matched, dataset=dataset),
-            attack_figure(frame, dataset=dataset),
-        ]
-        for figure in found:
-            if figure is not None:
-                figure.draw_without_rendering()
-    return found
+def attacked(frame):
+    return draw(make_run(summary=frame), "after_attack")
+
+
+def figures_from(frame, matched):
+    run = make_run(summary=frame, matched=matched)
+    names = ("fid_threshold", "fixed_error", "operating_points", "after_attack")
+    return [draw(run, name, whole=True) for name in names]
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +135,6 @@ class TestEveryFigure:
             (lambda f: f["consumer"] == "shared", [True, True, False, False]),
             (lambda f: f["metric"] == "missed_conflict_rate", [True, True, False, False]),
             (lambda f: f["level"].isna() | (f["level"] == 1.0), [True, True, True, False]),
-            (lambda f: f["dataset"] == "", [False] * 4),
         ],
     )
     def test_missing_parts_leave_out_no_more_than_they_must(self, keep, expected):
@@ -240,19 +222,19 @@ class TestTheSweep:
         values = sorted(line.get_ydata()[0] for line in hollow[0])
         assert values == pytest.approx([10.5, 15.2, 30.5])
         assert not hollow[1]
-        for other in (sweep(make_summary(BOTH), "fid", "plaza"),
-                      sweep(make_summary(STRANGERS), "ou")):  # fmt: skip
+        for other in (sweep(make_summary(BOTH), "fid_threshold", "plaza"),
+                      sweep(make_summary(STRANGERS), "sweep-ou")):  # fmt: skip
             lines = [line for ax in other.axes for line in ax.lines]
             assert not any(line.get_markerfacecolor() == "white" for line in lines)
 
     def test_several_predictors_have_a_line_each_with_its_own_look(self):
         names = [f"predictor_{n}" for n in range(7)]
-        figure = sweep(make_summary(LINEAR, predictors=names), "fid")
+        figure = sweep(make_summary(LINEAR, predictors=names), "fid_threshold")
         drawn = [line for line in lines_of(figure.axes[0]) if line.get_linestyle() != ":"]
         assert len(drawn) == len({(one.get_color(), one.get_marker()) for one in drawn}) == 5
 
     def test_a_strangers_mechanism_has_one_of_its_own(self):
-        figure = sweep(make_summary(STRANGERS), "ou")
+        figure = sweep(make_summary(STRANGERS), "sweep-ou")
         assert [ax.get_title(loc="left") for ax in figure.axes[:1]] == ["any adding"]
         assert list(lines_of(figure.axes[0], "-")[0].get_xdata()) == [0.2, 0.4, 0.8]
         names = {one.name for one in figures_of(make_run(at=STRANGERS))}
@@ -261,7 +243,7 @@ class TestTheSweep:
     def test_an_attack_that_bears_the_name_of_a_predictor_is_not_drawn_as_one(self):
         odd = make_summary(LINEAR, attacks=[("least_squares", "blind"), ("shared", "blind")])
         more = odd[odd["knowledge"] != ""].assign(metric="missed_conflict_rate")
-        for name in ("fid", "fixed"):
+        for name in ("fid_threshold", "fixed_error"):
             one, other = sweep(pd.concat([odd, more]), name), sweep(make_summary(LINEAR), name)
             for ax, same in zip(one.axes, other.axes, strict=True):
                 for line, same_line in zip(lines_of(ax), lines_of(same), strict=True):
@@ -280,7 +262,8 @@ class TestThePlane:
 
     def test_without_any_matched_point_the_measured_ones_are_there(self):
         nothing = pd.DataFrame(columns=matching.COLUMNS)
-        figure = operating_figure(make_summary(LINEAR), nothing, dataset="students03")
+        run = make_run(summary=make_summary(LINEAR), matched=nothing)
+        figure = draw(run, "operating_points")
         assert not lines_of(figure.axes[0], "-")
         assert any(line.get_linestyle() == "None" for line in figure.axes[0].lines)
 
@@ -324,15 +307,12 @@ class TestAfterAttack:
         )
 
     def test_without_an_attack_or_a_level_there_is_none(self):
-        def draw(frame):
-            return attack_figure(frame, dataset="students03")
-
-        assert draw(make_summary(attacks=())) is None
-        assert draw(make_summary(attacks=[("identity", "blind")])) is None
-        attacked = make_summary(LINEAR, attacks=[("averaging", "oracle")])
-        assert draw(attacked[attacked["mechanism"] == "raw"]) is None
-        assert draw(attacked[attacked["consumer"] == "shared"]) is None
-        only = draw(attacked[attacked["mechanism"] == "fixed"])
+        assert attacked(make_summary(attacks=())) is None
+        assert attacked(make_summary(attacks=[("identity", "blind")])) is None
+        frame = make_summary(LINEAR, attacks=[("averaging", "oracle")])
+        assert attacked(frame[frame["mechanism"] == "raw"]) is None
+        assert attacked(frame[frame["consumer"] == "shared"]) is None
+        only = attacked(frame[frame["mechanism"] == "fixed"])
         assert len(only.axes) == 1
         assert named(only) == ["as shared", "averaging (oracle), a reference", "95 % interval"]
 
@@ -340,19 +320,18 @@ class TestAfterAttack:
         many = [(f"mine_{n}:{'x' * 40}$_", "blind") for n in range(9)]
         frame = make_summary(BOTH, attacks=[*many, *[(f"o{n}", "oracle") for n in range(4)]])
         frame["ci_low"] = np.nan
-        figure = attack_figure(frame, dataset="students03")
+        figure = attacked(frame)
         assert len(lines_of(figure.axes[0])) == 2 * (1 + 5 + 2)
 
 
 class TestTheHeadline:
     def test_it_has_a_panel_for_each_scheme_and_three_lines(self):
         run = make_run(at=STRANGERS)
-        with figure_style.style():
-            figure = headline_figure(run)
+        figure = draw(run, "headline")
         assert [ax.get_title(loc="left") for ax in figure.axes] == [
             "FID-controlled sharing", "fixed added error", "ou", "mine"
         ]  # fmt: skip
-        assert list(headline_lines(run)) == [
+        assert [line.label for line in headline_lines(run)] == [
             "PLR as shared: the descriptor",
             "PLR after radial_rts (informed)",
             "found again (rerelease, rank 1): shape@radial_rts (informed)",
@@ -368,7 +347,7 @@ class TestTheHeadline:
 
     def test_it_is_told_in_numbers(self):
         run = make_run(at=LINEAR, strongest={"": STRONGEST[""]})
-        (said,) = [one.words() for one in figures_of(run) if one.name == "headline"]
+        (said,) = [one.words(run) for one in figures_of(run) if one.name == "headline"]
         of = {"consumer": "radial_rts", "knowledge": "informed", "mechanism": "fid"}
         plr = run.ours[rows_where(run.ours, metric="plr", **of)]["value"]
         told = f"{100 * plr.iloc[0]:.1f} % at η = 1 to {100 * plr.iloc[-1]:.1f} % at η = 100000"

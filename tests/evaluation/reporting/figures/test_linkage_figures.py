@@ -3,25 +3,21 @@
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.drawn import assert_is_readable, named
+from helpers.drawn import assert_is_readable, draw, named
 from helpers.finished_runs import (
     INDEPENDENT,
     STRONGEST,
     levels,
     make_curves,
+    make_gallery,
     make_linkability,
     make_run,
     make_summary,
     rows_where,
 )
 
-from evaluation.reporting.figures import style as figure_style
-from evaluation.reporting.figures.dissociation import dissociation_figure, dissociation_points
-from evaluation.reporting.figures.draw_all import draw_all
-from evaluation.reporting.figures.drawing import figures_of
-from evaluation.reporting.figures.false_alarms import curves_figure
-from evaluation.reporting.figures.linkability import linkage_figure
-from evaluation.reporting.figures.track_gallery import gallery_figure
+from evaluation.reporting.figures.dissociation import dissociation_points
+from evaluation.reporting.figures.drawing import draw_all, figures_of
 
 LEVELS = levels(swept=(("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0))), others=[])
 STRANGERS = [*levels(), *[("ou", at) for at in (0.2, 0.4, 0.8)]]
@@ -38,18 +34,13 @@ def make_frame(tasks=TASKS, *, dataset="students03", at=LEVELS):
     return make_linkability(at, tasks=tasks, dataset=dataset)
 
 
-def drawn_from(frame, dataset="students03", at=LEVELS):
-    run = make_run(dataset=dataset, at=at, linkability=frame)
-    with figure_style.style():
-        figure = linkage_figure(run)
-        if figure is not None:
-            figure.draw_without_rendering()
-    return figure
+def drawn_from(frame, dataset="students03", at=LEVELS, *, whole=False):
+    return draw(make_run(dataset=dataset, at=at, linkability=frame), "linkability", whole=whole)
 
 
 @pytest.fixture(scope="module")
 def drawn():
-    return drawn_from(make_frame())
+    return drawn_from(make_frame(), whole=True)
 
 
 def grid(figure):
@@ -220,18 +211,18 @@ class TestLinesOverTheLevel:
         assert len(attack) <= 40
 
     def test_the_run_is_drawn_by_any_number_of_workers_alike(self, tmp_path):
-        run = make_run(at=levels(rules=("",)), gallery=make_gallery())
+        at = [("raw", np.nan), ("fid", 1.0), ("fid", 10.0)]
+        few = {"summary": make_summary(at, attacks=()), "linkability": make_frame()[:0]}
+        run = make_run(**few, curves=make_curves()[:0])
         one, two = (draw_all(run, folder=tmp_path / f"{jobs}", jobs=jobs) for jobs in (1, 2))
-        assert {path.stem for path in one} == {figure.name for figure in figures_of(run)}
+        assert {path.stem for path in one} == {"fid_threshold", "headline", "operating_points"}
         assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
 
 
 def heat(frame=None, at=None):
     run = make_run(at=at, linkability=make_linkability(at) if frame is None else frame)
-    (drawing,) = [one for one in figures_of(run) if one.name == "heat_map-rerelease"]
-    with figure_style.style():
-        figure = drawing.draw()
-    return figure, drawing.words()
+    (words,) = [one.words(run) for one in figures_of(run) if one.name == "heat_map-rerelease"]
+    return draw(run, "heat_map-rerelease"), words
 
 
 def heads(ax):
@@ -286,12 +277,7 @@ class TestTheHeatMap:
 
 class TestDescriptorAgainstLinkability:
     def drawn(self, at, **changes):
-        run = make_run(at=at, **changes)
-        with figure_style.style():
-            figure = dissociation_figure(run, run.tasks[0])
-            if figure is not None:
-                figure.draw_without_rendering()
-        return figure
+        return draw(make_run(at=at, **changes), "dissociation-rerelease", whole=True)
 
     def test_points_pair_the_descriptor_with_rank_1_of_one_level(self):
         frame = make_summary()
@@ -302,7 +288,7 @@ class TestDescriptorAgainstLinkability:
         offset = points[points["mechanism"] == "offset"].iloc[0]
         plr = frame[(frame["mechanism"] == "offset") & (frame["metric"] == "plr")]
         assert offset["plr"] == plr["value"].iloc[0]
-        assert offset["rank1"] == run.tasks[0].cells["offset", 0.4][source]["rank1"]
+        assert offset["value"] == run.tasks[0].cells["offset", 0.4][source]["rank1"]
 
     def test_controls_are_marked_and_a_descriptor_of_zero_is_on_the_axis(self):
         frame = make_summary()
@@ -334,9 +320,7 @@ class TestDescriptorAgainstLinkability:
 
 class TestMissesAndFalseAlarms:
     def test_every_score_is_a_line_in_percent_at_levels_that_cost_alike(self):
-        frame = make_summary(STRANGERS)
-        with figure_style.style():
-            figure = curves_figure(make_curves(STRANGERS), frame, dataset="students03")
+        figure = draw(make_run(at=STRANGERS), "false_alarms")
         assert [ax.get_title(loc="left") for ax in figure.axes[:4]] == [
             "raw", "fid, η = 1, linear adding", "fixed, 0.4 m, linear adding", "ou, 0.2, any adding"
         ]  # fmt: skip
@@ -346,32 +330,13 @@ class TestMissesAndFalseAlarms:
         np.testing.assert_allclose(lines[0].get_ydata(), [100, 50, 0])
         (point,) = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 1]
         assert point.get_xydata().tolist() == [[pytest.approx(12.0), pytest.approx(12.0)]]
-        assert curves_figure(make_curves()[:0], frame, dataset="students03") is None
-
-
-def make_gallery():
-    """As `gallery.parquet`: four straight walks, every other shared sample leaks."""
-    t = np.arange(8.0)
-    return pd.concat(
-        pd.DataFrame(
-            {
-                "track": track, "source": f"p{track}", "mechanism": mechanism,
-                "attack": "radial_rts", "epsilon_m": 0.3, "t": t, "x_true": t, "y_true": track,
-                "x_shared": t + 0.1, "y_shared": track + 0.2, "x_rec": t, "y_rec": track + 0.1,
-                "leaked_shared": t % 2 == 0, "leaked_rec": t > 1,
-            }
-        )
-        for track in range(4)
-        for mechanism in ("raw", "fid:1", "fixed:0.8")
-    )  # fmt: skip
+        assert draw(make_run(curves=make_curves()[:0]), "false_alarms") is None
 
 
 class TestTheGallery:
     def test_it_has_a_panel_for_each_and_says_what_leaks(self):
-        with figure_style.style():
-            figure = gallery_figure(make_gallery())
-            figure.draw_without_rendering()
+        figure = draw(make_run(gallery=make_gallery()), "track_gallery", whole=True)
         assert len(figure.axes) == 4 * 3
         said = next(text.get_text() for text in figure.axes[0].texts)
         assert said == "leaks: shared 50 %, rebuilt 75 %"
-        assert gallery_figure(make_gallery().head(0)) is None
+        assert draw(make_run(gallery=make_gallery().head(0)), "track_gallery") is None

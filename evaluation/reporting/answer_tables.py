@@ -1,0 +1,300 @@
+"""Tables of answers: the paper's numbers and claims, equal costs, weak attacks, and the verdict."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from evaluation.analysis.keys import AS_SHARED, Source
+from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
+from evaluation.analysis.metrics import METRICS, MISSED_RATE
+from evaluation.analysis.paper import DATASET, tolerance
+from evaluation.experiment.presets import SHARED
+from evaluation.reporting.rows import by_level, compared_levels, mechanism_columns
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    Table,
+    amount,
+    built,
+    counted,
+    decided,
+    decision,
+    level,
+    measured,
+    number,
+    points,
+    said,
+    word,
+    words,
+)
+from evaluation.verdict import rules
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from evaluation.reporting.rows import Results
+    from evaluation.reporting.table import Columns
+
+CRITERIA = {
+    "missed": "equal rise of missed conflicts",
+    "missed_at_equal_false_alarms": "the same, at equal false alarms",
+    "plr": "equal PLR as shared",
+}
+"""By what operating points are matched."""
+_POINT = ("criterion", "adding", "predictor", "consumer", "knowledge", "metric")
+_AS_SHARED = {SHARED: "as shared"}
+_EFFECTS = {
+    "fraction": (100.0, 1, "points"),
+    "s": (1.0, 3, "s"),
+    "m": (1.0, 3, "m"),
+    "correlation": (1.0, 2, ""),
+    "ratio": (1.0, 2, "times"),
+}
+SECTIONS: Final = {
+    "validity": (
+        "Do the descriptors tell how linkable a person is?",
+        "Across mechanisms, controls among them: where the descriptor is equal, is linkability?",
+    ),
+    "within": (
+        "And whether this very person is linked?",
+        "Within a level, among tracks alike in length, speed and noise: is who leaks more linked?",
+    ),
+    "claim": (
+        "Is FID-controlled noise better than fixed noise?",
+        "Where both cost the same, or show the same PLR; negative effects are in favour of FID.",
+    ),
+    "inflation": (
+        "How much more is left than the descriptor says?",
+        "The descriptor after attack, how many times the same as shared.",
+    ),
+}
+"""By the name of a section in `verdict.json`: its question, and what is asked."""
+SHORT: Final = {
+    rules.TRACKS: "tracks",
+    rules.WEAKLY: "weakly",
+    rules.DOES_NOT: "does not",
+    rules.HOLDS: "lower",
+    rules.REVERSED: "higher",
+    rules.UNDECIDED: "?",
+}
+_ASPECTS: Final = ("descriptor", "task", "criterion")
+_CRITERIA: Final = {MISSED: "", AT_EQUAL_ALARMS: " and alarms"}
+_OF: Final = {"as-shared": "as shared", "after-attack": "after attack", "linkage": "linked"}
+
+
+def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
+    """Return an effect with its interval and unit; a ratio has no sign, a difference may."""
+    unit = str(row["unit"])
+    scale, digits, name = _EFFECTS.get(unit, (1.0, 1, unit))
+    sign = "+" if signed and unit != "ratio" else "-"
+    ends = (row[key] for key in ("effect", "ci_low", "ci_high"))
+    return number(*ends, scale=scale, digits=digits, unit=name, sign=sign)
+
+
+def paper_table(run: Results) -> Table:
+    """Return the paper's numbers beside ours; judged only on the paper's own recording."""
+    columns: Columns = [
+        *mechanism_columns(run.families),
+        said("metric", lambda row: METRICS[row["metric"]].title),
+        measured("paper", "paper"),
+        measured("ours", "ours", "ci_low", "ci_high"),
+        measured("ours - paper", "bias", sign="+"),
+    ]
+    notes = [f"The paper used {DATASET}; ours are of {run.dataset}, so they need not agree."]
+    if run.dataset == DATASET:
+        notes = []
+        columns += [(Column("paper in our interval"), _within)]
+        columns += [(Column("tolerance at 5,000 scenes"), _tolerated)]
+    frame = run.paper_table
+    records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
+    title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
+    return built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
+
+
+def _within(row: Mapping[str, Any]) -> Cell:
+    is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
+    return decision("yes" if row["within"] else "no") if is_judged else Cell()
+
+
+def _tolerated(row: Mapping[str, Any]) -> Cell:
+    allowed = tolerance(row["mechanism"], row["metric"], row["paper"])
+    # A hair more: the difference of two rounded fractions may miss the limit itself.
+    met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
+    text = f"{met} ({amount(row['metric'], allowed).text})"
+    return Cell(text if np.isfinite(row["ours"]) else "")
+
+
+def claims_table(run: Results) -> Table:
+    """Return the paper's claims, and whether they hold."""
+    evidence = Column("evidence", align="left", is_long=True), lambda row: word(row["evidence"])
+    columns: Columns = ["adding", "claim", decided("answer"), (Column("effect"), effect), evidence]
+    title, notes = "The paper's claims; 95 % intervals", ["Evidence: paper_claims.csv."]
+    records = run.claims.to_dict("records")
+    return built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
+
+
+def matched_table(run: Results) -> Table:
+    """Return every mechanism against fixed noise half way along each curve, strongest attacks."""
+    sources = {AS_SHARED}
+    for task, one in run.strongest.items():
+        sources.add(Source(f"{task}/{one.consumer}" if task else one.consumer, one.knowledge))
+    keys = [*_POINT, "mechanism"]
+    texts = run.matched.assign(**run.matched[keys].astype(object).fillna(""))
+    rows = []
+    for _, part in texts.groupby(keys, sort=False):
+        known = part[part["ci_low"].notna()]
+        ordered = (part if known.empty else known).sort_values("at")
+        row = ordered.iloc[max(0, len(known) - 1) // 2].to_dict()
+        if Source(row["consumer"], row["knowledge"]) in sources:
+            rows.append(row)
+    columns: Columns = [
+        said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
+        "adding",
+        "predictor",
+        said("positions or attack", lambda row: _AS_SHARED.get(row["consumer"], row["consumer"])),
+        said("adversary", "knowledge"),
+        said("metric", lambda row: METRICS[row["metric"]].title),
+        "mechanism",
+        counted("at", "%", "at", scale=100.0),
+        measured("of the mechanism", "fid", "fid_low", "fid_high"),
+        measured("of fixed noise", "fixed", "fixed_low", "fixed_high"),
+        measured("difference", "difference", "ci_low", "ci_high", sign="+"),
+    ]
+    title = "Every mechanism against fixed noise, half way along each curve: the strongest attacks"
+    notes = ["All points, attacks and intervals: matched.csv."]
+    return built("matched", title, rows, columns, notes=notes, n_headings=3, n_keys=7)
+
+
+def decision_table(run: Results) -> Table:
+    """Return misses at equal false alarms, at levels that cost alike."""
+    told = by_level(run.decisions)
+    columns: Columns = [
+        *mechanism_columns(run.families),
+        said("predictor", "consumer"),
+        "score",
+        counted("area (0 perfect, 0.5 chance)", "", "area", "area_low", "area_high", digits=3),
+        counted("at false alarms", "%", "false_alarm_rate", scale=100.0),
+        measured("missed", MISSED_RATE, "missed_low", "missed_high", metric=MISSED_RATE),
+        points("missed - reference", "difference", "ci_low", "ci_high"),
+    ]
+    records = [row for where in compared_levels(run.ours) for row in told.get(where, ())]
+    title = "Misses at equal false alarms"
+    return built("decisions", title, records, columns, n_headings=3, n_keys=5)
+
+
+def flag_table(run: Results) -> Table:
+    """Return the flags of weak attacks."""
+    texts = run.flags.assign(**run.flags[["by", "by_knowledge"]].astype(object).fillna(""))
+    columns: Columns = [
+        said("flag", lambda row: row["kind"].replace("_", " ")),
+        said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
+        said("beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label),
+        *mechanism_columns(run.families),
+        points("PLR difference", "difference", "ci_low", "ci_high"),
+    ]
+    return built("flags", "All flags", texts.to_dict("records"), columns, n_keys=6)
+
+
+_EFFECT: Final = Column("effect"), partial(effect, signed=True)
+
+
+def section_of(name: str) -> tuple[str, str]:
+    """Return question and explanation of a section; of one that is not known its name."""
+    return SECTIONS.get(name, (name, ""))
+
+
+def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
+    """Return a table for each section that has items: decisions by what they are about."""
+    found = []
+    for name, items in _by_section(verdict["items"]).items():
+        placed = [(*_place(one), one) for one in items]
+        heads = list(dict.fromkeys(column for _, column, _ in placed))
+        cells: dict[tuple[str, str], dict[str, Cell]] = {row: {} for row, _, _ in placed}
+        for row, column, one in placed:
+            is_number = one["decision"] in (rules.INFLATED, rules.DEFLATED)
+            text = Cell(SHORT.get(one["decision"], one["decision"]))
+            cells[row][column] = number(one["effect"]) if is_number else text
+        question, about = section_of(name)
+        first = "positions" if name == "claim" else "adding"
+        columns = [*words(first, "of"), *map(Column, heads)]
+        rows = [
+            [*map(word, row), *(known.get(head, Cell()) for head in heads)]
+            for row, known in cells.items()
+        ]
+        question, about = section_of(name)
+        found.append(Table(f"short-{name}", question, columns, rows, notes=[about], n_keys=2))
+    return found
+
+
+def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
+    """Return the items of the verdict, a table for each section."""
+    found = {}
+    for section, of in _by_section(items).items():
+        aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
+        columns: Columns = [
+            decided("decision"),
+            said("what it says", _sentence),
+            _EFFECT,
+            "adding",
+            *(said(key, partial(_aspect, key)) for key in aspects),
+            said("about", "subject"),
+            counted("people", "", "n", digits=0),
+        ]
+        found[section] = built(f"verdict-{section}", section.capitalize(), of, columns)
+    return found
+
+
+def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the contrasts with the dissociation controls that validity rests on."""
+    records = [
+        {**item, **contrast, "subject": contrast.get("subject") or item["subject"]}
+        for item in items
+        for contrast in item.get("contrasts") or ()
+    ]
+    columns: Columns = [
+        "adding",
+        said("descriptor", partial(_aspect, "descriptor")),
+        "task",
+        said("attack", "subject"),
+        said("against", "mechanism"),
+        (Column("level"), lambda row: level(row["level"])),
+        decided("reading"),
+        _EFFECT,
+    ]
+    where = "FID and the controls against fixed noise where the descriptor is equal"
+    title = f"The contrasts behind it: {where}"
+    return built("contrasts", title, records, columns, n_keys=6)
+
+
+def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the items by section: those that are known first, in their order."""
+    names = dict.fromkeys([*SECTIONS, *(str(item["section"]) for item in items)])
+    sections = {name: [one for one in items if one["section"] == name] for name in names}
+    return {name: of for name, of in sections.items() if of}
+
+
+def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:
+    """Return row and column of an item."""
+    name = METRICS[one["descriptor"]].head if one["descriptor"] else ""
+    if one["section"] == "claim":
+        # Of FID, unless it says of which other mechanism.
+        of = ", ".join([*([one["mechanism"]] if "mechanism" in one else ()), _OF[one["of"]]])
+        return (of, name or one["task"]), one["adding"] + _CRITERIA[one["criterion"]]
+    if one["section"] == "inflation":
+        return (one["adding"], one["of"]), name
+    return (one["adding"], name), one["task"]
+
+
+def _sentence(item: Mapping[str, Any]) -> str:
+    why = item.get("why_undecided")
+    return f"{item['sentence']} Undecided: {why.rstrip('.')}." if why else str(item["sentence"])
+
+
+def _aspect(key: str, item: Mapping[str, Any]) -> str:
+    value: str = item[key]
+    if key == "criterion":
+        return CRITERIA.get(value, value)
+    return METRICS[value].head if key == "descriptor" and value in METRICS else value

@@ -1,0 +1,238 @@
+"""What it costs a robot: operating points of privacy and utility, and misses over false alarms."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evaluation.analysis.families import FID, FIXED, RAW
+from evaluation.analysis.keys import is_attack, level_text
+from evaluation.analysis.matching import MISSED
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
+from evaluation.experiment.presets import SHARED
+from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures.drawing import Drawing
+from evaluation.reporting.figures.style import LOOKS, PERCENT, Look
+from evaluation.reporting.rows import Scheme, compared_levels, rules_of, schemes
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from evaluation.analysis.keys import Where
+    from evaluation.reporting.figures.style import Dashes
+    from evaluation.reporting.rows import Results
+
+_FALSE_ALARMS = "false_alarm_rate"
+_DASHES: dict[str, Dashes] = {"separation": "-", "probability": (0, (3, 1.5))}
+
+
+def drawings(_: Results) -> list[Drawing]:
+    """Return the plane of the first predictor, and misses over false alarms of all."""
+    points = "Operating points: each descriptor as shared against missed conflicts"
+    better, curves = "Down and to the left is better.", "Missed conflicts against false alarms"
+    return [
+        Drawing("operating_points", "plane", points, operating_figure, _operating_words, better),
+        Drawing("false_alarms", "alarms", curves, curves_figure, _curves_words),
+    ]
+
+
+def operating_figure(run: Results) -> Figure | None:
+    """Return the privacy-utility plane of the first predictor; None if it has no points.
+
+    One row for each adding rule, one column for each descriptor. Markers are measured; the
+    curves are those that `matching` compares.
+    """
+    ours = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
+    rates = ours[ours["metric"] == MISSED_RATE]
+    known = schemes(ours)
+    if rates.empty or not known:
+        return None
+    predictor = str(rates["consumer"].iloc[0])
+    planes = {metric: _plane(ours, predictor, metric) for metric in DESCRIPTORS}
+    drawn = [scheme for scheme in known if scheme.rules_in(*planes.values())]
+    if not drawn:
+        return None
+    rules = [
+        rule
+        for rule in rules_of(drawn)
+        if any(len(scheme.of(plane, rule)) for plane in planes.values() for scheme in drawn)
+    ]
+    wanted = {"dataset": run.dataset, "predictor": predictor, "criterion": MISSED}
+    wanted |= {"consumer": SHARED}
+    curves = run.matched[(run.matched[list(wanted)] == list(wanted.values())).all(axis=1)]
+    figure, panels = figure_style.panels(
+        len(rules), len(planes), height_in=1.75 * len(rules) + 0.8, sharex=True, sharey="col"
+    )
+    for rule, axes in zip(rules, panels, strict=True):
+        axes[0].set_title(f"{rule} adding")
+        for (metric, plane), ax in zip(planes.items(), axes, strict=True):
+            ax.set_ylabel(figure_style.label(metric))
+            part = curves[(curves["adding"] == rule) & (curves["metric"] == metric)]
+            for scheme in known:
+                _draw_matched(ax, part, scheme=scheme, rule=rule, metric=metric)
+                _draw_points(ax, scheme.of(plane, rule), scheme=scheme, named=metric == EXPOSURE)
+            raw = plane[plane["mechanism"] == RAW]
+            ax.plot(raw["x"], raw["y"], "*", color="black", markersize=6, zorder=4)
+    for (metric, plane), axes in zip(planes.items(), panels.T, strict=True):
+        axes[-1].set_xlabel(figure_style.label(MISSED_RATE))
+        values = [scheme.of(plane, rule)["y"].to_numpy() for scheme in drawn for rule in rules]
+        if any(map(len, values)):
+            values.append(plane["y"][plane["mechanism"] == RAW].to_numpy())
+            figure_style.value_axis(axes[0], values, log=metric != EXPOSURE)
+    handles = figure_style.scheme_handles(drawn)
+    if any((plane["mechanism"] == RAW).any() for plane in planes.values()):
+        handles.append(figure_style.black_handle("raw", marker="*"))
+    if not curves.empty:
+        handles.append(figure_style.band_handle("95 % interval at matched rates"))
+    figure_style.legend(figure, handles)
+    figure_style.title(figure, dataset=run.dataset, what=f"operating points, predictor {predictor}")
+    return figure
+
+
+def _operating_words(run: Results) -> str:
+    raw = run.ours[(run.ours["mechanism"] == RAW) & ~is_attack(run.ours)]
+    said = [
+        f"{METRICS[metric].head} {METRICS[metric].scale * value:.{METRICS[metric].digits}f} "
+        f"{METRICS[metric].unit}"
+        for metric in (MISSED_RATE, *DESCRIPTORS)
+        for value in raw.loc[raw["metric"] == metric, "value"].head(1)
+    ]
+    return (
+        "PLR, AEL and MEL over the missed-conflict rate, a curve for each of "
+        f"{', '.join(scheme.title for scheme in schemes(run.ours))}, all ending at raw "
+        f"({', '.join(said)}). Lower and further left is better. "
+        "The table of matched points has the differences."
+    )
+
+
+def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:
+    """Return missed-conflict rate x and descriptor y of every level, in the units of the axes."""
+    x = summary[(summary["consumer"] == predictor) & (summary["metric"] == MISSED_RATE)]
+    y = summary[(summary["consumer"] == SHARED) & (summary["metric"] == metric)]
+    keys = ["mechanism", "level"]
+    x = x[keys].assign(x=x["value"] * METRICS[MISSED_RATE].scale)
+    return x.merge(y[keys].assign(y=y["value"] * METRICS[metric].scale), on=keys)
+
+
+def _draw_matched(ax: Axes, part: pd.DataFrame, *, scheme: Scheme, rule: str, metric: str) -> None:
+    """Draw the curve of a mechanism, or of the fixed noise that it is held against."""
+    is_fixed = scheme.name == FIXED
+    mechanism = next(iter(part["mechanism"]), "") if is_fixed else scheme.mechanisms.get(rule)
+    rows = part[part["mechanism"] == mechanism].sort_values(MISSED_RATE)
+    if rows.empty:
+        return
+    look, scale = figure_style.look_of(scheme), METRICS[metric].scale
+    column = FIXED if is_fixed else FID
+    x = rows[MISSED_RATE].to_numpy() * METRICS[MISSED_RATE].scale
+    ax.plot(x, rows[column] * scale, color=look.colour, linestyle=look.dashes)
+    ends = (rows[f"{column}_{end}"].to_numpy() * scale for end in ("low", "high"))
+    figure_style.band(ax, x, *ends, look=look)
+
+
+def _draw_points(ax: Axes, found: pd.DataFrame, *, scheme: Scheme, named: bool) -> None:
+    """Mark the measured points; the level that costs most gives the curve a direction."""
+    if found.empty:
+        return
+    colour, marker = figure_style.look_of(scheme).colour, figure_style.look_of(scheme).marker
+    look: dict[str, Any] = {"markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.4}
+    ax.plot(found["x"], found["y"], marker, color=colour, **look)
+    if named:
+        noisiest = found.sort_values("x", kind="stable").iloc[-1]
+        ax.annotate(
+            scheme.at(float(noisiest["level"])),
+            (noisiest["x"], noisiest["y"]),
+            xytext=(0, -9 if scheme.log else 5),
+            textcoords="offset points",
+            horizontalalignment="center",
+            color=colour,
+        )
+
+
+def curves_figure(run: Results) -> Figure | None:
+    """Return misses against false alarms of every predictor, at levels that cost alike.
+
+    A marker is where a robot stands that decides as the paper's. None without curves.
+    """
+    of = run.curves[run.curves["dataset"] == run.dataset]
+    wheres = [where for where in compared_levels(run.ours) if not _at(of, where).empty]
+    if not wheres:
+        return None
+    columns = min(3, len(wheres))
+    n_rows = -(-len(wheres) // columns)
+    figure = figure_style.placed_figure(height_in=1.85 * n_rows + 0.95)
+    margins_in, sharing = (0.45, 0.1, 0.5, 0.75), {"sharex": True, "sharey": True}
+    panels = figure_style.placed(
+        figure, n_rows, columns, margins_in=margins_in, gaps_in=(0.18, 0.28), **sharing
+    )
+    looks = dict(zip(of["consumer"].unique(), LOOKS, strict=False))
+    titles = {
+        scheme.mechanisms[rule]: (scheme, rule)
+        for scheme in schemes(run.ours)
+        for rule in scheme.rules
+    }
+    for where, ax in zip(wheres, panels.flat, strict=False):
+        mechanism, level = where
+        ax.set_title(mechanism)
+        if mechanism in titles and level is not None:
+            scheme, rule = titles[mechanism]
+            ax.set_title(f"{scheme.name}, {scheme.at(level)}, {scheme.rule_text(rule)}")
+        found, operating = _at(of, where), _at(run.ours, where)
+        for name, look in looks.items():
+            rows = found[found["consumer"] == name]
+            for score, part in rows.groupby("score", sort=False):
+                look_of = {"color": look.colour, "linestyle": _DASHES[str(score)]}
+                x, y = PERCENT * part[_FALSE_ALARMS], PERCENT * part[MISSED_RATE]
+                ax.plot(x, y, linewidth=0.9, **look_of)
+            rows = operating[operating["consumer"] == name].drop_duplicates("metric")
+            value = PERCENT * rows.set_index("metric")["value"]
+            if {_FALSE_ALARMS, MISSED_RATE} <= set(value.index):
+                mark = {"color": look.colour, "markerfacecolor": "white", "markersize": 4.5}
+                point = [value[_FALSE_ALARMS]], [value[MISSED_RATE]]
+                ax.plot(*point, look.marker, **mark, zorder=3)
+    for ax in panels.flat[len(wheres) :]:
+        ax.set_axis_off()
+    for ax in panels[:, 0]:
+        ax.set_ylabel("Missed conflicts (%)")
+    for ax in panels.flat[max(0, len(wheres) - columns) : len(wheres)]:
+        ax.set_xlabel("False alarms (%)")
+        ax.tick_params(labelbottom=True)
+    panels[0, 0].set_xlim(-2.0, 102.0)
+    panels[0, 0].set_ylim(-2.0, 102.0)
+    handles = [
+        *(
+            figure_style.line_handle(name, Look(look.colour, look.marker, "-"))
+            for name, look in looks.items()
+        ),
+        figure_style.black_handle("by predicted separation", dashes=_DASHES["separation"]),
+        figure_style.black_handle("by conflict probability", dashes=_DASHES["probability"]),
+        figure_style.black_handle("as the paper's robot decides", marker="o", hollow=True),
+    ]
+    figure_style.legend(figure, handles, columns=4)
+    figure_style.title(
+        figure, dataset=run.dataset, what="misses against false alarms", one_line=True
+    )
+    return figure
+
+
+def _curves_words(run: Results) -> str:
+    parts = []
+    for where in compared_levels(run.ours):
+        rows = _at(run.ours[~is_attack(run.ours)], where)
+        said = []
+        for consumer in rows.loc[rows["metric"] == MISSED_RATE, "consumer"].unique():
+            value = rows[rows["consumer"] == consumer].set_index("metric")["value"]
+            said.append(
+                f"{consumer} misses {PERCENT * value[MISSED_RATE]:.0f} % at "
+                f"{PERCENT * value.get(_FALSE_ALARMS, np.nan):.0f} % false alarms"
+            )
+        parts.append(f"{where[0]} {level_text(where[1])}".strip() + f": {', '.join(said)}.")
+    return f"Curves of misses over false alarms, closer to the corner is better. {' '.join(parts)}"
+
+
+def _at(frame: pd.DataFrame, where: Where) -> pd.DataFrame:
+    mechanism, level = where
+    at = frame["level"].isna() if level is None else np.isclose(frame["level"], level)
+    return frame[(frame["mechanism"] == mechanism) & at]
