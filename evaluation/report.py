@@ -26,6 +26,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("out", type=Path, help="folder of a run, as given to the matrix by --out")
     parser.add_argument(
+        "--pdf", action="store_true", help="also write every figure as PDF, for print"
+    )
+    parser.add_argument(
         "--docs",
         action="store_true",
         help="also write its summary into docs/results and the result tables of README and docs, "
@@ -35,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _redraw(options: Namespace) -> int:
-    results = load(options.out)
+    results = load(options.out, pdf=options.pdf)
     show(results)
     if options.docs:
         for path in write_docs(results, root=Path.cwd()):

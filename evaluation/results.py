@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
@@ -29,6 +30,7 @@ from evaluation.verdict.within_level import read_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from contextlib import AbstractContextManager
 
     from evaluation.experiment.plan import Plan
 
@@ -64,12 +66,12 @@ def run(
     if ready is None:
         ready = plan(settings or Settings())
     folder.check_folder(ready.out)
-    with given_back(), locked(ready.out):
+    with given_back(), locked(ready.out), _one_thread():
         execute(ready, progress or (lambda _done, _total, _what: None))
         return build(ready.out, pictures=pictures, jobs=ready.jobs)
 
 
-def load(out: Path | str, *, pictures: bool = True) -> Results:
+def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Results:
     """Return the results of a run folder, and write its tables, figures and page anew.
 
     Parameters
@@ -77,6 +79,8 @@ def load(out: Path | str, *, pictures: bool = True) -> Results:
     out : Path or str
     pictures : bool
         Without them there are neither figures nor `report.html`.
+    pdf : bool
+        Whether the figures are drawn as PDF, too.
 
     Raises
     ------
@@ -85,12 +89,18 @@ def load(out: Path | str, *, pictures: bool = True) -> Results:
     """
     out = Path(out)
     manifest = read_manifest(out)
-    with locked(out):
+    with locked(out), _one_thread():
         check_sound(out, (name for entry in manifest["cells"] for name in entry["files"]))
-        return build(out, pictures=pictures)
+        return build(out, pictures=pictures, pdf=pdf)
 
 
-def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
+def _one_thread() -> AbstractContextManager[object]:
+    """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
+    limited: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    return limited
+
+
+def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1) -> Results:
     """Write summary, tables and figures of a run folder, drawn by `jobs` workers, and return them.
 
     Otherwise as `load`, which locks the folder and checks its cells first.
@@ -134,14 +144,15 @@ def build(out: Path, *, pictures: bool = True, jobs: int = 1) -> Results:
     write_tex(results, folder=out / "tables")
     folder.remove_figures(out)  # those of an earlier report tell of other results
     if pictures:
-        _draw(results, jobs=jobs)
+        _draw(results, pdf=pdf, jobs=jobs)
     return results
 
 
-def _draw(results: Results, *, jobs: int) -> None:
+def _draw(results: Results, *, pdf: bool, jobs: int) -> None:
     # matplotlib is slow to import, and only needed to draw.
     from evaluation.reporting import page  # noqa: PLC0415
     from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415
 
     folder.note_figures(results.out, [one.name for one in figures_of(results)])
-    page.write(results, drawn=draw_all(results, folder=results.out / "figures", jobs=jobs))
+    drawn = draw_all(results, folder=results.out / "figures", jobs=jobs, pdf=pdf)
+    page.write(results, drawn=drawn)

@@ -29,7 +29,7 @@ from isac_track.intervals import Estimate
 from isac_track.linkability import ProbeRanks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from evaluation.cells.tables import Tables
@@ -222,13 +222,13 @@ def read_outcome(out: Path, entry: Mapping[str, Any]) -> LinkageOutcome:
 def _rank_replicates(rows: pa.Table, about: Mapping[str, Any], *, task: str) -> dict[str, Any]:
     """Return the replicates of the rank metrics, which follow from the probes."""
     place = {name: column for column, name in enumerate(about["clusters"])}
-    assigned = [ASSIGNED.index(one) - 1 for one in rows["assigned"].to_pylist()]
+    assigned = _each(rows["assigned"], lambda name: ASSIGNED.index(name) - 1)
     probes = ProbeRanks(
         above=rows["above"].to_numpy().astype(np.int64),
         tied=rows["tied"].to_numpy().astype(np.int64),
         chance=rows["chance"].to_numpy(),
-        assigned=np.array(assigned),
-        cluster=np.array([place[name] for name in rows["group"].to_pylist()]),
+        assigned=assigned,
+        cluster=_each(rows["group"], place.__getitem__),
         n_gallery=about["numbers"]["gallery_sizes"][1],
     )
     weights = _weights(tuple(about["drawn_as"]), about["n_groups"], task, about["seed"])
@@ -241,6 +241,14 @@ def _rank_replicates(rows: pa.Table, about: Mapping[str, Any], *, task: str) -> 
         if ASSIGNED[assigned[0] + 1] == "unknown":
             drawn[name] = np.full_like(drawn[name], np.nan)
     return drawn
+
+
+def _each(names: pa.ChunkedArray, number: Callable[[str], int]) -> Ints:
+    """Return the number of each name, (n,), asked for once a name."""
+    encoded = names.combine_chunks().dictionary_encode()
+    numbers = np.array([number(name) for name in encoded.dictionary.to_pylist()], dtype=np.int64)
+    found: Ints = numbers[encoded.indices.to_numpy()]
+    return found
 
 
 @lru_cache(maxsize=16)  # of every task there are hundreds of cells

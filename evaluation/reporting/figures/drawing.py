@@ -53,8 +53,8 @@ def figures_of(run: Results) -> list[Drawing]:
     ]
 
 
-def draw_all(run: Results, *, folder: Path, jobs: int = 1) -> list[Path]:
-    """Draw every figure that the results allow, as SVG and PDF, and return the files written.
+def draw_all(run: Results, *, folder: Path, jobs: int = 1, pdf: bool = False) -> list[Path]:
+    """Draw every figure that the results allow, as SVG, and return the files written.
 
     Parameters
     ----------
@@ -63,6 +63,8 @@ def draw_all(run: Results, *, folder: Path, jobs: int = 1) -> list[Path]:
         Made if it is missing.
     jobs : int
         Worker processes; what they draw does not depend on their number.
+    pdf : bool
+        Whether each is written as PDF, too.
 
     Raises
     ------
@@ -72,7 +74,7 @@ def draw_all(run: Results, *, folder: Path, jobs: int = 1) -> list[Path]:
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
     files: dict[str, bytes] = {}
-    draw = partial(_drawn, run=run, step=jobs)
+    draw = partial(_drawn, run=run, step=jobs, pdf=pdf)
     for _, found in spread(draw, deque(range(jobs)), jobs=jobs, limit_s=None):
         for one in found:
             if isinstance(one, Failed):
@@ -83,10 +85,11 @@ def draw_all(run: Results, *, folder: Path, jobs: int = 1) -> list[Path]:
     return [folder / name for name in sorted(files)]
 
 
-def _drawn(first: int, *, run: Results, step: int) -> Iterator[dict[str, bytes]]:
+def _drawn(first: int, *, run: Results, step: int, pdf: bool) -> Iterator[dict[str, bytes]]:
     """Yield the files of every so many-th figure by name; one that is empty has none."""
     with style():
         for one in figures_of(run)[first::step]:  # one at a time is in memory
             figure = one.draw(run)
             if figure is not None:
-                yield {f"{one.name}.{kind}": of for kind, of in rendered(figure).items()}
+                files = rendered(figure, pdf=pdf)
+                yield {f"{one.name}.{kind}": of for kind, of in files.items()}

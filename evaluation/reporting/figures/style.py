@@ -131,8 +131,8 @@ def placed(
     return axes
 
 
-def rendered(figure: Figure) -> dict[str, bytes]:
-    """Return the figure as `svg` and `pdf`.
+def rendered(figure: Figure, *, pdf: bool) -> dict[str, bytes]:
+    """Return the figure as `svg`, and as `pdf` if asked for: fonts make that the slower one.
 
     It is laid out once for both, and printed by the canvases themselves: `savefig` would find
     the layout anew and draw everything twice each time.
@@ -141,14 +141,16 @@ def rendered(figure: Figure) -> dict[str, bytes]:
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine("none")
-    svg, pdf = io.BytesIO(), io.BytesIO()
+    files = {"svg": io.BytesIO()}
     FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
-        svg, metadata={"Date": None, "Creator": None}
+        files["svg"], metadata={"Date": None, "Creator": None}
     )
-    FigureCanvasPdf(figure).print_pdf(  # type: ignore[no-untyped-call]
-        pdf, metadata={"CreationDate": None, "Creator": None, "Producer": None}
-    )
-    return {"svg": svg.getvalue(), "pdf": pdf.getvalue()}
+    if pdf:
+        files["pdf"] = io.BytesIO()
+        FigureCanvasPdf(figure).print_pdf(  # type: ignore[no-untyped-call]
+            files["pdf"], metadata={"CreationDate": None, "Creator": None, "Producer": None}
+        )
+    return {kind: file.getvalue() for kind, file in files.items()}
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -194,7 +194,7 @@ class TestWhatARunLeaves:
         assert list(held.values()) == [{"shared", "least_squares"}] * 3
         for folder_name, kinds in {
             "cells": {"parquet"},
-            "figures": {"svg", "pdf"},
+            "figures": {"svg"},
             "tables": {"tex"},
         }.items():
             assert {path.suffix[1:] for path in (drawn.out / folder_name).iterdir()} == kinds
