@@ -24,7 +24,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.reduction import DupFd
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeAlias, TypeVar
 
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from evaluation.cells.progress import NOTE_BYTES, Failed, note, note_to
 from isac_track.command_line import check_interrupt
