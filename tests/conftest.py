@@ -13,6 +13,21 @@ from isac_track.rng import stream
 
 pytest_plugins = ["pytester"]  # for tests that strangers run, in this process
 
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    """Let the whole suite take two processes, where pytest-xdist is installed.
+
+    Files stay whole, since their tests share finished runs; what is asked for by name or with a
+    debugger runs here.
+    """
+    option = config.option
+    is_whole = config.args == config.getini("testpaths") and not config.getoption("usepdb")
+    if is_whole and getattr(option, "numprocesses", 0) is None:
+        option.numprocesses, option.dist = 2, "loadfile"
+
+
+
 # A shell that starts the tests in the background has them, and all that they start, ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
