@@ -27,7 +27,6 @@ def pytest_cmdline_main(config):
         option.numprocesses, option.dist = 2, "loadfile"
 
 
-
 # A shell that starts the tests in the background has them, and all that they start, ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -12,6 +12,7 @@ from isac_track.protocols import ADVERSARIES
 if TYPE_CHECKING:
     import pandas as pd
 
+INFORMED: Final = "informed"
 ORACLE: Final = "oracle"
 """Adversary who is granted all: a reference, never the headline."""
 Where: TypeAlias = "tuple[str, float | None]"

@@ -29,7 +29,7 @@ from evaluation.reporting.rows import (
 from evaluation.reporting.table import Cell, Column, amount, built, metric_column, said
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
     import pandas as pd
@@ -69,6 +69,32 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
         notes = [] if place else [f"Levels: {SCOPE}."]
         found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
     return [one for one in found if one.rows]
+
+
+def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source, str]]) -> Table:
+    """Return the levels that tell, with a column for each metric of some positions, or predictor.
+
+    Parameters
+    ----------
+    summary : DataFrame
+        As in `summary.csv`.
+    name : str
+        Of the table.
+    of : sequence of (Source, str)
+        Whose and which metric, column by column.
+    """
+    found = by_level(summary)
+    known = families_in(summary)
+    records = [
+        {"mechanism": mechanism, "level": at, "of": sources_at(found[mechanism, at])}
+        for mechanism, at in telling(found, known, controls=False)
+        if any(metric in sources_at(found[mechanism, at]).get(one, {}) for one, metric in of)
+    ]
+    columns = [
+        (metric_column(metric, f"{METRICS[metric].head}, {one.label}"), _taken(one, metric))
+        for one, metric in of
+    ]
+    return built(name, "", records, [*mechanism_columns(known), *columns], n_keys=3)
 
 
 def _by_level(

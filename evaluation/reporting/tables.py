@@ -1,29 +1,21 @@
-"""Which tables of a run are shown where: terminal, page, LaTeX files, and README and docs.
-
-In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table NAME of
-`docs/results/RUN.csv`, a copy of the `summary.csv` of a run.
-"""
+"""Which tables of a run are shown where: terminal, page and LaTeX files."""
 
 from __future__ import annotations
 
 import contextlib
-import re
-from typing import TYPE_CHECKING, Final
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from evaluation.analysis import weak_attacks
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import linkage_tables as linkage
 from evaluation.reporting import summary_tables as levels
 from evaluation.reporting import terminal
-from evaluation.reporting.markup import latex, markdown
+from evaluation.reporting.markup import latex
 from evaluation.runs.files import write_whole
 from evaluation.runs.pieces import failed_lines
-from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     from rich.console import Console
@@ -31,15 +23,6 @@ if TYPE_CHECKING:
     from evaluation.reporting.rows import Results
     from evaluation.reporting.table import Table
     from evaluation.reporting.terminal import Part
-
-
-DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
-    "sweep": lambda summary: levels.sweep_tables(summary)[0],
-    "exposure": levels.exposure_table,
-    "attacks": levels.attack_table,
-}
-"""By the name in a block."""
-_BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def show(run: Results, *, console: Console | None = None) -> None:
@@ -127,55 +110,6 @@ def write_tex(run: Results, *, folder: Path) -> None:
     }
     for name, tables in files.items():
         write_whole(folder / f"{name}.tex", latex(tables).encode())
-
-
-def write_docs(run: Results, *, root: Path) -> list[Path]:
-    """Write the summary of a run into `docs/results` and all blocks anew; return what changed.
-
-    Parameters
-    ----------
-    run : Results
-    root : Path
-        With README.md and docs/.
-
-    Raises
-    ------
-    DataError
-        If there is no README.md, a block names what is not there, or a file cannot be written.
-    """
-    if not (root / "README.md").is_file():
-        raise DataError(f"{root} has no README.md: run this in the repository")
-    settings, results = run.manifest["settings"], root / "docs" / "results"
-    results.mkdir(parents=True, exist_ok=True)
-    path = results / f"{run.dataset}-{settings['preset']}-{settings['seed']}.csv"
-    write_whole(path, run.summary.to_csv(index=False).encode())
-    changed = [path]
-    for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
-        text = page.read_text(encoding="utf-8")
-        new = filled(text, results=results)
-        if new != text:
-            write_whole(page, new.encode())
-            changed.append(page)
-    return changed
-
-
-def filled(text: str, *, results: Path) -> str:
-    """Return a text with all of its blocks written anew.
-
-    Raises
-    ------
-    DataError
-        If a block names a table or a run that is not there.
-    """
-
-    def block(found: re.Match[str]) -> str:
-        start, name, run, end = found.groups()
-        path = results / f"{run}.csv"
-        if name not in DOCS or not path.is_file():
-            raise DataError(f"no table {name!r} of {path}; known: {', '.join(DOCS)}")
-        return f"{start}{markdown(DOCS[name](pd.read_csv(path, keep_default_na=True)))}{end}"
-
-    return _BLOCK.sub(block, text)
 
 
 def _exposure(run: Results) -> Table:

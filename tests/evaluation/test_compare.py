@@ -263,7 +263,7 @@ class TestDraws:
     )
     def test_a_setting_pairs_scenes_and_linkage(self, base, tmp_path, name, value, scenes, linkage):
         shutil.copytree(base, tmp_path / "b")
-        manifest = read_manifest(base)
+        manifest = json.loads((base / "manifest.json").read_text(encoding="utf-8"))
         task = manifest["linkage"]["tasks"]["rerelease"]
         changed = task if name == "people" else manifest["identity"]
         assert name in changed

@@ -7,7 +7,7 @@ import numpy as np
 from helpers.runs import arrays
 from helpers.walkers import walkers
 
-from attacks.tasks.build import build
+from attacks.tasks import build
 from attacks.tasks.task_list import TASKS
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.linkage import link, linked_level
@@ -110,7 +110,7 @@ class World:
 def sessions_of(task, *, tracks=None, seed=0):
     """The sessions of a task of walkers."""
     crowd = tracks or walkers()
-    return build(TASKS[task], tracks=crowd, later=None, settings=STAGES, seed=seed)
+    return build.sessions_of(TASKS[task], tracks=crowd, stages=STAGES, seed=seed)
 
 
 def linked(sessions, by, *links, controls=False, seed=0):

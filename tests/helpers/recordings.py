@@ -57,6 +57,7 @@ def write_csv(path, tracks):
         for t, (x, y) in zip(track.t, track.xy, strict=True)
     ]
     path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
 
 
 def packed(*, compression="snappy", row_group_size=None, **columns):

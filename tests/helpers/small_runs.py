@@ -17,14 +17,3 @@ def write_walks(path, *, n_people=30, seed=0):
         lines += [f"{at:.2f},w{person},{x:.4f},{y:.4f}" for at, (x, y) in zip(t, xy, strict=True)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
-
-
-def write_tracks(path, tracks):
-    """Write tracks as a file of one's own."""
-    rows = [
-        f"{t:.2f},{source},{x:.4f},{y:.4f}"
-        for source, track in zip(tracks.source, tracks, strict=True)
-        for t, (x, y) in zip(track.t, track.xy, strict=True)
-    ]
-    path.write_text("t,id,x,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    return path

@@ -1,0 +1,157 @@
+"""Tables of results in README and docs: written between marks, from committed summaries.
+
+A block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table NAME of `docs/results/RUN.csv`,
+which holds the rows of a run's `summary.csv` that these tables show, and of the smoke run all.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import pandas as pd
+
+from evaluation.analysis.families import families_in
+from evaluation.analysis.keys import AS_SHARED, INFORMED, ORACLE, Source
+from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, RECONSTRUCTION, SUCCESS, UTILITY
+from evaluation.reporting import summary_tables as levels
+from evaluation.reporting.markup import markdown
+from evaluation.reporting.rows import ENDS, by_level, telling
+from evaluation.reporting.table import Cell, Column, Table, amount, word
+from evaluation.runs.files import write_whole
+from isac_track.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from evaluation.analysis.families import Family
+    from evaluation.reporting.rows import Results
+
+_BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_REFERENCE: Final = "smoke"
+"""The preset whose numbers the tests hold a fresh run against."""
+_SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, "chance")
+_SMOOTHED: Final = tuple(Source(name, INFORMED) for name in ("kalman_rts", "radial_rts"))
+
+
+def _heading(known: Family, at: float | None) -> str:
+    rule = ", ind." if known.adding == "independent" else ""
+    return f"{known.name}{'' if at is None else f' {at:g}'}{rule}"
+
+
+def _linkage(summary: pd.DataFrame) -> Table:
+    """Return rank 1 of every informed linker, a column for each level."""
+    rows = summary[summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)]
+    known, found = families_in(rows), by_level(rows)
+    wheres = telling(found, known, controls=False)
+    of = {(where, row["consumer"], row["metric"]): row for where in wheres for row in found[where]}
+    records = []
+    for consumer in dict.fromkeys(consumer for _, consumer, _ in of):
+        task, _, linker = consumer.partition("/")
+        (chance, *_) = (
+            row["value"] for (_, *one), row in of.items() if one == [consumer, "chance"]
+        )
+        ranks = [of.get((where, consumer, SUCCESS)) for where in wheres]
+        records.append(
+            [word(task), word(f"{100 * chance:.1f}"), word(linker)]
+            + [amount(SUCCESS, *(row[end] for end in ENDS)) if row else Cell() for row in ranks]
+        )
+    columns = [Column("task", align="left"), Column("chance", "%"), Column("linker", align="left")]
+    columns += [Column(_heading(known[mechanism], at)) for mechanism, at in wheres]
+    return Table("linkage", "Rank 1 (%) of every linker; 95 % intervals", columns, records)
+
+
+DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
+    "sweep": lambda summary: levels.sweep_tables(summary)[0],
+    "exposure": levels.exposure_table,
+    "attacks": levels.attack_table,
+    "headline": partial(
+        levels.sources_table,
+        name="headline",
+        of=[
+            (Source("least_squares"), MISSED_RATE),
+            *((one, EXPOSURE) for one in (AS_SHARED, *_SMOOTHED)),
+        ],
+    ),
+    "filtering": partial(
+        levels.sources_table,
+        name="filtering",
+        of=[
+            (one, EXPOSURE)
+            for one in (
+                AS_SHARED,
+                Source("moving_average", INFORMED),
+                *_SMOOTHED,
+                Source("averaging", ORACLE),
+            )
+        ],
+    ),
+    "linkage": _linkage,
+}
+"""By the name in a block."""
+
+
+def published(run: Results) -> pd.DataFrame:
+    """Return the rows of a run's summary that go into `docs/results`."""
+    summary = run.summary
+    if run.manifest["settings"]["preset"] == _REFERENCE:
+        return summary
+    known = run.families
+    told = telling(by_level(summary), known, controls=False)
+    is_told = pd.MultiIndex.from_frame(summary[["mechanism", "level"]]).isin(
+        [(name, math.nan if at is None else at) for name, at in told]
+    )
+    is_control = summary["consumer"].str.contains("/control-")
+    return summary[summary["metric"].isin(_SHOWN) & ~is_control & is_told]
+
+
+def write_docs(run: Results, *, root: Path) -> list[Path]:
+    """Write what is shown of a run into `docs/results`, and all blocks anew; return what changed.
+
+    Parameters
+    ----------
+    run : Results
+    root : Path
+        With README.md and docs/.
+
+    Raises
+    ------
+    DataError
+        If there is no README.md, a block names what is not there, or a file cannot be written.
+    """
+    if not (root / "README.md").is_file():
+        raise DataError(f"{root} has no README.md: run this in the repository")
+    settings, results = run.manifest["settings"], root / "docs" / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    path = results / f"{run.dataset}-{settings['preset']}-{settings['seed']}.csv"
+    write_whole(path, published(run).to_csv(index=False).encode())
+    changed = [path]
+    for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
+        text = page.read_text(encoding="utf-8")
+        new = filled(text, results=results)
+        if new != text:
+            write_whole(page, new.encode())
+            changed.append(page)
+    return changed
+
+
+def filled(text: str, *, results: Path) -> str:
+    """Return a text with all of its blocks written anew.
+
+    Raises
+    ------
+    DataError
+        If a block names a table or a run that is not there.
+    """
+
+    def block(found: re.Match[str]) -> str:
+        start, name, run, end = found.groups()
+        path = results / f"{run}.csv"
+        if name not in DOCS or not path.is_file():
+            raise DataError(f"no table {name!r} of {path}; known: {', '.join(DOCS)}")
+        return f"{start}{markdown(DOCS[name](pd.read_csv(path, keep_default_na=True)))}{end}"
+
+    return _BLOCK.sub(block, text)
