@@ -38,7 +38,7 @@ from evaluation.reporting.answer_tables import (
     paper_table,
     short_tables,
 )
-from evaluation.reporting.docs import DOCS, filled, write_docs
+from evaluation.reporting.docs import DOCS, filled, published, write_docs
 from evaluation.reporting.linkage_tables import cells_table, doubt_table, rank_table
 from evaluation.reporting.markup import markdown
 from evaluation.reporting.rows import telling
@@ -522,7 +522,7 @@ def test_the_summary_and_the_blocks_are_written_and_written_again_the_same(root)
     path = root / "docs" / "results" / "students03-paper-3.csv"
     assert write_docs(run, root=root) == [path, root / "README.md"]
     text = (root / "README.md").read_text(encoding="utf-8")
-    expected = markdown(DOCS["sweep"](run.summary))
+    expected = markdown(DOCS["sweep"](published(run)))
     assert text == BLOCK.replace("old\n", expected)
     assert (root / "docs" / "other.md").read_text(encoding="utf-8") == "Nothing.\n"
     assert write_docs(run, root=root) == [path]
