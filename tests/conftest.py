@@ -13,6 +13,9 @@ from isac_track.rng import stream
 
 pytest_plugins = ["pytester"]  # for tests that strangers run, in this process
 
+LONG = {f"test_{name}" for name in ("plaza_smoke", "faults", "dask", "tutorial", "untrusted_names")}
+"""Files of tests that take a minute or nearly."""
+
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
@@ -24,7 +27,12 @@ def pytest_cmdline_main(config):
     option = config.option
     is_whole = config.args == config.getini("testpaths") and not config.getoption("usepdb")
     if is_whole and getattr(option, "numprocesses", 0) is None:
-        option.numprocesses, option.dist = 2, "loadfile"
+        option.numprocesses, option.dist, option.loadscopereorder = 2, "loadfile", False
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the files that take longest: one of them at the end leaves a process idle."""
+    items.sort(key=lambda item: item.path.stem not in LONG)
 
 
 # A shell that starts the tests in the background has them, and all that they start, ignore Ctrl-C.

@@ -90,11 +90,11 @@ class TestEveryFigure:
 
     @pytest.mark.slow  # test_untrusted_names.py compares two whole pages
     def test_drawn_twice_the_files_are_the_same_bytes(self, tmp_path):
-        first = draw_all(make_run(at=LINEAR), folder=tmp_path / "a")
+        first = draw_all(make_run(at=LINEAR), folder=tmp_path / "a", pdf=True)
         code = (
             "import sys; from pathlib import Path; sys.path[:0] = sys.argv[1:3]\n"
             "from test_levels import *\n"
-            "draw_all(make_run(at=LINEAR), folder=Path(sys.argv[3]))"
+            "draw_all(make_run(at=LINEAR), folder=Path(sys.argv[3]), pdf=True)"
         )
         (tmp_path / "matplotlibrc").write_text("font.size: 30\nsvg.fonttype: none\n")
         here = Path(__file__).parent
@@ -113,8 +113,10 @@ class TestEveryFigure:
         frame = make_summary([("fid", 1.0), ("fid", 10.0)], dataset=name, attacks=())
         frame = frame[frame["metric"] == "plr"]
         run = make_run(dataset=name, **emptied(make_run()) | {"summary": frame})
-        paths = draw_all(run, folder=tmp_path)
-        assert {path.stem for path in paths} == {"fid_threshold", "headline"}
+        paths = draw_all(run, folder=tmp_path, pdf=True)
+        assert {path.name for path in paths} == {
+            *("fid_threshold.pdf", "fid_threshold.svg", "headline.pdf", "headline.svg")
+        }
         for path in paths:
             if path.suffix == ".svg":
                 ET.parse(path)
