@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,15 +43,8 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     """
     t, offsets = ragged_times(t, offsets)
     xy = floats("xy", xy, (t.size, 2))
-    sizes = np.diff(offsets)
-    # Every sample but the first two of each track.
-    k = np.flatnonzero(np.arange(t.size) - np.repeat(offsets[:-1], sizes) >= _LEAST_SAMPLES - 1)
-    ratio = (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
-    error = xy[k] - xy[k - 1] - ratio[:, None] * (xy[k - 1] - xy[k - 2])
-    square = (error**2).sum(axis=1) / (1 + (1 + ratio) ** 2 + ratio**2)
-    track = np.repeat(np.arange(sizes.size), np.maximum(sizes - 2, 0))
-    total = np.bincount(track, weights=square, minlength=sizes.size)
-    variance = total / (2 * np.maximum(sizes - 2, 1))
-    variance[sizes < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
+    variance = np.empty(offsets.size - 1)
+    import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
+    variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
     found: Floats = np.maximum(variance, MIN_VARIANCE_M2)
     return found

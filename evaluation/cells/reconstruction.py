@@ -223,14 +223,18 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
         xy[sharing.samples_of(scenes.offsets, victims).rows] = found
         attacked[victims] = True
     rows = np.flatnonzero(attacked)
-    samples = sharing.samples_of(scenes.offsets, rows)
+    which: Ints | slice = slice(None)
+    offsets = scenes.offsets
+    if rows.size < attacked.size:
+        samples = sharing.samples_of(scenes.offsets, rows)
+        which, offsets = samples.rows, samples.offsets
     return {
         **track_columns(scenes, rows),
         **descriptors(
-            xy=xy[samples.rows],
-            truth=scenes.xy[samples.rows],
-            t=scenes.t[samples.rows],
-            offsets=samples.offsets,
+            xy=xy[which],
+            truth=scenes.xy[which],
+            t=scenes.t[which],
+            offsets=offsets,
             epsilon_m=level.block.stages.privacy.epsilon_m,
         ),
         **{name: values[rows] for name, values in level.benchmark.items()},

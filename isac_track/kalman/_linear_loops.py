@@ -144,6 +144,20 @@ def cv_last(
         log_likelihood[i] = -total - log(scale)
 
 
+@compiled(FLOATS1, FLOATS2, INTS1, OUT_FLOATS1)
+def innovation_level(t: Floats, xy: Floats, offsets: Ints, level: Floats) -> None:
+    """Mean of the scaled squared innovations of each track; see `isac_track.noise`."""
+    for i in range(offsets.size - 1):
+        first, end = offsets[i], offsets[i + 1]
+        total = 0.0
+        for k in range(first + 2, end):
+            ratio = (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
+            ex = xy[k, 0] - xy[k - 1, 0] - ratio * (xy[k - 1, 0] - xy[k - 2, 0])
+            ey = xy[k, 1] - xy[k - 1, 1] - ratio * (xy[k - 1, 1] - xy[k - 2, 1])
+            total += (ex * ex + ey * ey) / (1 + (1 + ratio) * (1 + ratio) + ratio * ratio)
+        level[i] = total / (2 * max(end - first - 2, 1))
+
+
 @part_of_loop
 def _orthogonal(dt: float, q: float, weight: Floats, rows: Floats, lower: Floats) -> None:
     """Factorise F P F' + Q = M D M' by modified weighted Gram-Schmidt, without a subtraction.
