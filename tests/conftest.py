@@ -26,7 +26,9 @@ def pytest_cmdline_main(config):
     """
     option = config.option
     is_whole = config.args == config.getini("testpaths") and not config.getoption("usepdb")
-    if is_whole and getattr(option, "numprocesses", 0) is None:
+    # One of the two would start two of its own, and these again.
+    is_one_of_them = "PYTEST_XDIST_WORKER" in os.environ
+    if is_whole and not is_one_of_them and getattr(option, "numprocesses", 0) is None:
         option.numprocesses, option.dist, option.loadscopereorder = 2, "loadfile", False
 
 
