@@ -87,7 +87,7 @@ def _fuzz(format_name: str, arguments: list[str]) -> None:
 
     with atheris.instrument_imports(include=["isac_track.datasets"]):
         from isac_track import datasets  # noqa: PLC0415 - instrumented here
-    from isac_track.errors import IsacTrackError  # noqa: PLC0415
+    from isac_track.errors import IsacTrackError  # noqa: PLC0415 - after the above
 
     warnings.simplefilter("error")
     file = Path(arguments[0]).with_name("file")

@@ -24,7 +24,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands fo
     # Lazy: `python -m evaluation.matrix --help` must not wait for pandas.
     if name not in __all__:
         raise AttributeError(f"module 'evaluation' has no attribute {name!r}")
-    from importlib import import_module  # noqa: PLC0415
+    from importlib import import_module  # noqa: PLC0415 - as above
 
     home = "experiment.settings" if name == "Settings" else "results"
     return getattr(import_module(f"evaluation.{home}"), name)

@@ -192,7 +192,7 @@ def _crowd(trait_strength: float) -> tuple[Tracks, Tracks]:
     if trait_strength == 1.0:
         return load("plaza").tracks, load("plaza-session2").tracks
     from isac_track.datasets.crowd import BUNDLED_SEED, generate  # noqa: PLC0415 - seldom needed
-    from isac_track.datasets.crowd.plan import CrowdSettings  # noqa: PLC0415
+    from isac_track.datasets.crowd.plan import CrowdSettings  # noqa: PLC0415 - as above
 
     crowd = CrowdSettings(trait_strength=trait_strength)
     first, second = (generate(crowd, seed=BUNDLED_SEED, session=number) for number in (1, 2))

@@ -124,7 +124,7 @@ def claims(
     if dataset == DATASET:
         points, interval_s = history["points"], history["interval_s"]
         is_long = abs(points - 366) <= 4  # noqa: PLR2004 - stated with the rules
-        is_even = 0.083 <= round(interval_s, 4) <= 0.084  # noqa: PLR2004
+        is_even = 0.083 <= round(interval_s, 4) <= 0.084  # noqa: PLR2004 - as above
         rows.append(
             (
                 *("", "history of about 366 points at 0.083 s"),

@@ -129,7 +129,7 @@ def interpolated(at: Floats, change: Floats, values: Floats, *, log: bool) -> Fl
     n_rows = min(change.shape[0], values.shape[0])
     x, y = change[:n_rows, ::-1], values[:n_rows, ::-1]
     y = np.log(np.maximum(y, _SMALLEST)) if log else y
-    wanted = np.broadcast_to(at if at.ndim == 2 else at[None], (n_rows, at.shape[-1]))  # noqa: PLR2004
+    wanted = np.broadcast_to(np.atleast_2d(at), (n_rows, at.shape[-1]))
     # Rounding must not put the end of a curve out of its own reach.
     wanted = np.maximum(wanted - _ROUNDING, 0.0)
     right = (x[:, :, None] < wanted[:, None, :]).sum(axis=1)

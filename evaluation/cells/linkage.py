@@ -45,8 +45,8 @@ class _Sides:
     def of(self, pairing: Pairing) -> tuple[Release, Release]:
         """Return the windows of a pairing, the same ones every time."""
         if id(pairing) not in self.found:
-            probe = sharing.tracks_of(self.probe, pairing.probe)
-            self.found[id(pairing)] = probe, sharing.tracks_of(self.gallery, pairing.gallery)
+            probe = self.probe.tracks(pairing.probe)
+            self.found[id(pairing)] = probe, self.gallery.tracks(pairing.gallery)
         return self.found[id(pairing)]
 
 
@@ -177,7 +177,7 @@ def _smoothed(
         truth = windows.xy[samples.rows]
         if known.frames:
             truth = known.frames[0].of(np.repeat(rows, np.diff(samples.offsets))).points(truth)
-        train = TrainingSet(sharing.copied(sharing.tracks_of(shown[0], rows)), truth)
+        train = TrainingSet(sharing.copied(shown[0].tracks(rows)), truth)
     context = AttackContext(
         rng=stream(known.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
         epsilon_m=known.epsilon_m,

@@ -174,7 +174,7 @@ def attacked_level(
             shared = sharing.share(mechanism, sensed, "training", fold, seed=seed)
             truth_m = sharing.restricted(walks, sharing.samples_shared(shared, sensed)).xy
         rows = np.flatnonzero(block.half == fold)
-        own = sharing.tracks_of(release, rows) if rows.size else None
+        own = release.tracks(rows) if rows.size else None
         for what in {consumer.granted & SHOWS for consumer in consumers}:
             if own is not None:
                 rng = stream(seed, "frames", *key, fold)
@@ -270,7 +270,7 @@ def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, 
                 own, shown, frame = level.views[fold, consumer.granted & SHOWS]
                 given = shown
             else:
-                own = sharing.tracks_of(level.release, victims)
+                own = level.release.tracks(victims)
                 rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
                 shown, frame = view_of(own, granted=granted, rng=rng)
                 # A stranger may unlock arrays: what it writes to is its own.
@@ -303,7 +303,7 @@ def _context(
     repeats, seed = [], level.block.seed
     for number, release in enumerate(level.again if Knowledge.REPEATS in granted else ()):
         rng = stream(seed, "frames", *level.key, fold, "again", number)
-        repeats.append(view_of(sharing.tracks_of(release, victims), granted=granted, rng=rng)[0])
+        repeats.append(view_of(release.tracks(victims), granted=granted, rng=rng)[0])
     return AttackContext(
         rng=stream(seed, "attacks", consumer.spec, consumer.knowledge, *level.key, fold),
         epsilon_m=level.block.stages.privacy.epsilon_m,

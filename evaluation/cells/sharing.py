@@ -16,7 +16,7 @@ from attacks.tasks.sessions import Windows
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
 from isac_track.errors import PluginError, told
 from isac_track.rng import stream
-from isac_track.types import SHARED_LIMIT_M, Knowledge, Release, Scenes, Sensed, within
+from isac_track.types import SHARED_LIMIT_M, Knowledge, Release, Scenes, Sensed, stretches, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -129,29 +129,19 @@ def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
 
 def samples_of(offsets: Ints, tracks: Ints) -> Samples:
     """Return the samples of some tracks, one after the other: rows, (n,), of those at `offsets`."""
-    sizes = np.diff(offsets)[tracks]
-    among = np.concatenate([[0], np.cumsum(sizes)])
-    return Samples(np.repeat(offsets[tracks] - among[:-1], sizes) + np.arange(among[-1]), among)
+    return Samples(*stretches(offsets[tracks], np.diff(offsets)[tracks]))
 
 
 def restricted(batch: _Batch, to: Samples | None) -> _Batch:
     """Return a batch with some of the samples of each of its tracks; None: with all."""
-    return batch if to is None else _with_samples(batch, to)
-
-
-def tracks_of(release: Release, tracks: Ints) -> Release:
-    """Return some tracks of a release."""
-    names = tuple(release.pseudonym[row] for row in tracks)
-    return _with_samples(release, samples_of(release.offsets, tracks), pseudonym=names)
-
-
-def _with_samples(batch: _Batch, to: Samples, **others: Any) -> _Batch:  # noqa: ANN401 - per track
+    if to is None:
+        return batch
     samples = {
         name: values.take(to.rows, axis=0)
         for name in _PER_SAMPLE
         if (values := getattr(batch, name, None)) is not None
     }
-    return replace(batch, offsets=to.offsets, **samples, **others)
+    return replace(batch, offsets=to.offsets, **samples)
 
 
 def release_digest(*releases: Release) -> bytes:

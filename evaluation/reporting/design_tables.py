@@ -89,7 +89,7 @@ def answer_tables(choice: Choice) -> list[Table]:
     rows: list[_Row] = [("", "raw", "", choice.raw)] if choice.raw else []
     for scheme in choice.schemes:
         at = "none" if scheme.chosen is None else level_text(scheme.chosen.level)
-        rows.append((f"{scheme.adding} adding", scheme.name, at, scheme.chosen))
+        rows.append((scheme.adding, scheme.name, at, scheme.chosen))
     keys = [*(said(name, itemgetter(place)) for place, name in enumerate(("adding", "")))]
     keys.append((Column("level"), lambda row: word(row[2])))
 

@@ -23,6 +23,8 @@ class TestExitCode:
         assert said.startswith(
             "Yes: with fid eta = 100 (linear) and fid eta = 100 (independent) at most 23 % of the"
         )
+        assert " linear adding " in said
+        assert "adding adding" not in said
 
     def test_is_1_if_one_rule_fails_and_0_if_it_is_not_asked_about(self, made, capsys):
         out = made(USUAL | {"fid": {1.0: 0.4, 1000.0: 0.3}})
