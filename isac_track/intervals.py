@@ -169,4 +169,5 @@ def percentile_intervals(replicates: Floats) -> Floats:
     a, b = ordered[rows, below], ordered[rows, np.minimum(below + 1, last)]
     part, step = place - below, b - a
     # From the nearer of the two, as numpy does it.
-    return np.where(part < 0.5, a + step * part, b - step * (1.0 - part))  # noqa: PLR2004
+    ends: Floats = np.where(part < 0.5, a + step * part, b - step * (1.0 - part))  # noqa: PLR2004
+    return ends

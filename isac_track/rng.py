@@ -30,7 +30,7 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
         raise ValueError(f"the seed must not be negative, got {seed}")
     if not names:
         raise ValueError("a stream needs a name: stream(seed, stage, ...)")
-    parts = []
+    parts: list[bytes] = []
     for name in names:
         # int() folds numpy integers; a bool would silently be 0 or 1 and is not a name.
         text = f"s{name}" if isinstance(name, str) else f"i{int(name)}"

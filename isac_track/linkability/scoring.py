@@ -398,7 +398,9 @@ def _score_scale(
 ) -> _Scale:
     """Return the score metrics of one scale."""
     searches = tuple(
-        tuple(each.astype(np.int64).tobytes() for each in (s.mate, s.probe_cluster, s.gallery_cluster))
+        tuple(
+            each.astype(np.int64).tobytes() for each in (s.mate, s.probe_cluster, s.gallery_cluster)
+        )
         for s in (trial.search for trial in trials)
     )
     cell = np.concatenate([trial.cell.ravel() for trial in trials])
