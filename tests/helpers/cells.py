@@ -1,6 +1,7 @@
 """Cells of made-up people, from the parts that a run computes them of, and attacks that watch."""
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -107,10 +108,17 @@ class World:
                 yield by, one, arrays(tables, tracks=self.tracks)
 
 
+@lru_cache(maxsize=8)
 def sessions_of(task, *, tracks=None, seed=0):
     """The sessions of a task of walkers."""
     crowd = tracks or walkers()
     return build.sessions_of(TASKS[task], tracks=crowd, stages=STAGES, seed=seed)
+
+
+@lru_cache(maxsize=8)
+def _sensed(sessions, seed):
+    groups = sorted(set(sessions.group))
+    return sensed_sessions(sessions, groups=groups, stages=STAGES, seed=seed)
 
 
 def linked(sessions, by, *links, controls=False, seed=0):
@@ -119,9 +127,7 @@ def linked(sessions, by, *links, controls=False, seed=0):
     Also the level, and the controls of all levels. A link is one, or what `parsed` takes.
     """
     task = sessions.task
-    groups = sorted(set(sessions.group))
-    whole = sensed_sessions(sessions, groups=groups, stages=STAGES, seed=seed)
-    level = linked_level(parsed("mechanisms", by), whole)
+    level = linked_level(parsed("mechanisms", by), _sensed(sessions, seed))
     links = [one if isinstance(one, Link) else Link(parsed("attacks", one, "spy")) for one in links]
     crossed = Axes((), (), (), links=tuple((task, one) for one in links))
     wanted = ("linkage", "control") if controls else ("linkage",)

@@ -112,52 +112,6 @@ def d_sys(mated, non_mated, edges):
     return total
 
 
-def mated_by_size(search):
-    """Lists of mated probes, cluster by cluster, by the size of the cluster."""
-    members = {}
-    for cluster, probe in sorted(zip(search.probe_cluster, range(search.mate.size), strict=True)):
-        if search.mate[probe] >= 0:
-            members.setdefault(cluster, []).append(probe)
-    by_size = {}
-    for probes in members.values():
-        by_size.setdefault(len(probes), []).append(probes)
-    return by_size
-
-
-def swap_from(sequence, k, draws):
-    """One step of Fisher and Yates; the last place has no choice."""
-    if k < len(sequence) - 1:
-        other = k + int(next(draws) * (len(sequence) - k))
-        sequence[k], sequence[other] = sequence[other], sequence[k]
-
-
-def shuffled_mates(search, *, rng, n):
-    """Mates of n shuffles, each starting where the last one ended.
-
-    Size by size, each cluster changes place with one that is not yet placed, then its members do.
-    Clusters of one are members of one cluster.
-    """
-    by_size = mated_by_size(search)
-    n_drawn = sum(size * len(clusters) - 1 for size, clusters in by_size.items())
-    if 1 in by_size:
-        by_size[1] = [[probe for (probe,) in by_size[1]]]
-    columns = {
-        size: [search.mate[probes].tolist() for probes in clusters]
-        for size, clusters in by_size.items()
-    }
-    mates = np.full((n, search.mate.size), -1)
-    for row, uniform in zip(mates, rng.random((n, n_drawn)), strict=True):
-        draws = iter(uniform)
-        for size in sorted(columns):
-            for c in range(len(columns[size])):
-                swap_from(columns[size], c, draws)
-                for k in range(len(columns[size][c])):
-                    swap_from(columns[size][c], k, draws)
-            for probes, drawn in zip(by_size[size], columns[size], strict=True):
-                row[probes] = drawn
-    return mates
-
-
 def possible_mates(search):
     """All mates that the null allows: of all permutations those that keep clusters together."""
     probes = np.flatnonzero(search.mate >= 0)

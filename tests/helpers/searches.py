@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from isac_track.intervals import cluster_weights
-from isac_track.linkability import (
-    Calibration,
-    Search,
-    scorecard,
-)
+from isac_track.linkability import Calibration, Search, scorecard
 from isac_track.rng import stream
 
 CALIBRATION = {0: Calibration(1.0, -0.3), 1: Calibration(0.5, 0.1)}
@@ -32,13 +28,13 @@ def gaussian(rng, n, d, *, decimals=None, scale=0, first_cluster=0):
 
 
 def card(searches, *, n_clusters, n_replicates=20, seed=0, **options):
-    return scorecard(
-        searches,
-        weights=cluster_weights(n_clusters=n_clusters, n_replicates=n_replicates, seed=seed),
-        calibration=options.get("calibration"),
-        no_match_score=options.get("no_match_score"),
-        rng=options.get("rng", stream(seed, "test", "card")),
-    )
+    usual = {
+        "weights": cluster_weights(n_clusters=n_clusters, n_replicates=n_replicates, seed=seed),
+        "calibration": None,
+        "no_match_score": None,
+        "rng": stream(seed, "test", "card"),
+    }
+    return scorecard(searches, **usual | options)
 
 
 def random_searches(rng, decimals):

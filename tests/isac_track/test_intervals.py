@@ -7,13 +7,16 @@ import pytest
 from scipy.stats import binomtest
 
 from isac_track.intervals import (
+    CONFIDENCE,
     Estimate,
     cluster_sums,
     cluster_weights,
     difference,
     estimate_of,
     percentile_interval,
+    percentile_intervals,
     ratio_estimate,
+    ratio_estimates,
     wilson,
 )
 from isac_track.rng import stream
@@ -32,10 +35,13 @@ def test_wilson_refuses_what_is_no_share(hits, n):
 
 
 def test_weights_draw_as_many_clusters_as_there_are_and_depend_on_the_seed_alone():
-    weights = cluster_weights(n_clusters=7, n_replicates=50, seed=3)
+    options = {"n_clusters": 7, "n_replicates": 20_000}
+    weights = cluster_weights(**options, seed=3)
     assert (weights.sum(axis=1) == 7).all()
-    assert np.array_equal(weights, cluster_weights(n_clusters=7, n_replicates=50, seed=3))
-    assert not np.array_equal(weights, cluster_weights(n_clusters=7, n_replicates=50, seed=4))
+    # Seven draws with replacement; the error of the covariances is below 0.01.
+    assert np.allclose(np.cov(weights.T), np.eye(7) - 1 / 7, atol=0.05)
+    assert np.array_equal(weights, cluster_weights(**options, seed=3))
+    assert not np.array_equal(weights, cluster_weights(**options, seed=4))
 
 
 def test_sums_and_a_ratio_by_hand():
@@ -48,17 +54,6 @@ def test_sums_and_a_ratio_by_hand():
     assert estimate.value == pytest.approx(4 / 6)
     assert estimate.replicates.tolist() == pytest.approx([0.5, 0.75, 4 / 6])
     assert estimate.n == 2
-
-
-def test_the_bootstrap_error_of_a_mean_is_the_closed_form():
-    values = stream(0, "test", "mean").standard_normal(80)
-    estimate = ratio_estimate(
-        numerator=values,
-        denominator=np.ones(80),
-        weights=cluster_weights(n_clusters=80, n_replicates=20_000, seed=0),
-    )
-    # Resampling n values with replacement: variance (1/n) * population variance.
-    assert estimate.replicates.std() == pytest.approx(values.std() / np.sqrt(80), rel=0.02)
 
 
 def test_a_share_of_zero_takes_wilson_over_clusters_and_not_a_point():
@@ -85,9 +80,53 @@ def test_too_few_clusters_have_no_interval():
     assert none.n == 0
 
 
-def test_percentiles_leave_empty_replicates_out():
-    assert percentile_interval(np.array([np.nan, 1.0, 1.0])) == (1.0, 1.0)
-    assert np.isnan(percentile_interval(np.full(3, np.nan))).all()
+ENDS = [(1.0 - CONFIDENCE) / 2.0, 1.0 - (1.0 - CONFIDENCE) / 2.0]
+
+
+@pytest.mark.parametrize("n_replicates", [1, 2, 3, 40, 41, 400, 1000])
+def test_percentiles_of_many_rows_are_numpys_to_the_last_bit(n_replicates):
+    rng = stream(1, "test", "percentiles", n_replicates)
+    rows = rng.standard_normal((40, n_replicates)) * 10.0 ** rng.integers(-9, 9, (40, 1))
+    rows[10:20] = rows[10:20].round(0)  # ties
+    rows[20:, :] = np.where(rng.random((20, n_replicates)) < 0.3, np.nan, rows[20:])
+    rows[-1] = np.nan
+    rows[-2, 1:] = np.nan
+    found = percentile_intervals(rows)
+    for row, ends in zip(rows, found.T, strict=True):
+        there = row[~np.isnan(row)]
+        expected = np.quantile(there, ENDS) if there.size else [np.nan, np.nan]
+        np.testing.assert_array_equal(ends, expected)
+        np.testing.assert_array_equal(percentile_interval(row), expected)
+
+
+def test_no_replicates_have_no_percentiles():
+    assert percentile_intervals(np.zeros((0, 5))).shape == (2, 0)
+    assert np.isnan(percentile_intervals(np.zeros((3, 0)))).all()
+
+
+def test_many_ratios_are_each_by_itself():
+    rng = stream(2, "test", "ratios")
+    weights = cluster_weights(n_clusters=6, n_replicates=30, seed=0)
+    denominator = rng.integers(0, 3, (7, 6)).astype(float)
+    numerator = denominator * rng.random((7, 6))
+    # A share of one and of none, a cluster alone, nothing; and no share, though it is one.
+    numerator[:2], denominator[2, 1:], denominator[3] = denominator[:2] * [[1], [0]], 0.0, 0.0
+    numerator[2:4] *= denominator[2:4] > 0
+    numerator[4] = denominator[4]
+    is_share = [True, True, True, True, False, True, False]
+    found = ratio_estimates(
+        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
+    )
+    for row, one in enumerate(found):
+        alone = ratio_estimate(
+            numerator=numerator[row],
+            denominator=denominator[row],
+            weights=weights,
+            is_share=is_share[row],
+        )
+        for name in ("value", "ci_low", "ci_high", "n", "replicates"):
+            expected = getattr(alone, name)
+            np.testing.assert_allclose(getattr(one, name), expected, rtol=1e-12, err_msg=name)
 
 
 def test_the_clustered_interval_covers_and_the_naive_one_does_not():

@@ -86,12 +86,15 @@ def test_information_follows_the_budget():
     assert info(processing_gain_db=more_db) / info() == pytest.approx(10**0.3)
 
 
-def test_information_has_a_floor_where_sigma_meets_its_cap():
+def test_sigma_is_the_bound_times_the_gap_up_to_the_cap_at_which_information_has_its_floor():
     settings = SensingSettings()
-    strong, weak = information(gain=np.array([1e-11, 1e-30]), settings=settings)
-    sigma = sigma_from_information(information=np.array([strong, weak]), settings=settings)
-    assert sigma[0] < settings.sigma_cap_m
-    assert sigma[1] == pytest.approx(settings.sigma_cap_m)
+    found = information(gain=np.array([1e-11, 1e-30]), settings=settings)
+    strong, weak = sigma_from_information(information=found, settings=settings)
+    assert strong < settings.sigma_cap_m
+    assert weak == pytest.approx(settings.sigma_cap_m)
+    settings = replace(settings, crb_gap_db=20 * np.log10(4.9))
+    sigma = sigma_from_information(information=np.array([100.0, 24.01]), settings=settings)
+    assert sigma.tolist() == pytest.approx([0.49, 1.0])
 
 
 def test_information_per_snr_is_the_curvature_of_the_likelihood():
@@ -102,12 +105,6 @@ def test_information_per_snr_is_the_curvature_of_the_likelihood():
     per_delay = 2 * (2 * np.pi) ** 2 * mean_square_bandwidth  # 2 E/N0 (2 pi)^2 <f^2> at SNR 1
     per_range = per_delay * (2 / 299_792_458.0) ** 2
     assert range_information_per_snr(bandwidth_mhz=100.0) == pytest.approx(per_range, rel=1e-6)
-
-
-def test_sigma_is_the_bound_times_the_gap():
-    settings = replace(SensingSettings(), crb_gap_db=20 * np.log10(4.9))
-    sigma = sigma_from_information(information=np.array([100.0, 24.01]), settings=settings)
-    assert sigma.tolist() == pytest.approx([0.49, 1.0])
 
 
 def test_channel_draws_have_their_laws():
@@ -124,18 +121,13 @@ def test_channel_draws_have_their_laws():
     assert ((channel.path_delay >= 0) & (channel.path_delay < 1)).all()
 
 
-def test_a_scene_draws_alike_whichever_others_there_are():
-    both, alone = draw((1, 2)), draw((2,))
-    assert np.array_equal(both.large_scale[2:], alone.large_scale)
-    assert np.array_equal(both.unit_error[7:], alone.unit_error)
-    assert not np.array_equal(both.unit_error[:7], alone.unit_error)
-
-
-def test_another_number_of_paths_leaves_the_other_draws_alone():
-    four, two = draw(n_paths=4), draw(n_paths=2)
-    for name in ("large_scale", "beam", "unit_error"):
-        assert np.array_equal(getattr(four, name), getattr(two, name))
-    assert four.path_power.shape != two.path_power.shape
+def test_a_scene_draws_alike_whichever_others_there_are_and_however_many_paths():
+    both, alone, two = draw((1, 2)), draw((2,)), draw((2,), n_paths=2)
+    assert two.path_power.shape != alone.path_power.shape
+    for name, first in (("large_scale", 2), ("beam", 7), ("unit_error", 7)):
+        assert np.array_equal(getattr(both, name)[first:], getattr(alone, name))
+        assert np.array_equal(getattr(two, name), getattr(alone, name))
+    assert not np.array_equal(both.unit_error[:7], both.unit_error[7:])
 
 
 def test_sensing_adds_the_unit_error_scaled():

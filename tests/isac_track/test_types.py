@@ -13,6 +13,7 @@ from isac_track.types import (
     Scenes,
     Sensed,
     Tracks,
+    derived,
     within,
 )
 
@@ -51,30 +52,28 @@ scenes = maker(  # three agents in one scene, two steps
     conflict=np.array([True]),
     exhausted=np.zeros(1, dtype=int),
 )
-RAGGED = pytest.mark.parametrize("make", [tracks, sensed, release])
-MADE = pytest.mark.parametrize("make", [tracks, sensed, release, scenes])
+RAGGED = (tracks, sensed, release)
+MADE = (*RAGGED, scenes)
 
 
-@RAGGED
-def test_length_indexing_and_iteration_agree(make):
+@pytest.mark.parametrize("make", RAGGED)
+def test_length_indexing_and_iteration_agree_on_views_of_each_track(make):
     batch = make()
+    names = [item.name for item in fields(batch) if item.metadata.get("per") == "sample"]
     assert len(batch) == 3
     assert [len(one) for one in batch] == [1, 1, 1]
     assert [one.t.tolist() for one in batch] == [[0.0, 0.1, 0.3], [5.0], [0.0, 2.0]]
     assert [one.offsets.tolist() for one in batch] == [[0, 3], [0, 1], [0, 2]]
     np.testing.assert_array_equal(batch[1].xy, XY[3:4])
-    np.testing.assert_array_equal(batch[-1].xy, batch[2].xy)
-    np.testing.assert_array_equal(batch[-3].xy, batch[0].xy)
-
-
-@RAGGED
-def test_one_track_is_a_view_of_the_batch(make):
-    batch = make()
-    names = [item.name for item in fields(batch) if item.metadata.get("per") == "sample"]
-    for one in batch:
+    for row, one in enumerate(batch):
         for name in names:
-            assert np.shares_memory(getattr(one, name), getattr(batch, name)), name
-            assert not getattr(one, name).flags.writeable
+            of_one = getattr(one, name)
+            np.testing.assert_array_equal(of_one, getattr(batch[row - 3], name))
+            assert np.shares_memory(of_one, getattr(batch, name)), name
+            assert not of_one.flags.writeable
+    for index in (3, -4):
+        with pytest.raises(IndexError, match=f"track {index} of 3"):
+            batch[index]
 
 
 def test_one_track_keeps_its_names_and_law():
@@ -84,117 +83,97 @@ def test_one_track_keeps_its_names_and_law():
     assert sensed(law="isotropic")[0].law == "isotropic"
 
 
-@RAGGED
-@pytest.mark.parametrize("index", [3, -4])
-def test_an_index_beyond_the_last_track_is_an_error(make, index):
-    with pytest.raises(IndexError, match=f"track {index} of 3"):
-        make()[index]
-
-
-@MADE
-def test_no_copy_is_made_and_the_callers_array_stays_writeable(make):
-    mine = T.copy()
-    batch = make(t=mine)
-    assert np.shares_memory(batch.t, mine)
-    assert mine.flags.writeable
-
-
-@MADE
-def test_arrays_are_read_only_and_fields_frozen(make):
-    batch = make()
-    for item in fields(batch):
-        value = getattr(batch, item.name)
+def assert_read_only(container):
+    for item in fields(container):
+        value = getattr(container, item.name)
         if isinstance(value, np.ndarray):
             with pytest.raises(ValueError, match="read-only"):
                 value[0] = value[0]
+
+
+@pytest.mark.parametrize("make", MADE)
+def test_arrays_are_read_only_no_copies_and_fields_frozen(make):
+    mine = T.copy()
+    batch = make(t=mine)
+    assert np.shares_memory(batch.t, mine)
+    assert mine.flags.writeable  # what the caller holds stays theirs to write
+    assert_read_only(batch)
     with pytest.raises(FrozenInstanceError):
         batch.t = T
+    integers = make(xy=[[1, 2]] * 6)
+    assert integers.xy.dtype == np.float64
+    assert integers.offsets.dtype == np.int64
 
 
-@RAGGED
-def test_lists_and_integers_become_float_arrays(make):
-    batch = make(xy=[[1, 2]] * 6)
-    assert batch.xy.dtype == np.float64
-    assert batch.offsets.dtype == np.int64
+@pytest.mark.parametrize("make", MADE)
+def test_what_is_derived_is_read_only_and_else_the_same_objects(make):
+    batch, later = make(), T + 1.0
+    new = derived(batch, t=later)
+    assert type(new) is type(batch)
+    assert np.shares_memory(new.t, later)
+    assert later.flags.writeable
+    assert_read_only(new)
+    for item in fields(batch):
+        assert (getattr(new, item.name) is getattr(batch, item.name)) == (item.name != "t")
+    assert batch.t.tolist() == T.tolist()
+    assert derived(Prediction(np.zeros((1, 1, 2)), np.zeros((1, 1, 2, 2))), cov=None).cov is None
 
 
-@MADE
-@pytest.mark.parametrize(
-    ("offsets", "message"),
-    [
-        ([0, 3, 4], "offsets must run from 0 to 6"),
-        ([1, 3, 6], "offsets must run from 0 to 6"),
-        ([], "offsets must hold integers"),
-        (np.array([], dtype=int), "offsets must run from 0 to 6"),
-        ([0, 3, 3, 6], "at least one sample"),
-        ([0, 4, 3, 6], "at least one sample"),
-        ([0.0, 3.0, 4.0, 6.0], "offsets must hold integers"),
-        ([[0, 3, 4, 6]], "offsets must have 1 dimension"),
-    ],
-)
-def test_wrong_offsets_are_rejected(make, offsets, message):
-    with pytest.raises(ValueError, match=message):
-        make(offsets=np.asarray(offsets))
+REFUSED = [
+    *(
+        (MADE, {"offsets": np.asarray(offsets)}, message)
+        for offsets, message in (
+            ([0, 3, 4], "offsets must run from 0 to 6"),
+            ([1, 3, 6], "offsets must run from 0 to 6"),
+            ([], "offsets must hold integers"),
+            (np.array([], dtype=int), "offsets must run from 0 to 6"),
+            ([0, 3, 3, 6], "at least one sample"),
+            ([0, 4, 3, 6], "at least one sample"),
+            ([0.0, 3.0, 4.0, 6.0], "offsets must hold integers"),
+            ([[0, 3, 4, 6]], "offsets must have 1 dimension"),
+        )
+    ),
+    *(
+        (MADE, {"t": np.array(times)}, "strictly increasing within a track")
+        for times in (
+            [0.0, 0.1, 0.1, 5.0, 0.0, 2.0],  # repeated
+            [0.0, 0.1, 0.05, 5.0, 0.0, 2.0],  # backwards
+            [-np.inf, 0.1, 0.3, 5.0, 0.0, 2.0],
+            [0.0, 0.1, 0.3, np.nan, 0.0, 2.0],  # the only sample of its track
+            [0.0, 0.1, 0.3, 5.0, 0.0, np.inf],
+        )
+    ),
+    (MADE, {"t": T[:, None]}, "t must have 1 dimension"),
+    (RAGGED, {"xy": XY[:5]}, r"xy must have shape \(6, 2\)"),
+    (RAGGED, {"xy": np.zeros((6, 3))}, r"xy must have shape \(6, 2\)"),
+    (MADE, {"xy": np.zeros(6)}, "xy must have 2 dimension"),
+    (RAGGED, {"xy": np.where(XY == 4, np.nan, XY)}, "a position is not finite"),
+    (RAGGED, {"xy": np.where(XY == 4, np.inf, XY)}, "a position is not finite"),
+    ([tracks], {"source": ("a", "b")}, "source must name 3 tracks, got 2"),
+    ([tracks], {"group": ("a", "b", "c", "d")}, "group must name 3 tracks, got 4"),
+    ([tracks], {"source": ("a", "b", "a")}, "source ids must be unique"),
+    ([release], {"pseudonym": ("a",)}, "pseudonym must name 3 tracks, got 1"),
+    ([release], {"sigma": np.ones(5)}, r"sigma must have shape \(6,\)"),
+    *(
+        ([sensed], {name: np.ones(4)}, f"{name} must have")
+        for name in ("unit_error", "sigma_raw", "information", "fid")
+    ),
+    *(
+        ([sensed], {"sigma_raw": np.r_[np.ones(5), wrong]}, "sigma_raw must not be negative or N")
+        for wrong in (-1e-9, np.nan)
+    ),
+    ([scenes], {"index": np.arange(2)}, "do not fill"),
+    ([scenes], {"index": np.array([], dtype=int)}, "do not fill"),
+]
 
 
-@MADE
-@pytest.mark.parametrize(
-    "times",
-    [
-        [0.0, 0.1, 0.1, 5.0, 0.0, 2.0],  # repeated
-        [0.0, 0.1, 0.05, 5.0, 0.0, 2.0],  # backwards
-        [-np.inf, 0.1, 0.3, 5.0, 0.0, 2.0],
-        [0.0, 0.1, 0.3, np.nan, 0.0, 2.0],  # the only sample of its track
-        [0.0, 0.1, 0.3, 5.0, 0.0, np.inf],
-    ],
-)
-def test_times_must_be_finite_and_rise_within_a_track(make, times):
-    with pytest.raises(ValueError, match="strictly increasing within a track"):
-        make(t=np.array(times))
-
-
-@RAGGED
-@pytest.mark.parametrize(
-    ("xy", "message"),
-    [
-        (XY[:5], r"xy must have shape \(6, 2\)"),
-        (np.zeros((6, 3)), r"xy must have shape \(6, 2\)"),
-        (np.zeros(6), "xy must have 2 dimension"),
-        (np.where(XY == 4, np.nan, XY), "a position is not finite"),
-        (np.where(XY == 4, np.inf, XY), "a position is not finite"),
-    ],
-)
-def test_wrong_positions_are_rejected(make, xy, message):
-    with pytest.raises(ValueError, match=message):
-        make(xy=xy)
-
-
-@pytest.mark.parametrize(
-    ("make", "changes", "message"),
-    [
-        (tracks, {"t": T[:, None]}, "t must have 1 dimension"),
-        (tracks, {"source": ("a", "b")}, "source must name 3 tracks, got 2"),
-        (tracks, {"group": ("a", "b", "c", "d")}, "group must name 3 tracks, got 4"),
-        (tracks, {"source": ("a", "b", "a")}, "source ids must be unique"),
-        (release, {"pseudonym": ("a",)}, "pseudonym must name 3 tracks, got 1"),
-        (release, {"sigma": np.ones(5)}, r"sigma must have shape \(6,\)"),
-        *(
-            (sensed, {name: np.ones(4)}, f"{name} must have")
-            for name in ("unit_error", "sigma_raw", "information", "fid")
-        ),
-        *(
-            (sensed, {"sigma_raw": np.r_[np.ones(5), wrong]}, "sigma_raw must not be negative or N")
-            for wrong in (-1e-9, np.nan)
-        ),
-        (scenes, {"index": np.arange(2)}, "do not fill"),
-        (scenes, {"index": np.array([], dtype=int)}, "do not fill"),
-    ],
-)
-def test_what_does_not_fit_is_refused(make, changes, message):
-    with pytest.raises(ValueError, match=message):
-        make(**changes)
-    with pytest.raises(ValueError, match=message):
-        replace(make(), **changes)
+@pytest.mark.parametrize(("kinds", "changes", "message"), REFUSED)
+def test_what_does_not_fit_is_refused(kinds, changes, message):
+    for make in kinds:
+        with pytest.raises(ValueError, match=message):
+            make(**changes)
+        with pytest.raises(ValueError, match=message):
+            replace(make(), **changes)
 
 
 def test_a_single_sample_may_have_an_unbounded_density():
@@ -215,37 +194,11 @@ def test_scenes_count_their_agents():
     assert (len(scenes()), scenes().n_agents) == (1, 3)
 
 
-def test_a_prediction_needs_no_covariance():
-    mean = np.zeros((2, 3, 2))
-    assert Prediction(mean=mean).cov is None
-    assert Prediction(mean=mean, cov=np.zeros((2, 3, 2, 2))).cov.shape == (2, 3, 2, 2)
-
-
 def covariances(*one):
-    """A prediction of 2 tracks and 3 steps; one step of one track has this covariance."""
+    """Covariances of 2 tracks and 3 steps; one step of one track has this one."""
     cov = np.tile(np.eye(2), (2, 3, 1, 1))
     cov[1, 2] = np.reshape(one, (2, 2))
-    return Prediction(mean=np.zeros((2, 3, 2)), cov=cov)
-
-
-@pytest.mark.parametrize(
-    ("one", "message"),
-    [
-        ((1, 0, 0, np.nan), "not finite"),
-        ((np.inf, 0, 0, 1), "not finite"),
-        ((1.01e24, 0, 0, 1), r"beyond 1e\+24 m\^2"),
-        ((1, 0.1, 0, 1), "not symmetric"),
-        ((0, 1e-9, 0, 0), "not symmetric"),
-        ((-1, 0, 0, 1), "not positive semidefinite"),
-        ((1, 0, 0, -1e-4), "not positive semidefinite"),
-        ((1, 1.1, 1.1, 1), "not positive semidefinite"),
-        ((0, 1, 1, 0), "not positive semidefinite"),
-        ((1e-8, 2e-8, 2e-8, 1e-8), "not positive semidefinite"),  # however small
-    ],
-)
-def test_a_covariance_that_cannot_be_one_is_refused(one, message):
-    with pytest.raises(ValueError, match=message):
-        covariances(*one)
+    return cov
 
 
 @pytest.mark.parametrize(
@@ -261,7 +214,8 @@ def test_a_covariance_that_cannot_be_one_is_refused(one, message):
     ],
 )
 def test_what_rounding_does_to_a_covariance_is_let_pass(one):
-    assert covariances(*one).cov[1, 2].ravel().tolist() == list(map(float, one))
+    found = Prediction(np.zeros((2, 3, 2)), covariances(*one))
+    assert found.cov[1, 2].ravel().tolist() == list(map(float, one))
 
 
 def test_a_single_precision_covariance_is_one():
@@ -288,22 +242,18 @@ def test_an_estimate_may_lie_at_the_limit_and_not_beyond(sign):
         Reconstruction(beyond[0])
 
 
-def test_nothing_was_shared_nothing_is_estimated():
-    assert Prediction(np.zeros((0, 3, 2)), np.zeros((0, 3, 2, 2))).mean.shape == (0, 3, 2)
-    assert Reconstruction(np.zeros((0, 2)), np.zeros(0)).xy.shape == (0, 2)
-
-
-def test_a_reconstruction_is_read_only_and_needs_no_claim():
+def test_an_estimate_is_read_only_and_needs_no_claim():
     xy, std = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, 0.5])
     found = Reconstruction(xy, std)
-    assert found.xy.tolist() == [[1.0, 2.0], [3.0, 4.0]]
-    assert found.std.tolist() == [0.0, 0.5]
-    for array in (found.xy, found.std):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 9.0
-    assert xy.flags.writeable  # what the caller holds stays theirs to write
-    assert Reconstruction([[1, 2]]).std is None
+    assert (found.xy.tolist(), found.std.tolist()) == (xy.tolist(), std.tolist())
+    for one in (found, Prediction(np.zeros((2, 3, 2)), np.zeros((2, 3, 2, 2)))):
+        assert_read_only(one)
+    assert xy.flags.writeable
+    assert Reconstruction([[1, 2]]).std is Prediction(np.zeros((2, 3, 2))).cov is None
     assert Reconstruction([[1, 2]]).xy.dtype == np.float64
+    # Nothing was shared, nothing is estimated.
+    assert Prediction(np.zeros((0, 3, 2)), np.zeros((0, 3, 2, 2))).mean.shape == (0, 3, 2)
+    assert Reconstruction(np.zeros((0, 2)), np.zeros(0)).xy.shape == (0, 2)
 
 
 @pytest.mark.parametrize(
@@ -314,6 +264,21 @@ def test_a_reconstruction_is_read_only_and_needs_no_claim():
         (Prediction, np.full((2, 3, 2), np.nan), None, "not finite"),
         (Prediction, np.zeros((2, 3, 2)), np.zeros((2, 4, 2, 2)), r"\(2, 3, 2, 2\)"),
         (Prediction, np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), "4 dimension"),
+        *(
+            (Prediction, np.zeros((2, 3, 2)), covariances(*one), message)
+            for one, message in (
+                ((1, 0, 0, np.nan), "not finite"),
+                ((np.inf, 0, 0, 1), "not finite"),
+                ((1.01e24, 0, 0, 1), r"beyond 1e\+24 m\^2"),
+                ((1, 0.1, 0, 1), "not symmetric"),
+                ((0, 1e-9, 0, 0), "not symmetric"),
+                ((-1, 0, 0, 1), "not positive semidefinite"),
+                ((1, 0, 0, -1e-4), "not positive semidefinite"),
+                ((1, 1.1, 1.1, 1), "not positive semidefinite"),
+                ((0, 1, 1, 0), "not positive semidefinite"),
+                ((1e-8, 2e-8, 2e-8, 1e-8), "not positive semidefinite"),  # however small
+            )
+        ),
         (Reconstruction, np.zeros(4), None, r"xy must have 2 dimension\(s\), got shape \(4,\)"),
         (Reconstruction, np.zeros((4, 3)), None, r"xy must have shape \(M, 2\), got \(4, 3\)"),
         (Reconstruction, np.array([[0.0, np.nan]]), None, "position is not finite"),

@@ -37,25 +37,21 @@ class TestTheGallery:
         assert set(found["attack"]) == {"radial_rts"}
 
     def test_a_leak_is_a_place_within_epsilon_of_the_truth(self, found):
-        for what, leaked in (("shared", "leaked_shared"), ("rec", "leaked_rec")):
-            distance = np.hypot(
-                found[f"x_{what}"] - found["x_true"], found[f"y_{what}"] - found["y_true"]
-            )
+        for what in ("shared", "rec"):
+            x_m, y_m = (found[f"{axis}_{what}"] - found[f"{axis}_true"] for axis in "xy")
+            distance = np.hypot(x_m, y_m)
             sure = abs(distance - 0.3) > 0.002  # positions are kept in millimetres
-            np.testing.assert_array_equal((distance < 0.3)[sure], found[leaked][sure])
+            np.testing.assert_array_equal((distance < 0.3)[sure], found[f"leaked_{what}"][sure])
 
     def test_the_truth_is_the_same_whatever_is_shared(self, found):
         raw, fid = (found[found["mechanism"] == name] for name in ("raw", "fid:1"))
         np.testing.assert_array_equal(raw[["t", "x_true"]], fid[["t", "x_true"]])
         assert fid["leaked_shared"].mean() < raw["leaked_shared"].mean()
 
-    def test_without_any_error_everything_leaks(self, ready):
-        clean = gallery(ready, "clean")
-        assert clean["leaked_shared"].all()
-        np.testing.assert_array_equal(clean["x_shared"], clean["x_true"])
-
-    def test_samples_that_are_not_shared_are_not_shown(self, ready):
+    def test_without_any_error_everything_leaks_and_what_is_not_shared_is_not_shown(self, ready):
         whole, thin = gallery(ready, "clean"), gallery(ready, "thin:4")
+        assert whole["leaked_shared"].all()
+        np.testing.assert_array_equal(whole["x_shared"], whole["x_true"])
         assert 0.2 < len(thin) / len(whole) < 0.3
         assert (thin.groupby("track")["t"].diff().dropna() > 0).all()
         # What is shared lies about the truth of its own instant, not of another one.

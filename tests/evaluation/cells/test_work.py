@@ -1,14 +1,14 @@
 """What levels have in common is computed once, and is what computing each would give."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from helpers.cells import STAGES, parsed, sessions_of
+from helpers.cells import STAGES, Spy, World, parsed, plugin, sessions_of
 
 from attacks.tasks.task_list import TASKS
 from evaluation.cells import work as work_module
-from evaluation.cells.sharing import release_digest, sees_release_alone
+from evaluation.cells.sharing import handed, release_digest, sees_release_alone
 from evaluation.cells.work import Block, LinkWork, cells
 from evaluation.experiment.axes import axes
 from evaluation.experiment.settings import Settings
@@ -50,9 +50,8 @@ def test_levels_that_are_shared_alike_are_computed_once_and_the_same(piece, monk
     n_shared = 0
     for (*_, by, one, tables), (*_, apart) in zip(once, each, strict=True):
         assert tables.keys() == apart.keys()
-        assert all(
-            table.to_pandas().equals(apart[name].to_pandas()) for name, table in tables.items()
-        )
+        for name, table in tables.items():
+            assert table.to_pandas().equals(apart[name].to_pandas())
         is_first = by.spec == ALIKE[0]
         same = tables is first[one.label] and not is_first
         assert same == (by.spec in ALIKE[1:] and sees_release_alone(one))
@@ -90,11 +89,20 @@ def test_a_pseudonym_alone_makes_no_other_release():
     t, offsets = np.arange(4.0), np.array([0, 2, 4])
     one = Release(t, np.zeros((4, 2)), np.ones(4), offsets, ("a", "b"))
     assert release_digest(one) == release_digest(replace(one, pseudonym=("c", "d")))
-    others = {
-        "t": t + 1e-9,
-        "xy": one.xy + 1e-12,
-        "sigma": None,
-        "offsets": np.array([0, 1, 4]),
-    }
+    others = {"t": t + 1e-9, "xy": one.xy + 1e-12, "sigma": None, "offsets": np.array([0, 1, 4])}
     for name, changed in others.items():
         assert release_digest(replace(one, **{name: changed})) != release_digest(one), name
+
+
+def test_a_plug_in_of_somebody_else_is_handed_a_copy_and_ours_the_very_object(tracks):
+    batch = World(tracks, n_scenes=1).sensed
+    for origin in ("isac_track.sharing:Raw", "attacks.linkage:Shape", "predictors.kalman:Kalman"):
+        assert handed(batch, replace(plugin(Spy()), origin=origin)) is batch
+    for origin in ("mine:Raw", "attackers.shape:Shape", "isac_tracks:Raw"):
+        theirs = handed(batch, replace(plugin(Spy()), origin=origin))
+        for item in fields(batch):
+            ours, value = getattr(batch, item.name), getattr(theirs, item.name)
+            assert np.array_equal(value, ours)
+            if isinstance(ours, np.ndarray):
+                assert not np.shares_memory(value, ours)
+                assert not value.flags.writeable

@@ -54,20 +54,14 @@ def test_tpr_at_fpr_is_brute_force(decimals, alpha):
     assert actual == pytest.approx(expected, abs=1e-12)
 
 
-def test_tpr_is_refused_below_ten_expected_false_links():
+def test_tpr_is_refused_below_ten_expected_false_links_and_allows_a_share_at_the_level():
     mated, non_mated = np.ones(3), np.zeros(1_000)
     assert tpr_at_fpr(mated=mated, non_mated=non_mated, alpha=0.01) == (1.0, 0.0)
     refused = tpr_at_fpr(mated=mated, non_mated=non_mated[1:], alpha=0.01)
     assert np.isnan(refused).all()
-
-
-def test_a_share_exactly_at_the_level_is_allowed():
-    non_mated = np.arange(1_000.0)
     # Ten of a thousand are at least as high as 990, eleven as 989.
-    assert tpr_at_fpr(mated=np.array([989.0, 990.0]), non_mated=non_mated, alpha=0.01) == (
-        0.5,
-        pytest.approx(0.01),
-    )
+    classes = {"mated": np.array([989.0, 990.0]), "non_mated": np.arange(1_000.0)}
+    assert tpr_at_fpr(**classes, alpha=0.01) == (0.5, pytest.approx(0.01))
 
 
 def test_the_hull_is_convex_and_lies_above_the_roc():
@@ -148,11 +142,6 @@ def test_metrics_refuse_an_empty_class_and_infinity(function):
             function(mated=np.array(mated), non_mated=np.array(non_mated))
     with pytest.raises(ValueError, match="finite"):
         function(mated=np.array([np.inf]), non_mated=np.ones(1))
-
-
-def test_numbers_out_of_range_are_refused():
-    ones = np.ones(3)
-    with pytest.raises(ValueError, match="alpha"):
-        tpr_at_fpr(mated=ones, non_mated=ones, alpha=0.0)
-    with pytest.raises(ValueError, match="n_bins"):
-        d_sys(mated=ones, non_mated=ones, n_bins=0)
+    for metric, word in ((tpr_at_fpr, "alpha"), (d_sys, "n_bins")):
+        with pytest.raises(ValueError, match=word):
+            metric(mated=np.ones(3), non_mated=np.ones(3), **{word: 0})
