@@ -193,9 +193,10 @@ def _x_log2_x(x: float) -> float:
 
 
 @part_of_loop
-def _read_thresholds(own: Floats, other: Floats, levels: Floats, out: Floats) -> None:
+def _read_thresholds(
+    own: Floats, other: Floats, total_own: float, total_other: float, levels: Floats, out: Floats
+) -> None:
     """Write the AUC, and TPR and FPR of the lowest threshold with FPR <= level."""
-    total_own, total_other = own.sum(), other.sum()
     out[3:] = 0.0
     for number in range(levels.size):
         # Rounding must not refuse a share that lies exactly at the level.
@@ -217,12 +218,13 @@ def _read_thresholds(own: Floats, other: Floats, levels: Floats, out: Floats) ->
 
 
 @part_of_loop
-def _read_hull(own: Floats, other: Floats, stack: Floats, out: Floats) -> None:
+def _read_hull(
+    own: Floats, other: Floats, total_own: float, total_other: float, stack: Floats, out: Floats
+) -> None:
     """Write EER and Cllr_min from the convex hull of the ROC: pool adjacent violators.
 
     The cells are overwritten.
     """
-    total_own, total_other = own.sum(), other.sum()
     # Without mated scores a cell has the least likelihood ratio, and joins the one below.
     size, waiting = own.size, 0.0
     for k in range(own.size - 1, -1, -1):
@@ -265,5 +267,7 @@ def read_rocs(mated: Floats, non_mated: Floats, levels: Floats, out: Floats) -> 
     """
     stack = np.empty((mated.shape[1] + 1, 2))
     for row in range(mated.shape[0]):
-        _read_thresholds(mated[row], non_mated[row], levels, out[row])
-        _read_hull(mated[row], non_mated[row], stack, out[row])
+        own, other = mated[row], non_mated[row]
+        totals = own.sum(), other.sum()
+        _read_thresholds(own, other, totals[0], totals[1], levels, out[row])
+        _read_hull(own, other, totals[0], totals[1], stack, out[row])
