@@ -17,28 +17,24 @@ from typing import TYPE_CHECKING
 
 from isac_track.datasets import crowd, read_frames, read_table, registry
 from isac_track.datasets.recording import Repair, checked_fps
-from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, Known, shown
+from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, MAIN_FILE, shown
 from isac_track.datasets.repair import to_tracks
-from isac_track.errors import DataError
+from isac_track.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
     from isac_track.datasets.recording import Rows
     from isac_track.types import Tracks
 
 __all__ = ["FORMATS", "Dataset", "Repair", "load", "read"]
 
-
 _WITH_CLOCK: Mapping[str, Callable[..., Rows]] = {
     "csv": read_table.read_csv,
     "parquet": read_table.read_parquet,
 }
 FORMATS: Mapping[str, Callable[..., Rows]] = {
-    **{
-        layout.name: partial(read_frames.read_columns, layout=layout)
-        for layout in read_frames.LAYOUTS
-    },
+    **{name: partial(read_frames.read_columns, name) for name in read_frames.COLUMNS},
     "trajnet": read_frames.read_trajnet,
     **_WITH_CLOCK,
 }
@@ -101,67 +97,71 @@ def load(
         If there is no such data set, it cannot be had, or it cannot be read; the message
         names file and line, or the way out.
     """
+    notice = None
     if name is not None and _is_path(name):
         path = Path(name)
-        data = registry.read_bytes(path)  # a missing file is told before a missing --format
-        format_name = format_of(path, format=format)
         # Rows of another recording must never pass for those of a known one.
-        title = path.name if path.stem in KNOWN else path.stem
-        return _read(Known(shown(title), format=format_name, fps=fps), data, path)
-    if name is None:
-        source = KNOWN[DEFAULT if registry.locate(KNOWN[DEFAULT]) else FALLBACK]
+        title = shown(path.name if path.stem in KNOWN else path.stem)
+        source = registry.Known(title, format=format or "", fps=fps)
+        files = {MAIN_FILE: path}
     else:
-        source = registry.known(str(name))
-    if format is not None or fps is not None:
-        raise DataError(
-            f"{'the default data set' if name is None else source.name} is known by name: "
-            "leave --format and --fps out (they describe a file of your own)"
-        )
-    if source.session is not None:
-        path = crowd.bundled_path(source.session)
-        notice = (
-            f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated crowd "
-            f"{FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
-        )
-        return _dataset(
-            source,
-            registry.read_bytes(path),
-            f"isac_track/datasets/{path.name}",
-            crowd.bundled(source.session),
-            notice=notice if name is None else None,
-        )
-    files = registry.locate(source)
-    if absent := registry.missing(source, files):
-        if name is None or not download:
-            here = "".join(f"; {shown(path)} is" for path in files.values())
+        if name is None:
+            source = KNOWN[DEFAULT if registry.locate(KNOWN[DEFAULT])[0] else FALLBACK]
+        else:
+            source = registry.known(str(name))
+        if format is not None or fps is not None:
             raise DataError(
-                f"{source.name}: {' and '.join(absent)} not found{here} ({registry.searched()}). "
-                f"To get it: python -m isac_track.datasets fetch {source.name}"
+                f"{'the default data set' if name is None else source.name} is known by name: "
+                "leave --format and --fps out (they describe a file of your own)"
             )
-        from isac_track.datasets.download import fetch  # noqa: PLC0415 - seldom needed
+        if source.session is None:
+            files = registry.files_of(source, download=download and name is not None)
+        else:
+            files = {MAIN_FILE: crowd.bundled_path(source.session)}
+            if name is None:
+                notice = (
+                    f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated "
+                    f"crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
+                )
+    path = files[MAIN_FILE]
+    data = registry.read_bytes(path, data_set=source)
+    repairs: tuple[Repair, ...] = ()
+    if source.session is not None:
+        where, format_name = f"isac_track/datasets/{path.name}", "npz"
+        tracks = crowd.read_npz(path)
+    else:
+        where, format_name = shown(path), _format_of(path, source.format)
+        groups = []
+        if GROUPS_FILE in files:
+            lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
+            groups = [(member, line.split()[0]) for line in lines for member in line.split()]
+        tracks, repairs = read(
+            data=data, path=where, format=format_name, fps=source.fps, groups=groups
+        )
+    return Dataset(
+        name=source.name,
+        tracks=tracks,
+        path=where,
+        sha256=hashlib.sha256(data).hexdigest(),
+        format=format_name,
+        simulated=source.session is not None,
+        repairs=repairs,
+        notice=notice,
+        citation=source.citation,
+        licence=source.licence,
+    )
 
-        files, _ = fetch(source)
-    data = registry.read_bytes(files[registry.MAIN_FILE], data_set=source)
-    groups = []
-    if GROUPS_FILE in files:
-        for line in registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines():
-            groups += [(member, line.split()[0]) for member in line.split()]
-    return _read(source, data, files[registry.MAIN_FILE], groups)
 
-
-def format_of(path: Path, *, format: str | None) -> str:  # noqa: A002 - the name of the option
-    """Return the name of the format: `format`, or what the extension of `path` names.
-
-    It is a DataError if the format is unknown, or neither given nor named by the extension.
-    """
-    name = _EXTENSIONS.get(path.suffix.lower()) if format is None else format
+def _format_of(path: Path, name: str) -> str:
+    """Return the format that was named, or else the one that the extension names."""
+    name = name or _EXTENSIONS.get(path.suffix.lower(), "")
     known = ", ".join(FORMATS)
-    if name is None:
+    if not name:
         raise DataError(
             f"{shown(path)}: the format is not known from the name; give --format ({known})"
         )
     if name not in FORMATS:
-        hint = registry.did_you_mean(name, FORMATS)
+        hint = did_you_mean(name, FORMATS)
         raise DataError(f"unknown format {name!r}{hint} (known: {known})")
     return name
 
@@ -197,35 +197,3 @@ def _is_path(name: str | Path) -> bool:
         return True
     is_path = os.sep in name or "." in name or os.path.exists(name)  # noqa: PTH110 - never raises
     return is_path and name not in KNOWN
-
-
-def _read(
-    source: Known, data: bytes, path: Path, groups: Sequence[tuple[str, str]] = ()
-) -> Dataset:
-    tracks, repairs = read(
-        data=data, path=shown(path), format=source.format, fps=source.fps, groups=groups
-    )
-    return _dataset(source, data, shown(path), tracks, repairs=repairs)
-
-
-def _dataset(
-    source: Known,
-    data: bytes,
-    path: str,
-    tracks: Tracks,
-    *,
-    repairs: tuple[Repair, ...] = (),
-    notice: str | None = None,
-) -> Dataset:
-    return Dataset(
-        name=source.name,
-        tracks=tracks,
-        path=path,
-        sha256=hashlib.sha256(data).hexdigest(),
-        format=source.format,
-        simulated=source.simulated,
-        repairs=repairs,
-        notice=notice,
-        citation=source.citation,
-        licence=source.licence,
-    )

@@ -48,21 +48,18 @@ def summarise(tracks: Tracks) -> DataFrame:
     duration = tracks.t[last] - tracks.t[first]
     with np.errstate(invalid="ignore"):  # 0 / 0 of a single sample is NaN, as promised
         mean = per_track(length) / duration
-        still = per_track(length == 0) / steps
-        return pd.DataFrame(
-            {
-                "steps": steps,
-                "duration_s": duration,
-                "speed_mean_mps": mean,
-                "speed_sd_mps": np.sqrt(per_track((speed - mean[owner]) ** 2 * lasting) / duration),
-                "slow_share": per_track(speed < SLOW_MPS) / steps,
-                "still_share": still,
-                "frozen": still >= FROZEN_SHARE,
-            }
-        )
+        summary = {
+            "steps": steps,
+            "duration_s": duration,
+            "speed_mean_mps": mean,
+            "speed_sd_mps": np.sqrt(per_track((speed - mean[owner]) ** 2 * lasting) / duration),
+            "slow_share": per_track(speed < SLOW_MPS) / steps,
+            "still_share": per_track(length == 0) / steps,
+        }
+    return pd.DataFrame(summary | {"frozen": summary["still_share"] >= FROZEN_SHARE})
 
 
-def total_still_share(summary: DataFrame) -> float:
+def still_share(summary: DataFrame) -> float:
     """Return the share of exactly-zero steps among all steps; NaN without steps."""
     n_steps = summary["steps"].sum()
     return float((summary["still_share"] * summary["steps"]).sum() / n_steps) if n_steps else np.nan

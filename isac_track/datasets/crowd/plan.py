@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.errors import SettingsError
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -36,18 +35,6 @@ class CrowdSettings:
     """nobody arrives in the last seconds, so that every walk has some length"""
     area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)
     """plaza: x_min, y_min, x_max, y_max"""
-
-    def __post_init__(self) -> None:
-        x_min, y_min, x_max, y_max = self.area_m
-        for is_so, message in (
-            (self.n_people >= 1 <= self.substeps, "at least one person and one substep"),
-            (self.tail_s >= self.frame_s > 0 <= self.lead_s, "0 < frame_s <= tail_s, lead_s >= 0"),
-            (self.duration_s > self.tail_s, f"a duration_s above tail_s ({self.tail_s:g} s)"),
-            (self.trait_strength >= 0, f"trait_strength >= 0, not {self.trait_strength}"),
-            (x_min < x_max and y_min < y_max, "an area_m of x_min, y_min, x_max, y_max"),
-        ):
-            if not is_so:
-                raise SettingsError(f"the crowd needs {message}")
 
     @property
     def n_frames(self) -> int:

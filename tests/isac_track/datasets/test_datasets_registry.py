@@ -12,9 +12,8 @@ from dataclasses import replace
 import pytest
 from helpers.recordings import files_in
 
-from isac_track.datasets import download, load
-from isac_track.datasets.download import fetch, url_of
-from isac_track.datasets.registry import KNOWN, Known, locate
+from isac_track.datasets import load, registry
+from isac_track.datasets.registry import KNOWN, Known, fetch, locate, url_of
 from isac_track.errors import DataError
 
 WALK = b"1 1 0 0 0 0 0 0\n11 1 0.4 0 0 0 0 0\n"
@@ -71,7 +70,7 @@ def test_the_default_takes_the_real_recording_if_it_is_here(ucy):
 def test_data_folder_before_cache(empty_machine, data_folder):
     for folder in (empty_machine, data_folder):
         put(folder, "small", obsmat=WALK)
-        assert locate(SMALL) == {"obsmat.txt": folder / "small" / "obsmat.txt"}
+        assert locate(SMALL)[0] == {"obsmat.txt": folder / "small" / "obsmat.txt"}
 
 
 @pytest.mark.parametrize("name", [None, "students03"])
@@ -185,7 +184,7 @@ TRUNCATED = (len(WALK), WALK[:10], None)
 def test_a_failed_download_is_one_line_and_leaves_nothing(
     mirror, empty_machine, monkeypatch, answer, message
 ):
-    monkeypatch.setattr(download, "READ_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(registry, "READ_TIMEOUT_S", 1.0)
     mirror.files["/base/small/obsmat.txt"] = answer
     mirror.over = threading.Event()
     began = time.monotonic()

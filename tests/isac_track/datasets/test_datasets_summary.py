@@ -5,7 +5,7 @@ import pytest
 from helpers.recordings import tracks_of
 
 from isac_track.datasets import load
-from isac_track.datasets.summary import n_lasting, summarise, total_still_share
+from isac_track.datasets.summary import n_lasting, still_share, summarise
 
 
 def along(*xs):
@@ -28,7 +28,7 @@ def test_by_hand():
     assert summary.speed_sd_mps[0] == pytest.approx(np.sqrt(0.125))
     assert summary.slow_share[0] == pytest.approx(1 / 3)
     assert summary.still_share[0] == pytest.approx(1 / 3)
-    assert total_still_share(summary) == pytest.approx(1 / 3)
+    assert still_share(summary) == pytest.approx(1 / 3)
     assert not summary.frozen[0]
 
 
@@ -39,7 +39,7 @@ def test_per_track_and_no_step_from_one_track_to_the_next():
     np.testing.assert_allclose(summary.slow_share, [0, 0.9, 1])
     np.testing.assert_allclose(summary.still_share, [0, 0.9, 0])
     np.testing.assert_array_equal(summary.frozen, [False, True, False])
-    assert total_still_share(summary) == pytest.approx(9 / 25)
+    assert still_share(summary) == pytest.approx(9 / 25)
 
 
 def test_a_single_sample_has_no_speed():
@@ -47,7 +47,7 @@ def test_a_single_sample_has_no_speed():
     np.testing.assert_array_equal(summary.speed_mean_mps, [np.nan, 1])
     np.testing.assert_array_equal(summary.still_share, [np.nan, 0])
     np.testing.assert_array_equal(summary.frozen, [False, False])
-    assert total_still_share(summary) == 0
+    assert still_share(summary) == 0
 
 
 def test_lasting_forgives_the_rounding_of_the_clock():
@@ -62,7 +62,7 @@ def test_students03():
     summary = summarise(loaded.tracks)
     assert n_lasting(summary, 21.6) == 106
     assert n_lasting(summary, 12) == 276
-    assert total_still_share(summary) == pytest.approx(0.187, abs=5e-4)
+    assert still_share(summary) == pytest.approx(0.187, abs=5e-4)
     assert (summary.still_share > 0).sum() == 63
     frozen = [loaded.tracks.source[row] for row in np.flatnonzero(summary.frozen)]
     assert frozen == ["289", "453", "454", "468", "473"]
