@@ -75,9 +75,8 @@ _SINGULAR_AND_METHOD: dict[Kind, tuple[str, str]] = {
     "attacks": ("attack", "fit"),
 }
 _MOST_LEVELS = 1000
-_WHOLE_LIMIT = 10**18
-_LEVEL_LIMIT = 10**12
-"""Of a level that is a whole number: names show 12 digits."""
+_WHOLE_LIMIT = 10**12
+"""Names show 12 digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,10 +228,9 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
         raise PluginError(
             f"{singular} {name!r} cannot be loaded from {origin}: {told(error)}"
         ) from error
-    if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
+    declared = getattr(cls, "__dataclass_params__", None)
+    if not (isinstance(cls, type) and declared and declared.frozen):
         raise PluginError(f"{singular} {name!r}: {origin} must be a frozen dataclass")
-    if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]  # set by the decorator
-        raise PluginError(f"{singular} {name!r}: the dataclass {origin} must be frozen")
     if not callable(getattr(cls, method, None)):
         raise PluginError(f"{singular} {name!r}: {origin} has no method {method}()")
     return cls, origin
@@ -294,7 +292,7 @@ def _read_number(text: str, kind: type[int | float], key: str) -> float:
         noun = "a whole number" if kind is int else "a number"
         raise SettingsError(f"{key} must be {noun}, got {quoted(text)}") from None
     if kind is int and abs(number) >= _WHOLE_LIMIT:
-        raise SettingsError(f"{key} must have at most 18 digits, got {quoted(text)}")
+        raise SettingsError(f"{key} must have at most 12 digits, got {quoted(text)}")
     if not math.isfinite(number):
         raise SettingsError(f"{key} must be finite, got {quoted(text)}")
     # The 12 digits that names show: what two spellings share is one level, not two.
@@ -333,11 +331,7 @@ def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, An
         value = getattr(instance, item.name)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if position == 0 and kind == "mechanisms" and is_number:
-            if isinstance(value, int) and abs(value) >= _LEVEL_LIMIT:
-                raise SettingsError(f"the level {item.name} must have at most 12 digits")
             level = float(value)
-            if not math.isfinite(level):
-                raise SettingsError(f"the level {item.name} must be finite")
         elif item.name in changes and value != _default(item):
             parameters.append(f"{item.name}={_text(value)}")
     column = ":".join([name, *([",".join(parameters)] if parameters else [])])
