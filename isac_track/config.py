@@ -12,7 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_type_hints,
+)
 
 from isac_track.errors import SettingsError, did_you_mean, quoted
 
@@ -20,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _types_of = cache(get_type_hints)
+_Stage = TypeVar("_Stage")
 
 
 def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
@@ -40,7 +49,8 @@ def _check_fields(settings: Any) -> None:  # noqa: ANN401 - of any stage
                 raise SettingsError(f"{name} must {wanted}, got {quoted(value)}")
             continue
         kind, noun = (Integral, "whole number") if annotation is int else (Real, "number")
-        if not isinstance(value, kind) or isinstance(value, bool):
+        fits = isinstance(value, kind) and not isinstance(value, bool)
+        if not fits:
             raise SettingsError(f"{name} must be a {noun}, got {quoted(value)}")
         (low, high), is_open = item.metadata["range"], item.metadata["open"]
         if not (low < value < high if is_open else low <= value <= high):  # False for NaN
@@ -60,7 +70,14 @@ _ORDERED = {
 """Of either pair the second may not be below the first."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass_transform(frozen_default=True)
+def _stage(cls: type[_Stage]) -> type[_Stage]:
+    """Make a frozen dataclass that checks its fields."""
+    cls.__post_init__ = _check_fields  # type: ignore[attr-defined]  # what dataclass calls
+    return dataclass(frozen=True, slots=True)(cls)
+
+
+@_stage
 class ResampleSettings:
     """Cubic interpolation of the recorded tracks and their adaptive sampling."""
 
@@ -73,10 +90,8 @@ class ResampleSettings:
     min_duration_s: float = _number(21.6, 0.1, 1e6)
     """reading: shorter tracks are left out (gives the paper's 366 history points)"""
 
-    __post_init__ = _check_fields
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class SceneSettings:
     """How a scene is cut and placed."""
 
@@ -101,10 +116,8 @@ class SceneSettings:
     max_redraws: int = _number(100, 1, 10_000)
     """reading: draws of a place before the last one is kept and counted"""
 
-    __post_init__ = _check_fields
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class SensingSettings:
     """Link budget of the base station, and the step from the Cramer-Rao bound to an error."""
 
@@ -143,10 +156,8 @@ class SensingSettings:
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
 
-    __post_init__ = _check_fields
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class ConflictSettings:
     """The robot's task."""
 
@@ -164,20 +175,16 @@ class ConflictSettings:
     probability_threshold: float = _number(0.5, 0, 1, is_open=True)
     """with `probability`: a conflict is declared at or above it"""
 
-    __post_init__ = _check_fields
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class PrivacySettings:
     """The leakage rule."""
 
     epsilon_m: float = _number(0.3, 1e-6, 1e4)
     """paper: a sample leaks when it lies closer than this to the truth"""
 
-    __post_init__ = _check_fields
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class LinkageSettings:
     """What an adversary is given to link: windows of walks (`attacks.tasks.build`)."""
 
@@ -201,8 +208,6 @@ class LinkageSettings:
     """people who are linked in the other tasks, at most: of more, so many are drawn"""
     trait_strength: float = _number(1.0, 0, 10)
     """spread of the crowd's planted traits; 1 is the bundled one, another is simulated anew"""
-
-    __post_init__ = _check_fields
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,7 @@ import numpy as np
 
 from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, roles
 from attacks.tasks.task_list import task_named
-from isac_track.datasets import load
-from isac_track.datasets.summary import summarise
+from isac_track.datasets import load, summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream

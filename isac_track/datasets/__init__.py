@@ -2,8 +2,7 @@
 
 ``load("students03")``, ``load("plaza")``, ``load("walk.csv")``, and ``load()`` for the best
 that is here. A format is told, or named by the file's extension, never guessed. `registry` knows
-the names and places, `repair` what is mended on reading, `summary` the statistics;
-``docs/data.md`` describes it all.
+the names and places, `repair` what is mended on reading; ``docs/data.md`` describes it all.
 """
 
 from __future__ import annotations
@@ -15,8 +14,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from isac_track.datasets import crowd, read_frames, read_table, registry
-from isac_track.datasets.recording import Repair, checked_fps
+from isac_track.datasets.recording import Repair, checked_fps, steps_within
 from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, MAIN_FILE, shown
 from isac_track.datasets.repair import to_tracks
 from isac_track.errors import DataError, did_you_mean
@@ -24,10 +25,12 @@ from isac_track.errors import DataError, did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from isac_track.datasets.recording import Rows
-    from isac_track.types import Tracks
+    from pandas import DataFrame
 
-__all__ = ["FORMATS", "Dataset", "Repair", "load", "read"]
+    from isac_track.datasets.recording import Rows
+    from isac_track.types import Bools, Floats, Tracks
+
+__all__ = ["FORMATS", "Dataset", "Repair", "load", "read", "summarise"]
 
 _WITH_CLOCK: Mapping[str, Callable[..., Rows]] = {
     "csv": read_table.read_csv,
@@ -40,6 +43,12 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
 }
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
+SLOW_MPS = 0.2
+"""Slower steps than this are not walking."""
+FROZEN_SHARE = 0.9
+"""A track with at least this share of exactly-zero steps is nearly frozen: an annotation
+that was left standing rather than a person, whose last position tells the whole walk."""
+_CLOCK_S = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -197,3 +206,53 @@ def _is_path(name: str | Path) -> bool:
         return True
     is_path = os.sep in name or "." in name or os.path.exists(name)  # noqa: PTH110 - never raises
     return is_path and name not in KNOWN
+
+
+def summarise(tracks: Tracks) -> DataFrame:
+    """Return the statistics of every track; a step is from one sample to the next.
+
+    Returns
+    -------
+    DataFrame
+        N rows of `steps`, their number; `duration_s`; `speed_mean_mps`, the length of the path
+        over the duration; `speed_sd_mps`, the standard deviation over time of the step speed;
+        `slow_share` and `still_share`, the shares of steps slower than `SLOW_MPS` and of exactly
+        no length (all four NaN for a single sample); and `frozen`, nearly frozen tracks.
+    """
+    import pandas as pd  # noqa: PLC0415 - `--help` stays quick
+
+    first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
+    steps = last - first
+    owner = np.repeat(np.arange(len(tracks)), steps)
+    within = steps_within(tracks.offsets)
+    length = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[within]
+    lasting = np.diff(tracks.t)[within]
+    speed = length / lasting
+
+    def per_track(values: Floats | Bools) -> Floats:
+        return np.bincount(owner, weights=values, minlength=len(tracks)).astype(np.float64)
+
+    duration = tracks.t[last] - tracks.t[first]
+    with np.errstate(invalid="ignore"):  # 0 / 0 of a single sample is NaN, as promised
+        mean = per_track(length) / duration
+        summary = {
+            "steps": steps,
+            "duration_s": duration,
+            "speed_mean_mps": mean,
+            "speed_sd_mps": np.sqrt(per_track((speed - mean[owner]) ** 2 * lasting) / duration),
+            "slow_share": per_track(speed < SLOW_MPS) / steps,
+            "still_share": per_track(length == 0) / steps,
+        }
+    return pd.DataFrame(summary | {"frozen": summary["still_share"] >= FROZEN_SHARE})
+
+
+def still_share(summary: DataFrame) -> float:
+    """Return the share of exactly-zero steps among all steps; NaN without steps."""
+    n_steps = summary["steps"].sum()
+    return float((summary["still_share"] * summary["steps"]).sum() / n_steps) if n_steps else np.nan
+
+
+def n_lasting(summary: DataFrame, duration_s: float) -> int:
+    """Return how many tracks last at least this long."""
+    # The clock rounds: 21.6 s at 25 frames a second is 540 frames.
+    return int((summary["duration_s"] >= duration_s - _CLOCK_S).sum())

@@ -8,10 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.command_line import DONE, WRONG, Parser, exit_code
-from isac_track.datasets import load, registry
+from isac_track.datasets import (
+    FROZEN_SHARE,
+    SLOW_MPS,
+    load,
+    n_lasting,
+    registry,
+    still_share,
+    summarise,
+)
 from isac_track.datasets.recording import listed
 from isac_track.datasets.registry import KNOWN, shown
-from isac_track.datasets.summary import FROZEN_SHARE, SLOW_MPS, n_lasting, still_share, summarise
 from isac_track.errors import IsacTrackError
 
 if TYPE_CHECKING:

@@ -259,23 +259,19 @@ def _download(url: str, into: Path, *, title: str) -> str:
     from rich.console import Console  # noqa: PLC0415
 
     bar = progress.Progress(
-        progress.TextColumn("{task.description}", markup=False),
-        progress.BarColumn(bar_width=30),
+        *progress.Progress.get_default_columns()[:2],
         progress.DownloadColumn(),
         console=Console(stderr=True),
     )
-    with requests.get(
-        url,
-        stream=True,
-        timeout=(CONNECT_TIMEOUT_S, READ_TIMEOUT_S),
-        # Unpacked on the way, a body could not be measured against its announced length.
-        headers={"Accept-Encoding": "identity"},
-    ) as response:
+    # Unpacked on the way, a body could not be measured against its announced length.
+    headers = {"Accept-Encoding": "identity"}
+    timeout_s = (CONNECT_TIMEOUT_S, READ_TIMEOUT_S)
+    with requests.get(url, stream=True, timeout=timeout_s, headers=headers) as response:
         response.raise_for_status()
         announced = response.headers.get("Content-Length", "")
+        digest = hashlib.sha256()
         with bar, into.open("wb") as file:
             task = bar.add_task(title, total=int(announced) if announced.isdigit() else None)
-            digest = hashlib.sha256()
             for chunk in response.iter_content(_CHUNK_BYTES):
                 file.write(chunk)
                 digest.update(chunk)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from helpers.recordings import tracks_of
 
-from isac_track.datasets import load
-from isac_track.datasets.summary import n_lasting, still_share, summarise
+from isac_track.datasets import load, n_lasting, still_share, summarise
 
 
 def along(*xs):
