@@ -133,12 +133,8 @@ def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
 def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     """Return the plug-ins that a SPEC names: one, or one per level of a sweep.
 
-    Raises
-    ------
-    SettingsError
-        For a name, parameter or value that does not exist or does not fit.
-    PluginError
-        If the plug-in cannot be imported or is not what its kind must be.
+    It is a SettingsError if a name, parameter or value does not exist or does not fit, and a
+    PluginError if the plug-in cannot be imported or is not what its kind must be.
     """
     name, value, options = _split(kind, spec)
     cls, origin = _load(kind, name)

@@ -98,13 +98,8 @@ def load(
     Returns
     -------
     Dataset
-        Times in s from the first sample of the recording, positions in m.
-
-    Raises
-    ------
-    DataError
-        If there is no such data set, it cannot be had, or it cannot be read; the message
-        names file and line, or the way out.
+        Times in s from the first sample of the recording, positions in m. What cannot be had or
+        read is a DataError that names file and line, or the way out.
     """
     notice = None
     if name is not None and _is_path(name):
@@ -211,13 +206,10 @@ def _is_path(name: str | Path) -> bool:
 def summarise(tracks: Tracks) -> DataFrame:
     """Return the statistics of every track; a step is from one sample to the next.
 
-    Returns
-    -------
-    DataFrame
-        N rows of `steps`, their number; `duration_s`; `speed_mean_mps`, the length of the path
-        over the duration; `speed_sd_mps`, the standard deviation over time of the step speed;
-        `slow_share` and `still_share`, the shares of steps slower than `SLOW_MPS` and of exactly
-        no length (all four NaN for a single sample); and `frozen`, nearly frozen tracks.
+    The N rows have `steps`, their number; `duration_s`; `speed_mean_mps`, the length of the path
+    over the duration; `speed_sd_mps`, the standard deviation over time of the step speed;
+    `slow_share` and `still_share`, the shares of steps slower than `SLOW_MPS` and of exactly no
+    length (all four NaN for a single sample); and `frozen`, nearly frozen tracks.
     """
     import pandas as pd  # noqa: PLC0415 - `--help` stays quick
 

@@ -153,8 +153,6 @@ def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise DataError(f"{shown(path)}: cannot be read ({error.strerror})") from None
-    except MemoryError:
-        raise DataError(f"{shown(path)}: the file is too large for the memory") from None
     expected = data_set.sha256.get(path.name) if data_set else None
     if data_set and expected and (actual := hashlib.sha256(data).hexdigest()) != expected:
         raise DataError(

@@ -34,21 +34,9 @@ def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
     at other times, in other company. Traits of a person do not depend on how many others
     there are.
 
-    Parameters
-    ----------
-    settings : CrowdSettings
-        The scenario.
-    seed : int
-        Base seed, not negative.
-    session : int
-        Number of the session, from 1.
-
-    Returns
-    -------
-    Tracks
-        One walk a person, in whole millimetres at multiples of ``settings.frame_s`` seconds.
-        `source` is the persistent id of the person (``p0001``), `group` the party that he or
-        she walks with in this session (``s1g001``).
+    Sessions are numbered from 1. There is one walk a person, in whole millimetres at multiples of
+    ``settings.frame_s`` seconds; `source` is the persistent id of the person (``p0001``), `group`
+    the party that he or she walks with in this session (``s1g001``).
     """
     traits = draw_traits(settings, seed=seed)
     plan = plan_session(settings, traits, seed=seed, session=session)
