@@ -92,7 +92,7 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
         tasks = [grants(attack, nobody=repeats | scene), shown]
     made: dict[frozenset[Knowledge], str] = {}
     for rows in tasks:
-        made = {granted: adversary for adversary, granted in rows.items()} | made
+        made |= {granted: name for name, granted in rows.items() if granted not in made}
     return made
 
 
