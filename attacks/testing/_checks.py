@@ -178,7 +178,7 @@ def same_seed_same_result(row: Row) -> None:
         row.fail(
             case.about,
             f"two runs with one seed differ in {np.count_nonzero(changed)} of {changed.size} "
-            f"{case.answers}; draw from context.rng alone, and keep nothing between two calls of "
+            f"{case.compared}; draw from context.rng alone, and keep nothing between two calls of "
             "fit",
         )
 

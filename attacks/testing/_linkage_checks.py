@@ -12,6 +12,7 @@ from scipy.special import bdtrc
 from attacks.testing import _checks as common
 from attacks.testing import _releases as made
 from attacks.testing._releases import RAW_SIGMA_M, draws
+from isac_track.linkability import log_rank, rank1
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.sharing import Fixed
 from isac_track.types import Knowledge
@@ -57,7 +58,6 @@ class LinkageCase:
     gives: ClassVar[str] = "from two releases, probe and gallery, to a matrix of scores"
     repeats: ClassVar[None] = None
     """Nobody who links is granted any: the repeats of a walk would be linked already."""
-    answers: ClassVar[str] = "scores"
     compared: ClassVar[str] = "scores"
     unit: ClassVar[str] = ""
 
@@ -68,14 +68,8 @@ class LinkageCase:
     """(P,) gallery track of the same person, or -1. No attack is given it."""
     mechanism: Fixed
     train: LinkageTrainingSet
-    scene: bool
-    """Whether the true frame and clock are shown."""
-
-    @property
-    def everything(self) -> frozenset[Knowledge]:
-        """All that there is to grant."""
-        hidden = {Knowledge.REPEATS} if self.scene else {Knowledge.REPEATS, Knowledge.SCENE}
-        return frozenset(Knowledge) - hidden
+    everything: frozenset[Knowledge]
+    """All that there is to grant; SCENE where the true frame and clock are shown."""
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
         """Return a result as an array, or raise ValueError if it is not one of scores.
@@ -195,16 +189,15 @@ def made_up(
         rng = draws(*name_of, "people")
         speeds = rng.permutation(np.linspace(*made.SPEEDS_MPS, max(map(len, sizes))))
         people = [made.person(float(speed_mps), rng) for speed_mps in speeds]
-        probe, gallery = (
-            release((*name_of, side), people, of_side)
-            for side, of_side in zip(("probe", "gallery"), sizes, strict=True)
-        )
+        probe = release((*name_of, "probe"), people, sizes[0])
+        gallery = release((*name_of, "gallery"), people, sizes[1])
         # In an order of its own, lest a place in the list tell who is who.
         order = draws(*name_of, "order").permutation(len(gallery))
         mate = np.concatenate([np.argsort(order), np.full(len(probe), -1)])[: len(probe)]
         return LinkageTrainingSet(probe, gallery.tracks(order), mate)
 
     victims = pair("victims", *sizes[:2])
+    hidden = {Knowledge.REPEATS} if scene else {Knowledge.REPEATS, Knowledge.SCENE}
     return LinkageCase(
         about=about + (", in one frame" if scene else ""),
         probe=victims.probe,
@@ -212,7 +205,7 @@ def made_up(
         mate=victims.mate,
         mechanism=mechanism,
         train=pair("others", sizes[2], sizes[2]),
-        scene=scene,
+        everything=frozenset(Knowledge) - hidden,
     )
 
 
@@ -222,7 +215,7 @@ def _moved(release: Release, rng: np.random.Generator, *, together: bool) -> Rel
     high = 2.0 * np.pi, _FARTHEST_M, _FARTHEST_M, _LATEST_S
     n_samples = [release.t.size] if together else np.diff(release.offsets)
     drawn = np.repeat(rng.uniform(low, high, (len(n_samples), 4)), n_samples, axis=0)
-    return made.Motion(drawn[:, 0], drawn[:, 1:3], drawn[:, 3]).of_release(release)
+    return made.moved(release, (drawn[:, 0], drawn[:, 1:3], drawn[:, 3]))
 
 
 def _with_gallery(train: LinkageTrainingSet, mate: Ints, rows: Ints) -> LinkageTrainingSet:
@@ -320,10 +313,13 @@ def null_stays_at_chance(row: Row) -> None:
         gallery=strangers.gallery,
         mate=mate,
     )
+    scores = row.answer(case)
+    # One by one, since two may have drawn one mate.
+    hits = [rank1(scores=scores[[one]], mate=mate[[one]])[0] for one in range(N_PEOPLE)]
     common.expect_chance(
         row,
         case.about,
-        hits(row.answer(case), mate),
+        float(np.sum(hits)),
         of=N_PEOPLE,
         chance=1 / N_PEOPLE,
         what="drawn mates come first",
@@ -334,7 +330,7 @@ def null_stays_at_chance(row: Row) -> None:
 def easy_case_beats_chance(row: Row) -> None:
     """With errors of 5 cm so many mates come first as chance brings once in 1000 at most."""
     case = noisy(RAW_SIGMA_M, "radial", scene=row.scene)
-    found = hits(row.answer(case), case.mate)
+    found = rank1(scores=row.answer(case), mate=case.mate).sum()
     # P(as many or more) for every count from one.
     tail = bdtrc(np.arange(N_PEOPLE), N_PEOPLE, 1 / N_PEOPLE)
     needed = 1 + int(np.argmax(tail < EASY_SURPRISE))
@@ -353,14 +349,17 @@ def success_falls_with_noise(row: Row) -> None:
     mean rise of the logarithm of its mate's rank must exceed 2.5 of its standard errors.
     """
     levels = [noisy(sigma_m, "isotropic", scene=row.scene) for sigma_m in SIGMAS_M]
-    low, high = (log_ranks(row.answer(case), case.mate) for case in levels)
+    low, high = (
+        np.log(N_PEOPLE) - log_rank(scores=row.answer(case), mate=case.mate) for case in levels
+    )
     needed = common.least_rise(high - low)
     if not (high - low).mean() > needed:
-        raise AssertionError(
-            f"{row}, {low.size} people: mates have the rank {np.exp(low.mean()):.3g} at "
-            f"{SIGMAS_M[0]:g} m of noise and {np.exp(high.mean()):.3g} at {SIGMAS_M[1]:g} m "
-            f"(geometric mean of 1 to {len(levels[0].gallery)}), expected a rise by a factor "
-            f"of more than {np.exp(needed):.3g}; what does the attack take the noise for?"
+        row.fail(
+            f"{N_PEOPLE} people",
+            f"mates have the rank {np.exp(low.mean()):.3g} at {SIGMAS_M[0]:g} m of noise and "
+            f"{np.exp(high.mean()):.3g} at {SIGMAS_M[1]:g} m (geometric mean of 1 to {N_PEOPLE}), "
+            f"expected a rise by a factor of more than {np.exp(needed):.3g}; what does the attack "
+            "take the noise for?",
         )
 
 
@@ -379,24 +378,3 @@ ALL = (
     success_falls_with_noise,
 )
 """In the order in which they run."""
-
-
-def hits(scores: Floats, mate: Ints) -> float:
-    """Return how many probes have their mate first, as expected if equals are drawn from."""
-    better, equal = _places(scores, mate)
-    return float(np.sum((better == 0) / equal))
-
-
-def log_ranks(scores: Floats, mate: Ints) -> Floats:
-    """Return the logarithm of the rank of each probe's mate, (P,): 0 is first.
-
-    Among equals a mate is in the middle.
-    """
-    better, equal = _places(scores, mate)
-    ranks: Floats = np.log(better + (equal + 1) / 2)
-    return ranks
-
-
-def _places(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
-    own = scores[np.arange(len(mate)), mate][:, None]
-    return (scores > own).sum(axis=1), (scores == own).sum(axis=1)

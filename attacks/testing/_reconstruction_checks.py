@@ -11,7 +11,7 @@ import numpy as np
 
 from attacks.testing import _checks as common
 from attacks.testing import _releases as made
-from attacks.testing._releases import BOX_M, EPSILON_M, RAW_SIGMA_M, Motion, draws
+from attacks.testing._releases import BOX_M, EPSILON_M, RAW_SIGMA_M, draws
 from isac_track.privacy import exposure, leakage_indicator
 from isac_track.protocols import TrainingSet
 from isac_track.sharing import Fixed
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from isac_track.types import ErrorLaw, Floats, Release
 
 N_TRACKS = 24
-FRAMES = (
-    Motion(angle_rad=2.1, shift_m=(35.0, -80.0), clock_s=500.0),
-    Motion(angle_rad=-0.7, shift_m=(-60.0, 15.0), clock_s=-20.0),
-    Motion(angle_rad=1.2, shift_m=(5.0, 140.0), clock_s=120.0),
-    Motion(angle_rad=-2.8, shift_m=(-90.0, -30.0), clock_s=1000.0),
+FRAMES: tuple[made.Frame, ...] = (
+    (2.1, (35.0, -80.0), 500.0),
+    (-0.7, (-60.0, 15.0), -20.0),
+    (1.2, (5.0, 140.0), 120.0),
+    (-2.8, (-90.0, -30.0), 1000.0),
 )
-"""Of the release, the training set and the two repeats: without SCENE, no two are the same."""
+"""Angle (rad), shift (m) and clock (s) of the release, the training set and the two repeats."""
 SAME_FRAME_M = 1e-5
 """Room for rounding after a motion by some hundred metres and seconds."""
 EXTENTS, EXTRA_M = 3.0, 10.0
@@ -49,7 +49,7 @@ class Case:
     """What the function from `fit` is called with."""
     gives: ClassVar[str] = "from a release to a reconstruction"
     everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)
-    answers: ClassVar[str] = "positions"
+    """All that there is to grant."""
     compared: ClassVar[str] = "positions or std"
     unit: ClassVar[str] = " m"
 
@@ -107,10 +107,10 @@ class Case:
     def in_other_frames(self) -> tuple[Case, Callable[[Floats], Floats]]:
         """Return the case as without SCENE, every release in its own frame; how answers follow."""
         mine, others, *_ = frames = list(FRAMES)
-        changed = made.of_each(self, lambda release: frames.pop(0).of_release(release))
-        train = TrainingSet(changed.train.release, others.of_points(self.train.truth))
-        moved = replace(changed, truth=mine.of_points(self.truth), train=train)
-        return moved, lambda answer: np.column_stack([mine.of_points(answer[:, :2]), answer[:, 2:]])
+        changed = made.of_each(self, lambda release: made.moved(release, frames.pop(0)))
+        train = TrainingSet(changed.train.release, made.turned(self.train.truth, others))
+        changed = replace(changed, truth=made.turned(self.truth, mine), train=train)
+        return changed, lambda answer: np.hstack([made.turned(answer[:, :2], mine), answer[:, 2:]])
 
 
 def ordinary_and_another(granted: frozenset[Knowledge]) -> tuple[Case, Case]:
@@ -183,7 +183,7 @@ def result_is_a_reconstruction(row: Row) -> None:
     (result,) = row.raw(made.copied(case))
     if not isinstance(result, Reconstruction):
         row.fail(
-            case,
+            case.about,
             f"expected a Reconstruction, got {type(result).__name__}; "
             "wrap the positions: Reconstruction(xy) or Reconstruction(xy, std)",
         )
@@ -250,7 +250,7 @@ def easy_case_beats_chance(row: Row) -> None:
     plr = float(_plr(row.answer(case), case).mean())
     if plr < EASY_PLR:
         row.fail(
-            case,
+            case.about,
             f"PLR {plr:.3f} at epsilon {EPSILON_M:g} m, expected at least {EASY_PLR:g}; the shared "
             f"positions themselves come to {_shared_plr(case)} (does it smooth too much, or lag "
             "behind?)",
@@ -301,7 +301,7 @@ def _stay_near(row: Row, case: Case, *, hint: str) -> None:
         limit_m = EXTENTS * float(np.hypot(*(high - low))) + EXTRA_M
         if away_m > limit_m:
             row.fail(
-                case,
+                case.about,
                 f"an answer lies {away_m:.0f} m from the middle of track {number}, expected at "
                 f"most {limit_m:.0f} m ({EXTENTS:g} times its extent and {EXTRA_M:g} m); {hint}",
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 Walk: TypeAlias = "tuple[Floats, Floats]"
 """Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
+Frame: TypeAlias = "tuple[float | Floats, tuple[float, float] | Floats, float | Floats]"
+"""Turned by so many rad, then shifted, m, and by how much later, s: all samples, or each."""
 Holder = TypeVar("Holder", bound=Any)
 """A case, or a training set."""
 
@@ -55,7 +57,8 @@ def draws(*name: str | int) -> np.random.Generator:
 
 def instants(rng: np.random.Generator, size: int, steps_s: tuple[float, float]) -> Floats:
     """Return so many instants after 0, s, whose steps are drawn evenly in their logarithm."""
-    return np.cumsum(np.exp(rng.uniform(*np.log(steps_s), size)))
+    shortest, longest = np.log(steps_s)
+    return np.cumsum(np.exp(rng.uniform(shortest, longest, size)))
 
 
 def person(speed_mps: float, rng: np.random.Generator) -> Person:
@@ -104,22 +107,16 @@ def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fix
     return mechanism.share(sensed, draws("share", *name))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Motion:
-    """A frame and a clock: turned, then shifted. One for all samples, or one for each."""
+def turned(xy: Floats, frame: Frame) -> Floats:
+    """Return points, (M, 2) m, in another frame."""
+    angle_rad, shift_m, _ = frame
+    cos, sin, (x, y) = np.cos(angle_rad), np.sin(angle_rad), xy.T
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y]) + shift_m
 
-    angle_rad: float | Floats
-    shift_m: tuple[float, float] | Floats
-    clock_s: float | Floats
 
-    def of_points(self, xy: Floats) -> Floats:
-        """Return points, (M, 2) m, in this frame."""
-        cos, sin, (x, y) = np.cos(self.angle_rad), np.sin(self.angle_rad), xy.T
-        return np.column_stack([cos * x - sin * y, sin * x + cos * y]) + self.shift_m
-
-    def of_release(self, release: Release) -> Release:
-        """Return a release in this frame and on this clock."""
-        return replace(release, t=release.t + self.clock_s, xy=self.of_points(release.xy))
+def moved(release: Release, frame: Frame) -> Release:
+    """Return a release in another frame and on another clock."""
+    return replace(release, t=release.t + frame[2], xy=turned(release.xy, frame))
 
 
 # The same case, seen otherwise; what is said of cases holds for the training sets in them

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from isac_track.rng import stream
+from isac_track.sensing import unit_errors
 from isac_track.testing._metrics import Function, check, expect, expect_that, register
 from isac_track.testing.engine import statement_of
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from isac_track.types import Floats
+    from isac_track.types import ErrorLaw, Floats
 
 EPSILON_M = 0.3
 EPSILONS_M = np.linspace(0.02, 1.5, 25)
@@ -60,10 +61,9 @@ def of(function: Function, track: Track) -> float:
     return value
 
 
-def expect_of(function: Function, track: Track, value: float, change: str = "") -> None:
-    """Compare a descriptor of a trajectory, after a `change` of it, with a number."""
-    name = _NAMES[function.__name__]
-    expect(of(function, track), value, what=f"{name} {change}".rstrip(), case=track)
+def expect_of(function: Function, track: Track, value: float) -> None:
+    """Compare a descriptor of a trajectory with a number."""
+    expect(of(function, track), value, what=_NAMES[function.__name__], case=track)
 
 
 def segments(pattern: str) -> list[int]:
@@ -107,7 +107,8 @@ def random_track(rng: Generator, *, size: int, epsilon_m: float | None = None) -
     t: Floats = rng.uniform(-50.0, 50.0) + np.cumsum(rng.uniform(0.03, 0.4, size))
     true_xy = np.cumsum(rng.normal(0.0, 0.1, (size, 2)), axis=0) + rng.uniform(-30.0, 30.0, 2)
     near, far = rng.uniform(0, 0.98, size), rng.uniform(1.02, 4, size)
-    error = _turned(epsilon_m * np.where(leaked, near, far), rng.uniform(0.0, 2.0 * np.pi, size))
+    angle_rad = rng.uniform(0.0, 2.0 * np.pi, size)
+    error = (epsilon_m * np.where(leaked, near, far) * [np.cos(angle_rad), np.sin(angle_rad)]).T
     return Track(pattern, t, true_xy, shared_xy=true_xy + error, epsilon_m=epsilon_m)
 
 
@@ -118,10 +119,6 @@ def random_tracks(
     for index in range(count):
         rng = stream(0, "testing", name, index)
         yield random_track(rng, size=least + index // 6, epsilon_m=epsilon_m)
-
-
-def _turned(norm: Floats, angle_rad: Floats) -> Floats:
-    return np.column_stack([norm * np.cos(angle_rad), norm * np.sin(angle_rad)])
 
 
 def moved(track: Track) -> Track:
@@ -212,8 +209,10 @@ def _boundary_is_strict(function: Function) -> None:
     t, errors = np.array([0.0, 1.0, 2.0]), np.array([[0.75, 1.0], [1.25, 0.0], [0.0, -1.25]])
     above = 1.0 if function.__name__ == "plr" else 3.0
     for epsilon_m, value in ((1.25, 0.0), (float(np.nextafter(1.25, 2.0)), above)):
-        track = Track("000" if value == 0.0 else "111", t, np.zeros_like(errors), errors, epsilon_m)
-        expect_of(function, track, value, f"at epsilon {epsilon_m!r} m, errors of 1.25 m all,")
+        found = of(function, Track("", t, np.zeros_like(errors), errors, epsilon_m))
+        case = f"errors {errors.tolist()} m, all of length 1.25 m, 1 s apart"
+        what = f"{_NAMES[function.__name__]} at epsilon {epsilon_m!r} m"
+        expect(found, value, what=what, case=case)
 
 
 @_check_each(
@@ -260,33 +259,33 @@ def _matches_brute_force(function: Function) -> None:
         expect_of(function, track, by_definition(track)[function.__name__])
 
 
-def _expect_unchanged(function: Function, **changes: Callable[[Track], Track]) -> None:
-    for track in random_tracks(f"invariances of {_NAMES[function.__name__]}", count=60):
-        value = of(function, track)
-        for change, changed in changes.items():
-            expect_of(function, changed(track), value, change)
+def _after(function: Function, change: Callable[[Track], Track], factor: float = 1.0) -> None:
+    """Compare a descriptor of random walks after a change with that before it, times `factor`."""
+    name = _NAMES[function.__name__]
+    for track in random_tracks(f"invariances of {name}", count=60):
+        changed, value = change(track), factor * of(function, track)
+        expect(of(function, changed), value, what=f"{name} after a change", case=changed)
 
 
 @_check_each(ael_s="", mel_s="")
 def _rigid_motion_and_clock(function: Function) -> None:
     """{of} ignores rigid motion, time reversal and a clock's offset; it scales with the clock."""
-    later = {"100 s later": lambda track: replace(track, t=track.t + 100.0)}
-    _expect_unchanged(function, moved=moved, backwards=backwards, **later)
-    for track in random_tracks(f"invariances of {_NAMES[function.__name__]}", count=60):
-        slower = replace(track, t=2.0 * track.t)
-        expect_of(function, slower, 2.0 * of(function, track), "at half the speed")
+    _after(function, moved)
+    _after(function, backwards)
+    _after(function, lambda track: replace(track, t=track.t + 100.0))
+    _after(function, lambda track: replace(track, t=2.0 * track.t), factor=2.0)
 
 
 @check
 def plr_rigid_motion(plr: Function) -> None:
     """PLR does not change when both walks are turned, shifted and mirrored together."""
-    _expect_unchanged(plr, moved=moved)
+    _after(plr, moved)
 
 
 @check
 def plr_time_reversal(plr: Function) -> None:
     """PLR does not depend on the order of the samples."""
-    _expect_unchanged(plr, backwards=backwards)
+    _after(plr, backwards)
 
 
 @_check_each(plr="", mel_s="")
@@ -363,32 +362,19 @@ def plr_distance_is_euclidean(plr: Function) -> None:
 @check
 def plr_radial_gaussian(plr: Function) -> None:
     """PLR of radial errors |N(0, s)| tends to 2 Phi(epsilon / s) - 1."""
-
-    def errors(rng: Generator, sigma_m: float) -> Floats:
-        angle_rad = rng.uniform(0.0, 2.0 * np.pi, _LARGE)
-        return _turned(rng.normal(0.0, sigma_m, _LARGE), angle_rad)
-
-    _tends_to(plr, "radial", errors, lambda ratio: 2.0 * float(ndtr(ratio)) - 1.0)
+    _tends_to(plr, "radial", lambda ratio: 2.0 * float(ndtr(ratio)) - 1.0)
 
 
 @check
 def plr_isotropic_gaussian(plr: Function) -> None:
     """PLR of errors N(0, s) on each axis tends to 1 - exp(-epsilon^2 / 2 s^2)."""
-
-    def errors(rng: Generator, sigma_m: float) -> Floats:
-        return rng.normal(0.0, sigma_m, (_LARGE, 2))
-
-    _tends_to(plr, "isotropic", errors, lambda ratio: -expm1(-0.5 * ratio**2))
+    _tends_to(plr, "isotropic", lambda ratio: -expm1(-0.5 * ratio**2))
 
 
-def _tends_to(
-    plr: Function,
-    law: str,
-    errors: Callable[[Generator, float], Floats],
-    limit_of: Callable[[float], float],
-) -> None:
+def _tends_to(plr: Function, law: ErrorLaw, limit_of: Callable[[float], float]) -> None:
     for sigma_m in (0.1, 0.3, 0.75):
-        error = errors(stream(0, "testing", f"plr_{law}_gaussian", str(sigma_m)), sigma_m)
+        rng = stream(0, "testing", f"plr_{law}_gaussian", str(sigma_m))
+        error = sigma_m * unit_errors(n_samples=_LARGE, law=law, rng=rng)
         share, limit = plr(error, np.zeros_like(error), EPSILON_M), limit_of(EPSILON_M / sigma_m)
         tolerance = STANDARD_ERRORS * sqrt(limit * (1.0 - limit) / _LARGE)
         what = f"PLR is {share!r}, expected {limit:.6f} within {tolerance:.6f}"

@@ -6,8 +6,8 @@ from helpers.broken_linkers import BASE
 
 from attacks.testing import _linkage_checks as linkage
 from attacks.testing import _reconstruction_checks as reconstruction
-from attacks.testing._linkage_checks import hits, log_ranks
 from attacks.testing._releases import IRREGULAR_S, RAW_SIGMA_M, STEADY_S, draws, instants
+from isac_track.linkability import rank1
 
 HIDDEN, SHOWN = (linkage.noisy(RAW_SIGMA_M, "radial", scene=scene) for scene in (False, True))
 
@@ -82,7 +82,8 @@ class TestLinkage:
         train = HIDDEN.train
         assert sorted(train.mate) == list(range(20))
         assert not np.isin(train.probe.xy, HIDDEN.probe.xy).any()
-        assert hits(BASE.link(train.probe, train.gallery), train.mate) > 6
+        scores = BASE.link(train.probe, train.gallery)
+        assert rank1(scores=scores, mate=train.mate).sum() > 6
 
     def test_mates_are_not_where_the_probes_are(self):
         assert sorted(HIDDEN.mate) == list(range(24))
@@ -94,12 +95,3 @@ def complexes(t, xy, at):
     """Positions at other instants about their mean, as complex numbers."""
     found = np.interp(at, t, xy[:, 0]) + 1j * np.interp(at, t, xy[:, 1])
     return found - found.mean()
-
-
-def test_success_is_shared_among_equals():
-    scores = np.array([[3.0, 2.0, 1.0], [1.0, 1.0, 1.0], [0.0, 5.0, 5.0]])
-    assert hits(scores, np.array([0, 2, 1])) == pytest.approx(1 + 1 / 3 + 1 / 2)
-    assert hits(scores, np.array([1, 0, 0])) == pytest.approx(1 / 3)
-    # A mate is in the middle of its equals.
-    ranks = np.exp(log_ranks(scores, np.array([2, 0, 2])))
-    np.testing.assert_allclose(ranks, [3.0, 2.0, 1.5])
