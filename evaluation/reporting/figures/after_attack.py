@@ -15,7 +15,6 @@ from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, Line, Look
 from evaluation.reporting.rows import of_source, rank1_rows, rules_of, schemes
 from evaluation.reporting.summary_tables import after_attack, sources_of
-from evaluation.reporting.table import shortened
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,10 +68,8 @@ def attack_figure(run: Results) -> Figure | None:
                 continue
             ax.set_title(f"{scheme.title}, {scheme.rule_text(rule)}")
             ax.set_xlabel(scheme.label)
-            for source, line in lines.items():
+            for line in lines.values():
                 line.draw(ax, scheme, rule)
-                # Those of attacks would crowd each other.
-                line.draw_raw(ax, scheme=None if source == AS_SHARED else scheme)
         figure_style.level_axis(axes[0], log=scheme.log)
         axes[0].set_ylabel("PLR, shared or attacked (%)")
     # A share: the whole axis, with a little room for markers at its ends.
@@ -80,10 +77,9 @@ def attack_figure(run: Results) -> Figure | None:
     handles: list[Any] = [line.handle for line in lines.values()]
     if any(line.raw is not None for line in lines.values()):
         handles.append(figure_style.black_handle("raw (attacks: at its edge)", dashes=":"))
-    figure_style.legend(figure, [*handles, figure_style.band_handle("95 % interval")])
+    handles.append(figure_style.band_handle("95 % interval"))
     what = "what an adversary who filters gets back"
-    figure_style.title(figure, dataset=run.dataset, what=what)
-    return figure
+    return figure_style.finish(figure, handles, dataset=run.dataset, what=what)
 
 
 def _words(run: Results) -> str:
@@ -114,8 +110,14 @@ def _lines(rows: pd.DataFrame) -> dict[Source, Line]:
     looks = {AS_SHARED: _SHARED_LOOK} if AS_SHARED in chosen else {}
     looks |= dict(zip(others, LOOKS, strict=False))
     references = dict(zip(oracle, _ORACLE_LOOKS, strict=False))
+    # Raw after attacks would crowd each other.
     return {
-        of: Line("as shared" if of == AS_SHARED else of.label, look, of_source(rows, of))
+        of: Line(
+            "as shared" if of == AS_SHARED else of.label,
+            look,
+            of_source(rows, of),
+            is_raw_across=of == AS_SHARED,
+        )
         for of, look in looks.items()
     } | {
         of: Line(f"{of.label}, a reference", look, of_source(rows, of), apart=_ORACLE)
@@ -135,24 +137,26 @@ def headline_figure(run: Results) -> Figure | None:
     if not known:
         return None
     widths = figure_style.SINGLE_COLUMN_IN, figure_style.DOUBLE_COLUMN_IN
-    figure = figure_style.placed_figure(width_in=widths[len(known) > _MOST_SINGLE], height_in=2.65)
-    margins_in = 0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines)
-    panels = figure_style.placed(
-        figure, 1, len(known), margins_in=margins_in, gaps_in=(0.22, 0.0), sharey=True
-    )[0]
+    figure, ((*panels,),) = figure_style.panels(
+        *(1, len(known)),
+        width_in=widths[len(known) > _MOST_SINGLE],
+        height_in=2.65,
+        margins_in=(0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines)),
+        gaps_in=(0.22, 0.0),
+        sharey=True,
+    )
     for scheme, ax in zip(known, panels, strict=True):
         ax.set_title(scheme.title)
         ax.set_xlabel(scheme.label)
         for line in lines:
             line.draw(ax, scheme, rule)
-            line.draw_raw(ax, scheme=scheme)
         figure_style.level_axis(ax, log=scheme.log)
     panels[0].set_ylim(0.0, 103.0)
     panels[0].set_ylabel("%")
     raw = figure_style.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
-    figure_style.legend(figure, [*(line.handle for line in lines), raw], columns=1)
-    figure_style.title(figure, dataset=run.dataset, what=f"{rule} adding", one_line=True)
-    return figure
+    handles = [*(line.handle for line in lines), raw]
+    what = f"{rule} adding"
+    return figure_style.finish(figure, handles, dataset=run.dataset, what=what, columns=1)
 
 
 def headline_lines(run: Results) -> list[Line]:
@@ -161,11 +165,11 @@ def headline_lines(run: Results) -> list[Line]:
     rows = {"PLR as shared: the descriptor": of_source(plr, AS_SHARED)}
     attack = run.strongest.get("")
     if attack is not None:
-        rows[f"PLR after {_short(attack)}"] = of_source(plr, attack)
+        rows[f"PLR after {figure_style.short(attack)}"] = of_source(plr, attack)
     # A walk that was shared twice, or whatever was linked first.
     for task in sorted(run.tasks, key=lambda one: one.name != "rerelease")[:1]:
         source = run.link_of(task)
-        label = f"found again ({task.name}, rank 1): {_short(source)}"
+        label = f"found again ({task.name}, rank 1): {figure_style.short(source)}"
         rows[label] = rank1_rows(task, source)
     return [Line(label, look, of) for (label, of), look in zip(rows.items(), _LOOKS, strict=False)]
 
@@ -179,7 +183,3 @@ def _headline_words(run: Results) -> str:
         said = [f"{label} {text}" for label, text in ends.items() if text]
         parts += [f"{scheme.title}: {'; '.join(said)}."] if said else []
     return f"Lines over the level, {rule} adding. {' '.join(parts)}"
-
-
-def _short(source: Source) -> str:
-    return shortened(source.label, room=figure_style.NAME_LENGTH)

@@ -25,7 +25,6 @@ from evaluation.reporting.rows import (
     rules_of,
     schemes,
 )
-from evaluation.reporting.table import shortened
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,10 +83,13 @@ def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
         name: Look(_COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)], "")
         for place, name in enumerate(controls)
     }
-    figure = figure_style.placed_figure(height_in=1.75 * len(rules) + 1.0)
-    margins_in, sharing = (0.45, 0.1, 0.5, 0.85), {"sharex": "col", "sharey": True}
-    panels = figure_style.placed(
-        figure, len(rules), len(DESCRIPTORS), margins_in=margins_in, gaps_in=(0.18, 0.3), **sharing
+    figure, panels = figure_style.panels(
+        *(len(rules), len(DESCRIPTORS)),
+        height_in=1.75 * len(rules) + 1.0,
+        margins_in=(0.45, 0.1, 0.5, 0.85),
+        gaps_in=(0.18, 0.3),
+        sharex="col",
+        sharey=True,
     )
     for metric, in_column in zip(DESCRIPTORS, panels.T, strict=True):
         shown = _on_axes(points, metric)
@@ -106,17 +108,14 @@ def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
         in_row[0].set_title(f"{rule} adding")
         in_row[0].set_ylabel("rank 1 (%)")
     panels[0, 0].set_ylim(-3.0, min(103.0, 1.12 * PERCENT * float(points["ci_high"].max())))
-    handles = figure_style.scheme_handles(known)
+    handles = [figure_style.handle(one.title, figure_style.look_of(one)) for one in known]
     if (points["mechanism"] == RAW).any():
         handles.append(figure_style.black_handle("raw", marker="*"))
     for name, look in looks.items():
-        handle = figure_style.line_handle(f"control: {name}", look, markersize=6, **_EDGE)
-        handles.append(handle)
+        handles.append(figure_style.handle(f"control: {name}", look, markersize=6, **_EDGE))
     handles.append(figure_style.black_handle("bars: 95 % intervals; number: level", dashes="-"))
-    figure_style.legend(figure, handles, columns=4)
-    who = shortened(source.label, room=figure_style.NAME_LENGTH)
-    figure_style.title(figure, dataset=run.dataset, what=f"{task.name}, {who}", one_line=True)
-    return figure
+    what = f"{task.name}, {figure_style.short(source)}"
+    return figure_style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
 def dissociation_points(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:

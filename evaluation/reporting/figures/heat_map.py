@@ -91,7 +91,7 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         for rule in ADDING_RULES
         if rule in rules.values()
     } or {"": ordered}
-    names = [shortened(source.label, room=figure_style.NAME_LENGTH) for source in sources]
+    names = [figure_style.short(source) for source in sources]
     left_in = max(_width_in(name) for name in names) + 0.12
     n_columns = max(map(len, blocks.values()))
     cell_in = min(2 * _CELL_IN, (figure_style.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
@@ -103,9 +103,7 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         heads[mechanism, level] = " ".join(filter(None, parts))
     head_in = 0.2 + max(0.5, *map(_width_in, heads.values()))
     top_in, block_in = 0.22, _CELL_IN * len(sources)
-    figure = figure_style.placed_figure(
-        height_in=top_in + len(blocks) * (head_in + block_in) + 0.42
-    )
+    figure = figure_style.blank(height_in=top_in + len(blocks) * (head_in + block_in) + 0.42)
     width_in, height_in = figure.get_size_inches()
     for place, (rule, columns) in enumerate(blocks.items(), start=1):
         bottom = (height_in - top_in - place * (head_in + block_in)) / height_in
@@ -121,10 +119,10 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
             y = bottom + (block_in + _MECHANISMS_IN) / height_in
             figure.text(0.01, y, f"{rule} adding")
     rows = [row for block in cells.values() for row in block.values()]
-    _legend(figure, rows)
-    what = f"{task.name}, rank 1 in %"
-    figure_style.title(figure, dataset=str(rows[0]["dataset"]), what=what, one_line=True)
-    return figure
+    handles, what = _handles(rows), f"{task.name}, rank 1 in %"
+    return figure_style.finish(
+        figure, handles, dataset=str(rows[0]["dataset"]), what=what, columns=len(handles)
+    )
 
 
 def _in_order(cells: Iterable[Where], known: Mapping[str, Family]) -> list[Where]:
@@ -252,7 +250,8 @@ def _words(_: Results, *, task: LinkedTask) -> str:
     )
 
 
-def _legend(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
+def _handles(rows: Sequence[Mapping[str, Any]]) -> list[Any]:
+    """Return what stands in the legend."""
     shades = {"0 %": "#00224e", "50 %": "#7d7c78", "100 %": "#fee838"}
     handles: list[Any] = [Patch(color=colour, label=text) for text, colour in shades.items()]
     chance = {f"{PERCENT * row['chance']:.1f}" for row in rows if np.isfinite(row["chance"])}
@@ -261,6 +260,6 @@ def _legend(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
     said += [f"{mark}  {outcome}" for outcome, mark in _MARKS.items() if outcome in outcomes]
     handles += [Rectangle((0, 0), 0, 0, alpha=0, label=text) for text in said]
     if any(row[INVALID] for row in rows):
-        leaks = figure_style.line_handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
+        leaks = figure_style.handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
         handles.append(leaks)
-    figure_style.legend(figure, handles, columns=len(handles))
+    return handles

@@ -17,7 +17,6 @@ from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, PERCENT, Line, Look
 from evaluation.reporting.rows import ENDS, rank1_rows, schemes
-from evaluation.reporting.table import shortened
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -104,9 +103,7 @@ def linkage_figure(run: Results) -> Figure | None:
         if not scheme.log:
             # Few, lest those of two panels meet.
             in_column[0].xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 5, 10]))
-    _legend(figure, rows, looks)
-    _title(figure, [row.task for row in rows], dataset=run.dataset)
-    return figure
+    return figure_style.finish(figure, _handles(rows, looks), **_title(run.dataset, rows))
 
 
 def _words(run: Results) -> str:
@@ -154,9 +151,8 @@ def _row(
         drawn |= {source: rows} if series else {}
     # The strongest: the bands of many would hide each other.
     banded = sorted(drawn, key=lambda source: -_mean(drawn[source]))[:_MOST_BANDS]
-    room = figure_style.NAME_LENGTH
     lines = {
-        of: Line(shortened(of.label, room=room), looks[of], rows, has_band=of in banded)
+        of: Line(figure_style.short(of), looks[of], rows, has_band=of in banded)
         for of, rows in drawn.items()
     }
     return _Row(task, lines, pd.concat(points) if points else pd.DataFrame())
@@ -169,7 +165,6 @@ def _draw(ax: Axes, row: _Row, *, scheme: Scheme, rule: str) -> None:
         colour, dashes = _CEILING_LOOK.colour, _CEILING_LOOK.dashes
         ax.axhline(max(ceilings), color=colour, linestyle=dashes, linewidth=0.8, zorder=1.6)
     for line in row.lines.values():
-        line.draw_raw(ax, scheme=scheme)
         line.draw(ax, scheme, rule)
         found = scheme.of(line.rows, rule)
         silent = found[~found["links"]]
@@ -178,29 +173,31 @@ def _draw(ax: Axes, row: _Row, *, scheme: Scheme, rule: str) -> None:
         ax.plot(silent["level"], PERCENT * silent["value"], line.look.marker, **look)
 
 
-def _legend(figure: Figure, rows: Sequence[_Row], looks: Mapping[Source, Look]) -> None:
+def _handles(rows: Sequence[_Row], looks: Mapping[Source, Look]) -> list[Any]:
+    """Return what stands in the legend."""
     lines = {source: line for row in rows for source, line in row.lines.items()}
     every = [line for row in rows for line in row.lines.values()]
     handles: list[Any] = [lines[source].handle for source in looks if source in lines]
     if any(row.alone(RAW) for row in rows):
         handles.append(figure_style.black_handle("raw (at its edge)", dashes=":"))
     if any(row.alone(CLEAN) for row in rows):
-        handles.append(figure_style.line_handle("ceiling (no error at all)", _CEILING_LOOK))
+        handles.append(figure_style.handle("ceiling (no error at all)", _CEILING_LOOK))
     if any(not row.points["links"].all() for row in rows):
         text = "does not link, or is invalid"
         handles.append(figure_style.black_handle(text, marker="o", hollow=True))
-    handles.append(figure_style.line_handle("chance", _CHANCE_LOOK))
+    handles.append(figure_style.handle("chance", _CHANCE_LOOK))
     only = "" if all(line.has_band for line in every) else f" (the {_MOST_BANDS} strongest)"
     handles.append(figure_style.band_handle(f"95 % interval{only}"))
-    figure_style.legend(figure, handles)
+    return handles
 
 
-def _title(figure: Figure, tasks: Sequence[LinkedTask], *, dataset: str) -> None:
-    """Say whose walks they are: a simulated task has people of its own."""
+def _title(dataset: str, rows: Sequence[_Row]) -> dict[str, str]:
+    """Return whose walks they are: a simulated task has people of its own."""
+    tasks = [row.task for row in rows]
     of = {dataset_of(f"{task.name}/", dataset=dataset): task.name for task in tasks}
     others = [f"{name}: {other}" for other, name in of.items() if other != dataset]
     name = dataset if dataset in of else next(iter(of))
     what = "linkage, the strongest attacks of each task by mean rank 1"
     if dataset in of and others:
         what += f" ({', '.join(others)})"
-    figure_style.title(figure, dataset=name, what=what)
+    return {"dataset": name, "what": what}

@@ -19,15 +19,10 @@ from evaluation.reporting.figures.style import LOOKS, Line, Look
 from evaluation.reporting.rows import Scheme, schemes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    import pandas as pd
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from evaluation.reporting.rows import Results
-    from isac_track.types import Floats
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _EXPOSURE_LABEL = "Exposure, shared (s)"
@@ -61,43 +56,49 @@ def sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
     One column for each adding rule, one row for each quantity. Of more than five predictors the
     first five are drawn.
     """
-    every = _rows(run.ours[~is_attack(run.ours)])
-    rows = {
-        label: drawn
-        for label, lines in every.items()
-        if (drawn := {of: line for of, line in lines.items() if scheme.rules_in(line.rows)})
-    }
-    lines = {of: line for drawn in rows.values() for of, line in drawn.items()}
-    columns = scheme.rules_in(*(line.rows for line in lines.values()))
-    if not columns:
+    lines = {of: line for of, line in _lines(run).items() if scheme.rules_in(line.rows)}
+    rules = scheme.rules_in(*(line.rows for line in lines.values()))
+    if not rules:
         return None
-    has_paper = run.dataset == DATASET and scheme.name in _FILES and "linear" in columns
+    labels = list(dict.fromkeys(_axis(metric) for _, metric in lines))
+    has_paper = run.dataset == DATASET and scheme.name in _FILES and "linear" in rules
     figure, panels = figure_style.panels(
-        len(rows), len(columns), height_in=1.35 * len(rows) + 0.9, sharex=True, sharey="row"
+        len(labels), len(rules), height_in=1.35 * len(labels) + 0.9, sharex=True, sharey="row"
     )
-    for rule, axes in zip(columns, panels.T, strict=True):
+    for rule, axes in zip(rules, panels.T, strict=True):
         axes[0].set_title(scheme.rule_text(rule))
         axes[-1].set_xlabel(scheme.label)
-        for drawn, ax in zip(rows.values(), axes, strict=True):
-            for (consumer, metric), line in drawn.items():
-                line.draw(ax, scheme, rule)
-                line.draw_raw(ax)
-                if has_paper and rule == "linear" and consumer in (SHARED, PREDICTOR):
-                    _draw_paper(ax, metric, look=line.look, scheme=scheme)
+        for (consumer, metric), line in lines.items():
+            ax = axes[labels.index(_axis(metric))]
+            line.draw(ax, scheme, rule)
+            if has_paper and rule == "linear" and consumer in (SHARED, PREDICTOR):
+                _draw_paper(ax, metric, look=line.look, scheme=scheme)
     figure_style.level_axis(panels[0, 0], log=scheme.log)
-    for (label, drawn), ax in zip(rows.items(), panels[:, 0], strict=True):
+    for label, ax in zip(labels, panels[:, 0], strict=True):
         ax.set_ylabel(label)
-        values: list[Floats] = []
-        for line in drawn.values():
-            of = [scheme.of(line.rows, rule)["value"].to_numpy() for rule in columns]
-            values += [line.scale * one for one in of]
-            values += [] if line.raw is None else [np.array([line.raw])]
+        drawn = [line for (_, metric), line in lines.items() if _axis(metric) == label]
+        values = [
+            line.scale * scheme.of(line.rows, rule)["value"].to_numpy()
+            for line in drawn
+            for rule in rules
+        ]
+        values += [np.array([line.raw]) for line in drawn if line.raw is not None]
         figure_style.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
-    _legend(figure, lines, has_paper=has_paper)
-    predictors = [consumer for consumer, metric in lines if metric == MISSED_RATE]
-    only = f", predictor {predictors[0]}" if len(predictors) == 1 else ""
-    figure_style.title(figure, dataset=run.dataset, what=f"{scheme.title}{only}")
-    return figure
+    predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
+    # An only predictor is in the title, and PLR has its own axis.
+    named = predictors if len(predictors) > 1 else []
+    named += [line for (_, metric), line in lines.items() if metric in ("ael", "mel")]
+    banded = "" if all(line.has_band for line in predictors) else predictors[0].label
+    handles = [line.handle for line in named]
+    if any(line.raw is not None for line in lines.values()):
+        handles.append(figure_style.black_handle("raw", dashes=":"))
+    only = f" (predictors: {banded})" if banded else ""
+    handles.append(figure_style.band_handle(f"95 % interval{only}"))
+    if has_paper:
+        text = "paper (raw at the edge)"
+        handles.append(figure_style.black_handle(text, marker="o", hollow=True))
+    what = f", predictor {predictors[0].label}" if len(predictors) == 1 else ""
+    return figure_style.finish(figure, handles, dataset=run.dataset, what=f"{scheme.title}{what}")
 
 
 def _words(run: Results, *, scheme: Scheme) -> str:
@@ -117,28 +118,28 @@ def _words(run: Results, *, scheme: Scheme) -> str:
     return f"Panels over the level, with 95 % bands. {' '.join(parts)}"
 
 
-def _rows(ours: pd.DataFrame) -> dict[str, dict[tuple[str, str], Line]]:
-    """Return the lines of the panels under the label of their axis, by consumer and metric."""
-    known = ours[np.isfinite(ours["value"])]
+def _axis(metric: str) -> str:
+    return _EXPOSURE_LABEL if metric in ("ael", "mel") else figure_style.label(metric)
 
-    def line(consumer: str, metric: str, name: str, look: Look, *, has_band: bool = True) -> Line:
-        rows = known[(known["consumer"] == consumer) & (known["metric"] == metric)]
-        return Line(name, look, rows, METRICS[metric].scale, has_band)
 
+def _lines(run: Results) -> dict[tuple[str, str], Line]:
+    """Return what may be drawn, by consumer and metric."""
+    known = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
     predictors = list(known.loc[known["metric"] == MISSED_RATE, "consumer"].unique())[: len(LOOKS)]
     # The bands of many predictors would hide each other.
     n_bands = len(predictors) if len(predictors) <= _MOST_BANDS else 1
-    shared = {
-        (SHARED, metric): line(SHARED, metric, METRICS[metric].head, look)
-        for metric, look in _LOOKS.items()
-    }
+    looks = {(name, MISSED_RATE): look for name, look in zip(predictors, LOOKS, strict=False)}
+    looks |= {(SHARED, metric): look for metric, look in _LOOKS.items()}
     return {
-        figure_style.label(MISSED_RATE): {
-            (name, MISSED_RATE): line(name, MISSED_RATE, name, LOOKS[n], has_band=n < n_bands)
-            for n, name in enumerate(predictors)
-        },
-        figure_style.label(EXPOSURE): {(SHARED, EXPOSURE): shared.pop((SHARED, EXPOSURE))},
-        _EXPOSURE_LABEL: shared,
+        (consumer, metric): Line(
+            METRICS[metric].head if consumer == SHARED else consumer,
+            look,
+            known[(known["consumer"] == consumer) & (known["metric"] == metric)],
+            METRICS[metric].scale,
+            has_band=metric != MISSED_RATE or consumer in predictors[:n_bands],
+            is_raw_across=True,
+        )
+        for (consumer, metric), look in looks.items()
     }
 
 
@@ -158,20 +159,3 @@ def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: Scheme) -> None:
                 markeredgecolor="black",
                 transform=transform,
             )
-
-
-def _legend(figure: Figure, lines: Mapping[tuple[str, str], Line], *, has_paper: bool) -> None:
-    predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
-    # An only predictor is in the title, and PLR has its own axis.
-    named = predictors if len(predictors) > 1 else []
-    named += [line for (_, metric), line in lines.items() if metric in ("ael", "mel")]
-    handles: list[Artist] = [line.handle for line in named]
-    if any(line.raw is not None for line in lines.values()):
-        handles.append(figure_style.black_handle("raw", dashes=":"))
-    all_banded = all(line.has_band for line in predictors)
-    only = "" if all_banded else f" (predictors: {predictors[0].label})"
-    handles.append(figure_style.band_handle(f"95 % interval{only}"))
-    if has_paper:
-        text = "paper (raw at the edge)"
-        handles.append(figure_style.black_handle(text, marker="o", hollow=True))
-    figure_style.legend(figure, handles)

@@ -42,9 +42,12 @@ def gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
         return None
     people = list(rows["track"].unique())
     mechanisms = list(rows["mechanism"].unique())
-    figure = figure_style.placed_figure(height_in=1.75 * len(people) + 0.85)
-    shape, margins_in = (len(people), len(mechanisms)), (0.3, 0.1, 0.6, 0.4)
-    panels = figure_style.placed(figure, *shape, margins_in=margins_in, gaps_in=(0.12, 0.2))
+    figure, panels = figure_style.panels(
+        *(len(people), len(mechanisms)),
+        height_in=1.75 * len(people) + 0.85,
+        margins_in=(0.3, 0.1, 0.6, 0.4),
+        gaps_in=(0.12, 0.2),
+    )
     width, height = panels[0, 0].get_position().size * figure.get_size_inches()
     for person, in_row in zip(people, panels, strict=True):
         of = rows[rows["track"] == person]
@@ -61,18 +64,16 @@ def gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
     black, blue = Look("black", "", "-"), Look(_REBUILT_COLOUR, "", "-")
     dot = Look(_SHARED_COLOUR, "o", "")
     handles = [
-        figure_style.line_handle("true", black, linewidth=0.8),
-        figure_style.line_handle("shared", dot, markersize=1.1, alpha=0.6),
-        figure_style.line_handle("shared, leaks", dot, markersize=2.4),
-        figure_style.line_handle("rebuilt", blue, linewidth=0.7),
-        figure_style.line_handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
+        figure_style.handle("true", black, linewidth=0.8),
+        figure_style.handle("shared", dot, markersize=1.1, alpha=0.6),
+        figure_style.handle("shared, leaks", dot, markersize=2.4),
+        figure_style.handle("rebuilt", blue, linewidth=0.7),
+        figure_style.handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
     ]
-    figure_style.legend(figure, handles, columns=5)
     first = rows.iloc[0]
     leak = f"a leak is closer than {first['epsilon_m']:g} m"
     what = f"true, shared, rebuilt by {first['attack']} (blind); {leak}"
-    figure_style.title(figure, dataset="tracks", what=what, one_line=True)
-    return figure
+    return figure_style.finish(figure, handles, dataset="tracks", what=what, columns=5)
 
 
 def _words(_: Results, *, rows: pd.DataFrame) -> str:

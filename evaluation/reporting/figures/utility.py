@@ -82,14 +82,15 @@ def operating_figure(run: Results) -> Figure | None:
         if any(map(len, values)):
             values.append(plane["y"][plane["mechanism"] == RAW].to_numpy())
             figure_style.value_axis(axes[0], values, log=metric != EXPOSURE)
-    handles = figure_style.scheme_handles(drawn)
+    handles: list[Any] = [
+        figure_style.handle(scheme.title, figure_style.look_of(scheme)) for scheme in drawn
+    ]
     if any((plane["mechanism"] == RAW).any() for plane in planes.values()):
         handles.append(figure_style.black_handle("raw", marker="*"))
     if not curves.empty:
         handles.append(figure_style.band_handle("95 % interval at matched rates"))
-    figure_style.legend(figure, handles)
-    figure_style.title(figure, dataset=run.dataset, what=f"operating points, predictor {predictor}")
-    return figure
+    what = f"operating points, predictor {predictor}"
+    return figure_style.finish(figure, handles, dataset=run.dataset, what=what)
 
 
 def _operating_words(run: Results) -> str:
@@ -162,10 +163,13 @@ def curves_figure(run: Results) -> Figure | None:
         return None
     columns = min(3, len(wheres))
     n_rows = -(-len(wheres) // columns)
-    figure = figure_style.placed_figure(height_in=1.85 * n_rows + 0.95)
-    margins_in, sharing = (0.45, 0.1, 0.5, 0.75), {"sharex": True, "sharey": True}
-    panels = figure_style.placed(
-        figure, n_rows, columns, margins_in=margins_in, gaps_in=(0.18, 0.28), **sharing
+    figure, panels = figure_style.panels(
+        *(n_rows, columns),
+        height_in=1.85 * n_rows + 0.95,
+        margins_in=(0.45, 0.1, 0.5, 0.75),
+        gaps_in=(0.18, 0.28),
+        sharex=True,
+        sharey=True,
     )
     looks = dict(zip(of["consumer"].unique(), LOOKS, strict=False))
     titles = {
@@ -203,18 +207,15 @@ def curves_figure(run: Results) -> Figure | None:
     panels[0, 0].set_ylim(-2.0, 102.0)
     handles = [
         *(
-            figure_style.line_handle(name, Look(look.colour, look.marker, "-"))
+            figure_style.handle(name, Look(look.colour, look.marker, "-"))
             for name, look in looks.items()
         ),
         figure_style.black_handle("by predicted separation", dashes=_DASHES["separation"]),
         figure_style.black_handle("by conflict probability", dashes=_DASHES["probability"]),
         figure_style.black_handle("as the paper's robot decides", marker="o", hollow=True),
     ]
-    figure_style.legend(figure, handles, columns=4)
-    figure_style.title(
-        figure, dataset=run.dataset, what="misses against false alarms", one_line=True
-    )
-    return figure
+    what = "misses against false alarms"
+    return figure_style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
 def _curves_words(run: Results) -> str:
