@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,19 +17,18 @@ from evaluation.reporting.rows import by_level, compared_levels, mechanism_colum
 from evaluation.reporting.table import (
     Cell,
     Column,
-    Table,
     amount,
     built,
     counted,
     decided,
     decision,
+    held,
     level,
     measured,
     number,
     points,
     said,
     word,
-    words,
 )
 from evaluation.verdict import rules
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from evaluation.reporting.rows import Results
-    from evaluation.reporting.table import Columns
+    from evaluation.reporting.table import Table
 
 CRITERIA = {
     "missed": "equal rise of missed conflicts",
@@ -96,7 +96,7 @@ def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
 
 def paper_table(run: Results) -> Table:
     """Return the paper's numbers beside ours; judged only on the paper's own recording."""
-    columns: Columns = [
+    columns = [
         *mechanism_columns(run.families),
         said("metric", lambda row: METRICS[row["metric"]].title),
         measured("paper", "paper"),
@@ -106,8 +106,8 @@ def paper_table(run: Results) -> Table:
     notes = [f"The paper used {DATASET}; ours are of {run.dataset}, so they need not agree."]
     if run.dataset == DATASET:
         notes = []
-        columns += [(Column("paper in our interval"), _within)]
-        columns += [(Column("tolerance at 5,000 scenes"), _tolerated)]
+        columns.append(Column("paper in our interval", _within))
+        columns.append(Column("tolerance at 5,000 scenes", _tolerated))
     frame = run.paper_table
     records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
@@ -129,8 +129,13 @@ def _tolerated(row: Mapping[str, Any]) -> Cell:
 
 def claims_table(run: Results) -> Table:
     """Return the paper's claims, and whether they hold."""
-    evidence = Column("evidence", align="left", is_long=True), lambda row: word(row["evidence"])
-    columns: Columns = ["adding", "claim", decided("answer"), (Column("effect"), effect), evidence]
+    columns = [
+        said("adding"),
+        said("claim"),
+        decided("answer"),
+        Column("effect", effect),
+        replace(said("evidence"), is_long=True),
+    ]
     title, notes = "The paper's claims; 95 % intervals", ["Evidence: paper_claims.csv."]
     records = run.claims.to_dict("records")
     return built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
@@ -150,7 +155,7 @@ def matched_table(run: Results) -> Table:
         row = ordered.iloc[max(0, len(known) - 1) // 2].to_dict()
         if Source(row["consumer"], row["knowledge"]) in sources:
             rows.append(row)
-    columns: Columns = [
+    columns = [
         said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
         "adding",
         "predictor",
@@ -171,7 +176,7 @@ def matched_table(run: Results) -> Table:
 def decision_table(run: Results) -> Table:
     """Return misses at equal false alarms, at levels that cost alike."""
     told = by_level(run.decisions)
-    columns: Columns = [
+    columns = [
         *mechanism_columns(run.families),
         said("predictor", "consumer"),
         "score",
@@ -188,7 +193,7 @@ def decision_table(run: Results) -> Table:
 def flag_table(run: Results) -> Table:
     """Return the flags of weak attacks."""
     texts = run.flags.assign(**run.flags[["by", "by_knowledge"]].astype(object).fillna(""))
-    columns: Columns = [
+    columns = [
         said("flag", lambda row: row["kind"].replace("_", " ")),
         said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
         said("beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label),
@@ -198,7 +203,7 @@ def flag_table(run: Results) -> Table:
     return built("flags", "All flags", texts.to_dict("records"), columns, n_keys=6)
 
 
-_EFFECT: Final = Column("effect"), partial(effect, signed=True)
+_EFFECT: Final = Column("effect", partial(effect, signed=True))
 
 
 def section_of(name: str) -> tuple[str, str]:
@@ -210,22 +215,20 @@ def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
     """Return a table for each section that has items: decisions by what they are about."""
     found = []
     for name, items in _by_section(verdict["items"]).items():
-        placed = [(*_place(one), one) for one in items]
-        heads = list(dict.fromkeys(column for _, column, _ in placed))
-        cells: dict[tuple[str, str], dict[str, Cell]] = {row: {} for row, _, _ in placed}
-        for row, column, one in placed:
-            is_number = one["decision"] in (rules.INFLATED, rules.DEFLATED)
-            text = Cell(SHORT.get(one["decision"], one["decision"]))
-            cells[row][column] = number(one["effect"]) if is_number else text
-        question, about = section_of(name)
         first = "positions" if name == "claim" else "adding"
-        columns = [*words(first, "of"), *map(Column, heads)]
-        rows = [
-            [*map(word, row), *(known.get(head, Cell()) for head in heads)]
-            for row, known in cells.items()
-        ]
+        records: dict[tuple[str, str], dict[str, Cell]] = {}
+        heads: dict[str, None] = {}
+        for one in items:
+            row, head = _place(one)
+            is_number = one["decision"] in (rules.INFLATED, rules.DEFLATED)
+            text = word(SHORT.get(one["decision"], one["decision"]))
+            start = {first: word(row[0]), "of": word(row[1])}
+            records.setdefault(row, start)[head] = number(one["effect"]) if is_number else text
+            heads[head] = None
         question, about = section_of(name)
-        found.append(Table(f"short-{name}", question, columns, rows, notes=[about], n_keys=2))
+        columns = [held(first, align="left"), held("of", align="left"), *map(held, heads)]
+        options = {"notes": [about], "n_keys": 2}
+        found.append(built(f"short-{name}", question, records.values(), columns, **options))
     return found
 
 
@@ -234,7 +237,7 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     found = {}
     for section, of in _by_section(items).items():
         aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
-        columns: Columns = [
+        columns = [
             decided("decision"),
             said("what it says", _sentence),
             _EFFECT,
@@ -254,13 +257,13 @@ def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
         for item in items
         for contrast in item.get("contrasts") or ()
     ]
-    columns: Columns = [
+    columns = [
         "adding",
         said("descriptor", partial(_aspect, "descriptor")),
         "task",
         said("attack", "subject"),
         said("against", "mechanism"),
-        (Column("level"), lambda row: level(row["level"])),
+        Column("level", lambda row: level(row["level"])),
         decided("reading"),
         _EFFECT,
     ]
@@ -271,9 +274,10 @@ def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
 
 def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Return the items by section: those that are known first, in their order."""
-    names = dict.fromkeys([*SECTIONS, *(str(item["section"]) for item in items)])
-    sections = {name: [one for one in items if one["section"] == name] for name in names}
-    return {name: of for name, of in sections.items() if of}
+    found: dict[str, list[Mapping[str, Any]]] = {name: [] for name in SECTIONS}
+    for item in items:
+        found.setdefault(str(item["section"]), []).append(item)
+    return {name: of for name, of in found.items() if of}
 
 
 def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:

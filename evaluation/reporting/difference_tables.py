@@ -18,16 +18,7 @@ from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
 from evaluation.reporting import terminal
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    Table,
-    amount,
-    built,
-    level,
-    said,
-    shortened,
-)
+from evaluation.reporting.table import Cell, Column, amount, built, level, said, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -36,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from evaluation.analysis.differences import Comparison
-    from evaluation.reporting.table import Made
+    from evaluation.reporting.table import Table
     from evaluation.reporting.terminal import Part
 
 _MOST_SHOWN = 20
@@ -148,8 +139,8 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
     which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
     marks = _MARKS if len(set(shown["pairing"])) > 1 else {}
 
-    def side(name: str) -> Made:
-        return Column(name.upper()), lambda row: amount(row["metric"], row[name])
+    def side(name: str) -> Column:
+        return Column(name.upper(), lambda row: amount(row["metric"], row[name]))
 
     def change(row: Mapping[Any, Any]) -> Cell:
         ends = (row[name] for name in ("difference", "ci_low", "ci_high"))
@@ -165,12 +156,12 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
         shown.to_dict("records"),
         [
             said("", lambda row: _heading(row, room=room)),
-            (Column("level"), lambda row: Cell() if _apart(row) else level(row["level_a"])),
+            Column("level", lambda row: Cell() if _apart(row) else level(row["level_a"])),
             said("metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()),
             side("a"),
             side("b"),
-            (Column("B - A"), change),
-            (Column("p"), p_value),
+            Column("B - A", change),
+            Column("p", p_value),
         ],
         marks={mark: _PAIRED[kind] for kind, mark in _MARKS.items()},
         n_headings=1,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -19,7 +20,7 @@ from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, RECONSTRUCTION, S
 from evaluation.reporting import summary_tables as levels
 from evaluation.reporting.markup import markdown
 from evaluation.reporting.rows import ENDS, by_level, telling
-from evaluation.reporting.table import Cell, Column, Table, amount, word
+from evaluation.reporting.table import amount, built, held, said
 from evaluation.runs.files import write_whole
 from isac_track.errors import DataError
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.families import Family
     from evaluation.reporting.rows import Results
+    from evaluation.reporting.table import Table
 
 _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _REFERENCE: Final = "smoke"
@@ -51,17 +53,17 @@ def _linkage(summary: pd.DataFrame) -> Table:
     records = []
     for consumer in dict.fromkeys(consumer for _, consumer, _ in of):
         task, _, linker = consumer.partition("/")
-        (chance, *_) = (
-            row["value"] for (_, *one), row in of.items() if one == [consumer, "chance"]
-        )
-        ranks = [of.get((where, consumer, SUCCESS)) for where in wheres]
-        records.append(
-            [word(task), word(f"{100 * chance:.1f}"), word(linker)]
-            + [amount(SUCCESS, *(row[end] for end in ENDS)) if row else Cell() for row in ranks]
-        )
-    columns = [Column("task", align="left"), Column("chance", "%"), Column("linker", align="left")]
-    columns += [Column(_heading(known[mechanism], at)) for mechanism, at in wheres]
-    return Table("linkage", "Rank 1 (%) of every linker; 95 % intervals", columns, records)
+        chances = (row["value"] for (_, *one), row in of.items() if one == [consumer, "chance"])
+        ranks = {
+            f"{where}": amount(SUCCESS, *(row[end] for end in ENDS))
+            for where in wheres
+            if (row := of.get((where, consumer, SUCCESS)))
+        }
+        chance = f"{100 * next(chances):.1f}"
+        records.append({"task": task, "chance": chance, "linker": linker, **ranks})
+    columns = [said("task"), replace(said("chance"), unit="%", align="right"), said("linker")]
+    columns += [held(_heading(known[where[0]], where[1]), f"{where}") for where in wheres]
+    return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records, columns)
 
 
 DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {

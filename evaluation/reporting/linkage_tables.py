@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from attacks.tasks.controls import CONTROLS
@@ -15,15 +16,12 @@ from evaluation.reporting.rows import family_of, mechanism_columns, telling
 from evaluation.reporting.table import (
     Cell,
     Column,
-    Table,
     amount,
     built,
     counted,
     measured,
     said,
     shortened,
-    word,
-    words,
 )
 from isac_track.linkability import LEVEL
 
@@ -34,7 +32,7 @@ if TYPE_CHECKING:
     from evaluation.analysis.keys import Where
     from evaluation.analysis.linkability import LinkedTask
     from evaluation.reporting.rows import Results
-    from evaluation.reporting.table import Columns
+    from evaluation.reporting.table import Table
 
 MARKS = dict(zip(REMARKS, "~?!", strict=True))
 """Of what is to be said of a cell that does not simply link."""
@@ -49,35 +47,30 @@ def rank_table(run: Results, task: LinkedTask) -> Table:
     """Return rank 1 of the attacks of a task, a row each, at the levels that tell."""
     known = run.families
     wheres = telling(task.cells, known, controls=False)
-    columns = words("attack")
-    for name, at in wheres:
+    columns = [said("attack", itemgetter(0))]
+    for place, (name, at) in enumerate(wheres, start=1):
         one = family_of(known, name)
         # A level of the default rule keeps its interval longest.
         weight = 2.0 * (one.adding != "independent") + (at is not None)
         heading = f"{one.name} {level_text(at)}".rstrip()
-        columns.append(Column(heading, above=one.adding, weight=weight))
-    cells = [
+        columns.append(Column(heading, itemgetter(place), above=one.adding, weight=weight))
+    records: list[list[Any]] = [
         [
-            word(shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH)),
+            shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH),
             *(_rank(task.cells[where].get(source)) for where in wheres),
         ]
         for source in task.attacks
     ]
     some = [next(iter(task.cells[where].values())) for where in wheres]
-    cells.append([word("chance"), *(amount(SUCCESS, row["chance"]) for row in some)])
+    records.append(["chance", *(amount(SUCCESS, row["chance"]) for row in some)])
     about = "Unmarked cells link, by the ranks of all mates."
     if (CLEAN, None) in wheres:
         about += " clean: no error at all, the ceiling."
     people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
     notes = _size(some[0], people=people), _confounders(task, wheres, known), _controls(task), about
-    return Table(
-        f"linkage-{task.name}",
-        f"{_title(task)}; rank 1 in %, 95 % intervals",
-        columns,
-        cells,
-        notes=list(filter(None, notes)),
-        marks=MEANING,
-    )
+    title = f"{_title(task)}; rank 1 in %, 95 % intervals"
+    options = {"notes": list(filter(None, notes)), "marks": MEANING}
+    return built(f"linkage-{task.name}", title, records, columns, **options)
 
 
 def cells_table(run: Results, task: LinkedTask) -> Table:
@@ -87,7 +80,7 @@ def cells_table(run: Results, task: LinkedTask) -> Table:
         for where in telling(task.cells, run.families)
         for source, row in task.cells[where].items()
     ]
-    columns: Columns = [
+    columns = [
         *mechanism_columns(run.families),
         "attack",
         said("adversary", "knowledge"),
@@ -112,7 +105,7 @@ def doubt_table(run: Results) -> Table:
         shortcut = f"invalid: {row['invalid']} tells people apart"
         return shortcut if row["invalid"] else REMARKS[TOO_WEAK]
 
-    columns: Columns = [
+    columns = [
         said("task/attack", "consumer"),
         said("adversary", "knowledge"),
         *mechanism_columns(run.families),

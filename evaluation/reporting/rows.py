@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.keys import Where
     from evaluation.analysis.linkability import LinkedTask
-    from evaluation.reporting.table import Made
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
@@ -114,12 +113,12 @@ def parameters_text(one: Family) -> str:
     return text.replace("d_sigma=", "Δσ=").replace("tau_s=", "τ=")
 
 
-def mechanism_columns(known: Mapping[str, Family]) -> list[Made]:
+def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
     """Return the columns mechanism, adding rule and level of records that have them."""
     return [
         said("mechanism", lambda record: family_of(known, record["mechanism"]).name),
         said("adding", lambda record: family_of(known, record["mechanism"]).adding),
-        (Column("level"), lambda record: level(record["level"])),
+        Column("level", lambda record: level(record["level"])),
     ]
 
 

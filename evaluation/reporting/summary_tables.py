@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from operator import itemgetter
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,25 +19,18 @@ from evaluation.analysis.metrics import (
 )
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
-from evaluation.reporting.rows import (
-    by_level,
-    mechanism_columns,
-    of_source,
-    sources_at,
-    telling,
-)
-from evaluation.reporting.table import Cell, Column, amount, built, metric_column, said
+from evaluation.reporting.rows import by_level, mechanism_columns, of_source, sources_at, telling
+from evaluation.reporting.table import Cell, Column, amount, built, held, metric_column, said
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
     import pandas as pd
 
-    from evaluation.reporting.table import Columns, Made, Table
+    from evaluation.reporting.table import Table
 
 _WEIGHTS = {MISSED_RATE: 3.0, EXPOSURE: 3.0, "rmse": 2.5, "ael": 2.0, "mel": 2.0}
-_SHARED = SHARED, ", shared"
 SCOPE = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
 """What the levels are."""
 
@@ -52,17 +45,14 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
     predictors = list(others.loc[others["consumer"] != SHARED, "consumer"].unique())
     found = []
     for place, predictor in enumerate(predictors or [SHARED]):
-        drawn = {predictor} if place else {predictor, SHARED}
-        rows = others[others["consumer"].isin(drawn)]
-        present = set(rows["metric"])
+        # As shared stands beside the first.
+        drawn = {Source(predictor): UTILITY} | ({} if place else {AS_SHARED: DESCRIPTORS})
+        rows = others[others["consumer"].isin([one.consumer for one in drawn])]
         columns = [
-            (
-                metric_column(metric, f"{METRICS[metric].head}{end}", weight=_weight(metric)),
-                _taken(Source(consumer), metric),
-            )
-            for metrics, consumer, end in ((UTILITY, predictor, ""), (DESCRIPTORS, *_SHARED))
+            _column(one, metric, f"{METRICS[metric].head}{', shared' * (one == AS_SHARED)}")
+            for one, metrics in drawn.items()
             for metric in metrics
-            if metric in present
+            if (rows["metric"] == metric).any()
         ]
         name, title = (f"sweep-{place}", "") if place else ("sweep", " as shared")
         title += f", predictor {predictor}" if predictor != SHARED else ""
@@ -83,22 +73,19 @@ def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source
     of : sequence of (Source, str)
         Whose and which metric, column by column.
     """
-    found = by_level(summary)
-    known = families_in(summary)
+    known, found = families_in(summary), by_level(summary)
     records = [
-        {"mechanism": mechanism, "level": at, "of": sources_at(found[mechanism, at])}
+        {"mechanism": mechanism, "level": at, "of": sources}
         for mechanism, at in telling(found, known, controls=False)
-        if any(metric in sources_at(found[mechanism, at]).get(one, {}) for one, metric in of)
+        if (sources := sources_at(found[mechanism, at]))
+        and any(metric in sources.get(one, {}) for one, metric in of)
     ]
-    columns = [
-        (metric_column(metric, f"{METRICS[metric].head}, {one.label}"), _taken(one, metric))
-        for one, metric in of
-    ]
+    columns = [_column(one, metric, f"{METRICS[metric].head}, {one.label}") for one, metric in of]
     return built(name, "", records, [*mechanism_columns(known), *columns], n_keys=3)
 
 
 def _by_level(
-    name: str, title: str, rows: pd.DataFrame, columns: list[Made], *, notes: list[str]
+    name: str, title: str, rows: pd.DataFrame, columns: list[Column], *, notes: list[str]
 ) -> Table:
     """Return a table with a row for each mechanism level."""
     records = [
@@ -110,18 +97,15 @@ def _by_level(
     return built(name, title, records, columns, notes=notes, n_headings=2, n_keys=3)
 
 
-def _taken(source: Source, metric: str) -> Callable[[Any], Cell]:
-    """Return what takes the cell of a metric of some positions from a level with its rows."""
-    return lambda level: _amount(level["of"].get(source, {}), metric)
+def _column(source: Source, metric: str, name: str) -> Column:
+    """Return the column of a metric of some positions."""
+    weight = _WEIGHTS.get(metric, 1.0)
+    return metric_column(metric, partial(_cell, source, metric), name=name, weight=weight)
 
 
-def _weight(metric: str) -> float:
-    return _WEIGHTS.get(metric, 1.0)
-
-
-def _amount(rows: Mapping[str, Mapping[str, Any]], metric: str) -> Cell:
-    """Return the cell of one of some rows of `summary.csv` by metric."""
-    row = rows.get(metric)
+def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
+    """Return the cell of a metric of some positions at a level with its rows."""
+    row = level["of"].get(source, {}).get(metric)
     return amount(metric, row["value"], row["ci_low"], row["ci_high"]) if row else Cell()
 
 
@@ -157,7 +141,7 @@ def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset(
     for source in shown:
         # The strongest keep their intervals longest.
         weight = np.inf if source == AS_SHARED else float(of_source(rows, source)["value"].mean())
-        columns.append((Column(source.label, weight=weight), _taken(source, EXPOSURE)))
+        columns.append(Column(source.label, partial(_cell, source, EXPOSURE), weight=weight))
     oracle = "The oracle is a reference: it stands where nobody less can run the attack."
     notes = [oracle] * any(source.knowledge == ORACLE for source in shown)
     ran = [source.consumer for source in shown if source.consumer in slow]
@@ -192,20 +176,23 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
             {of: found for of, found in sources_at(blocks[where]).items() if only in (None, of)}
         )
     ]
-    columns: Columns = [
+    columns = [
         *mechanism_columns(known),
         *map(said, ("positions", "adversary")),
-        *((metric_column(one, weight=_weight(one)), itemgetter(one)) for one in RECONSTRUCTION),
+        *(
+            held(METRICS[one].head, one, unit=METRICS[one].unit, weight=_WEIGHTS.get(one, 1.0))
+            for one in RECONSTRUCTION
+        ),
     ]
     title = f"{title}; 95 % intervals"
     return built("attacks", title, records, columns, n_headings=3, n_keys=5)
 
 
-def _merged(found: Mapping[Source, Mapping[str, Mapping[str, Any]]]) -> list[dict[str, Any]]:
+def _merged(found: Mapping[Source, Any]) -> list[dict[str, Any]]:
     """Return the rows of a level; one for adversaries whose numbers are the same."""
     cells = {
-        source: {metric: _amount(rows, metric) for metric in RECONSTRUCTION}
-        for source, rows in found.items()
+        source: {metric: _cell(source, metric, {"of": found}) for metric in RECONSTRUCTION}
+        for source in found
     }
     consumers = [source.consumer for source in found]
     shared = cells.get(AS_SHARED)

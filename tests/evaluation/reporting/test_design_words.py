@@ -19,8 +19,7 @@ from rich.console import Console
 from evaluation import matrix
 from evaluation.analysis.families import ADDING_RULES
 from evaluation.experiment.axes import axes
-from evaluation.reporting.design_tables import show
-from evaluation.reporting.design_words import closer, notes, reasons, to_json
+from evaluation.reporting.design_words import closer, notes, reasons, show, to_json
 from isac_track.config import StageSettings
 
 LIMITS = {"missed": 0.23, "plr": 0.42, "rank1": 0.44}
