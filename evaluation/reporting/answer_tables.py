@@ -39,13 +39,12 @@ if TYPE_CHECKING:
     from evaluation.reporting.table import Table
 
 CRITERIA = {
-    "missed": "equal rise of missed conflicts",
-    "missed_at_equal_false_alarms": "the same, at equal false alarms",
+    MISSED: "equal rise of missed conflicts",
+    AT_EQUAL_ALARMS: "the same, at equal false alarms",
     "plr": "equal PLR as shared",
 }
 """By what operating points are matched."""
-_POINT = ("criterion", "adding", "predictor", "consumer", "knowledge", "metric")
-_AS_SHARED = {SHARED: "as shared"}
+_POINT = ["criterion", "adding", "predictor", "consumer", "knowledge", "metric", "mechanism"]
 _EFFECTS = {
     "fraction": (100.0, 1, "points"),
     "s": (1.0, 3, "s"),
@@ -130,8 +129,7 @@ def _tolerated(row: Mapping[str, Any]) -> Cell:
 def claims_table(run: Results) -> Table:
     """Return the paper's claims, and whether they hold."""
     columns = [
-        said("adding"),
-        said("claim"),
+        *map(said, ("adding", "claim")),
         decided("answer"),
         Column("effect", effect),
         replace(said("evidence"), is_long=True),
@@ -141,15 +139,18 @@ def claims_table(run: Results) -> Table:
     return built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
 
 
+def _whose(row: Mapping[str, Any]) -> str:
+    return "as shared" if row["consumer"] == SHARED else row["consumer"]
+
+
 def matched_table(run: Results) -> Table:
     """Return every mechanism against fixed noise half way along each curve, strongest attacks."""
     sources = {AS_SHARED}
     for task, one in run.strongest.items():
         sources.add(Source(f"{task}/{one.consumer}" if task else one.consumer, one.knowledge))
-    keys = [*_POINT, "mechanism"]
-    texts = run.matched.assign(**run.matched[keys].astype(object).fillna(""))
+    texts = run.matched.assign(**run.matched[_POINT].astype(object).fillna(""))
     rows = []
-    for _, part in texts.groupby(keys, sort=False):
+    for _, part in texts.groupby(_POINT, sort=False):
         known = part[part["ci_low"].notna()]
         ordered = (part if known.empty else known).sort_values("at")
         row = ordered.iloc[max(0, len(known) - 1) // 2].to_dict()
@@ -157,12 +158,11 @@ def matched_table(run: Results) -> Table:
             rows.append(row)
     columns = [
         said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
-        "adding",
-        "predictor",
-        said("positions or attack", lambda row: _AS_SHARED.get(row["consumer"], row["consumer"])),
+        *map(said, ("adding", "predictor")),
+        said("positions or attack", _whose),
         said("adversary", "knowledge"),
         said("metric", lambda row: METRICS[row["metric"]].title),
-        "mechanism",
+        said("mechanism"),
         counted("at", "%", "at", scale=100.0),
         measured("of the mechanism", "fid", "fid_low", "fid_high"),
         measured("of fixed noise", "fixed", "fixed_low", "fixed_high"),
@@ -179,7 +179,7 @@ def decision_table(run: Results) -> Table:
     columns = [
         *mechanism_columns(run.families),
         said("predictor", "consumer"),
-        "score",
+        said("score"),
         counted("area (0 perfect, 0.5 chance)", "", "area", "area_low", "area_high", digits=3),
         counted("at false alarms", "%", "false_alarm_rate", scale=100.0),
         measured("missed", MISSED_RATE, "missed_low", "missed_high", metric=MISSED_RATE),
@@ -241,7 +241,7 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
             decided("decision"),
             said("what it says", _sentence),
             _EFFECT,
-            "adding",
+            said("adding"),
             *(said(key, partial(_aspect, key)) for key in aspects),
             said("about", "subject"),
             counted("people", "", "n", digits=0),
@@ -258,9 +258,9 @@ def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
         for contrast in item.get("contrasts") or ()
     ]
     columns = [
-        "adding",
+        said("adding"),
         said("descriptor", partial(_aspect, "descriptor")),
-        "task",
+        said("task"),
         said("attack", "subject"),
         said("against", "mechanism"),
         Column("level", lambda row: level(row["level"])),

@@ -88,9 +88,9 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         yield f"{name}: {text}", "bold"
     yield ""
     changed = [
-        [f"{kind}:", name, f"{_value(a)} -> {_value(b)}"]
+        [f"{kind}:", name, " -> ".join(map(_value, pair))]
         for kind, values in comparison.changed.items()
-        for name, (a, b) in values.items()
+        for name, pair in values.items()
     ]
     nothing = "Nothing changed in data, settings, code and libraries."
     yield "What changed, A -> B" if changed else nothing, "bold"

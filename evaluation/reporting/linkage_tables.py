@@ -82,11 +82,11 @@ def cells_table(run: Results, task: LinkedTask) -> Table:
     ]
     columns = [
         *mechanism_columns(run.families),
-        "attack",
+        said("attack"),
         said("adversary", "knowledge"),
         measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
         measured("chance", "chance", metric=SUCCESS),
-        "outcome",
+        said("outcome"),
         said("shortcut", "invalid"),
         counted("candidates", "", "gallery_mean", digits=0),
         counted("people", "", "n_clusters", digits=0),

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -133,12 +133,12 @@ def built(
     name: str,
     title: str,
     records: Iterable[Any],
-    columns: Iterable[Column | str],
+    columns: Sequence[Column],
     **options: Any,  # noqa: ANN401 - the other fields of `Table`
 ) -> Table:
-    """Return a table with a row for each record; columns of words may be named alone."""
-    made = [said(one) if isinstance(one, str) else one for one in columns]
-    return Table(name, title, made, [[one.of(row) for one in made] for row in records], **options)
+    """Return a table with a row for each record."""
+    rows = [[one.of(record) for one in columns] for record in records]
+    return Table(name, title, columns, rows, **options)
 
 
 def said(name: str, of: str | Callable[[Any], object] = "") -> Column:
@@ -211,7 +211,7 @@ def number(
     `sign` is "+" for a difference.
     """
     if value is None or not math.isfinite(value):
-        return Cell("")
+        return Cell()
     known = [scale * one for one in (value, *interval) if one is not None and math.isfinite(one)]
     text, *ends = (f"{one:{sign}.{digits}f}" for one in known)
     low, high = ends if len(ends) > 1 else ("", "")
@@ -231,8 +231,7 @@ def estimated(metric: str, one: Estimate, *, mark: str = "") -> Cell:
 
 def level(value: float | None) -> Cell:
     """Return a level; empty for a mechanism without one."""
-    known = value is not None and math.isfinite(value)
-    return Cell(level_text(value), value=value if known else None)
+    return replace(word(level_text(value)), value=number(value).value)
 
 
 def shortened(name: str, *, room: int) -> str:

@@ -27,6 +27,8 @@ _HEAD_WIDTH = 10
 _SHORT = 8
 _LEAST_WORDS = 16
 """Below this words are not wrapped to."""
+Lines: TypeAlias = "list[tuple[str, str]]"
+"""Each with its style."""
 
 
 def standard_output() -> Console:
@@ -78,8 +80,8 @@ def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
     """
     if not table.rows:
         return
-    is_bare = not table.title.endswith("intervals")
-    told = " (intervals where there is room)" if is_bare else " where there is room"
+    told = "" if table.title.endswith("intervals") else " (intervals"
+    told += " where there is room" + ")" * bool(told)
     for part in _parts(table, width=console.width, whole=whole):
         # The last of the light ones go first.
         order = sorted(
@@ -102,20 +104,16 @@ def _intervals(table: Table, columns: Iterable[int]) -> set[int]:
     return {place for place in columns if any(row[place].low for row in table.rows)}
 
 
-def _width(lines: Iterable[tuple[str, str]]) -> int:
+def _width(lines: Lines) -> int:
     return max(len(line) for line, _ in lines)
 
 
 def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
     """Return the columns in parts that fit, with intervals if `whole`, each beside the keys."""
-    columns = [
-        place
-        for place, column in enumerate(table.columns)
-        if place >= table.n_headings and not column.is_long
-    ]
-    keys = [place for place in columns if place < table.n_keys]
+    shown = [place for place, column in enumerate(table.columns) if not column.is_long]
+    keys = [place for place in shown if table.n_headings <= place < table.n_keys]
     parts = [keys]
-    for place in columns[len(keys) :]:
+    for place in shown[max(table.n_headings, table.n_keys) :]:
         wider = [*parts[-1], place]
         intervals = _intervals(table, wider) if whole else set()
         lines = _lines(table, wider, intervals=intervals, width=width)
@@ -126,9 +124,7 @@ def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
     return parts
 
 
-def _lines(
-    table: Table, columns: list[int], *, intervals: set[int], width: int
-) -> list[tuple[str, str]]:
+def _lines(table: Table, columns: list[int], *, intervals: set[int], width: int) -> Lines:
     """Return the lines with their styles: heads, headings, and rows whose columns line up."""
     shown = [_column(table, place, has_interval=place in intervals) for place in columns]
     depth = max(len(head) for head, _ in shown)
@@ -140,10 +136,12 @@ def _lines(
         if heading and headings.count(heading) == 1 and not cells[0] and len(heading) <= _SHORT:
             headings[place], cells[0] = "", heading
     left = {n for n, place in enumerate(columns) if table.columns[place].align == "left"}
-    wrapped, owner = _wrapped(grid, left=left, width=width)
-    lines: list[tuple[str, str]] = []
+    lines: Lines = []
     above = ""
-    for line, row in zip(aligned(wrapped, left=left), owner, strict=True):
+    wrapped = _wrapped(grid, left=left, width=width)
+    for line, (row, _) in zip(
+        aligned([cells for _, cells in wrapped], left=left), wrapped, strict=True
+    ):
         heading = headings[row - depth] if row >= depth else ""
         if heading and heading != above:
             lines.append((heading, "bold cyan"))
@@ -157,9 +155,9 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
     column, cells = table.columns[place], [row[place] for row in table.rows]
     missing = "-" if column.align == "right" and place >= table.n_keys else ""
     room = max(len(cell.mark) for cell in cells)
-    values = [f"{cell.text or missing}{cell.mark.ljust(room)}" for cell in cells]
     values = [
-        " ".join(filter(None, [text, cell.unit])) for text, cell in zip(values, cells, strict=True)
+        f"{cell.text or missing}{cell.mark.ljust(room)}" + f" {cell.unit}" * bool(cell.unit)
+        for cell in cells
     ]
     head = [*([column.above] if column.above else []), *_broken(column.name)]
     if column.unit and len(head[-1]) + len(column.unit) < _HEAD_WIDTH:
@@ -194,22 +192,20 @@ def _heading(table: Table, row: Sequence[Cell]) -> str:
 
 def _wrapped(
     grid: Sequence[Sequence[str]], *, left: AbstractSet[int], width: int
-) -> tuple[list[list[str]], list[int]]:
-    """Return the rows with the widest words wrapped to fit, and which row each line is of."""
+) -> list[tuple[int, list[str]]]:
+    """Return the rows with the widest words wrapped to fit, each line with the row that it is of."""
     widths = [max(map(len, column)) for column in zip(*grid, strict=True)]
-    total = sum(widths) + 2 * (len(widths) - 1)
+    excess = sum(widths) + 2 * (len(widths) - 1) - width
     widest = max(left, key=lambda place: widths[place], default=None)
-    if total <= width or widest is None or widths[widest] - (total - width) < _LEAST_WORDS:
-        return [list(cells) for cells in grid], list(range(len(grid)))
-    room = widths[widest] - (total - width)
-    wrapped, owner = [], []
+    if excess <= 0 or widest is None or widths[widest] - excess < _LEAST_WORDS:
+        return [(place, list(cells)) for place, cells in enumerate(grid)]
+    wrapped = []
     for place, cells in enumerate(grid):
-        pieces = textwrap.wrap(cells[widest], room) or [""]
-        for n, piece in enumerate(pieces):
-            rest = cells if n == 0 else [""] * len(cells)
-            wrapped.append([*rest[:widest], piece, *rest[widest + 1 :]])
-            owner.append(place)
-    return wrapped, owner
+        rest = cells
+        for piece in textwrap.wrap(cells[widest], widths[widest] - excess) or [""]:
+            wrapped.append((place, [*rest[:widest], piece, *rest[widest + 1 :]]))
+            rest = [""] * len(cells)
+    return wrapped
 
 
 def _broken(name: str) -> list[str]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,8 +35,7 @@ _MOST_BANDS = 2
 _NOTES = {"rerelease": "(upper bound)"}
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Row:
+class _Row(NamedTuple):
     """A row of the figure: a task, and the lines of those who are drawn."""
 
     task: LinkedTask
@@ -50,13 +48,6 @@ class _Row:
         every = (line.rows for line in self.lines.values())
         return [PERCENT * one for of in every for one in of["value"][of["mechanism"] == mechanism]]
 
-    @property
-    def limit(self) -> float:
-        """End of the axis."""
-        ends = PERCENT * self.points[ENDS].to_numpy(dtype=float)
-        highest = max([float(np.nanmax(ends)), *self.alone(RAW), *self.alone(CLEAN)])
-        return next((limit for limit in _LIMITS if highest <= limit), _LIMITS[-1])
-
 
 def drawings(_: Results) -> list[Drawing]:
     """Return the figure of all tasks."""
@@ -67,20 +58,18 @@ def drawings(_: Results) -> list[Drawing]:
 def linkage_figure(run: Results) -> Figure | None:
     """Return rank 1 over the level, one row for each task; None without linkage or levels.
 
-    One column for each way of adding error and adding rule. At most five attacks are drawn: the
-    strongest of each task by mean rank 1 over all levels, then the second strongest of each, and
-    so on. An attack looks the same in every task.
+    One column for each way of adding error and adding rule. At most five attacks are drawn, each
+    alike in every task.
     """
     known = [(scheme, rule) for scheme in schemes(run.summary) for rule in scheme.rules]
     looks = dict(zip(_strongest(run.tasks), LOOKS, strict=False))
     rows = [row for task in run.tasks if (row := _row(task, looks, known)).lines]
     if not rows:
         return None
-    lines = [line for row in rows for line in row.lines.values()]
     columns = [
         (scheme, rule)
         for scheme, rule in known
-        if any(not scheme.of(line.rows, rule).empty for line in lines)
+        if scheme.of(pd.concat(row.points for row in rows), rule).size
     ]
     figure, panels = figure_style.panels(
         len(rows), len(columns), height_in=1.05 * len(rows) + 1.3, sharex="col", sharey="row"
@@ -90,10 +79,13 @@ def linkage_figure(run: Results) -> Figure | None:
         is_simulated = name in TASKS and TASKS[name].simulated
         note = "(simulated)" if is_simulated else _NOTES.get(name, "")
         in_row[0].set_ylabel("\n".join(filter(None, [name, note, "rank 1 (%)"])))
-        in_row[0].set_ylim(-0.03 * row.limit, 1.03 * row.limit)
-        if row.limit < PERCENT:
-            ends = f"axis ends at {row.limit:g} %"
-            in_row[0].text(0.03, 0.97, ends, transform=in_row[0].transAxes, va="top")
+        ends = PERCENT * row.points[ENDS].to_numpy(dtype=float)
+        highest = max([float(np.nanmax(ends)), *row.alone(RAW), *row.alone(CLEAN)])
+        limit = next((limit for limit in _LIMITS if highest <= limit), _LIMITS[-1])
+        in_row[0].set_ylim(-0.03 * limit, 1.03 * limit)
+        if limit < PERCENT:
+            ends_at = f"axis ends at {limit:g} %"
+            in_row[0].text(0.03, 0.97, ends_at, transform=in_row[0].transAxes, va="top")
         for (scheme, rule), ax in zip(columns, in_row, strict=True):
             _draw(ax, row, scheme=scheme, rule=rule)
     for (scheme, rule), in_column in zip(columns, panels.T, strict=True):
@@ -103,7 +95,8 @@ def linkage_figure(run: Results) -> Figure | None:
         if not scheme.log:
             # Few, lest those of two panels meet.
             in_column[0].xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 5, 10]))
-    return figure_style.finish(figure, _handles(rows, looks), **_title(run.dataset, rows))
+    name, what = _title(run.dataset, rows)
+    return figure_style.finish(figure, _handles(rows, looks), dataset=name, what=what)
 
 
 def _words(run: Results) -> str:
@@ -129,7 +122,7 @@ def _strongest(tasks: Sequence[LinkedTask]) -> list[Source]:
     ranked = [
         sorted(task.attacks, key=lambda source: -_mean(rank1_rows(task, source))) for task in tasks
     ]
-    turns = [source for turn in zip_longest(*ranked) for source in turn if source is not None]
+    turns = (source for turn in zip_longest(*ranked) for source in turn if source is not None)
     return list(dict.fromkeys(turns))[: len(LOOKS)]
 
 
@@ -176,7 +169,6 @@ def _draw(ax: Axes, row: _Row, *, scheme: Scheme, rule: str) -> None:
 def _handles(rows: Sequence[_Row], looks: Mapping[Source, Look]) -> list[Any]:
     """Return what stands in the legend."""
     lines = {source: line for row in rows for source, line in row.lines.items()}
-    every = [line for row in rows for line in row.lines.values()]
     handles: list[Any] = [lines[source].handle for source in looks if source in lines]
     if any(row.alone(RAW) for row in rows):
         handles.append(figure_style.black_handle("raw (at its edge)", dashes=":"))
@@ -186,18 +178,18 @@ def _handles(rows: Sequence[_Row], looks: Mapping[Source, Look]) -> list[Any]:
         text = "does not link, or is invalid"
         handles.append(figure_style.black_handle(text, marker="o", hollow=True))
     handles.append(figure_style.handle("chance", _CHANCE_LOOK))
-    only = "" if all(line.has_band for line in every) else f" (the {_MOST_BANDS} strongest)"
+    is_banded = all(line.has_band for row in rows for line in row.lines.values())
+    only = "" if is_banded else f" (the {_MOST_BANDS} strongest)"
     handles.append(figure_style.band_handle(f"95 % interval{only}"))
     return handles
 
 
-def _title(dataset: str, rows: Sequence[_Row]) -> dict[str, str]:
+def _title(dataset: str, rows: Sequence[_Row]) -> tuple[str, str]:
     """Return whose walks they are: a simulated task has people of its own."""
-    tasks = [row.task for row in rows]
-    of = {dataset_of(f"{task.name}/", dataset=dataset): task.name for task in tasks}
+    of = {dataset_of(f"{row.task.name}/", dataset=dataset): row.task.name for row in rows}
     others = [f"{name}: {other}" for other, name in of.items() if other != dataset]
     name = dataset if dataset in of else next(iter(of))
     what = "linkage, the strongest attacks of each task by mean rank 1"
     if dataset in of and others:
         what += f" ({', '.join(others)})"
-    return {"dataset": name, "what": what}
+    return name, what

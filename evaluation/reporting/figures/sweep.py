@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
     named = predictors if len(predictors) > 1 else []
     named += [line for (_, metric), line in lines.items() if metric in ("ael", "mel")]
     banded = "" if all(line.has_band for line in predictors) else predictors[0].label
-    handles = [line.handle for line in named]
+    handles: list[Any] = [line.handle for line in named]
     if any(line.raw is not None for line in lines.values()):
         handles.append(figure_style.black_handle("raw", dashes=":"))
     only = f" (predictors: {banded})" if banded else ""
