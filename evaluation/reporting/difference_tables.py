@@ -18,7 +18,7 @@ from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
 from evaluation.reporting import terminal
-from evaluation.reporting.table import Cell, Column, amount, built, level, said, shortened
+from evaluation.reporting.table import Cell, Column, amount, built, level, measured, said, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -139,9 +139,6 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
     which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
     marks = _MARKS if len(set(shown["pairing"])) > 1 else {}
 
-    def side(name: str) -> Column:
-        return Column(name.upper(), lambda row: amount(row["metric"], row[name]))
-
     def change(row: Mapping[Any, Any]) -> Cell:
         ends = (row[name] for name in ("difference", "ci_low", "ci_high"))
         return amount(row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], ""))
@@ -150,23 +147,19 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
         p = row["p_holm"]
         return Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p)
 
-    return built(
-        "differences",
-        f"{which} differences, B - A with 95 % intervals, p after Holm",
-        shown.to_dict("records"),
-        [
-            said("", lambda row: _heading(row, room=room)),
-            Column("level", lambda row: Cell() if _apart(row) else level(row["level_a"])),
-            said("metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()),
-            side("a"),
-            side("b"),
-            Column("B - A", change),
-            Column("p", p_value),
-        ],
-        marks={mark: _PAIRED[kind] for kind, mark in _MARKS.items()},
-        n_headings=1,
-        n_keys=3,
-    )
+    columns = [
+        said("", lambda row: _heading(row, room=room)),
+        Column("level", lambda row: Cell() if _apart(row) else level(row["level_a"])),
+        said("metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()),
+        measured("A", "a"),
+        measured("B", "b"),
+        Column("B - A", change),
+        Column("p", p_value),
+    ]
+    options = {"marks": {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}}
+    title = f"{which} differences, B - A with 95 % intervals, p after Holm"
+    records = shown.to_dict("records")
+    return built("differences", title, records, columns, n_headings=1, n_keys=3, **options)
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:

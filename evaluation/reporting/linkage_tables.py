@@ -176,15 +176,14 @@ def _controls(task: LinkedTask) -> str:
         # One that only sees times says the same at every level.
         if not (found and name in CONTROLS and CONTROLS[name].sees_times_only):
             found.append(row["p_value"] <= LEVEL)
-    beaten = {name: sum(found) for name, found in tests.items()}
-    n_tests = sum(map(len, tests.values()))
+    every = [one for found in tests.values() for one in found]
     often = [
-        f"{name} {count} of {len(tests[name])}"
-        for name, count in beaten.items()
-        if count > len(tests[name]) / 2
+        f"{name} {sum(found)} of {len(found)}"
+        for name, found in tests.items()
+        if sum(found) > len(found) / 2
     ]
-    told = "; ".join([f"{LEVEL * n_tests:.1f} expected", *often])
-    count = f"{sum(beaten.values())} of {n_tests}"
+    told = "; ".join([f"{LEVEL * len(every):.1f} expected", *often])
+    count = f"{sum(every)} of {len(every)}"
     parts = [f"controls: {count} beat chance at {100 * LEVEL:g} % ({told})"] * bool(tests)
     leaks: Counter[str] = Counter()
     for block in task.cells.values():

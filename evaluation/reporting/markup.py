@@ -41,21 +41,10 @@ _MOST_COLUMNS = 10
 """Beside the keys: what a page has room for."""
 _MOST_BESIDE = 6
 """With more columns of intervals, these stand below their values."""
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "$": r"\$",
-    "&": r"\&",
-    "%": r"\%",
-    "#": r"\#",
-    "_": r"\_",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-}
+_WORDS = {"\\": "textbackslash", "~": "textasciitilde", "^": "textasciicircum"}
+_WORDS |= {"<": "textless", ">": "textgreater", "|": "textbar"}
+_SPECIAL = {one: f"\\{one}" for one in "{}$&%#_"}
+_SPECIAL |= {one: f"\\{word}{{}}" for one, word in _WORDS.items()}
 
 
 def html(table: Table) -> Markup:

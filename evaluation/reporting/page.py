@@ -78,13 +78,7 @@ _DIGITS = 2
 
 
 def write(run: Results, *, drawn: Iterable[Path]) -> Path:
-    """Write `report.html` into the run folder and return its path.
-
-    Parameters
-    ----------
-    run : Results
-    drawn : iterable of Path
-        What `draw_all` returned.
+    """Write `report.html` into the run folder with the figures that were drawn; return its path.
 
     Raises
     ------
@@ -98,14 +92,7 @@ def write(run: Results, *, drawn: Iterable[Path]) -> Path:
 
 
 def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    run : Results
-    svgs : mapping of str to bytes
-        Name of a figure to its SVG.
-    """
+    """Return the page; `svgs` is the SVG of each figure by its name."""
     styles: dict[str, str] = {}
     figures: list[dict[str, Any]] = []
     for one in figures_of(run):
@@ -113,6 +100,7 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
             content, box = inline(svgs[one.name], name=f"f{len(figures)}", styles=styles)
             width_px = round(float(box.split()[2]) * _PER_POINT)  # at the size of print
             figures.append({"of": one, "box": box, "width": width_px, "content": content})
+    flags = weak_attacks.lines(run.flags)
     return HTML.get_template("report.html.j2").render(
         contents=SECTIONS,
         run=run,
@@ -125,10 +113,7 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
         tables=page_tables(run),
         tasks=run.tasks,
         known_tasks=TASKS,
-        flag_lines=[
-            one.removeprefix("flag: ").removesuffix(": flags.json")
-            for one in weak_attacks.lines(run.flags)
-        ],
+        flag_lines=[one.removeprefix("flag: ").removesuffix(": flags.json") for one in flags],
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
         css=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
@@ -149,21 +134,10 @@ def style_css(styles: Mapping[str, str]) -> str:
 
 
 def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
-    """Return what stands inside the svg element of a page, and the view box.
+    """Return what stands inside the svg element of a page, and its view box: `x y width height`.
 
-    Parameters
-    ----------
-    svg : bytes
-        As matplotlib writes it.
-    name : str
-        Unique on the page; in front of every id.
-    styles : dict
-        Of the whole page, a class by style; gets those of the figure.
-
-    Returns
-    -------
-    (content, view box)
-        The view box as `x y width height`.
+    `name` is unique on the page and goes in front of every id; `styles` are those of the whole
+    page, a class by style, and get those of the figure.
 
     Raises
     ------
@@ -184,8 +158,7 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
         return f'href="#{short[by_href]}"' if by_href else f"url(#{short[by_url]})"
 
     def path(found: re.Match[str]) -> str:
-        text = _NUMBER.sub(lambda one: _rounded(one[0]), " ".join(found[1].split()))
-        text = re.sub(r"\s*([MLQCzZ])\s*", r"\1", text)
+        text = re.sub(r" *([MLQCzZ]) *", r"\1", _rounded(" ".join(found[1].split())))
         return f' d="{text}"'
 
     def style(found: re.Match[str]) -> str:
@@ -196,8 +169,8 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
     body = _ID.sub(lambda one: f' id="{short[one[1]]}"' if one[1] in short else "", body)
     body = _REFERENCE.sub(reference, body)
     body = _PATH.sub(path, body)
-    body = _PLACE.sub(lambda one: f' {one[1]}="{_rounded(one[2])}"', body)
-    body = _MOVE.sub(lambda one: _NUMBER.sub(lambda at: _rounded(at[0]), one[0]), body)
+    for kind in (_PLACE, _MOVE):
+        body = kind.sub(lambda one: _rounded(one[0]), body)
     body = _STYLE.sub(style, body)
     body = re.sub(r">\s+<", "><", body)
     before = ""
@@ -211,6 +184,11 @@ def dark_css() -> str:
     return "".join(f"--f-{old[1:]}:{new};" for old, new in DARK.items())
 
 
-def _rounded(number: str) -> str:
-    text = f"{float(number):.{_DIGITS}f}".rstrip("0").rstrip(".")
+def _rounded(text: str) -> str:
+    """Return a text in which every number is short."""
+    return _NUMBER.sub(lambda one: _short(float(one[0])), text)
+
+
+def _short(number: float) -> str:
+    text = f"{number:.{_DIGITS}f}".rstrip("0").rstrip(".")
     return "0" if text in {"-0", ""} else text

@@ -62,17 +62,7 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
 
 
 def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source, str]]) -> Table:
-    """Return the levels that tell, with a column for each metric of some positions, or predictor.
-
-    Parameters
-    ----------
-    summary : DataFrame
-        As in `summary.csv`.
-    name : str
-        Of the table.
-    of : sequence of (Source, str)
-        Whose and which metric, column by column.
-    """
+    """Return the levels that tell, a column for each metric of some positions or a predictor."""
     known, found = families_in(summary), by_level(summary)
     records = [
         {"mechanism": mechanism, "level": at, "of": sources}
@@ -127,12 +117,7 @@ def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset(
 
     Of each attack the adversary is shown that knows most, short of the oracle.
 
-    Parameters
-    ----------
-    summary : DataFrame
-        As in `summary.csv`.
-    slow : set of str
-        Attacks that saw one release of each source track only; a note says so.
+    `slow` attacks saw one release of each source track only; a note says so.
     """
     rows = after_attack(summary)
     rows = rows[rows["metric"] == EXPOSURE]
@@ -156,12 +141,7 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     Adversaries whose numbers are the same share a row; the control is left out where it says what
     was shared.
 
-    Parameters
-    ----------
-    summary : DataFrame
-        As in `summary.csv`.
-    only : Source, optional
-        Of this one alone, but all levels.
+    With `only` of this one alone, but all levels. `summary` is as in `summary.csv`.
     """
     rows = after_attack(summary)
     known = families_in(rows)

@@ -193,7 +193,7 @@ def _heading(table: Table, row: Sequence[Cell]) -> str:
 def _wrapped(
     grid: Sequence[Sequence[str]], *, left: AbstractSet[int], width: int
 ) -> list[tuple[int, list[str]]]:
-    """Return the rows with the widest words wrapped to fit, each line with the row that it is of."""
+    """Return the lines of rows whose widest words are wrapped to fit, each with its row."""
     widths = [max(map(len, column)) for column in zip(*grid, strict=True)]
     excess = sum(widths) + 2 * (len(widths) - 1) - width
     widest = max(left, key=lambda place: widths[place], default=None)

@@ -159,8 +159,8 @@ def _on_axes(points: pd.DataFrame, metric: str) -> pd.DataFrame:
     """Return descriptor x and rank 1 y with their intervals, in the units of the axes."""
     scale = METRICS[metric].scale
     x = {f"x{end}": scale * points[f"{metric}{end}"] for end in ("", "_low", "_high")}
-    y = {"y": points["value"], "y_low": points["ci_low"], "y_high": points["ci_high"]}
-    return points.assign(**x, **{name: PERCENT * of for name, of in y.items()})
+    y = zip(("y", "y_low", "y_high"), ENDS, strict=True)
+    return points.assign(**x, **{name: PERCENT * points[end] for name, end in y})
 
 
 def _draw_controls(ax: Axes, shown: pd.DataFrame, *, rule: str, looks: Mapping[str, Look]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections import Counter
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -113,7 +114,7 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         ax.set_yticks(np.arange(len(sources)), names)
         ax.xaxis.tick_top()
         ax.set_xticks(np.arange(len(columns)), [heads[where] for where in columns], rotation=90)
-        _name_swept(ax, columns, titles, block_in=block_in, cell_in=cell_in)
+        _name_swept(ax, columns, titles, sizes_in=(block_in, cell_in))
         if rule:
             # In the corner above the names.
             y = bottom + (block_in + _MECHANISMS_IN) / height_in
@@ -155,9 +156,8 @@ def _draw_heat(
         texts[y, x] = mark if mark == "?" else f"{mark}{values[y, x]:.0f}"
         if row[INVALID]:
             crossed += [[(x - 0.5, y + end), (x + 0.5, y - end)] for end in (-0.5, 0.5)]
-    ax.imshow(
-        values, aspect="auto", cmap="cividis", vmin=0.0, vmax=PERCENT, interpolation="nearest"
-    )
+    look = {"aspect": "auto", "cmap": "cividis", "interpolation": "nearest"}
+    ax.imshow(values, vmin=0.0, vmax=PERCENT, **look)
     ax.add_collection(LineCollection(crossed, colors="#ff2222", linewidths=0.7))
     _draw_texts(ax, texts, values, cell_in=cell_in)
     # Gaps in the colour of the page hide where the pixels of the image end.
@@ -187,14 +187,9 @@ def _draw_texts(
         # In the middle by the height of a digit, whatever the character.
         to_middle = Affine2D().translate(-0.5 * width[one], -0.365 * _CELL_POINTS)
         path: Path = TextPath((0, 0), one, size=_CELL_POINTS).transformed(to_middle)
-        ax.plot(
-            *np.array(at).T,
-            linestyle="",
-            marker=path,
-            markersize=2.0 * float(np.abs(path.vertices).max()),
-            color=colour,
-            markeredgewidth=0,
-        )
+        size = 2.0 * float(np.abs(path.vertices).max())
+        look = {"linestyle": "", "color": colour, "markeredgewidth": 0}
+        ax.plot(*np.array(at).T, marker=path, markersize=size, **look)
 
 
 @functools.cache
@@ -215,32 +210,28 @@ def _name_swept(
     columns: Sequence[Where],
     titles: Mapping[str, list[str]],
     *,
-    block_in: float,
-    cell_in: float,
+    sizes_in: Sequence[float],
 ) -> None:
     """Write the swept mechanisms above their levels."""
-    transform = ax.get_xaxis_transform()
+    block_in, cell_in = sizes_in
+    where = {"transform": ax.get_xaxis_transform()}
     line = 1.0 + (_MECHANISMS_IN - 0.03) / block_in
     for mechanism in dict.fromkeys(name for name, _ in columns if name in titles):
         places = [place for place, (name, _) in enumerate(columns) if name == mechanism]
         ends = places[0] - 0.4, places[-1] + 0.4
-        ax.plot(
-            ends, [line, line], transform=transform, color="black", linewidth=0.5, clip_on=False
-        )
+        ax.plot(ends, [line, line], color="black", linewidth=0.5, clip_on=False, **where)
         room_in = cell_in * (len(places) - 0.3)
         room = max(4, int(room_in * figure_style.CHARACTERS_PER_IN))
         fitting = (one for one in titles[mechanism] if _width_in(one) <= room_in)
         name = next(fitting, shortened(titles[mechanism][-1], room=room))
-        ax.text(ends[0], 1.0 + _MECHANISMS_IN / block_in, name, transform=transform)
+        ax.text(ends[0], 1.0 + _MECHANISMS_IN / block_in, name, **where)
 
 
 def _words(_: Results, *, task: LinkedTask) -> str:
     rows = [row for block in task.cells.values() for row in block.values()]
     best = max(rows, key=lambda row: row["rank1"] if np.isfinite(row["rank1"]) else -1.0)
-    counts = [
-        f"{sum(row['outcome'] == outcome for row in rows)} {outcome}"
-        for outcome in ("links", *_MARKS)
-    ]
+    outcomes = Counter(row["outcome"] for row in rows)
+    counts = [f"{outcomes[outcome]} {outcome}" for outcome in ("links", *_MARKS)]
     where = f"{best['mechanism']} {level_text(best['level'])}".rstrip()
     return (
         f"{task.about}. Rank 1 in per cent, a row for each attack and adversary, a column for each "

@@ -48,18 +48,19 @@ def operating_figure(run: Results) -> Figure | None:
     ours = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
     rates = ours[ours["metric"] == MISSED_RATE]
     known = schemes(ours)
-    if rates.empty or not known:
+    if rates.empty:
         return None
     predictor = str(rates["consumer"].iloc[0])
     planes = {metric: _plane(ours, predictor, metric) for metric in DESCRIPTORS}
-    drawn = [scheme for scheme in known if scheme.rules_in(*planes.values())]
+    # What declares no rule stands under each.
+    shown = {
+        rule: [one for one in known if any(len(one.of(plane, rule)) for plane in planes.values())]
+        for rule in rules_of(known)
+    }
+    rules = [rule for rule, of in shown.items() if of]
+    drawn = [scheme for scheme in known if any(scheme in of for of in shown.values())]
     if not drawn:
         return None
-    rules = [
-        rule
-        for rule in rules_of(drawn)
-        if any(len(scheme.of(plane, rule)) for plane in planes.values() for scheme in drawn)
-    ]
     wanted = {"dataset": run.dataset, "predictor": predictor, "criterion": MISSED}
     wanted |= {"consumer": SHARED}
     curves = run.matched[(run.matched[list(wanted)] == list(wanted.values())).all(axis=1)]
@@ -96,10 +97,9 @@ def operating_figure(run: Results) -> Figure | None:
 def _operating_words(run: Results) -> str:
     raw = run.ours[(run.ours["mechanism"] == RAW) & ~is_attack(run.ours)]
     said = [
-        f"{METRICS[metric].head} {METRICS[metric].scale * value:.{METRICS[metric].digits}f} "
-        f"{METRICS[metric].unit}"
-        for metric in (MISSED_RATE, *DESCRIPTORS)
-        for value in raw.loc[raw["metric"] == metric, "value"].head(1)
+        f"{shown.head} {shown.scale * value:.{shown.digits}f} {shown.unit}"
+        for shown in (METRICS[metric] for metric in (MISSED_RATE, *DESCRIPTORS))
+        for value in raw.loc[raw["metric"] == shown.name, "value"].head(1)
     ]
     return (
         "PLR, AEL and MEL over the missed-conflict rate, a curve for each of "

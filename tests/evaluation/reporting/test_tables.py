@@ -38,12 +38,19 @@ from evaluation.reporting.answer_tables import (
     paper_table,
     short_tables,
 )
-from evaluation.reporting.docs import DOCS, filled, published, write_docs
 from evaluation.reporting.linkage_tables import cells_table, doubt_table, rank_table
 from evaluation.reporting.markup import markdown
 from evaluation.reporting.rows import telling
 from evaluation.reporting.summary_tables import attack_table, exposure_table, sweep_tables
-from evaluation.reporting.tables import page_tables, show, write_tex
+from evaluation.reporting.tables import (
+    DOCS,
+    filled,
+    page_tables,
+    published,
+    show,
+    write_docs,
+    write_tex,
+)
 from isac_track.errors import DataError
 
 HEADLINE = (("fid", (1.0, 1000.0)), ("fixed", (0.7, 1.0)))

@@ -23,8 +23,8 @@ from helpers.finished_runs import (
 
 from evaluation.analysis import matching
 from evaluation.reporting.figures import style as figure_style
-from evaluation.reporting.figures.after_attack import headline_lines
 from evaluation.reporting.figures.drawing import draw_all, figures_of
+from evaluation.reporting.figures.levels import headline_lines
 from evaluation.reporting.rows import compared_levels, schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
