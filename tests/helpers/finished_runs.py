@@ -9,7 +9,9 @@ import pandas as pd
 from evaluation.analysis import decisions, linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, UTILITY
 from evaluation.reporting.rows import Results
+from evaluation.runs.files import FRAMES
 from evaluation.runs.manifest import FAILED_COLUMNS
 from isac_track.config import StageSettings
 
@@ -24,27 +26,13 @@ CONTROLS = [
     (f"correlated{INDEPENDENT}", 0.5),
     ("thin:d_sigma=0.75", 4.0),
 ]
-UNITS = {
-    "missed_conflict_rate": "fraction",
-    "false_alarm_rate": "fraction",
-    "distance_mae": "m",
-    "plr": "fraction",
-    "ael": "s",
-    "mel": "s",
-    "rmse": "m",
-}
-RATIOS = {"rmse_over_benchmark": "ratio", "plr_over_benchmark": "ratio"}
+UNITS = {name: METRICS[name].summary_unit for name in (*UTILITY, *DESCRIPTORS, "rmse")}
+RATIOS = dict.fromkeys(("rmse_over_benchmark", "plr_over_benchmark"), "ratio")
 ATTACKS = (
     ("identity", "blind"),
-    ("moving_average", "blind"),
-    ("moving_average", "informed"),
-    ("savgol", "blind"),
-    ("savgol", "informed"),
-    ("kalman_rts", "blind"),
-    ("kalman_rts", "informed"),
-    ("kalman_rts", "oracle"),
-    ("radial_rts", "blind"),
-    ("radial_rts", "informed"),
+    *((name, knows) for name in ("moving_average", "savgol") for knows in ("blind", "informed")),
+    *(("kalman_rts", knows) for knows in ("blind", "informed", "oracle")),
+    *(("radial_rts", knows) for knows in ("blind", "informed")),
     ("averaging", "oracle"),
 )
 LINKERS = {"shape": 0.4, "shape@radial_rts": 0.6}
@@ -301,6 +289,4 @@ def rows_where(frame, **values):
 
 def emptied(run):
     """All frames of a run without rows."""
-    names = ("summary", "paper_table", "claims", "matched", "decisions", "curves", "flags",
-             "linkability")  # fmt: skip
-    return {name: getattr(run, name).head(0) for name in names}
+    return {name: getattr(run, name).head(0) for name in (*FRAMES, "flags")}

@@ -156,7 +156,7 @@ def _draw_heat(
         texts[y, x] = mark if mark == "?" else f"{mark}{values[y, x]:.0f}"
         if row[INVALID]:
             crossed += [[(x - 0.5, y + end), (x + 0.5, y - end)] for end in (-0.5, 0.5)]
-    look = {"aspect": "auto", "cmap": "cividis", "interpolation": "nearest"}
+    look: dict[str, Any] = {"aspect": "auto", "cmap": "cividis", "interpolation": "nearest"}
     ax.imshow(values, vmin=0.0, vmax=PERCENT, **look)
     ax.add_collection(LineCollection(crossed, colors="#ff2222", linewidths=0.7))
     _draw_texts(ax, texts, values, cell_in=cell_in)
@@ -188,7 +188,7 @@ def _draw_texts(
         to_middle = Affine2D().translate(-0.5 * width[one], -0.365 * _CELL_POINTS)
         path: Path = TextPath((0, 0), one, size=_CELL_POINTS).transformed(to_middle)
         size = 2.0 * float(np.abs(path.vertices).max())
-        look = {"linestyle": "", "color": colour, "markeredgewidth": 0}
+        look: dict[str, Any] = {"linestyle": "", "color": colour, "markeredgewidth": 0}
         ax.plot(*np.array(at).T, marker=path, markersize=size, **look)
 
 
@@ -214,7 +214,7 @@ def _name_swept(
 ) -> None:
     """Write the swept mechanisms above their levels."""
     block_in, cell_in = sizes_in
-    where = {"transform": ax.get_xaxis_transform()}
+    where: dict[str, Any] = {"transform": ax.get_xaxis_transform()}
     line = 1.0 + (_MECHANISMS_IN - 0.03) / block_in
     for mechanism in dict.fromkeys(name for name, _ in columns if name in titles):
         places = [place for place, (name, _) in enumerate(columns) if name == mechanism]

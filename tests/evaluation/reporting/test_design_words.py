@@ -41,17 +41,17 @@ class TestShown:
         answer = asked(made(), **LIMITS)
         text, found = shown(answer, width=200), to_json(answer)
         rows = [line.split() for line in text.splitlines() if line.startswith(("fid ", "fixed "))]
-        bands = [rows[start : start + 4] for start in range(0, 12, 4)]
         for place, one in enumerate(found["schemes"]):
-            level, attacked = one["chosen"], one["chosen"]["after_attack"]
-            for band, source, metrics in (
-                (bands[0], level, ("missed", "false_alarm", "plr", "ael", "mel")),
-                (bands[1], attacked, ("plr", "ael", "mel")),
-                (bands[2], {task["task"]: task["rank1"] for task in level["tasks"]}, None),
+            level = one["chosen"]
+            linked = {task["task"]: task["rank1"] for task in level["tasks"]}
+            for table, (source, names) in enumerate(
+                (
+                    (level, ("missed", "false_alarm", "plr", "ael", "mel")),
+                    (level["after_attack"], ("plr", "ael", "mel")),
+                    (linked, tuple(linked)),
+                )
             ):
-                cells = [cell for cell in band[place] if cell[0].isdigit()]
-                assert float(cells[0]) == level["level"]
-                names = metrics or list(source)
+                cells = [cell for cell in rows[4 * table + place] if cell[0].isdigit()]
                 expected = []
                 for name in names:
                     scale, digits = (1, 3) if name in ("ael", "mel") else (100, 1)
@@ -60,6 +60,7 @@ class TestShown:
                         for end in ("value", "ci_low", "ci_high")
                     )
                     expected += [value, f"{low}-{high}"]
+                assert float(cells[0]) == level["level"]
                 assert cells[1:] == expected
 
     def test_keys_are_stable(self, made):
