@@ -21,7 +21,6 @@ from evaluation.reporting.table import (
     built,
     counted,
     decided,
-    decision,
     held,
     level,
     measured,
@@ -105,25 +104,20 @@ def paper_table(run: Results) -> Table:
     notes = [f"The paper used {DATASET}; ours are of {run.dataset}, so they need not agree."]
     if run.dataset == DATASET:
         notes = []
-        columns.append(Column("paper in our interval", _within))
-        columns.append(Column("tolerance at 5,000 scenes", _tolerated))
+        judged = ("paper in our interval", "tolerance at 5,000 scenes")
+        columns += [replace(decided(name), align="right") for name in judged]
     frame = run.paper_table
     records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
+    for row in records:
+        is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
+        row["paper in our interval"] = ("yes" if row["within"] else "no") if is_judged else ""
+        allowed = tolerance(row["mechanism"], row["metric"], row["paper"])
+        # A hair more: the difference of two rounded fractions may miss the limit itself.
+        met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
+        text = f"{met} ({amount(row['metric'], allowed).text})"
+        row["tolerance at 5,000 scenes"] = text if np.isfinite(row["ours"]) else ""
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
     return built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
-
-
-def _within(row: Mapping[str, Any]) -> Cell:
-    is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
-    return decision("yes" if row["within"] else "no") if is_judged else Cell()
-
-
-def _tolerated(row: Mapping[str, Any]) -> Cell:
-    allowed = tolerance(row["mechanism"], row["metric"], row["paper"])
-    # A hair more: the difference of two rounded fractions may miss the limit itself.
-    met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
-    text = f"{met} ({amount(row['metric'], allowed).text})"
-    return Cell(text if np.isfinite(row["ours"]) else "")
 
 
 def claims_table(run: Results) -> Table:
@@ -139,10 +133,6 @@ def claims_table(run: Results) -> Table:
     return built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
 
 
-def _whose(row: Mapping[str, Any]) -> str:
-    return "as shared" if row["consumer"] == SHARED else row["consumer"]
-
-
 def matched_table(run: Results) -> Table:
     """Return every mechanism against fixed noise half way along each curve, strongest attacks."""
     sources = {AS_SHARED}
@@ -155,11 +145,12 @@ def matched_table(run: Results) -> Table:
         ordered = (part if known.empty else known).sort_values("at")
         row = ordered.iloc[max(0, len(known) - 1) // 2].to_dict()
         if Source(row["consumer"], row["knowledge"]) in sources:
-            rows.append(row)
+            whose = "as shared" if row["consumer"] == SHARED else row["consumer"]
+            rows.append(row | {"positions or attack": whose})
     columns = [
         said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
         *map(said, ("adding", "predictor")),
-        said("positions or attack", _whose),
+        said("positions or attack"),
         said("adversary", "knowledge"),
         said("metric", lambda row: METRICS[row["metric"]].title),
         said("mechanism"),
@@ -206,11 +197,6 @@ def flag_table(run: Results) -> Table:
 _EFFECT: Final = Column("effect", partial(effect, signed=True))
 
 
-def section_of(name: str) -> tuple[str, str]:
-    """Return question and explanation of a section; of one that is not known its name."""
-    return SECTIONS.get(name, (name, ""))
-
-
 def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
     """Return a table for each section that has items: decisions by what they are about."""
     found = []
@@ -225,7 +211,7 @@ def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
             start = {first: word(row[0]), "of": word(row[1])}
             records.setdefault(row, start)[head] = number(one["effect"]) if is_number else text
             heads[head] = None
-        question, about = section_of(name)
+        question, about = SECTIONS.get(name, (name, ""))
         columns = [held(first, align="left"), held("of", align="left"), *map(held, heads)]
         options = {"notes": [about], "n_keys": 2}
         found.append(built(f"short-{name}", question, records.values(), columns, **options))

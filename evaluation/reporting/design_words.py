@@ -52,42 +52,45 @@ def to_json(choice: Choice) -> dict[str, Any]:
     """Return the answer as plain values; what is unknown is None."""
     identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
     limits: dict[str, Any] = {name: choice.limits.given.get(name) for name in ASKED}
-    return {
-        "met": choice.met,
-        "answer": sentence(choice),
-        "out": str(choice.out),
-        "dataset": dataset["name"],
-        "simulated": bool(dataset["simulated"]),
-        "scenes": identity["scenes"],
-        "seed": identity["seed"],
-        "predictor": choice.predictor,
-        "adding": list(choice.adding),
-        "limits": limits | {"after_attack": choice.limits.after_attack},
-        "raw": _plain(choice.raw),
-        "schemes": [
-            {
-                "adding": one.adding,
-                "family": one.name,
-                **{name: _plain(getattr(one, name)) for name in _ANSWERED},
-                "checks": [
-                    _plain({name: getattr(check, name) for name in _CHECKED})
-                    | {"reason": reason(check)}
-                    for check in one.checks
-                ],
-                "reasons": reasons(one),
-            }
-            for one in choice.schemes
-        ],
-        "refine": closer(choice),
-        "notes": notes(choice),
-    }
+    schemes = [
+        {
+            "adding": one.adding,
+            "family": one.name,
+            **{name: getattr(one, name) for name in _ANSWERED},
+            "checks": [
+                {name: getattr(check, name) for name in _CHECKED} | {"reason": reason(check)}
+                for check in one.checks
+            ],
+            "reasons": reasons(one),
+        }
+        for one in choice.schemes
+    ]
+    found: dict[str, Any] = _plain(
+        {
+            "met": choice.met,
+            "answer": sentence(choice),
+            "out": str(choice.out),
+            "dataset": dataset["name"],
+            "simulated": bool(dataset["simulated"]),
+            "scenes": identity["scenes"],
+            "seed": identity["seed"],
+            "predictor": choice.predictor,
+            "adding": choice.adding,
+            "limits": limits | {"after_attack": choice.limits.after_attack},
+            "raw": choice.raw,
+            "schemes": schemes,
+            "refine": closer(choice),
+            "notes": notes(choice),
+        }
+    )
+    return found
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - what JSON has
     """Return a level, or what it holds, as plain values; what is unknown is None."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         return [_plain(one) for one in value]
     if isinstance(value, Estimate):
         value = {name: getattr(value, name) for name in ("value", "ci_low", "ci_high")}
@@ -315,10 +318,9 @@ def answer_tables(choice: Choice) -> list[Table]:
         above, cell = _limit(SUCCESS, limit), partial(_rank1, place)
         columns.append(metric_column(SUCCESS, cell, name=task.task, above=above))
         ran = [one for *_, row in rows if row and (one := row.tasks[place]).attack]
-        chances = dict.fromkeys(amount(SUCCESS, one.chance).text for one in ran)
+        chances = ", ".join(dict.fromkeys(amount(SUCCESS, one.chance).text for one in ran))
         where = "" if task.limited else f", {task.dataset}"
-        if chances:
-            about.append(f"{task.task}{where}: {_attacks(ran)}; chance {', '.join(chances)} %")
+        about += [f"{task.task}{where}: {_attacks(ran)}; chance {chances} %"] if ran else []
     if columns:
         title = "Rank 1 of the strongest attack"
         found.append(built("linked", title, rows, [*keys, *columns], notes=about, **options))

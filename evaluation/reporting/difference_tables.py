@@ -99,8 +99,22 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         for side, names in zip("AB", sides, strict=True):
             if names:
                 yield f"{axis} only in {side}: {short_list(names)}"
-    yield from ("", *_counted(comparison))
-    rows = comparison.rows if every else comparison.headline
+    rows, headline, only = comparison.rows, comparison.headline, comparison.only_numbers
+    text = f"{counts(rows)[IDENTICAL]} of {len(rows)} numbers are identical"
+    yield ""
+    yield f"{text} ({only[0]} more are only in A, {only[1]} only in B)", "bold"
+    for name, of in (("headline", headline), ("others", rows[~rows["headline"]])):
+        found = counts(of)
+        if len(of):
+            untested = f", {found[UNTESTED]} without an interval" * bool(found[UNTESTED])
+            yield (
+                f"{name}: {found[DIFFERS]} of {len(of)} differ (p <= {SIGNIFICANCE:g} after "
+                f"Holm), {found[UNDECIDED]} undecided, {found[IDENTICAL]} identical{untested}"
+            )
+    kinds = rows["pairing"].value_counts()
+    text = "; ".join(f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds)
+    yield f"({text})"
+    rows = rows if every else headline
     other = rows[rows["finding"] != IDENTICAL]
     shown = other if every else other.head(_MOST_SHOWN)
     yield differences(shown, of=len(other), room=room)
@@ -113,25 +127,6 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         yield from ("", (f"{text} ({', '.join(only)})", "bold"))
         for item in verdicts["changed"]:
             yield f"{item['id']}: {item['a']} -> {item['b']}"
-
-
-def _counted(comparison: Comparison) -> Iterator[Part]:
-    """Yield how many numbers are identical, differ, or cannot be told."""
-    rows, only = comparison.rows, comparison.only_numbers
-    text = f"{counts(rows)[IDENTICAL]} of {len(rows)} numbers are identical"
-    yield f"{text} ({only[0]} more are only in A, {only[1]} only in B)", "bold"
-    others = rows[~rows["headline"]]
-    for name, of in (("headline", comparison.headline), ("others", others)):
-        found = counts(of)
-        if len(of):
-            untested = f", {found[UNTESTED]} without an interval" * bool(found[UNTESTED])
-            yield (
-                f"{name}: {found[DIFFERS]} of {len(of)} differ (p <= {SIGNIFICANCE:g} after "
-                f"Holm), {found[UNDECIDED]} undecided, {found[IDENTICAL]} identical{untested}"
-            )
-    kinds = rows["pairing"].value_counts()
-    text = "; ".join(f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds)
-    yield f"({text})"
 
 
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:

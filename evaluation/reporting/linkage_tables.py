@@ -102,8 +102,8 @@ def doubt_table(run: Results) -> Table:
     of = of[(of["knowledge"] != "") & ((of["invalid"] != "") | (of["outcome"] == TOO_WEAK))]
 
     def why(row: Mapping[str, Any]) -> str:
-        shortcut = f"invalid: {row['invalid']} tells people apart"
-        return shortcut if row["invalid"] else REMARKS[TOO_WEAK]
+        shortcut = row["invalid"] and f"invalid: {row['invalid']} tells people apart"
+        return shortcut or REMARKS[TOO_WEAK]
 
     columns = [
         said("task/attack", "consumer"),
@@ -128,14 +128,14 @@ def _rank(row: Mapping[str, Any] | None) -> Cell:
 
 def _size(row: Mapping[str, Any], *, people: int | None) -> str:
     """Return how many people and candidates there are."""
-    low, high = int(row["gallery_min"]), int(row["gallery_max"])
+    low, high, probes, mated = (
+        int(row[key]) for key in ("gallery_min", "gallery_max", "n_probes", "n_mated")
+    )
     candidates = str(low) if low == high else f"{low} to {high} (mean {row['gallery_mean']:.1f})"
     who = "" if people is None else f"{people} people; "
-    probes, mated = int(row["n_probes"]), int(row["n_mated"])
-    among = f"all {probes}" if probes == mated else f"{mated} of {probes}"
     return (
-        f"{who}{among} releases have a mate among {candidates} candidates. The adversary is "
-        f"{_USUAL} where none is named."
+        f"{who}{'all' if probes == mated else f'{mated} of'} {probes} releases have a mate among "
+        f"{candidates} candidates. The adversary is {_USUAL} where none is named."
     )
 
 
@@ -145,9 +145,9 @@ def _confounders(task: LinkedTask, wheres: Sequence[Where], known: Mapping[str, 
     for where in sorted(wheres, key=lambda where: where[1] is None):
         block = task.cells[where]
         ran = [one for one in task.attacks if one in block and block[one]["rank1"] >= 0]
-        if not ran:
+        best = max(ran, key=lambda one: block[one]["rank1"], default=None)
+        if best is None:
             continue
-        best = max(ran, key=lambda one: block[one]["rank1"])
         parts = [
             f"without {what} {_against_chance(cohort)}"
             for name, what in _COHORTS.items()

@@ -114,11 +114,9 @@ def markdown(table: Table) -> str:
     rules = [":--" if column.align == "left" else "--:" for column in table.columns]
     rows = [[column.head for column in table.columns], rules]
     rows += [[cell.full for cell in row] for row in table.rows]
-    return "".join("| " + " | ".join(map(_plain, row)) + " |\n" for row in rows)
-
-
-def _plain(text: str) -> str:
-    return printable(text).replace("&", "&amp;").replace("<", "&lt;").replace("|", r"\|")
+    text = {"&": "&amp;", "<": "&lt;", "|": r"\|"}
+    plain = [[printable(cell).translate(str.maketrans(text)) for cell in row] for row in rows]
+    return "".join(f"| {' | '.join(row)} |\n" for row in plain)
 
 
 def to_csv(table: Table) -> str:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command
-from evaluation.reporting.answer_tables import section_of
+from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
 from evaluation.reporting.figures.drawing import figures_of
 from evaluation.reporting.markup import HTML, TEMPLATES
 from evaluation.reporting.table import decision
@@ -59,6 +59,7 @@ DARK = {
     "#009e73": "#2bc299",
 }
 """Colours of the figures that change in the dark: the others can be read on either ground."""
+DARK_CSS: Final = "".join(f"--f-{old[1:]}:{new};" for old, new in DARK.items())
 _HEAD = re.compile(r"^.*?<svg\b([^>]*)>", re.DOTALL)
 _VIEW_BOX = re.compile(r'viewBox="([\d. +-]+)"')
 _DROPPED = re.compile(
@@ -73,17 +74,13 @@ _PLACE = re.compile(r'\s(x|y)="(-?\d+\.\d+)"')
 _MOVE = re.compile(r"translate\([^)]*\)")
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _EMPTY = re.compile(r"<g(?:\s[^<>]*)?/>|<g(?:\s[^<>]*)?>\s*</g>")
-_COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _DIGITS = 2
 
 
 def write(run: Results, *, drawn: Iterable[Path]) -> Path:
     """Write `report.html` into the run folder with the figures that were drawn; return its path.
 
-    Raises
-    ------
-    DataError
-        If the page cannot be written, or a figure not be read.
+    Raises DataError if the page cannot be written, or a figure not be read.
     """
     svgs = {path.stem: path.read_bytes() for path in drawn if path.suffix == ".svg"}
     path = run.out / PAGE
@@ -107,7 +104,7 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
         manifest=run.manifest,
         dataset=run.dataset,
         verdict=run.verdict or {},
-        section_of=section_of,
+        questions=QUESTIONS,
         decision=decision,
         figures=figures,
         tables=page_tables(run),
@@ -118,31 +115,23 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
         command=command(run.manifest),
         css=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
         figure_css=style_css(styles),
-        dark_css=dark_css(),
+        dark_css=DARK_CSS,
         js=(TEMPLATES / "report.js").read_text(encoding="utf-8"),
     )
 
 
 def style_css(styles: Mapping[str, str]) -> str:
     """Return the rules of all styles, of which each has a class; colours may change in the dark."""
-
-    def variable(found: re.Match[str]) -> str:
-        colour = found[0]
-        return f"var(--f-{colour[1:]},{colour})" if colour in DARK else colour
-
-    return "\n".join(f".{name}{{{_COLOUR.sub(variable, style)}}}" for style, name in styles.items())
+    rules = "\n".join(f".{name}{{{style}}}" for style, name in styles.items())
+    return re.sub("|".join(DARK), lambda found: f"var(--f-{found[0][1:]},{found[0]})", rules)
 
 
 def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
     """Return what stands inside the svg element of a page, and its view box: `x y width height`.
 
     `name` is unique on the page and goes in front of every id; `styles` are those of the whole
-    page, a class by style, and get those of the figure.
-
-    Raises
-    ------
-    DataError
-        If it is no SVG with a view box.
+    page, a class by style, and get those of the figure. Raises DataError if it is no SVG with a
+    view box.
     """
     text = svg.decode()
     head = _HEAD.match(text)
@@ -177,11 +166,6 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
     while before != body:  # a group of empty groups is empty
         before, body = body, _EMPTY.sub("", body)
     return body.strip(), box.group(1)
-
-
-def dark_css() -> str:
-    """Return the colours of the dark page."""
-    return "".join(f"--f-{old[1:]}:{new};" for old, new in DARK.items())
 
 
 def _rounded(text: str) -> str:

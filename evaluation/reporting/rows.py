@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import (
-    ADDING_RULES,
-    FID,
-    FIXED,
-    Family,
-    families_in,
-)
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import dataset_of, linked_tasks, remarks
 from evaluation.analysis.metrics import METRICS, MISSED_RATE

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from evaluation.analysis.families import Family
     from evaluation.reporting.rows import Results
     from evaluation.reporting.table import Table
     from evaluation.reporting.terminal import Part
@@ -63,7 +62,7 @@ def _printed(run: Results) -> Iterator[Part]:
     if notice or dataset.get("simulated"):
         yield f"NOTICE: {notice or 'the tracks are simulated'}", "yellow"
     yield from levels.sweep_tables(run.ours)
-    yield _exposure(run)
+    yield levels.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
     yield levels.attack_table(run.ours)
     yield from (linkage.rank_table(run, task) for task in run.tasks)
     yield answers.paper_table(run)
@@ -93,7 +92,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         answers.claims_table(run),
         *levels.sweep_tables(run.ours),
         answers.matched_table(run),
-        _exposure(run),
+        levels.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
         levels.attack_table(run.ours),
         *(linkage.rank_table(run, task) for task in run.tasks),
         *(linkage.cells_table(run, task) for task in run.tasks),
@@ -109,33 +108,20 @@ def page_tables(run: Results) -> dict[str, Table]:
 def write_tex(run: Results, *, folder: Path) -> None:
     """Write sweep, attacks, paper, linkability and verdict as `.tex`: booktabs tabulars.
 
-    Raises
-    ------
-    DataError
-        If the folder cannot be written.
+    Raises DataError if the folder cannot be written.
     """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
     sources = levels.sources_of(levels.after_attack(run.ours))
-    attacks = [levels.attack_table(run.ours, only=source) for source in sources]
     files = {
         "sweep": levels.sweep_tables(run.ours),
-        "attacks": attacks,
+        "attacks": [levels.attack_table(run.ours, only=source) for source in sources],
         "paper": [answers.paper_table(run)],
         "linkability": [linkage.rank_table(run, task) for task in run.tasks],
         "verdict": answers.short_tables(run.verdict) if run.verdict else [],
     }
     for name, tables in files.items():
         write_whole(folder / f"{name}.tex", latex(tables).encode())
-
-
-def _exposure(run: Results) -> Table:
-    return levels.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
-
-
-def _heading(known: Family, at: float | None) -> str:
-    rule = ", ind." if known.adding == "independent" else ""
-    return f"{known.name}{'' if at is None else f' {at:g}'}{rule}"
 
 
 def _linkage(summary: pd.DataFrame) -> Table:
@@ -156,7 +142,10 @@ def _linkage(summary: pd.DataFrame) -> Table:
         chance = f"{100 * next(chances):.1f}"
         records.append({"task": task, "chance": chance, "linker": linker, **ranks})
     columns = [said("task"), replace(said("chance"), unit="%", align="right"), said("linker")]
-    columns += [held(_heading(known[where[0]], where[1]), f"{where}") for where in wheres]
+    for mechanism, at in wheres:
+        one, level = known[mechanism], "" if at is None else f" {at:g}"
+        heading = f"{one.name}{level}{', ind.' * (one.adding == 'independent')}"
+        columns.append(held(heading, f"{(mechanism, at)}"))
     return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records, columns)
 
 
@@ -194,16 +183,8 @@ def published(run: Results) -> pd.DataFrame:
 def write_docs(run: Results, *, root: Path) -> list[Path]:
     """Write what is shown of a run into `docs/results`, and all blocks anew; return what changed.
 
-    Parameters
-    ----------
-    run : Results
-    root : Path
-        With README.md and docs/.
-
-    Raises
-    ------
-    DataError
-        If there is no README.md, a block names what is not there, or a file cannot be written.
+    `root` has README.md and docs/. Raises DataError if there is no README.md, a block names what is
+    not there, or a file cannot be written.
     """
     if not (root / "README.md").is_file():
         raise DataError(f"{root} has no README.md: run this in the repository")
@@ -224,10 +205,7 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
 def filled(text: str, *, results: Path) -> str:
     """Return a text with all of its blocks written anew.
 
-    Raises
-    ------
-    DataError
-        If a block names a table or a run that is not there.
+    Raises DataError if a block names a table or a run that is not there.
     """
 
     def block(found: re.Match[str]) -> str:

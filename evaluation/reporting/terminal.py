@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from collections.abc import Set as AbstractSet
 
-    from evaluation.reporting.table import Cell
 
 PIPE_WIDTH = 116
 """Columns where there is no terminal: room for every interval of a sweep."""
@@ -130,7 +129,15 @@ def _lines(table: Table, columns: list[int], *, intervals: set[int], width: int)
     depth = max(len(head) for head, _ in shown)
     filled = [[*[""] * (depth - len(head)), *head, *cells] for head, cells in shown]
     grid = [list(cells) for cells in zip(*filled, strict=True)]
-    headings = [_heading(table, row) for row in table.rows]
+    headings = []
+    for row in table.rows:
+        # Leading cells, each with its column's name but the first.
+        parts: list[str] = []
+        for column, cell in zip(table.columns[: table.n_headings], row, strict=False):
+            before = f"{column.name} " * bool(parts)
+            told = f"{cell.text} adding" if column.name == "adding" else f"{before}{cell.text}"
+            parts += [told] * bool(cell.text)
+        headings.append(", ".join(parts))
     for place, (heading, cells) in enumerate(zip(headings, grid[depth:], strict=True)):
         # Short, alone and without a level: it stands where the level would.
         if heading and headings.count(heading) == 1 and not cells[0] and len(heading) <= _SHORT:
@@ -177,17 +184,6 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
     room = max(map(len, [*ends, *(line[width + 1 :] for line in head)]))
     rows = [f"{value:>{width}} {end:<{room}}" for value, end in zip(values, ends, strict=True)]
     return [line.rjust(width).ljust(width + 1 + room) for line in head], rows
-
-
-def _heading(table: Table, row: Sequence[Cell]) -> str:
-    """Return what stands above a row: its leading cells, each with its column's name but one."""
-    parts: list[str] = []
-    for column, cell in zip(table.columns[: table.n_headings], row, strict=False):
-        if cell.text and column.name == "adding":
-            parts.append(f"{cell.text} adding")
-        elif cell.text:
-            parts.append(f"{column.name} {cell.text}" if parts else cell.text)
-    return ", ".join(parts)
 
 
 def _wrapped(

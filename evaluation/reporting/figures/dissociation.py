@@ -13,7 +13,7 @@ from evaluation.analysis.families import RAW, families_in
 from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
 from evaluation.experiment.presets import SHARED
-from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import PERCENT, Look
 from evaluation.reporting.rows import (
@@ -71,11 +71,8 @@ def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
     source = run.link_of(task)
     points = dissociation_points(run.ours, task, source=source)
     known = schemes(points) if len(points) else []
-    rules = [
-        rule
-        for rule in rules_of(known)
-        if sum(len(scheme.of(points, rule)) for scheme in known) > 1
-    ]
+    n_levels = {rule: sum(len(one.of(points, rule)) for one in known) for rule in rules_of(known)}
+    rules = [rule for rule, n in n_levels.items() if n > 1]
     if not rules:
         return None
     controls = dict.fromkeys(one.family for one in families_in(points).values() if is_control(one))
@@ -83,7 +80,7 @@ def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
         name: Look(_COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)], "")
         for place, name in enumerate(controls)
     }
-    figure, panels = figure_style.panels(
+    figure, panels = style.panels(
         *(len(rules), len(DESCRIPTORS)),
         height_in=1.75 * len(rules) + 1.0,
         margins_in=(0.45, 0.1, 0.5, 0.85),
@@ -95,27 +92,38 @@ def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
         shown = _on_axes(points, metric)
         for rule, ax in zip(rules, in_column, strict=True):
             for scheme in known:
-                rows, look = scheme.of(shown, rule), figure_style.look_of(scheme)
+                rows, look = scheme.of(shown, rule), style.look_of(scheme)
                 ax.plot(rows["x"], rows["y"], **look.line, zorder=2.5)
                 _bars(ax, rows, colour=look.colour)
             _draw_controls(ax, shown, rule=rule, looks=looks)
-        in_column[-1].set_xlabel(figure_style.label(metric))
+        in_column[-1].set_xlabel(style.label(metric))
         if metric == EXPOSURE:
             in_column[-1].set_xlim(left=-2.0)
-        else:
-            _second_axis(in_column[-1], shown["x"].to_numpy())
+        elif (shown["x"] > 0).any():
+            # Logarithmic seconds that have a zero: who never leaks belongs on the axis.
+            x, ax = shown["x"], in_column[-1]
+            threshold, zero = 0.7 * float(x[x > 0].min()), [0.0] * bool((x <= 0).any())
+            ax.set_xscale("symlog", linthresh=threshold, linscale=0.3)
+            ax.set_xlim(-0.3 * threshold if zero else threshold, 1.5 * float(x.max()))
+            ax.xaxis.set_major_locator(FixedLocator(zero + _SECONDS))
+            ax.xaxis.set_minor_locator(NullLocator())
+            ax.xaxis.set_major_formatter(lambda value, _: style.number(value))
     for rule, in_row in zip(rules, panels, strict=True):
         in_row[0].set_title(f"{rule} adding")
         in_row[0].set_ylabel("rank 1 (%)")
     panels[0, 0].set_ylim(-3.0, min(103.0, 1.12 * PERCENT * float(points["ci_high"].max())))
-    handles = [figure_style.handle(one.title, figure_style.look_of(one)) for one in known]
-    if (points["mechanism"] == RAW).any():
-        handles.append(figure_style.black_handle("raw", marker="*"))
-    for name, look in looks.items():
-        handles.append(figure_style.handle(f"control: {name}", look, markersize=6, **_EDGE))
-    handles.append(figure_style.black_handle("bars: 95 % intervals; number: level", dashes="-"))
-    what = f"{task.name}, {figure_style.short(source)}"
-    return figure_style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
+    has_raw = bool((points["mechanism"] == RAW).any())
+    handles = [
+        *(style.handle(one.title, style.look_of(one)) for one in known),
+        has_raw and style.black_handle("raw", marker="*"),
+        *(
+            style.handle(f"control: {name}", look, markersize=6, **_EDGE)
+            for name, look in looks.items()
+        ),
+        style.black_handle("bars: 95 % intervals; number: level", dashes="-"),
+    ]
+    what = f"{task.name}, {style.short(source)}"
+    return style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
 def dissociation_points(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
@@ -180,7 +188,7 @@ def _draw_controls(ax: Axes, shown: pd.DataFrame, *, rule: str, looks: Mapping[s
             if labelled > _MOST_LABELS or np.isnan(row["level"]):
                 continue
             parameters = parameters_text(known[row["mechanism"]])
-            text = ", ".join(filter(None, [figure_style.number(row["level"]), parameters]))
+            text = ", ".join(filter(None, [style.number(row["level"]), parameters]))
             # To the side where there is room.
             is_right = row["x"] > _RIGHT * float(shown["x"].max())
             ax.annotate(
@@ -200,17 +208,3 @@ def _bars(ax: Axes, rows: pd.DataFrame, *, colour: str) -> None:
     segments = np.stack([low, high], axis=1)
     known = segments[np.isfinite(segments).all(axis=(1, 2))]
     ax.add_collection(LineCollection(known, colors=colour, linewidths=0.5, alpha=0.7, zorder=2))
-
-
-def _second_axis(ax: Axes, values: Any) -> None:  # noqa: ANN401 - (n,) s
-    """Give seconds a logarithmic axis that has a zero: who never leaks belongs on it."""
-    positive = values[values > 0]
-    if not positive.size:
-        return
-    threshold = 0.7 * float(positive.min())
-    has_zero = bool((values <= 0).any())
-    ax.set_xscale("symlog", linthresh=threshold, linscale=0.3)
-    ax.set_xlim(-0.3 * threshold if has_zero else threshold, 1.5 * float(values.max()))
-    ax.xaxis.set_major_locator(FixedLocator([0.0] * has_zero + _SECONDS))
-    ax.xaxis.set_minor_locator(NullLocator())
-    ax.xaxis.set_major_formatter(lambda value, _: figure_style.number(value))

@@ -18,7 +18,7 @@ from matplotlib.transforms import Affine2D
 from evaluation.analysis.families import ADDING_RULES, CLEAN, FID, FIXED, RAW
 from evaluation.analysis.keys import level_text
 from evaluation.analysis.linkability import INVALID
-from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import PERCENT, Look
 from evaluation.reporting.rows import family_of, is_control, parameters_text, schemes
@@ -92,19 +92,19 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         for rule in ADDING_RULES
         if rule in rules.values()
     } or {"": ordered}
-    names = [figure_style.short(source) for source in sources]
+    names = [style.short(source) for source in sources]
     left_in = max(_width_in(name) for name in names) + 0.12
     n_columns = max(map(len, blocks.values()))
-    cell_in = min(2 * _CELL_IN, (figure_style.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
+    cell_in = min(2 * _CELL_IN, (style.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
     # Above the numbers stand the levels, then the mechanisms that they are of.
     heads = {}
     for mechanism, level in cells:
-        one, at = family_of(known, mechanism), "" if level is None else figure_style.number(level)
+        one, at = family_of(known, mechanism), "" if level is None else style.number(level)
         parts = [at] if mechanism in titles else [one.family, at, parameters_text(one)]
         heads[mechanism, level] = " ".join(filter(None, parts))
     head_in = 0.2 + max(0.5, *map(_width_in, heads.values()))
     top_in, block_in = 0.22, _CELL_IN * len(sources)
-    figure = figure_style.blank(height_in=top_in + len(blocks) * (head_in + block_in) + 0.42)
+    figure = style.blank(height_in=top_in + len(blocks) * (head_in + block_in) + 0.42)
     width_in, height_in = figure.get_size_inches()
     for place, (rule, columns) in enumerate(blocks.items(), start=1):
         bottom = (height_in - top_in - place * (head_in + block_in)) / height_in
@@ -121,7 +121,7 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
             figure.text(0.01, y, f"{rule} adding")
     rows = [row for block in cells.values() for row in block.values()]
     handles, what = _handles(rows), f"{task.name}, rank 1 in %"
-    return figure_style.finish(
+    return style.finish(
         figure, handles, dataset=str(rows[0]["dataset"]), what=what, columns=len(handles)
     )
 
@@ -221,7 +221,7 @@ def _name_swept(
         ends = places[0] - 0.4, places[-1] + 0.4
         ax.plot(ends, [line, line], color="black", linewidth=0.5, clip_on=False, **where)
         room_in = cell_in * (len(places) - 0.3)
-        room = max(4, int(room_in * figure_style.CHARACTERS_PER_IN))
+        room = max(4, int(room_in * style.CHARACTERS_PER_IN))
         fitting = (one for one in titles[mechanism] if _width_in(one) <= room_in)
         name = next(fitting, shortened(titles[mechanism][-1], room=room))
         ax.text(ends[0], 1.0 + _MECHANISMS_IN / block_in, name, **where)
@@ -251,6 +251,6 @@ def _handles(rows: Sequence[Mapping[str, Any]]) -> list[Any]:
     said += [f"{mark}  {outcome}" for outcome, mark in _MARKS.items() if outcome in outcomes]
     handles += [Rectangle((0, 0), 0, 0, alpha=0, label=text) for text in said]
     if any(row[INVALID] for row in rows):
-        leaks = figure_style.handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
+        leaks = style.handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
         handles.append(leaks)
     return handles

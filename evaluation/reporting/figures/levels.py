@@ -14,7 +14,7 @@ from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_R
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
-from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, Line, Look
 from evaluation.reporting.rows import Scheme, of_source, rank1_rows, rules_of, schemes
@@ -69,18 +69,14 @@ def drawings(run: Results) -> list[Drawing]:
 
 
 def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
-    """Return missed conflicts, PLR and exposure lengths over the level; None without levels.
-
-    One column for each adding rule, one row for each quantity. Of more than five predictors the
-    first five are drawn.
-    """
+    """Return a column for each adding rule, a row for each quantity; None without levels."""
     lines = {of: line for of, line in _swept_lines(run).items() if scheme.rules_in(line.rows)}
     rules = scheme.rules_in(*(line.rows for line in lines.values()))
     if not rules:
         return None
     labels = list(dict.fromkeys(_axis(metric) for _, metric in lines))
     has_paper = run.dataset == DATASET and scheme.name in _FILES and "linear" in rules
-    figure, panels = figure_style.panels(
+    figure, panels = style.panels(
         len(labels), len(rules), height_in=1.35 * len(labels) + 0.9, sharex=True, sharey="row"
     )
     for rule, axes in zip(rules, panels.T, strict=True):
@@ -91,7 +87,7 @@ def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
             line.draw(ax, scheme, rule)
             if has_paper and rule == "linear" and consumer in (SHARED, PREDICTOR):
                 _draw_paper(ax, metric, look=line.look, scheme=scheme)
-    figure_style.level_axis(panels[0, 0], log=scheme.log)
+    style.level_axis(panels[0, 0], log=scheme.log)
     for label, ax in zip(labels, panels[:, 0], strict=True):
         ax.set_ylabel(label)
         drawn = [line for (_, metric), line in lines.items() if _axis(metric) == label]
@@ -101,43 +97,41 @@ def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
             for rule in rules
         ]
         values += [np.array([line.raw]) for line in drawn if line.raw is not None]
-        figure_style.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
+        style.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
     predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
     # An only predictor is in the title, and PLR has its own axis.
     named = predictors if len(predictors) > 1 else []
     named += [line for (_, metric), line in lines.items() if metric in ("ael", "mel")]
     banded = "" if all(line.has_band for line in predictors) else predictors[0].label
-    handles: list[Any] = [line.handle for line in named]
-    if any(line.raw is not None for line in lines.values()):
-        handles.append(figure_style.black_handle("raw", dashes=":"))
-    only = f" (predictors: {banded})" if banded else ""
-    handles.append(figure_style.band_handle(f"95 % interval{only}"))
-    if has_paper:
-        text = "paper (raw at the edge)"
-        handles.append(figure_style.black_handle(text, marker="o", hollow=True))
+    handles = [
+        *(line.handle for line in named),
+        any(line.raw is not None for line in lines.values())
+        and style.black_handle("raw", dashes=":"),
+        style.band_handle("95 % interval" + f" (predictors: {banded})" * bool(banded)),
+        has_paper and style.black_handle("paper (raw at the edge)", marker="o", hollow=True),
+    ]
     what = f", predictor {predictors[0].label}" if len(predictors) == 1 else ""
-    return figure_style.finish(figure, handles, dataset=run.dataset, what=f"{scheme.title}{what}")
+    return style.finish(figure, handles, dataset=run.dataset, what=f"{scheme.title}{what}")
 
 
 def _sweep_words(run: Results, *, scheme: Scheme) -> str:
     of = run.ours[~is_attack(run.ours)]
     first = of.loc[of["metric"] == MISSED_RATE, "consumer"].head(1)
+    consumers = dict.fromkeys((MISSED_RATE, *DESCRIPTORS), SHARED)
+    consumers |= dict.fromkeys([MISSED_RATE] * len(first), next(iter(first), ""))
     parts = []
     for rule in scheme.rules:
         said = []
-        for metric in (MISSED_RATE, *DESCRIPTORS):
-            rows = of[of["metric"] == metric]
-            is_rate = metric == MISSED_RATE
-            consumer = next(iter(first), "") if is_rate else SHARED
-            name = f"missed conflicts of {consumer}" if is_rate else METRICS[metric].head
-            ends = scheme.ends(rows[rows["consumer"] == consumer], rule, metric)
-            said += [f"{name} from {ends}"] if ends else []
+        for metric, consumer in consumers.items():
+            name = METRICS[metric].head if consumer == SHARED else f"missed conflicts of {consumer}"
+            rows = of[(of["metric"] == metric) & (of["consumer"] == consumer)]
+            said += [f"{name} from {ends}"] if (ends := scheme.ends(rows, rule, metric)) else []
         parts += [f"{scheme.rule_text(rule)}: {'; '.join(said)}."] if said else []
     return f"Panels over the level, with 95 % bands. {' '.join(parts)}"
 
 
 def _axis(metric: str) -> str:
-    return _EXPOSURE_LABEL if metric in ("ael", "mel") else figure_style.label(metric)
+    return _EXPOSURE_LABEL if metric in ("ael", "mel") else style.label(metric)
 
 
 def _swept_lines(run: Results) -> dict[tuple[str, str], Line]:
@@ -195,7 +189,7 @@ def _attack_figure(run: Results) -> Figure | None:
         return None
     known = [one for one in known if one.rules_in(*(line.rows for line in lines.values()))]
     columns, height_in = rules_of(known), 2.0 * len(known) + 0.9
-    figure, panels = figure_style.panels(
+    figure, panels = style.panels(
         len(known), len(columns), height_in=height_in, sharex="row", sharey=True
     )
     for scheme, axes in zip(known, panels, strict=True):
@@ -207,16 +201,18 @@ def _attack_figure(run: Results) -> Figure | None:
             ax.set_xlabel(scheme.label)
             for line in lines.values():
                 line.draw(ax, scheme, rule)
-        figure_style.level_axis(axes[0], log=scheme.log)
+        style.level_axis(axes[0], log=scheme.log)
         axes[0].set_ylabel("PLR, shared or attacked (%)")
     # A share: the whole axis, with a little room for markers at its ends.
     panels[0, 0].set_ylim(-3.0, 103.0)
-    handles: list[Any] = [line.handle for line in lines.values()]
-    if any(line.raw is not None for line in lines.values()):
-        handles.append(figure_style.black_handle("raw (attacks: at its edge)", dashes=":"))
-    handles.append(figure_style.band_handle("95 % interval"))
+    has_raw = any(line.raw is not None for line in lines.values())
+    handles = [
+        *(line.handle for line in lines.values()),
+        has_raw and style.black_handle("raw (attacks: at its edge)", dashes=":"),
+        style.band_handle("95 % interval"),
+    ]
     what = "what an adversary who filters gets back"
-    return figure_style.finish(figure, handles, dataset=run.dataset, what=what)
+    return style.finish(figure, handles, dataset=run.dataset, what=what)
 
 
 def _attack_words(run: Results) -> str:
@@ -273,8 +269,8 @@ def _headline_figure(run: Results) -> Figure | None:
     known = [scheme for scheme in known if not scheme.of(lines[0].rows, rule).empty]
     if not known:
         return None
-    widths = figure_style.SINGLE_COLUMN_IN, figure_style.DOUBLE_COLUMN_IN
-    figure, ((*panels,),) = figure_style.panels(
+    widths = style.SINGLE_COLUMN_IN, style.DOUBLE_COLUMN_IN
+    figure, ((*panels,),) = style.panels(
         *(1, len(known)),
         width_in=widths[len(known) > _MOST_SINGLE],
         height_in=2.65,
@@ -287,13 +283,13 @@ def _headline_figure(run: Results) -> Figure | None:
         ax.set_xlabel(scheme.label)
         for line in lines:
             line.draw(ax, scheme, rule)
-        figure_style.level_axis(ax, log=scheme.log)
+        style.level_axis(ax, log=scheme.log)
     panels[0].set_ylim(0.0, 103.0)
     panels[0].set_ylabel("%")
-    raw = figure_style.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
+    raw = style.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
     handles = [*(line.handle for line in lines), raw]
     what = f"{rule} adding"
-    return figure_style.finish(figure, handles, dataset=run.dataset, what=what, columns=1)
+    return style.finish(figure, handles, dataset=run.dataset, what=what, columns=1)
 
 
 def headline_lines(run: Results) -> list[Line]:
@@ -302,11 +298,11 @@ def headline_lines(run: Results) -> list[Line]:
     rows = {"PLR as shared: the descriptor": of_source(plr, AS_SHARED)}
     attack = run.strongest.get("")
     if attack is not None:
-        rows[f"PLR after {figure_style.short(attack)}"] = of_source(plr, attack)
+        rows[f"PLR after {style.short(attack)}"] = of_source(plr, attack)
     # A walk that was shared twice, or whatever was linked first.
     for task in sorted(run.tasks, key=lambda one: one.name != "rerelease")[:1]:
         source = run.link_of(task)
-        label = f"found again ({task.name}, rank 1): {figure_style.short(source)}"
+        label = f"found again ({task.name}, rank 1): {style.short(source)}"
         rows[label] = rank1_rows(task, source)
     return [
         Line(label, look, of)

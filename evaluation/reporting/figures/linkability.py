@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import CLEAN, RAW
 from evaluation.analysis.linkability import dataset_of
-from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, PERCENT, Line, Look
 from evaluation.reporting.rows import ENDS, rank1_rows, schemes
@@ -71,7 +71,7 @@ def linkage_figure(run: Results) -> Figure | None:
         for scheme, rule in known
         if scheme.of(pd.concat(row.points for row in rows), rule).size
     ]
-    figure, panels = figure_style.panels(
+    figure, panels = style.panels(
         len(rows), len(columns), height_in=1.05 * len(rows) + 1.3, sharex="col", sharey="row"
     )
     for row, in_row in zip(rows, panels, strict=True):
@@ -91,12 +91,12 @@ def linkage_figure(run: Results) -> Figure | None:
     for (scheme, rule), in_column in zip(columns, panels.T, strict=True):
         in_column[0].set_title(f"{scheme.title},\n{scheme.rule_text(rule)}")
         in_column[-1].set_xlabel(scheme.label)
-        figure_style.level_axis(in_column[0], log=scheme.log)
+        style.level_axis(in_column[0], log=scheme.log)
         if not scheme.log:
             # Few, lest those of two panels meet.
             in_column[0].xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 5, 10]))
     name, what = _title(run.dataset, rows)
-    return figure_style.finish(figure, _handles(rows, looks), dataset=name, what=what)
+    return style.finish(figure, _handles(rows, looks), dataset=name, what=what)
 
 
 def _words(run: Results) -> str:
@@ -145,7 +145,7 @@ def _row(
     # The strongest: the bands of many would hide each other.
     banded = sorted(drawn, key=lambda source: -_mean(drawn[source]))[:_MOST_BANDS]
     lines = {
-        of: Line(figure_style.short(of), looks[of], rows, has_band=of in banded)
+        of: Line(style.short(of), looks[of], rows, has_band=of in banded)
         for of, rows in drawn.items()
     }
     return _Row(task, lines, pd.concat(points) if points else pd.DataFrame())
@@ -169,19 +169,18 @@ def _draw(ax: Axes, row: _Row, *, scheme: Scheme, rule: str) -> None:
 def _handles(rows: Sequence[_Row], looks: Mapping[Source, Look]) -> list[Any]:
     """Return what stands in the legend."""
     lines = {source: line for row in rows for source, line in row.lines.items()}
-    handles: list[Any] = [lines[source].handle for source in looks if source in lines]
-    if any(row.alone(RAW) for row in rows):
-        handles.append(figure_style.black_handle("raw (at its edge)", dashes=":"))
-    if any(row.alone(CLEAN) for row in rows):
-        handles.append(figure_style.handle("ceiling (no error at all)", _CEILING_LOOK))
-    if any(not row.points["links"].all() for row in rows):
-        text = "does not link, or is invalid"
-        handles.append(figure_style.black_handle(text, marker="o", hollow=True))
-    handles.append(figure_style.handle("chance", _CHANCE_LOOK))
+    has_raw, has_ceiling = (any(row.alone(name) for row in rows) for name in (RAW, CLEAN))
+    has_silent = not all(row.points["links"].all() for row in rows)
     is_banded = all(line.has_band for row in rows for line in row.lines.values())
     only = "" if is_banded else f" (the {_MOST_BANDS} strongest)"
-    handles.append(figure_style.band_handle(f"95 % interval{only}"))
-    return handles
+    return [
+        *(lines[source].handle for source in looks if source in lines),
+        has_raw and style.black_handle("raw (at its edge)", dashes=":"),
+        has_ceiling and style.handle("ceiling (no error at all)", _CEILING_LOOK),
+        has_silent and style.black_handle("does not link, or is invalid", marker="o", hollow=True),
+        style.handle("chance", _CHANCE_LOOK),
+        style.band_handle(f"95 % interval{only}"),
+    ]
 
 
 def _title(dataset: str, rows: Sequence[_Row]) -> tuple[str, str]:

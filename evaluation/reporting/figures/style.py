@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib import style as styles
+from matplotlib.artist import Artist
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     import pandas as pd
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from numpy.typing import NDArray
@@ -256,23 +256,24 @@ def band_handle(text: str) -> Patch:
 
 
 def finish(
-    figure: Figure, handles: Sequence[Artist], *, dataset: str, what: str, columns: int = 0
+    figure: Figure, handles: Sequence[Artist | bool], *, dataset: str, what: str, columns: int = 0
 ) -> Figure:
     """Put a legend below the panels, the data set's name and what is shown above them.
 
-    The legend has some columns, or as few rows as its words allow.
+    The legend has some columns, or as few rows as its words allow; of the handles a False is none.
     """
+    entries = [one for one in handles if isinstance(one, Artist)]
     is_placed = figure.get_layout_engine() is None
     place: dict[str, Any] = {"loc": "outside lower center"}
     if columns:
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.0)}
         place |= {"borderaxespad": 0.2, "columnspacing": 1.4}
     room = CHARACTERS_PER_IN * figure.get_figwidth()
-    widths = [len(str(one.get_label())) + _HANDLE_CHARACTERS for one in handles]
-    n = columns or len(handles)
+    widths = [len(str(one.get_label())) + _HANDLE_CHARACTERS for one in entries]
+    n = columns or len(entries)
     while not columns and n > 1 and sum(map(max, np.array_split(widths, n))) > room:
         n -= 1
-    figure.legend(handles=handles, ncols=n, **place)
+    figure.legend(handles=entries, ncols=n, **place)
     name = "".join(character if character.isprintable() else " " for character in dataset)
     if len(name) > NAME_LENGTH:
         name = name[: NAME_LENGTH - 1] + "…"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import PERCENT, Look
 
@@ -42,7 +42,7 @@ def gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
         return None
     people = list(rows["track"].unique())
     mechanisms = list(rows["mechanism"].unique())
-    figure, panels = figure_style.panels(
+    figure, panels = style.panels(
         *(len(people), len(mechanisms)),
         height_in=1.75 * len(people) + 0.85,
         margins_in=(0.3, 0.1, 0.6, 0.4),
@@ -64,16 +64,16 @@ def gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
     black, blue = Look("black", "", "-"), Look(_REBUILT_COLOUR, "", "-")
     dot = Look(_SHARED_COLOUR, "o", "")
     handles = [
-        figure_style.handle("true", black, linewidth=0.8),
-        figure_style.handle("shared", dot, markersize=1.1, alpha=0.6),
-        figure_style.handle("shared, leaks", dot, markersize=2.4),
-        figure_style.handle("rebuilt", blue, linewidth=0.7),
-        figure_style.handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
+        style.handle("true", black, linewidth=0.8),
+        style.handle("shared", dot, markersize=1.1, alpha=0.6),
+        style.handle("shared, leaks", dot, markersize=2.4),
+        style.handle("rebuilt", blue, linewidth=0.7),
+        style.handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
     ]
     first = rows.iloc[0]
     leak = f"a leak is closer than {first['epsilon_m']:g} m"
     what = f"true, shared, rebuilt by {first['attack']} (blind); {leak}"
-    return figure_style.finish(figure, handles, dataset="tracks", what=what, columns=5)
+    return style.finish(figure, handles, dataset="tracks", what=what, columns=5)
 
 
 def _words(_: Results, *, rows: pd.DataFrame) -> str:

@@ -5,15 +5,7 @@ import shlex
 from functools import partial
 
 import pytest
-from helpers.summaries import (
-    FID,
-    USUAL,
-    asked,
-    edit_manifest,
-    edited,
-    scheme,
-    write_run,
-)
+from helpers.summaries import FID, USUAL, asked, edit_manifest, edited, scheme, write_run
 from rich.console import Console
 
 from evaluation import matrix

@@ -149,7 +149,7 @@ class TestTheInlineFigure:
         content, _ = page.inline(self.SVG, name="f1", styles=styles)
         (name,) = re.findall(r'class="(\w+)"', content)
         assert page.style_css(styles) == (f".{name}{{fill:var(--f-ffffff,#ffffff);stroke:#123456}}")
-        assert "--f-ffffff:#17191c;" in page.dark_css()
+        assert "--f-ffffff:#17191c;" in page.DARK_CSS
         page.inline(self.SVG, name="f2", styles=styles)
         assert page.style_css(styles).count("{") == 1  # written once for all figures
 
