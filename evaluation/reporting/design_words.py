@@ -17,7 +17,7 @@ from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.reporting.announcements import same_run
-from evaluation.reporting.linkage_tables import MARKS, MEANING
+from evaluation.reporting.result_tables import MARKS, MEANING
 from evaluation.reporting.table import (
     Cell,
     Column,

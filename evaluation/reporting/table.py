@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import METRICS
@@ -63,12 +63,16 @@ class Cell:
         return f"{sign} {self.full}".strip()
 
 
+Makes: TypeAlias = "Callable[[Any], Cell]"
+"""The cell of a record."""
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """A column: what its numbers are, in which unit, and what makes the cell of a record."""
 
     name: str
-    of: Callable[[Any], Cell] = lambda _: Cell()
+    of: Makes = lambda _: Cell()
     unit: str = ""
     align: Literal["left", "right"] = "right"
     above: str = ""
@@ -116,10 +120,8 @@ class Table:
     @property
     def numeric(self) -> list[bool]:
         """Which columns hold numbers."""
-        return [
-            any(row[place].value is not None for row in self.rows)
-            for place in range(len(self.columns))
-        ]
+        of = zip(*self.rows, strict=True)
+        return [any(cell.value is not None for cell in cells) for cells in of]
 
     @property
     def legend(self) -> str:
@@ -136,7 +138,7 @@ def built(
     columns: Sequence[Column],
     **options: Any,  # noqa: ANN401 - the other fields of `Table`
 ) -> Table:
-    """Return a table with a row for each record."""
+    """Return a table with a row for each record; `options` are the other fields of a table."""
     rows = [[one.of(record) for one in columns] for record in records]
     return Table(name, title, columns, rows, **options)
 
@@ -176,13 +178,7 @@ def measured(name: str, *keys: str, metric: str = "", sign: str = "-") -> Column
     return Column(name, cell, METRICS[metric].unit if metric else "")
 
 
-def metric_column(
-    metric: str,
-    of: Callable[[Any], Cell],
-    *,
-    name: str = "",
-    **more: Any,  # noqa: ANN401 - see `Column`
-) -> Column:
+def metric_column(metric: str, of: Makes, name: str = "", **more: Any) -> Column:  # noqa: ANN401 - see `Column`
     """Return the column of a metric, under its own name or another."""
     return Column(name or METRICS[metric].head, of, METRICS[metric].unit, **more)
 

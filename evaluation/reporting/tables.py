@@ -21,8 +21,7 @@ from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import AS_SHARED, INFORMED, ORACLE, Source
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, RECONSTRUCTION, SUCCESS, UTILITY
 from evaluation.reporting import answer_tables as answers
-from evaluation.reporting import linkage_tables as linkage
-from evaluation.reporting import summary_tables as levels
+from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import ENDS, by_level, telling
@@ -61,10 +60,10 @@ def _printed(run: Results) -> Iterator[Part]:
     notice = dataset.get("notice")
     if notice or dataset.get("simulated"):
         yield f"NOTICE: {notice or 'the tracks are simulated'}", "yellow"
-    yield from levels.sweep_tables(run.ours)
-    yield levels.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
-    yield levels.attack_table(run.ours)
-    yield from (linkage.rank_table(run, task) for task in run.tasks)
+    yield from measured.sweep_tables(run.ours)
+    yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
+    yield measured.attack_table(run.ours)
+    yield from (measured.rank_table(run, task) for task in run.tasks)
     yield answers.paper_table(run)
     yield answers.claims_table(run)
     for name, why in run.manifest.get("linkage", {}).get("skipped", {}).items():
@@ -90,15 +89,15 @@ def page_tables(run: Results) -> dict[str, Table]:
     found = [
         answers.paper_table(run),
         answers.claims_table(run),
-        *levels.sweep_tables(run.ours),
+        *measured.sweep_tables(run.ours),
         answers.matched_table(run),
-        levels.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
-        levels.attack_table(run.ours),
-        *(linkage.rank_table(run, task) for task in run.tasks),
-        *(linkage.cells_table(run, task) for task in run.tasks),
+        measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
+        measured.attack_table(run.ours),
+        *(measured.rank_table(run, task) for task in run.tasks),
+        *(measured.cells_table(run, task) for task in run.tasks),
         answers.decision_table(run),
         answers.flag_table(run),
-        linkage.doubt_table(run),
+        measured.doubt_table(run),
         answers.contrast_table(items),
         *answers.item_tables(items).values(),
     ]
@@ -112,12 +111,12 @@ def write_tex(run: Results, *, folder: Path) -> None:
     """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
-    sources = levels.sources_of(levels.after_attack(run.ours))
+    sources = measured.sources_of(measured.after_attack(run.ours))
     files = {
-        "sweep": levels.sweep_tables(run.ours),
-        "attacks": [levels.attack_table(run.ours, only=source) for source in sources],
+        "sweep": measured.sweep_tables(run.ours),
+        "attacks": [measured.attack_table(run.ours, only=source) for source in sources],
         "paper": [answers.paper_table(run)],
-        "linkability": [linkage.rank_table(run, task) for task in run.tasks],
+        "linkability": [measured.rank_table(run, task) for task in run.tasks],
         "verdict": answers.short_tables(run.verdict) if run.verdict else [],
     }
     for name, tables in files.items():
@@ -156,11 +155,11 @@ _HEADLINE: Final = (
 _AVERAGES: Final = Source("moving_average", INFORMED), Source("averaging", ORACLE)
 _FILTERING: Final = [(one, EXPOSURE) for one in (AS_SHARED, _AVERAGES[0], *_SMOOTHED, _AVERAGES[1])]
 DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
-    "sweep": lambda summary: levels.sweep_tables(summary)[0],
-    "exposure": levels.exposure_table,
-    "attacks": levels.attack_table,
-    "headline": partial(levels.sources_table, name="headline", of=_HEADLINE),
-    "filtering": partial(levels.sources_table, name="filtering", of=_FILTERING),
+    "sweep": lambda summary: measured.sweep_tables(summary)[0],
+    "exposure": measured.exposure_table,
+    "attacks": measured.attack_table,
+    "headline": partial(measured.sources_table, name="headline", of=_HEADLINE),
+    "filtering": partial(measured.sources_table, name="filtering", of=_FILTERING),
     "linkage": _linkage,
 }
 """By the name in a block."""

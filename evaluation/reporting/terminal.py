@@ -166,7 +166,7 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
         f"{cell.text or missing}{cell.mark.ljust(room)}" + f" {cell.unit}" * bool(cell.unit)
         for cell in cells
     ]
-    head = [*([column.above] if column.above else []), *_broken(column.name)]
+    head = [column.above] * bool(column.above) + _broken(column.name)
     if column.unit and len(head[-1]) + len(column.unit) < _HEAD_WIDTH:
         head[-1] = f"{head[-1]} {column.unit}".strip()
     elif column.unit:

@@ -69,11 +69,7 @@ def drawings(run: Results) -> list[Drawing]:
 
 
 def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
-    """Return rank 1 of every attack and adversary at every level of a task, one block a rule.
-
-    Columns run from no error to the controls. `~`: no link detected, `?`: the attack is too
-    weak, crossed out: a shortcut leaks.
-    """
+    """Return rank 1 of every attack and adversary at every level of a task, one block a rule."""
     cells, known = task.cells, run.families
     # Names of what is swept, longest first.
     titles = {
@@ -132,9 +128,9 @@ def _in_order(cells: Iterable[Where], known: Mapping[str, Family]) -> list[Where
 
     def key(where: Where) -> tuple[int, int, float]:
         one, at = family_of(known, where[0]), where[1] or 0.0
-        place = len(_ORDER) + is_control(one)
-        rank = _ORDER.index(one.family) if one.family in _ORDER else place
-        return rank, names.index(where[0]), -at if one.family == FID else at
+        order = [*_ORDER, "" if is_control(one) else one.family]
+        place = order.index(one.family) if one.family in order else len(order)
+        return place, names.index(where[0]), -at if one.family == FID else at
 
     return sorted(cells, key=key)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,8 @@ from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, Line, Look
+from evaluation.reporting.result_tables import after_attack, sources_of
 from evaluation.reporting.rows import Scheme, of_source, rank1_rows, rules_of, schemes
-from evaluation.reporting.summary_tables import after_attack, sources_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -176,15 +177,17 @@ def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: Scheme) -> None:
 def _attack_figure(run: Results) -> Figure | None:
     """Return PLR over the level, as shared and after each attack; None without attacks or levels.
 
-    One column for each adding rule, one row for each way of adding error. Of each attack the
-    adversary is drawn that knows most short of the oracle; an attack that only the oracle can
-    run is drawn as a reference. The control, which repeats what was shared, is left out, and so
-    is what lies beyond the looks that there are.
+    Of each attack the adversary is drawn that knows most short of the oracle; an attack that only
+    the oracle can run is drawn as a reference. The control, which repeats what was shared, is left
+    out, and so is what lies beyond the looks that there are.
     """
     rows = _exposure(after_attack(run.ours))
     known = schemes(rows)
-    every = _attack_lines(rows).items()
-    lines = {of: line for of, line in every if any(one.rules_in(line.rows) for one in known)}
+    lines = {
+        of: line
+        for of, line in _attack_lines(rows).items()
+        if any(one.rules_in(line.rows) for one in known)
+    }
     if not lines.keys() - {AS_SHARED}:
         return None
     known = [one for one in known if one.rules_in(*(line.rows for line in lines.values()))]
@@ -242,27 +245,23 @@ def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
     others = [source for source in chosen if source.knowledge and source not in oracle]
     looks = {AS_SHARED: _SHARED_LOOK} if AS_SHARED in chosen else {}
     looks |= dict(zip(others, LOOKS, strict=False))
-    references = dict(zip(oracle, _ORACLE_LOOKS, strict=False))
     # Raw after attacks would crowd each other.
-    return {
-        of: Line(
-            "as shared" if of == AS_SHARED else of.label,
-            look,
-            of_source(rows, of),
-            is_raw_across=of == AS_SHARED,
-        )
+    lines = {
+        of: Line(of.label, look, of_source(rows, of), is_raw_across=of == AS_SHARED)
         for of, look in looks.items()
-    } | {
-        of: Line(f"{of.label}, a reference", look, of_source(rows, of), apart=_ORACLE)
-        for of, look in references.items()
     }
+    for of, look in zip(oracle, _ORACLE_LOOKS, strict=False):
+        label = f"{of.label}, a reference"
+        lines[of] = Line(label, look, of_source(rows, of), apart=_ORACLE)
+    if AS_SHARED in lines:
+        lines[AS_SHARED] = replace(lines[AS_SHARED], label="as shared")
+    return lines
 
 
 def _headline_figure(run: Results) -> Figure | None:
     """Return PLR as shared, after the strongest attack, and the strongest link, over the level.
 
-    One panel for each way of adding error, under the paper's adding rule if it was run. None
-    without levels.
+    Under the paper's adding rule if it was run; None without levels.
     """
     lines, known = headline_lines(run), schemes(run.ours)
     rule = next(iter(rules_of(known)), "")

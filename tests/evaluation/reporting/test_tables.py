@@ -39,10 +39,16 @@ from evaluation.reporting.answer_tables import (
     paper_table,
     short_tables,
 )
-from evaluation.reporting.linkage_tables import cells_table, doubt_table, rank_table
 from evaluation.reporting.markup import markdown
+from evaluation.reporting.result_tables import (
+    attack_table,
+    cells_table,
+    doubt_table,
+    exposure_table,
+    rank_table,
+    sweep_tables,
+)
 from evaluation.reporting.rows import telling
-from evaluation.reporting.summary_tables import attack_table, exposure_table, sweep_tables
 from isac_track.errors import DataError
 
 HEADLINE = (("fid", (1.0, 1000.0)), ("fixed", (0.7, 1.0)))

@@ -18,8 +18,8 @@ from helpers.finished_runs import (
     rows_where,
 )
 
-from evaluation.reporting.figures.dissociation import dissociation_points
 from evaluation.reporting.figures.drawing import draw_all, figures_of
+from evaluation.reporting.figures.linkability import dissociation_points
 
 LEVELS = levels(swept=(("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0))), others=[])
 STRANGERS = [*levels(), *[("ou", at) for at in (0.2, 0.4, 0.8)]]
