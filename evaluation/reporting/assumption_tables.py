@@ -91,7 +91,7 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
 def show_constants(found: Mapping[str, Calibration]) -> None:
     """Print constants and what they predict beside the paper's numbers, case by case."""
     records = [
-        {"": word(name)}
+        {"constant or number": word(name)}
         | {case: number(getattr(fit, name), digits=2) for case, (fit, _) in found.items()}
         for name in FITTED
     ]
@@ -105,7 +105,7 @@ def show_constants(found: Mapping[str, Calibration]) -> None:
         cells = {
             case: number(one, scale=shown.scale, digits=digits) for case, one in numbers.items()
         }
-        records.append({"": word(f"{spec} {metric}")} | cells)
-    columns = [held("constant or number", "", align="left"), *map(held, ("paper", *found))]
+        records.append({"constant or number": word(f"{spec} {metric}")} | cells)
+    columns = [held("constant or number", align="left"), *map(held, ("paper", *found))]
     title = "paper, and what each set of constants gives"
     terminal.show([built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])])
