@@ -123,8 +123,8 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
     verdicts = comparison.verdicts
     if verdicts is not None and any(verdicts.values()):
         text = f"Verdict: {len(verdicts['changed'])} of {verdicts['in_both']} decisions changed"
-        only = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
-        yield from ("", (f"{text} ({', '.join(only)})", "bold"))
+        alone = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
+        yield from ("", (f"{text} ({', '.join(alone)})", "bold"))
         for item in verdicts["changed"]:
             yield f"{item['id']}: {item['a']} -> {item['b']}"
 

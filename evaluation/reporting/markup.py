@@ -114,8 +114,8 @@ def markdown(table: Table) -> str:
     rules = [":--" if column.align == "left" else "--:" for column in table.columns]
     rows = [[column.head for column in table.columns], rules]
     rows += [[cell.full for cell in row] for row in table.rows]
-    text = {"&": "&amp;", "<": "&lt;", "|": r"\|"}
-    plain = [[printable(cell).translate(str.maketrans(text)) for cell in row] for row in rows]
+    text = str.maketrans({"&": "&amp;", "<": "&lt;", "|": r"\|"})
+    plain = [[printable(cell).translate(text) for cell in row] for row in rows]
     return "".join(f"| {' | '.join(row)} |\n" for row in plain)
 
 

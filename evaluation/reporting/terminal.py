@@ -146,14 +146,14 @@ def _lines(table: Table, columns: list[int], *, intervals: set[int], width: int)
     lines: Lines = []
     above = ""
     wrapped = _wrapped(grid, left=left, width=width)
-    for line, (row, _) in zip(
+    for line, (at, _) in zip(
         aligned([cells for _, cells in wrapped], left=left), wrapped, strict=True
     ):
-        heading = headings[row - depth] if row >= depth else ""
+        heading = headings[at - depth] if at >= depth else ""
         if heading and heading != above:
             lines.append((heading, "bold cyan"))
         above = heading
-        lines.append((line, "bold" if row < depth else ""))
+        lines.append((line, "bold" if at < depth else ""))
     return lines
 
 
