@@ -102,7 +102,7 @@ def _command(options: argparse.Namespace) -> int:
 def _run(
     options: argparse.Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
 ) -> int:
-    from evaluation.reporting import sensitivity_table  # noqa: PLC0415 - as above
+    from evaluation.reporting import assumption_tables  # noqa: PLC0415 - as above
     from evaluation.verdict.sensitivity import attacks_of, read_verdict, write  # noqa: PLC0415
 
     attacks = attacks_of(read_verdict(options.out)["items"])
@@ -135,10 +135,10 @@ def _run(
         print(f"failed: {why}" if why else f"done in {seconds:.0f} s", file=sys.stderr)
         rows, not_shown = write(options.out)
     if options.json:
-        found = sensitivity_table.to_json(rows, outcomes, out=options.out)
+        found = assumption_tables.to_json(rows, outcomes, out=options.out)
         print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True)
     else:
-        sensitivity_table.show(rows, left_out=not_shown)
+        assumption_tables.show_variants(rows, left_out=not_shown)
     failed = [outcome for outcome in outcomes if outcome["why"]]
     for outcome in failed:
         print(f"failed: {outcome['name']}: {outcome['why']}", file=sys.stderr)
