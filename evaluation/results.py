@@ -13,6 +13,7 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.matching import comparisons, matched
+from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.sweeps import Sweeps
 from evaluation.experiment.plan import plan
@@ -112,7 +113,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     once = flags.on_first_releases(out, manifest)
     flagged = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
-    read = linkability.cards(out, manifest)
+    read = linkability.cards(out, manifest, drawn=ACHIEVED)
     linked = summary.linkage_estimates(read)
     known = families_in(manifest["cells"])
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)

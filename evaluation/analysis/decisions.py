@@ -8,6 +8,7 @@ bootstrap needs, so that its cost does not grow with the scenes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -101,8 +102,9 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
     # Bin 0 holds the highest scores; a scene counts as soon as the threshold reaches its bin.
     bins = distinct.size - np.searchsorted(distinct, score, side="right")
     n_clusters = weights.shape[1]
-    counts = np.zeros((2, n_clusters, distinct.size))
-    np.add.at(counts, (conflict.astype(int), cluster, bins), 1.0)
+    shape = (2, n_clusters, distinct.size)
+    cells = np.ravel_multi_index((conflict.astype(int), cluster, bins), shape)
+    counts = np.bincount(cells, minlength=math.prod(shape)).reshape(shape).astype(np.float64)
     everyone = np.concatenate([np.ones((1, n_clusters)), weights])
     alarms, hits = (np.cumsum(everyone @ part, axis=1) for part in counts)
     start = np.zeros((everyone.shape[0], 1))

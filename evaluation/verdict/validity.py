@@ -78,15 +78,17 @@ def validity(sweeps: Sweeps, *, success: Mapping[str, Source]) -> Iterator[Draft
 
     `success` is by task its strongest linker; against a control the strongest there counts.
     """
-    levels = by_task(sweeps.found, metric=SUCCESS)
+    levels, guesses = (by_task(sweeps.found, metric=metric) for metric in (SUCCESS, "chance"))
     for adding in ADDING_RULES:
         for descriptor in DESCRIPTORS:
             for task, linker in success.items():
-                yield from _item(sweeps, levels[task], adding, descriptor, linker)
+                guessed = (of.get(linker, 0.0) for of in guesses.get(task, {}).values())
+                chance = max(guessed, default=0.0)
+                yield from _item(sweeps, levels[task], adding, descriptor, linker, chance)
 
 
 def _item(
-    sweeps: Sweeps, levels: Levels, adding: str, descriptor: str, linker: Source
+    sweeps: Sweeps, levels: Levels, adding: str, descriptor: str, linker: Source, chance: float
 ) -> Iterator[Draft]:
     """Yield an item, if there is a sweep of fixed noise to compare with."""
     fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
@@ -94,12 +96,6 @@ def _item(
     if sweeps.curve(fixed, value) is None or sweeps.curve(fixed, success) is None:
         return
     n = sweeps.n(fixed, success)
-    guessed = (
-        one.value
-        for key, one in sweeps.found.items()
-        if key.metric == "chance" and key.source == linker
-    )
-    chance = max([0.0, *guessed])
     (links, shows), (links_least, shows_least) = (
         [sweeps.drawn(one.at(mechanism, level)) for one in (success, value)]
         for mechanism, level in ((RAW, None), (fixed, sweeps.levels(fixed)[0]))

@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
 from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, RAW
 from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
-from evaluation.runs.cell_files import read_probes, read_windows
+from evaluation.cells.link_setup import SIDES
+from evaluation.runs.cell_files import read_rows
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import CONFIDENCE, Estimate
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
 
 COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
 """Of either release: length, speed and mean noise."""
+_WHOSE: Final = ("search", "source")
 _FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
 
 
@@ -78,24 +82,34 @@ def read_levels(
 
 
 def _level(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LevelTracks:
-    probes = read_probes(out, linked)
-    probes = probes[probes["above"] >= 0]
-    tracks = read_windows(out, windows)
-    tracks = tracks.set_index(tracks["search"] + "\n" + tracks["source"])
-    wanted = probes["search"] + "\n" + probes["source"]
-    sides = [tracks[tracks["side"] == side].reindex(wanted) for side in ("probe", "gallery")]
+    probes = read_rows(out, linked, columns=[*_WHOSE, "group", "above", "tied", "chance"])
+    probes = probes.filter(pc.greater_equal(probes["above"], 0))
+    descriptors = {name: METRICS[name].column for name in DESCRIPTORS}
+    columns = [*COVARIATES, *descriptors.values()]
+    tracks = read_rows(out, windows, columns=["side", *_WHOSE, *columns])
+    sides = []
+    for side in SIDES:
+        mine = tracks.filter(pc.equal(tracks["side"], side))
+        sides.append(mine.take(pc.index_in(_names(probes), value_set=_names(mine))))
 
     def both(column: str) -> Floats:
-        return np.column_stack([side[column].to_numpy(np.float64) for side in sides])
+        return np.column_stack([side[column].to_numpy().astype(np.float64) for side in sides])
 
+    above, tied = (probes[name].to_numpy() for name in ("above", "tied"))
     return LevelTracks(
         mechanism=windows["mechanism"],
-        hit=np.where(probes["above"] == 0, 1.0 / probes["tied"], 0.0),
+        hit=np.where(above == 0, 1.0 / tied, 0.0),
         chance=probes["chance"].to_numpy(),
-        cluster=np.unique(probes["group"].to_numpy(str), return_inverse=True)[1].astype(np.int64),
-        descriptors={name: both(METRICS[name].column) for name in DESCRIPTORS},
+        cluster=np.unique(probes["group"].to_numpy().astype(str), return_inverse=True)[1],
+        descriptors={name: both(column) for name, column in descriptors.items()},
         covariates=np.column_stack([both(column) for column in COVARIATES]),
     )
+
+
+def _names(rows: pa.Table) -> pa.ChunkedArray:
+    """Return what a track is called in its search and among all."""
+    search, source = (rows[name].cast(pa.string()) for name in _WHOSE)
+    return pc.binary_join_element_wise(search, source, "\n")
 
 
 def within(
