@@ -59,10 +59,7 @@ def run(
     pictures : bool
         Without them there are neither figures nor `report.html`; `evaluation.report` draws them.
 
-    Raises
-    ------
-    IsacTrackError
-        For anything that a user can mend; finished cells are kept.
+    Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     if ready is None:
         ready = plan(settings or Settings())
@@ -83,10 +80,7 @@ def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Result
     pdf : bool
         Whether the figures are drawn as PDF, too.
 
-    Raises
-    ------
-    IsacTrackError
-        If the folder holds no run, or a cell is missing or not as it was written.
+    Raises IsacTrackError if the folder holds no run, or a cell is missing or not as it was written.
     """
     out = Path(out)
     manifest = read_manifest(out)

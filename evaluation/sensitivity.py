@@ -44,22 +44,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = command.add_argument
     add("out", type=Path, metavar="OUT", nargs="?", help="folder of a finished run")
-    for option, metavar, about in (
-        (
-            *("--variant", "NAME"),
-            "a variant of --list, or STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, "
-            "recording=NAME|PATH; repeatable; replaces the list",
-        ),
-        (
-            *("--trust", "SPEC"),
-            "a class of your own that the run used, package.module:Class; repeatable",
-        ),
-        (
-            *("--set", "STAGE.KEY=VALUE"),
-            "one more variant: this setting changed; repeatable; adds to the list",
-        ),
-    ):
-        add(option, action="append", default=[], metavar=metavar, help=about)
+    about = (
+        "a variant of --list, or STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, "
+        "recording=NAME|PATH; repeatable; replaces the list"
+    )
+    add("--variant", action="append", metavar="NAME", help=about)
+    about = "a class of your own that the run used, package.module:Class; repeatable"
+    add("--trust", action="append", default=[], metavar="SPEC", help=about)
+    about = "one more variant: this setting changed; repeatable; adds to the list"
+    add("--set", action="append", default=[], metavar="STAGE.KEY=VALUE", help=about)
     add("--list", action="store_true", help="list the variants, and stop")
     add("--scenes", type=int, metavar="N", help="scenes of each variant (default: the run's)")
     add("--jobs", type=int, metavar="N", help="worker processes, as in evaluation.matrix")
@@ -85,7 +78,7 @@ def _command(options: argparse.Namespace) -> int:
         manifest = read_manifest(options.out)
     elif not options.list:
         raise SettingsError("name the folder of a finished run (see --help)")
-    variants = chosen(options.variant or None, also=options.set, manifest=manifest)
+    variants = chosen(options.variant, also=options.set, manifest=manifest)
     if manifest is not None and not options.list:
         return _run(options, variants, manifest)
     width = max(len(one.name) for one in variants)

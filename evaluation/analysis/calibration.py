@@ -13,8 +13,8 @@ the predictions with them, when what was fixed beforehand is fixed elsewhere.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.optimize import brentq
@@ -46,8 +46,7 @@ _FID_ETA = 1000.0
 _LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Link:
+class Link(NamedTuple):
     """A block of scenes, reduced to what the constants act on."""
 
     gain: Floats
@@ -60,8 +59,7 @@ class Link:
     offsets: Ints
 
 
-@dataclass(frozen=True, slots=True)
-class Targets:
+class Targets(NamedTuple):
     """The numbers that the constants are fitted to."""
 
     raw_plr: float
@@ -90,10 +88,7 @@ def calibrate(
 
     `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed.
 
-    Raises
-    ------
-    DataError
-        If no constants in the searched ranges do.
+    Raises DataError if no constants in the searched ranges do.
     """
     stages = StageSettings().changed(changes)
     tracks = cut(recorded, settings=stages, seed=seed)
@@ -165,21 +160,14 @@ def descriptors(
 def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) -> SensingSettings:
     """Return the settings whose `FITTED` constants, to 0.01 dB, reproduce the targets.
 
-    Raises
-    ------
-    DataError
-        If no constants in the searched ranges do.
+    Raises DataError if no constants in the searched ranges do.
     """
-
-    def settings(net_db: float, spread_db: float, gap_db: float) -> SensingSettings:
-        fitted: Any = zip(FITTED, (net_db + gap_db, spread_db, gap_db), strict=True)
-        return replace(stages.sensing, **dict(fitted))
 
     def trial(
         net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
     ) -> tuple[float, float]:
-        tried, epsilon_m = settings(net_db, spread_db, gap_db), stages.privacy.epsilon_m
-        return descriptors(blocks, settings=tried, epsilon_m=epsilon_m, eta=eta)
+        tried = _fitted(stages.sensing, net_db + gap_db, spread_db, gap_db)
+        return descriptors(blocks, settings=tried, epsilon_m=stages.privacy.epsilon_m, eta=eta)
 
     def net_for(spread: float) -> float:
         return _root(lambda net: trial(net, spread)[0] - targets.raw_plr, _GAINS, what="raw PLR")
@@ -195,9 +183,13 @@ def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) ->
         _GAPS,
         what=f"PLR at eta = {_FID_ETA:g}",
     )
-    found = settings(net_db, spread_db, gap_db)
-    rounded: Any = {name: round(getattr(found, name), 2) for name in FITTED}
-    return replace(found, **rounded)
+    constants = (net_db + gap_db, spread_db, gap_db)
+    return _fitted(stages.sensing, *(round(one, 2) for one in constants))
+
+
+def _fitted(sensing: SensingSettings, *constants: float) -> SensingSettings:
+    known: Any = dict(zip(FITTED, constants, strict=True))
+    return replace(sensing, **known)
 
 
 def predictions(

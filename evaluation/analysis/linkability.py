@@ -73,10 +73,7 @@ def cards(out: Path, manifest: Mapping[str, Any], *, drawn: Collection[str] | No
 
     `drawn` are the metrics of attacks that need replicates; without it all have them, and controls.
 
-    Raises
-    ------
-    DataError
-        If a cell cannot be read.
+    Raises DataError if a cell cannot be read.
     """
     of_kind = {"linkage": drawn, "control": None if drawn is None else ()}
     return [
@@ -166,11 +163,9 @@ class LinkedTask:
 
 def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
     """Return the tasks in which somebody links, in the order of the run, levels rising."""
-    texts = {name: linkability[name].astype(object) for name in ("knowledge", "outcome", "invalid")}
     # Of texts read from a file, those that are empty are missing.
-    tidy = linkability.assign(
-        **{name: text.where(text.notna(), "") for name, text in texts.items()}
-    )
+    texts = ["knowledge", "outcome", "invalid"]
+    tidy = linkability.assign(**linkability[texts].astype(object).fillna(""))
     # Mechanisms in the order of the run, not of their levels.
     order = {name: place for place, name in enumerate(linkability["mechanism"].unique())}
     tidy = tidy.sort_values("level", kind="stable", na_position="first")

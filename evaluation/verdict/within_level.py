@@ -17,9 +17,9 @@ import pyarrow.compute as pc
 from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, RAW
-from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
 from evaluation.cells.link_setup import SIDES
+from evaluation.experiment.constants import WINDOWS
 from evaluation.runs.cell_files import read_rows
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, Draft, known, with_interval
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from evaluation.analysis.keys import Source
     from evaluation.analysis.sweeps import Sweeps
     from isac_track.types import Floats, Ints
 
@@ -62,10 +63,7 @@ def read_levels(
 
     `strongest` is by task its strongest linker.
 
-    Raises
-    ------
-    DataError
-        If a cell cannot be read.
+    Raises DataError if a cell cannot be read.
     """
     entries = {
         (entry["spec"], entry["consumer"], entry["knowledge"]): entry for entry in manifest["cells"]
@@ -73,10 +71,10 @@ def read_levels(
     wanted = {RAW}.union(*(sweeps.swept(adding) for adding in ADDING_RULES))
     found: dict[str, list[LevelTracks]] = {}
     for task, linker in strongest.items():
-        for (spec, consumer, _), windows in entries.items():
-            linked = entries.get((spec, linker.consumer, linker.knowledge))
-            is_of_task = windows["kind"] == "windows" and Source(consumer).task == task
-            if is_of_task and linked is not None and windows["mechanism"] in wanted:
+        for (spec, *whose), linked in entries.items():
+            is_linker = whose == [linker.consumer, linker.knowledge]
+            windows = entries.get((spec, f"{task}/{WINDOWS}", ""))
+            if is_linker and windows is not None and linked["mechanism"] in wanted:
                 found.setdefault(task, []).append(_level(out, linked, windows))
     return found
 
@@ -117,14 +115,8 @@ def within(
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
 
-    Parameters
-    ----------
-    levels : mapping
-        By task. Clusters are numbered alike at all levels of a task.
-    sweeps : Sweeps
-        Of the run: it says under which rule a mechanism is judged.
-    success : mapping
-        By task: the linker that it is about.
+    `levels` are by task; clusters are numbered alike at all levels of a task. `sweeps` are of the
+    run and say under which rule a mechanism is judged; `success` is the linker of each task.
     """
     for adding in ADDING_RULES:
         wanted = (RAW, *sweeps.swept(adding))
@@ -155,12 +147,11 @@ def _item(levels: Sequence[LevelTracks], adding: str, descriptor: str, linker: S
         f"and whether it is linked go together by "
         f"{with_interval(found, 'correlation')} (rank correlation)"
     )
+    why = "the interval reaches on both sides of the bound"
     if condition > 0.05:  # noqa: PLR2004
         why = "the strongest attack hardly links anybody: nothing could be seen"
     elif not rules.is_known(found):
         why = f"{name} hardly varies beyond length, speed and noise, or there are too few people"
-    else:
-        why = "the interval reaches on both sides of the bound"
     return Draft(
         adding=adding,
         descriptor=descriptor,
@@ -201,10 +192,8 @@ def partial_correlation(
     of the correlation (its influence function), so that a person who occurs at every level counts
     once.
 
-    Parameters
-    ----------
-    levels : sequence of (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,))
-        Rows in which anything is unknown are left out.
+    `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each; rows in
+    which anything is unknown are left out.
     """
     rests: list[Floats] = []
     clusters: list[Ints] = []
