@@ -31,7 +31,7 @@ from isac_track.errors import DataError
 from isac_track.scenes import cut, make_scenes, track_order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from evaluation.cells.work import Levels
     from isac_track.scenes import Cut
@@ -57,15 +57,6 @@ class Link(NamedTuple):
     """(M,) norm of the standardised raw error"""
     t: Floats
     offsets: Ints
-
-
-class Targets(NamedTuple):
-    """The numbers that the constants are fitted to."""
-
-    raw_plr: float
-    raw_mel_s: float
-    fid_plr: float
-    """At eta = 1000, linear adding."""
 
 
 Calibration: TypeAlias = "tuple[SensingSettings, Mapping[tuple[str, str], float]]"
@@ -97,7 +88,7 @@ def calibrate(
     found = fit(
         links(tracks, stages=stages, n_scenes=n_scenes, seed=seed),
         stages=stages,
-        targets=Targets(*(paper[one] for one in wanted)),
+        targets=[paper[one] for one in wanted],
     )
     fitted = replace(stages, sensing=found)
     return found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed)
@@ -157,11 +148,16 @@ def descriptors(
     return float(np.concatenate(plr).mean()), float(np.concatenate(mel_s).mean())
 
 
-def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) -> SensingSettings:
+def fit(
+    blocks: tuple[Link, ...], *, stages: StageSettings, targets: Sequence[float]
+) -> SensingSettings:
     """Return the settings whose `FITTED` constants, to 0.01 dB, reproduce the targets.
+
+    Those are raw PLR, raw MEL in s, and PLR under FID at eta = 1000 with linear adding.
 
     Raises DataError if no constants in the searched ranges do.
     """
+    raw_plr, raw_mel_s, fid_plr = targets
 
     def trial(
         net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
@@ -170,16 +166,14 @@ def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) ->
         return descriptors(blocks, settings=tried, epsilon_m=stages.privacy.epsilon_m, eta=eta)
 
     def net_for(spread: float) -> float:
-        return _root(lambda net: trial(net, spread)[0] - targets.raw_plr, _GAINS, what="raw PLR")
+        return _root(lambda net: trial(net, spread)[0] - raw_plr, _GAINS, what="raw PLR")
 
     spread_db = _root(
-        lambda spread: trial(net_for(spread), spread)[1] - targets.raw_mel_s,
-        _SPREADS,
-        what="raw MEL",
+        lambda spread: trial(net_for(spread), spread)[1] - raw_mel_s, _SPREADS, what="raw MEL"
     )
     net_db = net_for(spread_db)
     gap_db = _root(
-        lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - targets.fid_plr,
+        lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - fid_plr,
         _GAPS,
         what=f"PLR at eta = {_FID_ETA:g}",
     )

@@ -91,11 +91,7 @@ class Comparison:
 
 
 def compare(
-    out_a: Path,
-    out_b: Path,
-    *,
-    mechanism_a: str | None = None,
-    mechanism_b: str | None = None,
+    out_a: Path, out_b: Path, *, mechanism_a: str | None = None, mechanism_b: str | None = None
 ) -> Comparison:
     """Return two runs side by side; their folders may be the same.
 

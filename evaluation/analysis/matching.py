@@ -7,7 +7,7 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -17,14 +17,8 @@ import pandas as pd
 from evaluation.analysis.families import ADDING_RULES, FIXED
 from evaluation.analysis.keys import AS_SHARED, Measure
 from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.metrics import (
-    ACHIEVED,
-    DESCRIPTORS,
-    EQUAL_ALARMS,
-    EXPOSURE,
-    MISSED_RATE,
-)
-from evaluation.analysis.sweeps import places, read_at
+from evaluation.analysis.metrics import ACHIEVED, DESCRIPTORS, EQUAL_ALARMS, EXPOSURE, MISSED_RATE
+from evaluation.analysis.sweeps import interpolated, places
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import CONFIDENCE
 
@@ -133,7 +127,7 @@ def matched(
             {
                 "dataset": dataset_of(one.measure.consumer, dataset=dataset),
                 **{name: getattr(one, name) for name in ("criterion", "adding", "predictor")},
-                **asdict(one.measure),
+                **one.measure._asdict(),
                 "n": one.n,
                 "mechanism": one.mechanism,
                 "family": known[one.mechanism].family,
@@ -176,7 +170,7 @@ def compare(
         n_points = N_POINTS if measure.consumer == SHARED else N_ATTACK_POINTS
         at = at_of[n_points]
         compared, fixed = (
-            read_at(where, curve, log=measure.metric in DESCRIPTORS)
+            interpolated(where, curve, log=measure.metric in DESCRIPTORS)
             for where, curve in zip(where_of[n_points], curves, strict=True)
         )
         difference = compared - fixed

@@ -119,16 +119,6 @@ def monotone(values: Floats, *, increasing: bool) -> Floats:
     return best
 
 
-def interpolated(at: Floats, change: Floats, values: Floats, *, log: bool) -> Floats:
-    """Return each row's value where it has changed by `at` from raw, (R, P); NaN out of reach.
-
-    `at` is (P,) for all rows, or (R, P); `change`, (>= R, L), falls from left to right, to 0 at
-    raw; `values` are (R, L). With `log` the logarithm is interpolated: a descriptor falls about
-    exponentially with the rate, so that a chord over a wide step lies close to the curve.
-    """
-    return read_at(places(at, change), values, log=log)
-
-
 class Places(NamedTuple):
     """Where rows of a curve are read, (R, P) each."""
 
@@ -139,11 +129,13 @@ class Places(NamedTuple):
 
 
 def places(at: Floats, change: Floats) -> Places:
-    """Return where each row has changed by `at` from raw, as in `interpolated`."""
+    """Return where each row has changed by `at` from raw.
+
+    `at` is (P,) for all rows, or (R, P); `change`, (R, L), falls from left to right, to 0 at raw.
+    """
     x = change[:, ::-1]
-    wanted = np.broadcast_to(np.atleast_2d(at), (x.shape[0], at.shape[-1]))
     # Rounding must not put the end of a curve out of its own reach.
-    wanted = np.maximum(wanted - _ROUNDING, 0.0)
+    wanted = np.maximum(np.broadcast_to(at, (x.shape[0], at.shape[-1])) - _ROUNDING, 0.0)
     right = np.zeros(wanted.shape, dtype=np.int64)
     for level in x.T:
         right += level[:, None] < wanted
@@ -155,8 +147,13 @@ def places(at: Floats, change: Floats) -> Places:
     return Places(right, np.where(in_reach, np.clip(share, 0.0, 1.0), np.nan))
 
 
-def read_at(where: Places, values: Floats, *, log: bool) -> Floats:
-    """Return the values, (R, L), of each row at its places, as in `interpolated`."""
+def interpolated(where: Places, values: Floats, *, log: bool) -> Floats:
+    """Return the values, (R, L), of each row at its places, (R, P); NaN out of reach.
+
+    Of unequal numbers of rows the first are read. With `log` the logarithm is interpolated: a
+    descriptor falls about exponentially with the rate, so that a chord over a wide step lies close
+    to the curve.
+    """
     n_rows = min(where.right.shape[0], values.shape[0])
     right, share = (one[:n_rows] for one in where)
     y = values[:n_rows, ::-1]

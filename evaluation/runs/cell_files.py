@@ -38,6 +38,11 @@ if TYPE_CHECKING:
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
 _NAMES: Final = ("source", "group", "search", "side", "assigned")
+_OUTCOME: Final = (
+    *("group", "above", "tied", "chance", "assigned", "about"),
+    *("metric", "value", "ci_low", "ci_high", "n"),
+)
+"""Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
 _ALIKE: Final = frozenset(
     ("plr", "mel_s", "benchmark_mse_m2", "benchmark_plr", "chance", "duration_s")
@@ -175,7 +180,7 @@ def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) ->
     Raises DataError if a cell is missing or broken, or has no such column; the message names it.
     """
     found = []
-    for path, tables in _tables(out, entry, with_scores=_SCORES in columns):
+    for path, tables in _tables(out, entry, columns):
         rows = tables[ROWS]
         for column in columns:
             is_there = column in rows.column_names
@@ -198,7 +203,7 @@ def read_outcome(
 
     Raises DataError if the cell is missing or broken; the message names it.
     """
-    ((path, tables),) = _tables(out, entry)
+    ((path, tables),) = _tables(out, entry, drawn if drawn is None else (*_OUTCOME, *drawn))
     with _readable(path):
         about = json.loads(tables[ABOUT]["about"][0].as_py())
         replicates = {}
@@ -258,9 +263,9 @@ def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> 
 
 
 def _tables(
-    out: Path, entry: Mapping[str, Any], *, with_scores: bool = False
+    out: Path, entry: Mapping[str, Any], columns: Collection[str] | None = None
 ) -> list[tuple[Path, dict[str, pa.Table]]]:
-    """Return the tables of a consumer by file, each with the columns of the whole file."""
+    """Return the tables of a consumer by file, each with some columns, or all but raw scores."""
     stamped = []
     for name in entry["files"]:
         path = out / FOLDER / name
@@ -268,9 +273,8 @@ def _tables(
             stat = path.stat()
         stamped.append((path, stat.st_mtime_ns, stat.st_size))
     found, label = [], label_of(entry)
-    for (path, *_), (whole, index) in zip(
-        stamped, _opened(tuple(stamped), with_scores), strict=True
-    ):
+    opened = _opened(tuple(stamped), None if columns is None else frozenset(columns))
+    for (path, *_), (whole, index) in zip(stamped, opened, strict=True):
         held = index.consumers.get(label)
         if held is None:
             raise DataError(
@@ -283,15 +287,15 @@ def _tables(
 
 @lru_cache(maxsize=1)  # files are read once for all of their consumers, who come one after another
 def _opened(
-    stamped: tuple[tuple[Path, int, int], ...],
-    with_scores: bool,  # noqa: FBT001 - as lru_cache wants it
+    stamped: tuple[tuple[Path, int, int], ...], columns: frozenset[str] | None
 ) -> list[tuple[pa.Table, Index]]:
     """Return the content of some files, which is as old and as large as `stamped` says."""
     found = []
     for path, *_ in stamped:
         # Not pq.read_table: its data set machinery costs more than reading such a file.
         with _readable(path), pq.ParquetFile(path) as file:
-            names = [name for name in file.schema_arrow.names if with_scores or name != _SCORES]
+            every = file.schema_arrow.names
+            names = [name for name in every if name in (columns or {*every} - {_SCORES})]
             whole, index = file.read(columns=names, use_threads=False), file.metadata.metadata
             for place, name in enumerate(whole.column_names):
                 if name in _NAMES:

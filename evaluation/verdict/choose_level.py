@@ -209,11 +209,7 @@ class Choice:
 
 
 def choose(
-    out: Path,
-    *,
-    limits: Limits,
-    adding: Sequence[str] = ADDING_RULES,
-    predictor: str | None = None,
+    out: Path, *, limits: Limits, adding: Sequence[str] = ADDING_RULES, predictor: str | None = None
 ) -> Choice:
     """Return the strictest levels of a run that meet the targets, and whether the limits hold.
 

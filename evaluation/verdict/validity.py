@@ -17,7 +17,7 @@ from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.matching import MIN_DEFINED, compare
 from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
 from evaluation.analysis.strongest import by_task, strongest_of
-from evaluation.analysis.sweeps import interpolated
+from evaluation.analysis.sweeps import interpolated, places
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import estimate_of
@@ -182,10 +182,8 @@ def _of_levels(
             inside = (below_raw >= -rules.REACH * span) & (below_raw <= span + rules.REACH * span)
             held = np.where(inside, np.clip(below_raw, 0.0, span), np.nan)
             n_rows = min(reached.size, achieved.shape[0])
-            expected = interpolated(
-                held[:n_rows, None], change[:n_rows], achieved[:n_rows], log=False
-            )
-            gap = reached[:n_rows] - expected[:, 0]
+            read = places(held[:n_rows, None], change[:n_rows])
+            gap = reached[:n_rows] - interpolated(read, achieved, log=False)[:, 0]
             if np.isfinite(gap[1:]).mean() >= MIN_DEFINED and np.isfinite(gap[0]):
                 n = min(sweeps.n(fixed, success), sweeps.n(mechanism, theirs))
                 yield Contrast(mechanism, level, rival.attack.label, estimate_of(gap, n=n))

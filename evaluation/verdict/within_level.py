@@ -181,9 +181,7 @@ def clustered_mean(values: Floats, cluster: Ints) -> Estimate:
     return _with_error(mean, (values - mean) / values.size, cluster)
 
 
-def partial_correlation(
-    levels: Sequence[tuple[Floats, Floats, Floats, Ints]],
-) -> Estimate:
+def partial_correlation(levels: Sequence[tuple[Floats, Floats, Floats, Ints]]) -> Estimate:
     """Return the rank correlation of descriptor and hit within levels, beyond the covariates.
 
     At each level all are put in ranks; the mean rank of the descriptor in both releases, and the
