@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
 import sys
@@ -19,6 +18,7 @@ from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
 _EXIT = """\
@@ -81,8 +81,6 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m evaluation.matrix",
         description="Evaluate sharing mechanisms: what a robot can still foresee, what leaks.",
         epilog=_EXIT,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     add = command.add_argument
     for key, (kind, metavar, about) in _OPTIONS.items():
@@ -162,15 +160,17 @@ def _command(arguments: Sequence[str] | None) -> int:
     settings = settings_from(options)
     # Heavy imports only now: --help, --list and a typing error answer at once.
     from evaluation.experiment.plan import plan  # noqa: PLC0415
+
+    ready = plan(settings)
+    _say(plan_lines(ready), stream=sys.stderr)
+    if options.dry_run:
+        return DONE
+    # What draws and shows is heavier still: until here, the user knows what is under way.
     from evaluation.reporting.tables import show  # noqa: PLC0415
     from evaluation.results import run  # noqa: PLC0415
     from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415
 
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
-    ready = plan(settings)
-    _say(plan_lines(ready), stream=sys.stderr)
-    if options.dry_run:
-        return DONE
     with _progress_bar() as update, warnings.catch_warnings():
         warnings.simplefilter("ignore", FailedCellsWarning)  # told below
         results = run(ready=ready, progress=update)

@@ -1,5 +1,8 @@
 """What can go wrong for a user: one error and a handful of children, each with a way out."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 _MOST_TOLD = 300
 """Characters of a stranger's message."""
 
@@ -22,6 +25,13 @@ class PluginError(IsacTrackError):
 
 class KnowledgeDenied(IsacTrackError):  # noqa: N818 - the contract's name
     """An attack touched what its adversary was not granted, or what it did not declare."""
+
+
+def meant(name: str, known: Iterable[str], *, otherwise: str = "") -> str:
+    """Return what a user may have meant by a wrong name, else `otherwise` or all that is known."""
+    names = list(known)
+    near = get_close_matches(name, names, n=1)
+    return f"did you mean {near[0]!r}?" if near else otherwise or f"known: {', '.join(names)}"
 
 
 def told(error: BaseException) -> str:

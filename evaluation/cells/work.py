@@ -7,16 +7,19 @@ and what sees nothing else is computed once for levels that are shared alike.
 
 from __future__ import annotations
 
+import json
+import os
+import threading
+import time
 import traceback
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from evaluation.cells import sharing
 from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.linkage import link, linked_level
-from evaluation.cells.progress import Failed, note, noted
 from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
 from evaluation.cells.sharing import release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, rows_table
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
     from isac_track.types import Ints
 
 _OURS = ("isac_track", "predictors", "attacks", "evaluation")
+NOTE_BYTES: Final = 4096
 
 Levels: TypeAlias = "tuple[tuple[Plugin, tuple[Consumer, ...]], ...]"
 """Mechanisms, and the consumers that are missing of each."""
@@ -67,6 +71,48 @@ class LinkWork:
     """Clusters of the run's scenes."""
     levels: Levels
     keep_scores: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A plug-in or a worker failed; what came before it in the work is finished."""
+
+    at: tuple[str, ...]
+    """As noted with `note`; empty if that is not known."""
+    why: str
+    died: bool = False
+    """The worker did, and all of its work with it: another try may go well."""
+
+
+class _Here(threading.local):
+    """Where this process is, for the one that waits for it; in a Dask worker, this thread."""
+
+    at: tuple[str, ...] = ()
+    file: int | None = None
+
+
+_here = _Here()
+
+
+def note_to(file: int) -> None:
+    """Write what is noted from now on to a file, too; the one that waits reads it there."""
+    _here.file = file
+
+
+def note(*at: str) -> None:
+    """Note where this process is, before it goes there."""
+    _here.at = at
+    if _here.file is not None:
+        content = json.dumps([os.getpid(), time.monotonic(), at]).encode()
+        if len(content) > NOTE_BYTES:  # somewhere with an endless name
+            content = json.dumps([os.getpid(), time.monotonic(), ("", "")]).encode()
+        # One write of one length: whoever reads sees the old or the new.
+        os.pwrite(_here.file, content.ljust(NOTE_BYTES), 0)
+
+
+def noted() -> tuple[str, ...]:
+    """Return what was noted last."""
+    return _here.at
 
 
 def attempt(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from evaluation.experiment.constants import MOST_SCENES
 from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, meant
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,8 +49,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
-            near = get_close_matches(self.preset, PRESETS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(PRESETS)}"
+            hint = meant(self.preset, PRESETS)
             raise SettingsError(f"unknown preset {self.preset!r}; {hint}")
         if self.scenes is not None and not 2 <= self.scenes <= MOST_SCENES:  # noqa: PLR2004
             raise SettingsError(

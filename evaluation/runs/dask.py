@@ -16,9 +16,10 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 
+from joblib.externals import cloudpickle
 from threadpoolctl import threadpool_limits
 
-from evaluation.cells.progress import Failed, note
+from evaluation.cells.work import Failed, note
 from evaluation.experiment.fingerprint import code_hash, source_digest
 from evaluation.runs.workers import hand_out
 from isac_track.errors import SettingsError, told
@@ -27,9 +28,7 @@ if TYPE_CHECKING:
     from collections import deque
     from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 
-    from evaluation.experiment.axes import Consumer
     from evaluation.runs.workers import Ended
-    from isac_track.plugins import Plugin
 
 W = TypeVar("W")
 R = TypeVar("R")
@@ -51,6 +50,7 @@ _AHEAD: Final = 3
 _LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
 """Dask warns of large graphs; ours holds the tracks, once."""
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
+_OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
 _LOADING: Final = threading.Lock()
 _FIRST_SEEN: Final[dict[str, str]] = {}
 """Digests of the source as this process loaded it: files may change under a running worker."""
@@ -75,7 +75,7 @@ def spread_on_cluster(
     scheduler : str
         Its address, such as ``tcp://host:8786``.
     modules : iterable of str
-        Of the user's own plug-ins: the workers must have the same.
+        Those that are not of the project are the user's own: the workers must have the same.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def spread_on_cluster(
         If the scheduler cannot be reached or is gone, no worker is there, or a worker would not
         compute the same.
     """
-    expected = _about(tuple(modules), seen={})
+    expected = _about(tuple(one for one in modules if one.partition(".")[0] not in _OURS), seen={})
     with _connected(scheduler) as client:
         cluster = _Cluster(function, client, scheduler, expected)
         try:
@@ -92,17 +92,6 @@ def spread_on_cluster(
             if cluster.under_way and client.status == "running":
                 with contextlib.suppress(Exception):
                     client.cancel([*cluster.under_way])
-
-
-def own_modules(cells: Iterable[tuple[Plugin, Consumer]]) -> tuple[str, ...]:
-    """Return the modules of the plug-ins that are not built in."""
-    plugins = {
-        one.origin.partition(":")[0]
-        for mechanism, consumer in cells
-        for one in (mechanism, *consumer.plugins)
-    }
-    ours = ("isac_track", "predictors", "attacks")
-    return tuple(sorted(name for name in plugins if name.partition(".")[0] not in ours))
 
 
 class _Cluster(Generic[W, R]):
@@ -118,12 +107,11 @@ class _Cluster(Generic[W, R]):
         expected: Mapping[str, str],
     ) -> None:
         self._client, self._scheduler, self._expected = client, scheduler, expected
-        self._run = f"isac-track-{uuid.uuid4().hex}"
-        self._count, self._threads = 0, 1
+        self._threads = 1
         self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
         self._check_workers()
-        self._function = self._submitted("context", _loaded, _packed(function))
+        self._function = self._submitted(_loaded, cloudpickle.dumps(function))
 
     def _check_workers(self) -> None:
         """Raise SettingsError unless workers are there that compute the same."""
@@ -156,12 +144,12 @@ class _Cluster(Generic[W, R]):
         return self.n_busy() < _AHEAD * self._threads
 
     def start(self, work: W) -> None:
-        self._count += 1
-        arguments = (self._function, _packed(work), self._expected)
-        self.under_way[self._submitted(str(self._count), _computed, *arguments)] = work
+        # Packed for the workers alone: the scheduler has no use for a user's plug-in.
+        arguments = (self._function, cloudpickle.dumps(work), self._expected)
+        self.under_way[self._submitted(_computed, *arguments)] = work
 
-    def _submitted(self, key: str, function: Callable[..., Any], *arguments: object) -> Task:
-        return self._client.submit(function, *arguments, key=f"{self._run}-{key}", pure=False)
+    def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
+        return self._client.submit(function, *arguments, key=f"isac-track-{uuid.uuid4().hex}")
 
     def ended(self) -> Iterator[Ended[W, R]]:
         """Yield what has ended; SettingsError if scheduler or workers are gone for long."""
@@ -241,11 +229,9 @@ def _connected(scheduler: str) -> Iterator[Client]:
         raise SettingsError("--executor dask: pip install 'isac-track[dask]'") from None
     noisy = ("distributed", "tornado", "asyncio")
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy]
-    loggers = [logging.getLogger(name) for name in {*names, "distributed", "asyncio"}]
-    levels = [logger.level for logger in loggers]
     with contextlib.ExitStack() as ends:
-        for logger, level in zip(loggers, levels, strict=True):
-            ends.callback(logger.setLevel, level)
+        for logger in map(logging.getLogger, {*names, "distributed", "asyncio"}):
+            ends.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL)  # what matters is told in one line
         ends.enter_context(dask.config.set(_LARGE))
         try:
@@ -265,14 +251,6 @@ def _connected(scheduler: str) -> Iterator[Client]:
                 client.close(timeout=_CONNECT_S)
 
 
-def _packed(content: object) -> bytes:
-    """Return it for the workers alone: the scheduler has no use for a user's plug-in."""
-    import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
-
-    packed: bytes = cloudpickle.dumps(content)
-    return packed
-
-
 def _modules(about: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(key.removeprefix("module ") for key in about if " " in key)
 
@@ -281,8 +259,6 @@ def _modules(about: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _loaded(packed: bytes) -> Any:  # noqa: ANN401 - what was packed
-    import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
-
     with _LOADING:
         return cloudpickle.loads(packed)
 

@@ -8,11 +8,10 @@ pytest.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Literal
 from unittest import SkipTest
 
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, meant
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -94,8 +93,7 @@ def select(
     """
     for name in names or ():
         if name not in checks:
-            near = get_close_matches(name, checks, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else known
+            hint = meant(name, checks, otherwise=known)
             raise SettingsError(f"unknown check {name!r}{kit}; {hint}")
     return tuple(checks[name] for name in dict.fromkeys(checks if names is None else names))
 

@@ -21,8 +21,7 @@ from helpers.processes import ROOT, TESTS
 
 import evaluation
 from evaluation import matrix
-from evaluation.cells.progress import Failed, note, noted
-from evaluation.cells.work import Block
+from evaluation.cells.work import Block, Failed, note, noted
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster

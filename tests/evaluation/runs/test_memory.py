@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from evaluation.runs.memory import given_back
+from evaluation.runs.workers import given_back
 
 
 def has_glibc():
