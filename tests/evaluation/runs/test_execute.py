@@ -85,6 +85,11 @@ def computed(tracks, *, spec="fid:100", stages=None, seed=0, predictor="least_sq
     return [arrays(tables) for *_, tables in found]
 
 
+@pytest.fixture(scope="module")
+def usual(tracks):
+    return computed(tracks)
+
+
 def same(a, b):
     return all(
         np.array_equal(one[name], other[name], equal_nan=one[name].dtype.kind == "f")
@@ -146,23 +151,23 @@ def test_every_setting_is_in_the_list_below():
     assert CHANGES.keys() == known - others - linked
 
 
-def test_a_setting_that_cannot_matter_changes_nothing(tracks):
+def test_a_setting_that_cannot_matter_changes_nothing(tracks, usual):
     # Nobody needs a hundred redraws: one more of them must not move any other draw.
     more = StageSettings().changed({"scenes.max_redraws": 101})
-    assert same(computed(tracks), computed(tracks, stages=more))
+    assert same(usual, computed(tracks, stages=more))
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_every_setting_changes_the_result(tracks, name):
+def test_every_setting_changes_the_result(tracks, usual, name):
     changed = StageSettings().changed({name: CHANGES[name]})
-    assert not same(computed(tracks), computed(tracks, stages=changed))
+    assert not same(usual, computed(tracks, stages=changed))
 
 
 @pytest.mark.parametrize(
     "spec", ["fid:200", "fid:100,alpha=0.4", "fid:100,beta=1.2", "fid:100,adding=independent"]
 )
-def test_every_parameter_of_the_rule_changes_the_result(tracks, spec):
-    assert not same(computed(tracks), computed(tracks, spec=spec))
+def test_every_parameter_of_the_rule_changes_the_result(tracks, usual, spec):
+    assert not same(usual, computed(tracks, spec=spec))
 
 
 def test_the_fixed_error_the_window_and_the_seed_change_the_result(tracks):
@@ -302,12 +307,25 @@ class TestWhatARunLeaves:
 
 
 def test_workers_change_no_bit(settings, tmp_path):
-    # 501 scenes: three blocks for two workers; 12: one, shared out by levels.
-    for scenes in (501, 12):
-        for jobs in (1, 2):
-            run(settings, scenes=scenes, jobs=jobs, out=tmp_path / f"{scenes}-{jobs}")
-        one, two = (tmp_path / f"{scenes}-{jobs}" / "summary.csv" for jobs in (1, 2))
-        assert one.read_bytes() == two.read_bytes()
+    """Three blocks for two workers."""
+    for jobs in (1, 2):
+        run(settings, scenes=501, jobs=jobs, out=tmp_path / f"{jobs}")
+    one, two = (tmp_path / f"{jobs}" / "summary.csv" for jobs in (1, 2))
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_one_block_that_is_shared_out_by_levels_changes_no_bit(finished, drawn, monkeypatch):
+    def here(compute, works, **_):
+        assert len(works) == n_pieces
+        for work in works:
+            yield work, list(compute(work))
+
+    monkeypatch.setattr("evaluation.runs.execute.spread", here)
+    ready = replace(plan(replace(finished, fresh=True)), jobs=2)
+    n_pieces = 3  # of the gallery, too: a level each
+    evaluation.run(ready=ready, pictures=False)
+    for name in ("summary.csv", "decisions.csv"):
+        assert (finished.out / name).read_bytes() == (drawn.out / name).read_bytes()
 
 
 class TestAnotherRunInTheSameFolder:
@@ -388,7 +406,7 @@ class TestAnotherRunInTheSameFolder:
     def test_of_the_earlier_layout_is_refused_with_the_way_out(self, finished):
         path = finished.out / "manifest.json"
         manifest = json.loads(path.read_text(encoding="utf-8"))
-        del manifest["layout"]
+        del manifest["seal"]
         path.write_text(json.dumps(manifest), encoding="utf-8")
         earlier = finished.out / "cells" / "raw-shared_00000_0123456789abcdef.parquet"
         earlier.write_bytes(b"of a consumer of its own")
@@ -441,13 +459,34 @@ def test_predictors_may_be_left_out(settings):
 
 
 BAD_PLUGINS = """
-from dataclasses import dataclass
+import threading
+from dataclasses import dataclass, field
+from isac_track.sharing import Fixed
 from isac_track.types import Knowledge
+from predictors.least_squares import LeastSquares
 
 @dataclass(frozen=True)
 class Raises:
     def share(self, sensed, rng):
         raise RuntimeError("no luck")
+
+@dataclass(frozen=True)
+class NotAt3(Fixed):
+    def share(self, sensed, rng):
+        if self.d_sigma == 0.3:
+            raise RuntimeError("not at 0.3")
+        return super().share(sensed, rng)
+
+@dataclass(frozen=True)
+class NeedsMany(Fixed):
+    def share(self, sensed, rng):
+        if len(sensed) < 10:
+            raise RuntimeError("too few to hide among")
+        return super().share(sensed, rng)
+
+@dataclass(frozen=True)
+class HasALock(LeastSquares):
+    lock: object = field(default_factory=threading.Lock, init=False, compare=False)
 
 @dataclass(frozen=True)
 class Greedy:
@@ -467,12 +506,44 @@ def bad(tmp_path, monkeypatch):
 def test_a_failed_plugin_leaves_the_folder_usable(settings):
     with pytest.raises(PluginError, match="'bad_plugins:Raises' failed: RuntimeError: no luck"):
         run(settings, mechanisms=("bad_plugins:Raises",))  # nothing at all is left
+    assert json.loads((settings.out / "manifest.json").read_text())["state"] == "failed"
+    assert not (settings.out / "summary.csv").exists()
     with pytest.warns(FailedCellsWarning, match="2 cells failed and are left out: .*no luck"):
         found = run(settings, mechanisms=("raw", "bad_plugins:Raises"))
     assert set(found.summary["mechanism"]) == {"raw"}
     assert set(found.failed["spec"]) == {"bad_plugins:Raises"}
     results = run(settings, mechanisms=("fixed:0.7",))
     assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
+
+
+@pytest.mark.usefixtures("bad")
+def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(settings):
+    sweep = "bad_plugins:NotAt3:0.1..0.5/5"
+    with pytest.warns(FailedCellsWarning, match="not at 0.3"):
+        run(settings, mechanisms=(sweep,))
+    missing = (settings.out / "failed.csv").read_text()
+    assert missing.count("RuntimeError: not at 0.3") == 2  # as shared, and of the predictor
+    assert len(run(settings, mechanisms=("bad_plugins:NotAt3:0.5",)).failed) == 2
+    assert (settings.out / "failed.csv").read_text() == missing
+    assert len(run(settings, mechanisms=("bad_plugins:NotAt3:0.5",), fresh=True).failed) == 0
+
+
+@pytest.mark.usefixtures("bad")
+def test_what_fails_in_the_gallery_alone_costs_its_panels_alone(settings):
+    results = run(settings, mechanisms=("raw", "bad_plugins:NeedsMany:0.5"))
+    (without,) = results.manifest["gallery_without"]
+    assert without.startswith("bad_plugins:NeedsMany:0.5: ")
+    assert set(results.gallery["mechanism"]) == {"raw"}
+    assert set(results.summary["mechanism"]) == {"raw", "bad_plugins:NeedsMany"}
+
+
+@pytest.mark.usefixtures("bad")
+def test_what_cannot_be_sent_to_a_worker_is_refused_by_name(settings):
+    axes = {"mechanisms": ("raw",), "predictors": ("bad_plugins:HasALock",)}
+    told = r"bad_plugins:HasALock cannot be sent to a worker \(TypeError: cannot pickle"
+    with pytest.raises(PluginError, match=told):
+        run(settings, **axes, jobs=2)
+    assert len(run(settings, **axes, jobs=1).failed) == 0
 
 
 @pytest.mark.usefixtures("bad")
@@ -507,7 +578,7 @@ def test_a_decision_by_probability_trades_misses_against_alarms(tracks):
 
 def test_the_trackers_run_by_name_and_filterpy_agrees(settings):
     names = ("kalman_cv", "kalman_cv:engine=filterpy", "kalman_imm", "kalman_imm:engine=filterpy")
-    results = run(settings, scenes=4, mechanisms=("fixed:0.7",), predictors=names)
+    results = run(settings, scenes=2, mechanisms=("fixed:0.7",), predictors=names)
     table = results.summary.set_index(["consumer", "metric"])["value"]
     for name in ("kalman_cv", "kalman_imm"):
         theirs = table[f"{name}:engine=filterpy"]
