@@ -16,7 +16,6 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 
-from joblib.externals import cloudpickle
 from threadpoolctl import threadpool_limits
 
 from evaluation.cells.work import Failed, note
@@ -111,7 +110,7 @@ class _Cluster(Generic[W, R]):
         self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
         self._check_workers()
-        self._function = self._submitted(_loaded, cloudpickle.dumps(function))
+        self._function = self._submitted(_loaded, _packed(function))
 
     def _check_workers(self) -> None:
         """Raise SettingsError unless workers are there that compute the same."""
@@ -144,8 +143,7 @@ class _Cluster(Generic[W, R]):
         return self.n_busy() < _AHEAD * self._threads
 
     def start(self, work: W) -> None:
-        # Packed for the workers alone: the scheduler has no use for a user's plug-in.
-        arguments = (self._function, cloudpickle.dumps(work), self._expected)
+        arguments = (self._function, _packed(work), self._expected)
         self.under_way[self._submitted(_computed, *arguments)] = work
 
     def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
@@ -251,6 +249,14 @@ def _connected(scheduler: str) -> Iterator[Client]:
                 client.close(timeout=_CONNECT_S)
 
 
+def _packed(content: object) -> bytes:
+    """Return it for the workers alone: the scheduler has no use for a user's plug-in."""
+    import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
+
+    packed: bytes = cloudpickle.dumps(content)
+    return packed
+
+
 def _modules(about: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(key.removeprefix("module ") for key in about if " " in key)
 
@@ -259,6 +265,8 @@ def _modules(about: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _loaded(packed: bytes) -> Any:  # noqa: ANN401 - what was packed
+    import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
+
     with _LOADING:
         return cloudpickle.loads(packed)
 
