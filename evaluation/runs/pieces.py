@@ -160,18 +160,19 @@ class Failures:
         return [*again, *([innocent] if innocent.levels else ())]
 
     def _once_more(self, culprits: Work, *, place_is_known: bool) -> list[Work]:
-        """Return the work at which a worker died, in smaller parts; none if it was its second."""
+        """Return the work at which a worker died, to be tried again; none if it was its second."""
         key = tuple((cell[0], *specs_of(cell)) for cell in cells_of(culprits))
-        is_vague = not place_is_known and len(key) > 1
-        if key in self._died_at and not is_vague:
+        if not place_is_known and len(key) > 1:  # nobody knows which it was: each by itself, once
+            self._died_at.update((one,) for one in key)
+            return [
+                replace(culprits, levels=((mechanism, (one,)),))
+                for mechanism, consumers in culprits.levels
+                for one in consumers
+            ]
+        if key in self._died_at:
             return []
         self._died_at.add(key)
-        if is_vague and len(culprits.levels) == 1:  # it is not known where it was: cell by cell
-            self._died_at.update((one,) for one in key)
-            mechanism, consumers = culprits.levels[0]
-            return [replace(culprits, levels=((mechanism, (one,)),)) for one in consumers]
-        # One level at a time: the next death, if there is one, takes no others along.
-        return [replace(culprits, levels=(level,)) for level in culprits.levels]
+        return [culprits]
 
 
 def _only(work: Work, wanted: Callable[[Cell], bool]) -> Work:

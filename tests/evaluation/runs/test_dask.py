@@ -338,8 +338,8 @@ class TestWhatIsRefused:
         monkeypatch.setattr(on_cluster, "_CONNECT_S", 0.5)
         for address in ("tcp://127.0.0.1:1", "nonsense", "carrier-pigeon://a:1"):
             words = ["--dataset", settings.dataset, "--out", str(settings.out), "--mechanism=raw"]
-            words += ["--predictor=none", "--attack=none", "--task=none", "dask"]
-            words += ["--scheduler", address]
+            words += ["--predictor=none", "--attack=none", "--task=none"]
+            words += ["--executor", "dask", "--scheduler", address]
             assert matrix.main(words) == 2
             error = capsys.readouterr().err.splitlines()[-1]
             assert error.startswith(f"error: no Dask scheduler answers at {address!r} (")
@@ -412,7 +412,7 @@ class TestWhatIsRefused:
 
 
 class TestADeathAtAnUnknownPlace:
-    """Nobody knows at which cell the worker was: works are split until one cell is left."""
+    """Nobody knows at which cell the worker was: each is tried by itself."""
 
     def block(self, *specs):
         mechanisms = [plugins.parse("mechanisms", spec)[0] for spec in specs]
@@ -435,14 +435,10 @@ class TestADeathAtAnUnknownPlace:
                 works.extend(again)
             else:
                 finished += names
-        (failed,) = failures.cells
-        assert (failed.block, failed.mechanism.spec, failed.consumer.label) == (
-            3,
-            "fixed:0.5",
-            "least_squares",
-        )
+        ((cell, why),) = failures.cells
+        assert (cell[0], *specs_of(cell), why) == (3, "fixed:0.5", "least_squares", "died")
         assert len(finished) == len(set(finished)) == 5
-        assert tries == 3  # the work, its level, the cell
+        assert tries == 2  # the work, the cell
 
     def test_is_tried_once_more_where_there_is_one_cell_alone(self):
         failures = Failures()

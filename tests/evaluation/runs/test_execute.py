@@ -98,57 +98,14 @@ def same(a, b):
     )
 
 
+# min_duration_s chooses tracks, and a decision by probability needs a covariance: both have tests
+# of their own. What is linked passes through no scene: tests/attacks/tasks/test_build.py.
+ELSEWHERE = ("resample.min_duration_s", "conflict.decision", "conflict.probability_threshold")
 CHANGES = {
-    "resample.rate_min_hz": 6.0,
-    "resample.rate_max_hz": 20.0,
-    "resample.rate_hold_s": 0.5,
-    "scenes.agents": 3,
-    "scenes.history_ratio": 0.6,
-    "scenes.robot_x_m": 1.0,
-    "scenes.robot_y_m": 1.0,
-    "scenes.robot_spread_m": 3.0,
-    "scenes.near_miss_max_m": 1.2,
-    "scenes.ring_min_m": 3.0,
-    "scenes.ring_max_m": 5.0,
-    "scenes.clearance_m": 2.5,
-    "scenes.max_redraws": 1,
-    "sensing.bs_x_m": 20.0,
-    "sensing.bs_y_m": 60.0,
-    "sensing.carrier_ghz": 28.0,
-    "sensing.bandwidth_mhz": 50.0,
-    "sensing.n_paths": 2,
-    "sensing.delay_spread_s": 1e-6,
-    "sensing.power_dbm": 45.0,
-    "sensing.noise_dbm": -85.0,
-    "sensing.path_loss_exponent": 3.0,
-    "sensing.beam_fluctuation_db": 4.0,
-    "sensing.resource_share": 0.5,
-    "sensing.rcs_m2": 0.5,
-    "sensing.large_scale_db": 6.0,
-    "sensing.processing_gain_db": 30.0,
-    "sensing.crb_gap_db": 5.0,
-    "sensing.sigma_cap_m": 0.5,
-    "sensing.law": "isotropic",
-    "conflict.robot_speed_mps": 2.0,
-    "conflict.horizon_steps": 8,
-    "conflict.window": 4,
-    "conflict.safety_radius_m": 0.7,
-    "privacy.epsilon_m": 0.2,
-}
-
-
-def test_every_setting_is_in_the_list_below():
-    # min_duration_s chooses tracks, and a decision by probability needs a covariance: both
-    # have tests of their own.
-    others = {
-        "resample.min_duration_s",
-        "conflict.decision",
-        "conflict.probability_threshold",
-    }
-    # What is linked passes through no scene: tests/attacks/tasks/test_build.py.
-    known = StageSettings().flat().keys()
-    linked = {name for name in known if name.startswith("linkage.")}
-    assert CHANGES.keys() == known - others - linked
+    name: 0.8 * value if isinstance(value, float) else value - 1
+    for name, value in StageSettings().flat().items()
+    if name not in ELSEWHERE and not name.startswith("linkage.") and not isinstance(value, str)
+} | {"scenes.clearance_m": 2.5, "scenes.max_redraws": 1, "sensing.law": "isotropic"}
 
 
 def test_a_setting_that_cannot_matter_changes_nothing(tracks, usual):
@@ -459,6 +416,7 @@ def test_predictors_may_be_left_out(settings):
 
 
 BAD_PLUGINS = """
+import os
 import threading
 from dataclasses import dataclass, field
 from isac_track.sharing import Fixed
@@ -473,9 +431,24 @@ class Raises:
 @dataclass(frozen=True)
 class NotAt3(Fixed):
     def share(self, sensed, rng):
-        if self.d_sigma == 0.3:
+        if self.d_sigma == 0.3 and "MENDED" not in os.environ:
             raise RuntimeError("not at 0.3")
         return super().share(sensed, rng)
+
+def spoilt(array):
+    array.setflags(write=True)
+    array += 7.0
+
+class Spoils(Fixed):
+    def share(self, sensed, rng):
+        spoilt(sensed.xy)
+        return super().share(sensed, rng)
+
+class Moves(LeastSquares):
+    def predict(self, release, t_future):
+        spoilt(release.xy)
+        spoilt(t_future)
+        return super().predict(release, t_future)
 
 @dataclass(frozen=True)
 class NeedsMany(Fixed):
@@ -517,15 +490,33 @@ def test_a_failed_plugin_leaves_the_folder_usable(settings):
 
 
 @pytest.mark.usefixtures("bad")
-def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(settings):
-    sweep = "bad_plugins:NotAt3:0.1..0.5/5"
+def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(settings, monkeypatch):
+    sweep, one = ("bad_plugins:NotAt3:0.1..0.5/5",), ("bad_plugins:NotAt3:0.5",)
     with pytest.warns(FailedCellsWarning, match="not at 0.3"):
-        run(settings, mechanisms=(sweep,))
+        run(settings, mechanisms=sweep)
     missing = (settings.out / "failed.csv").read_text()
     assert missing.count("RuntimeError: not at 0.3") == 2  # as shared, and of the predictor
-    assert len(run(settings, mechanisms=("bad_plugins:NotAt3:0.5",)).failed) == 2
+    assert len(run(settings, mechanisms=one).failed) == 2
     assert (settings.out / "failed.csv").read_text() == missing
-    assert len(run(settings, mechanisms=("bad_plugins:NotAt3:0.5",), fresh=True).failed) == 0
+    monkeypatch.setenv("MENDED", "yes")
+    kept = stamps(settings.out)
+    assert len(run(settings, mechanisms=sweep).failed) == 0
+    assert_kept(kept)
+    assert len(stamps(settings.out)) == len(kept) + 1
+    monkeypatch.delenv("MENDED")
+    assert len(run(settings, mechanisms=one, fresh=True).failed) == 0
+
+
+@pytest.mark.usefixtures("bad")
+def test_what_writes_into_its_input_writes_into_its_own(settings, drawn):
+    axes = {"mechanisms": ("bad_plugins:Spoils:0.5", *settings.mechanisms)}
+    axes["predictors"] = ("bad_plugins:Moves", *settings.predictors)
+    assert len(run(settings, **axes).failed) == 0
+    for spec in settings.mechanisms:
+        for consumer in ("shared", *settings.predictors):
+            pd.testing.assert_frame_equal(
+                rows_of(settings.out, spec, consumer), rows_of(drawn.out, spec, consumer)
+            )
 
 
 @pytest.mark.usefixtures("bad")
