@@ -36,15 +36,9 @@ UNITS = {
 RATIOS = {"rmse_over_benchmark": "ratio", "plr_over_benchmark": "ratio"}
 ATTACKS = (
     ("identity", "blind"),
-    ("moving_average", "blind"),
-    ("moving_average", "informed"),
-    ("savgol", "blind"),
-    ("savgol", "informed"),
-    ("kalman_rts", "blind"),
-    ("kalman_rts", "informed"),
-    ("kalman_rts", "oracle"),
-    ("radial_rts", "blind"),
-    ("radial_rts", "informed"),
+    *((name, who) for name in ("moving_average", "savgol") for who in ("blind", "informed")),
+    *(("kalman_rts", who) for who in ("blind", "informed", "oracle")),
+    *(("radial_rts", who) for who in ("blind", "informed")),
     ("averaging", "oracle"),
 )
 LINKERS = {"shape": 0.4, "shape@radial_rts": 0.6}

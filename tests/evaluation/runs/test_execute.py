@@ -338,27 +338,20 @@ class TestAnotherRunInTheSameFolder:
         run(finished, out=str(finished.out))
         assert (finished.out / "summary.csv").read_bytes() == expected
 
-    @pytest.mark.parametrize(
-        ("change", "message"),
-        [
+    def test_of_other_settings_is_refused_with_the_choice(self, finished, csv_recording):
+        wider = StageSettings().changed({"privacy.epsilon_m": 0.5})
+        for change, message in (
             ({"seed": 1}, "seed 0 -> 1"),
             ({"scenes": 14}, "scenes 12 -> 14"),
-            (
-                {"stages": StageSettings().changed({"privacy.epsilon_m": 0.5})},
-                r"privacy.epsilon_m 0.3 -> 0.5",
-            ),
-        ],
-    )
-    def test_of_other_settings_is_refused_with_the_choice(self, finished, change, message):
-        with pytest.raises(SettingsError, match=rf"{message}.*--fresh .* or another --out"):
-            run(finished, **change)
-        run(finished, **change, fresh=True)
-
-    def test_of_a_changed_recording_is_refused(self, finished, csv_recording):
+            ({"stages": wider}, r"privacy.epsilon_m 0.3 -> 0.5"),
+        ):
+            with pytest.raises(SettingsError, match=rf"{message}.*--fresh .* or another --out"):
+                run(finished, **change)
+        run(finished, stages=wider, fresh=True)
         text = csv_recording.read_text(encoding="utf-8").replace("0.40,w0,", "0.41,w0,")
         csv_recording.write_text(text, encoding="utf-8")
         with pytest.raises(SettingsError, match="sha256"):
-            run(finished)
+            run(finished, stages=wider)
 
     def test_of_the_earlier_layout_is_refused_with_the_way_out(self, finished):
         path = finished.out / "manifest.json"
@@ -575,12 +568,6 @@ def test_the_trackers_run_by_name_and_filterpy_agrees(settings):
         theirs = table[f"{name}:engine=filterpy"]
         assert table[name].to_numpy() == pytest.approx(theirs.to_numpy(), abs=1e-9)
     assert set(results.decisions["score"]) == {"separation", "probability"}
-
-
-def test_the_independent_rule_has_rows_of_its_own(settings):
-    specs = ("raw", "fixed:0.5", "fixed:0.5,adding=independent")
-    results = run(settings, mechanisms=specs)
-    assert set(results.summary["mechanism"]) == {"raw", "fixed", "fixed:adding=independent"}
 
 
 def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):

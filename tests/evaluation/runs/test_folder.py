@@ -147,17 +147,6 @@ class TestWhereTheFolderCannotBeUsed:
         finally:
             (out / name).chmod(0o755)
 
-    def test_cells_of_somebody_else_before_a_first_run_are_named(self, everybodys):
-        out = everybodys / "run"
-        (out / "cells").mkdir(parents=True)
-        own_by_nobody(out)
-        (out / "cells").chmod(0)
-        try:
-            with without_rights(), pytest.raises(SettingsError, match=f"{out}/cells: Permission"):
-                store.check_folder(out)
-        finally:
-            (out / "cells").chmod(0o755)
-
     def test_a_cell_that_cannot_be_dropped_is_named(self, out, monkeypatch):
         def refuse(path, **_):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
