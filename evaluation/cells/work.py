@@ -7,13 +7,10 @@ and what sees nothing else is computed once for levels that are shared alike.
 
 from __future__ import annotations
 
-import json
-import os
 import threading
-import time
 import traceback
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from evaluation.cells import sharing
 from evaluation.cells.forecasts import sharing_rows
@@ -30,7 +27,7 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from attacks.tasks.sessions import Sessions
     from evaluation.cells.link_scores import Linked
@@ -43,7 +40,6 @@ if TYPE_CHECKING:
     from isac_track.types import Ints
 
 _OURS = ("isac_track", "predictors", "attacks", "evaluation")
-NOTE_BYTES: Final = 4096
 
 Levels: TypeAlias = "tuple[tuple[Plugin, tuple[Consumer, ...]], ...]"
 """Mechanisms, and the consumers that are missing of each."""
@@ -88,26 +84,22 @@ class _Here(threading.local):
     """Where this process is, for the one that waits for it; in a Dask worker, this thread."""
 
     at: tuple[str, ...] = ()
-    file: int | None = None
+    tell: Callable[[tuple[str, ...]], None] | None = None
 
 
 _here = _Here()
 
 
-def note_to(file: int) -> None:
-    """Write what is noted from now on to a file, too; the one that waits reads it there."""
-    _here.file = file
+def note_to(tell: Callable[[tuple[str, ...]], None]) -> None:
+    """Tell what is noted from now on to the one that waits, too."""
+    _here.tell = tell
 
 
 def note(*at: str) -> None:
     """Note where this process is, before it goes there."""
     _here.at = at
-    if _here.file is not None:
-        content = json.dumps([os.getpid(), time.monotonic(), at]).encode()
-        if len(content) > NOTE_BYTES:  # somewhere with an endless name
-            content = json.dumps([os.getpid(), time.monotonic(), ("", "")]).encode()
-        # One write of one length: whoever reads sees the old or the new.
-        os.pwrite(_here.file, content.ljust(NOTE_BYTES), 0)
+    if _here.tell is not None:
+        _here.tell(at)
 
 
 def noted() -> tuple[str, ...]:
