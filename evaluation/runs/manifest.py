@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
+from dataclasses import asdict
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -202,10 +203,7 @@ def describe(ready: Plan) -> dict[str, Any]:
             "tracks_used": len(tracks),
             "too_short": tracks.too_short,
             "no_future": tracks.no_future,
-            "repairs": [
-                {"kind": repair.kind, "count": repair.count, "detail": repair.detail}
-                for repair in dataset.repairs
-            ],
+            "repairs": [asdict(repair) for repair in dataset.repairs],
         },
         "history": {
             "points": float(np.diff(tracks.offsets).mean()),
