@@ -12,6 +12,7 @@ import platform
 import threading
 import time
 import uuid
+from collections import deque
 from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
@@ -20,14 +21,11 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.cells.work import Failed, note
 from evaluation.experiment.fingerprint import code_hash, source_digest
-from evaluation.runs.workers import hand_out
+from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, told
 
 if TYPE_CHECKING:
-    from collections import deque
     from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-
-    from evaluation.runs.workers import Ended
 
 W = TypeVar("W")
 R = TypeVar("R")
@@ -61,7 +59,7 @@ def spread_on_cluster(
     *,
     scheduler: str,
     modules: Iterable[str] = (),
-) -> Generator[Ended[W, R]]:
+) -> Generator[tuple[W, list[R | Failed]]]:
     """Yield each work with what the function makes of it, as it is finished: `spread` on a cluster.
 
     The function is sent to each worker once, the works with every task. A work whose workers died
@@ -85,8 +83,22 @@ def spread_on_cluster(
     expected = _about(tuple(one for one in modules if one.partition(".")[0] not in _OURS), seen={})
     with _connected(scheduler) as client:
         cluster = _Cluster(function, client, scheduler, expected)
+        suspects: deque[W] = deque()
         try:
-            yield from hand_out(works, cluster)
+            while works or suspects or cluster.under_way:
+                check_interrupt()
+                while works and len(cluster.under_way) < _AHEAD * cluster.n_threads:
+                    cluster.start(works.popleft())
+                if suspects and not cluster.under_way:
+                    cluster.start(suspects.popleft())
+                for work, items in cluster.ended():
+                    known = len(works)
+                    yield work, items
+                    # A death may be a neighbour's fault: what is added after one waits until
+                    # nothing else is left, and is tried one at a time.
+                    if any(isinstance(one, Failed) and one.died for one in items):
+                        again = [works.pop() for _ in range(len(works) - known)]
+                        suspects.extend(reversed(again))
         finally:
             if cluster.under_way and client.status == "running":
                 with contextlib.suppress(Exception):
@@ -96,8 +108,6 @@ def spread_on_cluster(
 class _Cluster(Generic[W, R]):
     """The workers of a scheduler."""
 
-    knows_culprits = False
-
     def __init__(
         self,
         function: Callable[[W], Iterable[R]],
@@ -106,7 +116,7 @@ class _Cluster(Generic[W, R]):
         expected: Mapping[str, str],
     ) -> None:
         self._client, self._scheduler, self._expected = client, scheduler, expected
-        self._threads = 1
+        self.n_threads = 1
         self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
         self._check_workers()
@@ -136,12 +146,6 @@ class _Cluster(Generic[W, R]):
                 )
             _check_alike(answer, self._expected, worker=worker)
 
-    def n_busy(self) -> int:
-        return len(self.under_way)
-
-    def has_room(self) -> bool:
-        return self.n_busy() < _AHEAD * self._threads
-
     def start(self, work: W) -> None:
         arguments = (self._function, _packed(work), self._expected)
         self.under_way[self._submitted(_computed, *arguments)] = work
@@ -149,7 +153,7 @@ class _Cluster(Generic[W, R]):
     def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
         return self._client.submit(function, *arguments, key=f"isac-track-{uuid.uuid4().hex}")
 
-    def ended(self) -> Iterator[Ended[W, R]]:
+    def ended(self) -> Iterator[tuple[W, list[R | Failed]]]:
         """Yield what has ended; SettingsError if scheduler or workers are gone for long."""
         if self._client.status != "running":
             raise self._gone()
@@ -157,22 +161,15 @@ class _Cluster(Generic[W, R]):
             if self._ask_threads():
                 self._worked_s = time.monotonic()
             elif self._asked_s > self._worked_s + _NO_WORKER_S:
-                raise SettingsError(
-                    f"the scheduler at {self._scheduler} has had no worker for {_NO_WORKER_S:g} s; "
-                    f"finished cells are kept; start some (`dask worker {self._scheduler}`) and "
-                    "run the same command again"
-                )
-        ended = [task for task in self.under_way if task.status not in ("pending", "lost")]
-        if not ended:
-            time.sleep(_LOOK_S)
-        for task in ended:
+                start = f"some (`dask worker {self._scheduler}`)"
+                raise self._gone(f"has had no worker for {_NO_WORKER_S:g} s", start)
+        time.sleep(_LOOK_S)
+        for task in [one for one in self.under_way if one.status not in ("pending", "lost")]:
             items = self._items(task)
-            if items is None:
-                time.sleep(_LOOK_S)
-                continue
-            work = self.under_way.pop(task)
-            task.release()
-            yield work, items
+            if items is not None:
+                work = self.under_way.pop(task)
+                task.release()
+                yield work, items
 
     def _items(self, task: Task) -> list[R | Failed] | None:
         """Return what came of a task; None if it is not there (any more)."""
@@ -207,13 +204,13 @@ class _Cluster(Generic[W, R]):
             raise self._gone() from None
         self._asked_s = time.monotonic()
         n_threads: int = sum(threads.values())
-        self._threads = n_threads or self._threads
+        self.n_threads = n_threads or self.n_threads
         return n_threads
 
-    def _gone(self) -> SettingsError:
+    def _gone(self, what: str = "is gone", start: str = "it") -> SettingsError:
         return SettingsError(
-            f"the scheduler at {self._scheduler} is gone; finished cells are kept; start it and "
-            "run the same command again"
+            f"the scheduler at {self._scheduler} {what}; finished cells are kept; start {start} "
+            "and run the same command again"
         )
 
 

@@ -1,4 +1,4 @@
-"""Works handed out and taken back, and worker processes of this machine that do them.
+"""Works handed out to worker processes of this machine, and what comes back of them.
 
 Each worker is in a lane of its own, so that one that dies takes nobody along: a pool of several
 that share a queue breaks as a whole when one of them is killed, and nobody can tell what it was at.
@@ -18,9 +18,8 @@ import sys
 import threading
 import time
 import traceback
-from collections import deque
 from multiprocessing import Pipe, connection
-from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 import pyarrow as pa
 from joblib.externals.loky.backend.reduction import dumps
@@ -31,13 +30,11 @@ from isac_track.command_line import check_interrupt
 from isac_track.errors import told
 
 if TYPE_CHECKING:
+    from collections import deque
     from collections.abc import Callable, Generator, Iterable, Iterator
 
 W = TypeVar("W")
 R = TypeVar("R")
-Ended: TypeAlias = "tuple[W, list[R | Failed]]"
-"""A work, and what came of it."""
-
 _ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
@@ -56,40 +53,6 @@ serve(pipe, parent=int(sys.argv[2]))
 """
 _M_ARENA_MAX: Final = -8
 """Of glibc's malloc.h."""
-
-
-class _Crew(Protocol[W, R]):
-    """Those who compute: lanes of this machine, or a cluster."""
-
-    knows_culprits: bool
-    """Whether a worker's death blames nobody but the cell at which it came."""
-
-    def n_busy(self) -> int: ...
-    def has_room(self) -> bool: ...
-    def start(self, work: W) -> None: ...
-    def ended(self) -> Iterator[Ended[W, R]]: ...  # of the works under way, after a moment
-
-
-def hand_out(works: deque[W], crew: _Crew[W, R]) -> Generator[Ended[W, R]]:
-    """Yield each work with what came of it, as it is finished; works may be added meanwhile.
-
-    Where a death may be a neighbour's fault, what is added after one waits until nothing else is
-    left, and is tried one at a time.
-    """
-    suspects: deque[W] = deque()
-    while works or suspects or crew.n_busy():
-        check_interrupt()
-        while works and crew.has_room():
-            crew.start(works.popleft())
-        if suspects and not crew.n_busy():
-            crew.start(suspects.popleft())
-        for work, items in crew.ended():
-            known = len(works)
-            yield work, items
-            died = any(isinstance(one, Failed) and one.died for one in items)
-            if died and not crew.knows_culprits:
-                again = [works.pop() for _ in range(len(works) - known)]
-                suspects.extend(reversed(again))
 
 
 def spread(
@@ -128,7 +91,16 @@ def spread(
         lanes = [_Lane[W, R](function, limit_s) for _ in range(min(jobs, len(works)))]
         for lane in lanes:
             ends.callback(lane.stop)
-        yield from hand_out(works, _Lanes(lanes))
+        while works or any(lane.is_busy for lane in lanes):
+            check_interrupt()
+            for lane in lanes:
+                if works and not lane.is_busy:
+                    lane.start(works.popleft())
+            connection.wait([lane.pipe for lane in lanes if lane.is_busy], timeout=_LOOK_S)
+            for lane in lanes:
+                if lane.is_busy and (items := lane.items()) is not None:
+                    lane.is_busy = False
+                    yield lane.work, items
 
 
 @contextlib.contextmanager
@@ -156,29 +128,6 @@ def given_back() -> Iterator[None]:
         gc.collect()
         if is_glibc:
             libc.malloc_trim(ctypes.c_size_t(0))
-
-
-class _Lanes(Generic[W, R]):
-    knows_culprits = True
-
-    def __init__(self, lanes: list[_Lane[W, R]]) -> None:
-        self._lanes = lanes
-
-    def n_busy(self) -> int:
-        return sum(lane.is_busy for lane in self._lanes)
-
-    def has_room(self) -> bool:
-        return self.n_busy() < len(self._lanes)
-
-    def start(self, work: W) -> None:
-        next(lane for lane in self._lanes if not lane.is_busy).start(work)
-
-    def ended(self) -> Iterator[Ended[W, R]]:
-        connection.wait([lane.pipe for lane in self._lanes if lane.is_busy], timeout=_LOOK_S)
-        for lane in self._lanes:
-            if lane.is_busy and (items := lane.items()) is not None:
-                lane.is_busy = False
-                yield lane.work, items
 
 
 class _Lane(Generic[W, R]):
