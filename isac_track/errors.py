@@ -1,10 +1,17 @@
 """What can go wrong for a user: one error and a handful of children, each with a way out."""
 
-from collections.abc import Iterable
+from __future__ import annotations
+
 from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 _MOST_TOLD = 300
 """Characters of a stranger's message."""
+_MOST_REPEATED = 100
+"""Characters of what a user typed."""
 
 
 class IsacTrackError(Exception):
@@ -27,13 +34,6 @@ class KnowledgeDenied(IsacTrackError):  # noqa: N818 - the contract's name
     """An attack touched what its adversary was not granted, or what it did not declare."""
 
 
-def meant(name: str, known: Iterable[str], *, otherwise: str = "") -> str:
-    """Return what a user may have meant by a wrong name, else `otherwise` or all that is known."""
-    names = list(known)
-    near = get_close_matches(name, names, n=1)
-    return f"did you mean {near[0]!r}?" if near else otherwise or f"known: {', '.join(names)}"
-
-
 def told(error: BaseException) -> str:
     """Return type and message of a stranger's error: short, on one line, and safe to print."""
     name = type(error).__name__
@@ -47,3 +47,18 @@ def told(error: BaseException) -> str:
         one if one.isprintable() else one.encode("unicode_escape").decode() for one in words
     )
     return line if len(line) <= _MOST_TOLD else f"{line[:_MOST_TOLD]}..."
+
+
+def quoted(value: object) -> str:
+    """Return what a user gave as messages repeat it: text in quotes, all of it cut to a length."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to write very long whole numbers
+        return "a number with thousands of digits"
+    return text if len(text) <= _MOST_REPEATED else f"{text[:_MOST_REPEATED]}..."
+
+
+def did_you_mean(name: str, known: Iterable[str], *, quote: str = "") -> str:
+    """Return the end of a message that offers the nearest of `known`; empty if none is near."""
+    near = get_close_matches(name, list(known), n=1)
+    return f"; did you mean {quote}{near[0]}{quote}?" if near else ""

@@ -8,9 +8,10 @@ who left has no mate, who is new is a candidate all the same. In the others ever
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
-from isac_track.errors import SettingsError, meant
+from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -95,5 +96,7 @@ def task_named(name: str) -> Task:
         If there is none, with what may have been meant.
     """
     if name not in TASKS:
-        raise SettingsError(f"unknown task {name!r}; {meant(name, TASKS)}")
+        near = get_close_matches(name, TASKS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(TASKS)}"
+        raise SettingsError(f"unknown task {name!r}; {hint}")
     return TASKS[name]

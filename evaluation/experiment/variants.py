@@ -13,7 +13,7 @@ from evaluation.experiment.settings import Settings
 from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN, known
-from isac_track.errors import DataError, SettingsError, meant
+from isac_track.errors import DataError, SettingsError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -155,8 +155,8 @@ def parse(name: str) -> Variant:
         return Variant(f"{key}={value}", recording=value)
     if equals and not value:
         raise SettingsError(f"variant {name!r} has no value")
-    hint = meant(name, (BASE, *_USUAL), otherwise=f"--list names them; also {_FORMS}")
-    raise SettingsError(f"unknown variant {name!r}; {hint}")
+    hint = did_you_mean(name, (BASE, *_USUAL), quote="'") or f"; --list names them; also {_FORMS}"
+    raise SettingsError(f"unknown variant {name!r}{hint}")
 
 
 def settings_of(

@@ -8,10 +8,11 @@ pytest.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Literal
 from unittest import SkipTest
 
-from isac_track.errors import SettingsError, meant
+from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -93,7 +94,8 @@ def select(
     """
     for name in names or ():
         if name not in checks:
-            hint = meant(name, checks, otherwise=known)
+            near = get_close_matches(name, checks, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else known
             raise SettingsError(f"unknown check {name!r}{kit}; {hint}")
     return tuple(checks[name] for name in dict.fromkeys(checks if names is None else names))
 
