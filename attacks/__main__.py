@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import keyword
 import re
 import shlex
@@ -17,6 +16,7 @@ from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Sequence
 
 TEMPLATES = {
@@ -60,7 +60,6 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m attacks",
         description="List the attacks, check one against the attack kit, or begin your own.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = command.add_subparsers(dest="command", title="commands", required=True)
     commands.add_parser("list", help="what is built in or installed, and which adversaries run it")

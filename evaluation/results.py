@@ -25,7 +25,7 @@ from evaluation.runs.cell_files import read_gallery
 from evaluation.runs.execute import execute
 from evaluation.runs.files import FRAMES, check_sound, locked, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
-from evaluation.runs.memory import given_back
+from evaluation.runs.workers import given_back
 from evaluation.verdict import sections as verdict
 from evaluation.verdict.within_level import read_levels
 

@@ -8,7 +8,6 @@ it.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
@@ -20,6 +19,7 @@ from isac_track.command_line import DONE, FAILED_CELLS, Parser, check_interrupt,
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Mapping, Sequence
 
     from evaluation.experiment.variants import Variant
@@ -39,8 +39,6 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m evaluation.sensitivity",
         description="Repeat the verdict of a finished run under other assumptions.",
         epilog=_EXIT,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     add = command.add_argument
     add("out", type=Path, metavar="OUT", nargs="?", help="folder of a finished run")

@@ -60,7 +60,6 @@ def broken() -> list[str]:
 
 def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
-    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415
     from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415
     from evaluation.runs.folder import usable  # noqa: PLC0415
     from evaluation.runs.pieces import n_finished  # noqa: PLC0415
@@ -78,8 +77,12 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     )
     for why in ready.axes.skipped.values():
         yield f"notice: left out: {why}"
-    n_levels = len(ready.axes.mechanisms)
     slow = [one for one in ready.axes.consumers if one.is_slow]
+    if not slow:
+        return
+    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415
+
+    n_levels = len(ready.axes.mechanisms)
     for spec in dict.fromkeys(one.spec for one in slow):
         rows = [one for one in slow if one.spec == spec]
         cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)

@@ -10,7 +10,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
-from evaluation.cells.progress import Failed
+from evaluation.cells.work import Failed
 from evaluation.reporting.figures.style import rendered, style
 from evaluation.runs.files import write_whole
 from evaluation.runs.workers import spread
