@@ -14,24 +14,25 @@ if TYPE_CHECKING:
 
     from isac_track.types import Floats, Release
 
-    _P = ParamSpec("_P")
+    _Rest = ParamSpec("_Rest")
+_Source = TypeVar("_Source")
 _Found = TypeVar("_Found")
 
 
 def remembered(
-    function: Callable[Concatenate[Release, _P], _Found],
-) -> Callable[Concatenate[Release, _P], _Found]:
+    function: Callable[Concatenate[_Source, _Rest], _Found],
+) -> Callable[Concatenate[_Source, _Rest], _Found]:
     """Return a function that keeps what it makes of a release for as long as that is alive.
 
-    What else it takes comes by position and can be hashed: numbers, parameters, other releases.
+    What else it takes can be hashed: numbers, functions, other releases.
     """
-    known: WeakKeyDictionary[Release, dict[object, _Found]] = WeakKeyDictionary()
+    known: WeakKeyDictionary[_Source, dict[object, _Found]] = WeakKeyDictionary()
 
     @wraps(function)
-    def recalled(release: Release, *rest: _P.args, **none: _P.kwargs) -> _Found:
-        of_this = known.setdefault(release, {})
+    def recalled(source: _Source, *rest: _Rest.args, **none: _Rest.kwargs) -> _Found:
+        of_this = known.setdefault(source, {})
         if rest not in of_this:
-            of_this[rest] = function(release, *rest, **none)
+            of_this[rest] = function(source, *rest, **none)
         return of_this[rest]
 
     return recalled
