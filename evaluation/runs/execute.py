@@ -204,7 +204,7 @@ def _compute(
     # Loops are loaded before workers start: each would compile for itself.
     if any(_uses_kernels(consumer) for _, consumer in ready.pairs):
         kalman.prepare()  # before workers start: each would compile for itself
-        import_module("attacks.reconstruction._parabola_loop")
+        import_module("attacks.reconstruction._window_loops")
     if any(isinstance(work, LinkWork) for work in works):
         for loops in ("isac_track.linkability._loops", "attacks.linkage._lag_loop"):
             import_module(loops)
