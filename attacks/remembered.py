@@ -29,7 +29,7 @@ def remembered(
     known: WeakKeyDictionary[_Source, dict[object, _Found]] = WeakKeyDictionary()
 
     @wraps(function)
-    def recalled(source: _Source, *rest: _Rest.args, **none: _Rest.kwargs) -> _Found:
+    def recalled(source: _Source, /, *rest: _Rest.args, **none: _Rest.kwargs) -> _Found:
         of_this = known.setdefault(source, {})
         if rest not in of_this:
             of_this[rest] = function(source, *rest, **none)

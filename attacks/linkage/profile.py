@@ -71,7 +71,7 @@ class Profile:
 def _score(
     probe: Release, gallery: Release, attack: Profile, factor: float, floor: float
 ) -> Floats:
-    (score,) = _scores(probe, gallery, attack, factor, (floor,))
+    score: Floats = _scores(probe, gallery, attack, factor, (floor,))[0]
     return score
 
 

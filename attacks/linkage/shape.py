@@ -70,7 +70,7 @@ class Shape:
 
 
 def _score(probe: Release, gallery: Release, attack: Shape, floor: float) -> Floats:
-    (score,) = _scores(probe, gallery, attack, (floor,))
+    score: Floats = _scores(probe, gallery, attack, (floor,))[0]
     return score
 
 

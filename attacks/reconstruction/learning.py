@@ -211,7 +211,7 @@ def _binned(
     owner = np.repeat(np.arange(shape[0]), np.diff(release.offsets))
     cell = owner * shape[1] + np.searchsorted(edges, _intervals(release), side="right")
     count, total_m2 = (
-        np.bincount(cell, values, shape[0] * shape[1]).reshape(shape)
+        np.bincount(cell, values, shape[0] * shape[1]).reshape(shape).astype(np.float64)
         for values in (counts, square_m2)
     )
     return count, total_m2
