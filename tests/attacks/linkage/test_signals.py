@@ -18,7 +18,6 @@ from attacks.linkage.signals import (
     aligned_costs,
     motion,
     on_grid,
-    product,
     widths_s,
 )
 from isac_track.rng import stream
@@ -82,15 +81,6 @@ def test_noise_asks_for_width():
     usual, half = (widths_s(noisy, factor) for factor in (1.0, 0.5))
     assert (usual > 2.0).all()
     assert (half < usual).all()
-
-
-@pytest.mark.parametrize("shape", [(700, 50, 60), (3, 600, 900), (5, 1, 2), (0, 4, 4)])
-def test_a_product_in_pieces_is_the_product(shape):
-    n, k, m = shape
-    rng = stream(0, "test", "product")
-    a, b = rng.normal(size=(n, k)), rng.normal(size=(k, m))
-    assert np.allclose(product(a, b), a @ b)
-    assert np.allclose(product(a, b.T.copy().T), a @ b)
 
 
 def slow_cost(a, b, *, floor, rank, reach, rotated):
