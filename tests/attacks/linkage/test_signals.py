@@ -30,16 +30,6 @@ def circle(radius_m, rad_s, *, length_s=12.0, seed=0):
     return t, radius_m * np.stack([np.cos(rad_s * t), np.sin(rad_s * t)], axis=1)
 
 
-def test_a_straight_walk_is_straight_on_the_grid():
-    t = np.cumsum(stream(0, "test", "line").uniform(1 / 16, 1 / 8, 100))
-    walks = on_grid(release_of([(t, np.stack([1.2 * t, -0.5 * t], axis=1))]))
-    lasts_s = t[-1] - t[0]
-    assert walks.sizes[0] == int(lasts_s / STEP_S)
-    middle_s = (lasts_s - walks.sizes[0] * STEP_S) / 2 + STEP_S * (np.arange(walks.sizes[0]) + 0.5)
-    # A line's mean over a cell is its value in the middle.
-    assert np.allclose(walks.values[:, 0], np.outer([1.2, -0.5], middle_s), atol=1e-9)
-
-
 def test_a_cell_is_the_mean_of_the_line_through_the_samples():
     release = odd_release(5)
     walks = on_grid(release)
