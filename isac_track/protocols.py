@@ -112,7 +112,7 @@ def kind_of(attack: object) -> Literal["reconstruction", "linkage"]:
     raise ValueError(f'kind must be "reconstruction" or "linkage", got {said!r}')
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class TrainingSet:
     """A release of other people, perturbed by the same mechanism, and where they truly were."""
 

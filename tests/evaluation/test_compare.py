@@ -26,7 +26,7 @@ from evaluation.analysis.metrics import HEADLINE_METRICS
 from evaluation.analysis.run_changes import pairing
 from evaluation.analysis.significance import holm
 from evaluation.reporting.difference_tables import show
-from evaluation.runs.manifest import read_manifest, write_manifest
+from evaluation.runs.manifest import read_manifest
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 
