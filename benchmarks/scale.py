@@ -115,7 +115,6 @@ def parser() -> argparse.ArgumentParser:
         description=__doc__,
         epilog="exit codes: 0 all limits met, 1 a limit not met or not to be told, "
         "2 wrong usage, 130 interrupted",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = command.add_argument
     add("--axis", action="append", choices=AXES, metavar="NAME", help=f"of {', '.join(AXES)}")

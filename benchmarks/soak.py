@@ -111,7 +111,6 @@ def parser() -> argparse.ArgumentParser:
         description=__doc__,
         epilog="exit codes: 0 nothing grows or is left, 1 something does, 2 wrong usage, "
         "130 interrupted",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = command.add_argument
     add(

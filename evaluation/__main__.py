@@ -6,12 +6,12 @@ A user's own folder called ``evaluation`` would shadow ``python -m evaluation.ma
 from __future__ import annotations
 
 import sys
-from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from isac_track import __version__
+from isac_track.errors import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,9 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"isac-track {__version__}")
         return 0
     if words[0] not in COMMANDS:
-        near = get_close_matches(words[0], COMMANDS, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(COMMANDS)}"
-        print(f"error: unknown command {words[0]!r}; {hint}", file=sys.stderr)
+        hint = did_you_mean(words[0], COMMANDS, quote="'") or f"; known: {', '.join(COMMANDS)}"
+        print(f"error: unknown command {words[0]!r}{hint}", file=sys.stderr)
         return 2
     # As with `python -m`, a plug-in may lie in the working folder; last, to shadow nothing.
     sys.path.append(str(Path.cwd()))

@@ -6,7 +6,6 @@ Nothing is written into either folder. docs/compare.md says how to read it.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -18,6 +17,7 @@ from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Sequence
 
 _EXIT = """\
@@ -36,8 +36,6 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m evaluation.compare",
         description="Put two runs side by side: what changed, and which numbers differ.",
         epilog=_EXIT,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     add = command.add_argument
     add("out_a", type=Path, metavar="OUT_A", help="folder of a run")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -10,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from evaluation.analysis.families import ADDING_RULES
 from evaluation.analysis.metrics import METRICS, SUCCESS
-from evaluation.reporting.design_tables import show
-from evaluation.reporting.design_words import to_json
+from evaluation.reporting.design_words import show, to_json
 from evaluation.verdict.choose_level import ASKED, Limits, choose
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Sequence
 
 _ABOUT = {
@@ -49,8 +48,6 @@ def parser() -> argparse.ArgumentParser:
         description="Choose a level for a site: the smallest eta of a run that meets a target of "
         "utility, what is left of privacy there, and a plain yes or no.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     add = command.add_argument
     add("out", type=Path, metavar="OUT", help="folder of a run")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
 import sys
@@ -19,6 +18,7 @@ from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
 _EXIT = """\
@@ -81,8 +81,6 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m evaluation.matrix",
         description="Evaluate sharing mechanisms: what a robot can still foresee, what leaks.",
         epilog=_EXIT,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     add = command.add_argument
     for key, (kind, metavar, about) in _OPTIONS.items():
@@ -114,8 +112,11 @@ def settings_from(options: argparse.Namespace) -> Settings:
     SettingsError
         For anything unknown, malformed or contradictory.
     """
-    values, stage_values = _read_config(options.config) if options.config else ({}, {})
-    values |= {key: given for key in _OPTIONS if (given := getattr(options, key)) is not None}
+    stage_values: dict[str, Any] = {}
+    given = [_read_config(options.config, stage_values), options] if options.config else [options]
+    values = {
+        key: getattr(one, key) for one in given for key in _OPTIONS if getattr(one, key) is not None
+    }
     for text in options.set:
         name, equals, value = text.partition("=")
         if not equals:
@@ -162,15 +163,17 @@ def _command(arguments: Sequence[str] | None) -> int:
     settings = settings_from(options)
     # Heavy imports only now: --help, --list and a typing error answer at once.
     from evaluation.experiment.plan import plan  # noqa: PLC0415
+
+    ready = plan(settings)
+    _say(plan_lines(ready), stream=sys.stderr)
+    if options.dry_run:
+        return DONE
+    # What draws and shows is heavier still: until here, the user knows what is under way.
     from evaluation.reporting.tables import show  # noqa: PLC0415
     from evaluation.results import run  # noqa: PLC0415
     from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415
 
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
-    ready = plan(settings)
-    _say(plan_lines(ready), stream=sys.stderr)
-    if options.dry_run:
-        return DONE
     with _progress_bar() as update, warnings.catch_warnings():
         warnings.simplefilter("ignore", FailedCellsWarning)  # told below
         results = run(ready=ready, progress=update)
@@ -205,39 +208,26 @@ def _progress_bar() -> Iterator[Callable[[int, int, str], None]]:
         )
 
 
-def _read_config(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the options of a file, and its stage settings by their dotted names."""
+def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace:
+    """Return the options of a file as if they had been typed; add its stage settings to others."""
+    words = []
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"--config {path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"--config {path}: {error}") from None
-    values: dict[str, Any] = {}
-    stage_values: dict[str, Any] = {}
-    for key, value in content.items():
-        if isinstance(value, dict):
-            stage_values |= {f"{key}.{name}": inner for name, inner in value.items()}
-        elif key not in _OPTIONS:
-            raise SettingsError(
-                f"--config {path}: unknown key {key!r}; known: {', '.join(_OPTIONS)} "
+        for key, value in tomllib.loads(path.read_text(encoding="utf-8")).items():
+            if isinstance(value, dict):
+                stage_values |= {f"{key}.{name}": inner for name, inner in value.items()}
+            else:
+                several = value if isinstance(value, list) else [value]
+                words += [(key, f"--{key.replace('_', '-')}={one}") for one in several]
+        if unknown := {key for key, _ in words} - _OPTIONS.keys():
+            raise SettingsError(  # noqa: TRY301 - told as what else is wrong in the file
+                f"unknown key {min(unknown)!r}; known: {', '.join(_OPTIONS)} "
                 "and tables of stage settings"
             )
-        else:
-            values[key] = _typed(value, key=key, path=path)
-    return values, stage_values
-
-
-def _typed(value: Any, *, key: str, path: Path) -> Any:  # noqa: ANN401 - as TOML has it
-    kind: Any = _OPTIONS[key][0]
-    if kind is list and isinstance(value, str):
-        return [value]
-    if kind is float and type(value) is int:
-        return float(value)
-    if type(value) is kind and (kind is not list or all(isinstance(one, str) for one in value)):
-        return value
-    noun = {list: "a list of SPECs", float: "a number", int: "a whole number", str: "text"}[kind]
-    raise SettingsError(f"--config {path}: {key} must be {noun}, got {value!r}")
+        return parser().parse_args([word for _, word in words])
+    except OSError as error:
+        raise SettingsError(f"--config {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, SettingsError) as error:
+        raise SettingsError(f"--config {path}: {error}") from None
 
 
 def _say(lines: Iterable[str], *, stream: Any = None) -> None:  # noqa: ANN401 - a text stream

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from isac_track.errors import IsacTrackError, SettingsError
 
@@ -27,7 +27,11 @@ _asked = threading.Event()
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are SettingsError."""
+    """A parser whose errors are SettingsError; it keeps lines and takes no abbreviations."""
+
+    def __init__(self, **words: Any) -> None:  # noqa: ANN401 - those of argparse
+        shape = argparse.RawDescriptionHelpFormatter
+        super().__init__(**{"formatter_class": shape, "allow_abbrev": False, **words})
 
     def error(self, message: str) -> NoReturn:
         """Raise a SettingsError of one line: the way out is what counts, not the whole usage."""

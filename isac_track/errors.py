@@ -1,7 +1,17 @@
 """What can go wrong for a user: one error and a handful of children, each with a way out."""
 
+from __future__ import annotations
+
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
 _MOST_TOLD = 300
 """Characters of a stranger's message."""
+_MOST_REPEATED = 100
+"""Characters of what a user typed."""
 
 
 class IsacTrackError(Exception):
@@ -37,3 +47,18 @@ def told(error: BaseException) -> str:
         one if one.isprintable() else one.encode("unicode_escape").decode() for one in words
     )
     return line if len(line) <= _MOST_TOLD else f"{line[:_MOST_TOLD]}..."
+
+
+def quoted(value: object) -> str:
+    """Return what a user gave as messages repeat it: text in quotes, all of it cut to a length."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to write very long whole numbers
+        return "a number with thousands of digits"
+    return text if len(text) <= _MOST_REPEATED else f"{text[:_MOST_REPEATED]}..."
+
+
+def did_you_mean(name: str, known: Iterable[str], *, quote: str = "") -> str:
+    """Return the end of a message that offers the nearest of `known`; empty if none is near."""
+    near = get_close_matches(name, list(known), n=1)
+    return f"; did you mean {quote}{near[0]}{quote}?" if near else ""

@@ -192,7 +192,7 @@ class Sensed:
     __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class Release:
     """All that a robot or an adversary ever receives. N tracks, M samples in all."""
 

@@ -13,7 +13,8 @@ from isac_track.rng import stream
 
 pytest_plugins = ["pytester"]  # for tests that strangers run, in this process
 
-LONG = {f"test_{name}" for name in ("plaza_smoke", "faults", "dask", "tutorial", "untrusted_names")}
+_LONGEST = ("plaza_smoke", "faults", "execute", "dask", "untrusted_names", "plugin_values")
+LONG = {f"test_{name}" for name in (*_LONGEST, "tutorial")}
 """Files of tests that take a minute or nearly."""
 
 

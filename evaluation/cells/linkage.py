@@ -133,15 +133,16 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
     task = known.sessions.task
     score = control.scorer(task)
     scores: dict[int, Floats] = {}
+    bare = _Sides(level.seen.probe.without_sigma(), level.seen.gallery.without_sigma())
+    blind = level.sides.setdefault((False,), bare)
     for number, pairing in (one for half in known.halves for one in half.searches):
-        probe, gallery = level.seen.of(pairing)
         if score is not None:
-            scores[number] = score(probe, gallery, rng)
+            scores[number] = score(*level.seen.of(pairing), rng)
             continue
         attack = Kinematic() if task.shows_scene else Shape()
         granted = attack.requires & task.everyone
         context = AttackContext(rng=rng, epsilon_m=known.epsilon_m, granted=granted)
-        real = attack.fit(context)(probe.without_sigma(), gallery.without_sigma())
+        real = attack.fit(context)(*blind.of(pairing))
         scores[number] = real[:, rng.permutation(real.shape[1])]
     return read_off(scores, known=known, calibration={}, no_match={}, rng=rng, control=control)
 

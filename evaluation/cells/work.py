@@ -7,6 +7,7 @@ and what sees nothing else is computed once for levels that are shared alike.
 
 from __future__ import annotations
 
+import threading
 import traceback
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
@@ -16,7 +17,6 @@ from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.linkage import link, linked_level
-from evaluation.cells.progress import Failed, note, noted
 from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
 from evaluation.cells.sharing import release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, rows_table
@@ -27,7 +27,7 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from attacks.tasks.sessions import Sessions
     from evaluation.cells.link_scores import Linked
@@ -67,6 +67,44 @@ class LinkWork:
     """Clusters of the run's scenes."""
     levels: Levels
     keep_scores: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A plug-in or a worker failed; what came before it in the work is finished."""
+
+    at: tuple[str, ...]
+    """As noted with `note`; empty if that is not known."""
+    why: str
+    died: bool = False
+    """The worker did, and all of its work with it: another try may go well."""
+
+
+class _Here(threading.local):
+    """Where this process is, for the one that waits for it; in a Dask worker, this thread."""
+
+    at: tuple[str, ...] = ()
+    tell: Callable[[tuple[str, ...]], None] | None = None
+
+
+_here = _Here()
+
+
+def note_to(tell: Callable[[tuple[str, ...]], None]) -> None:
+    """Tell what is noted from now on to the one that waits, too."""
+    _here.tell = tell
+
+
+def note(*at: str) -> None:
+    """Note where this process is, before it goes there."""
+    _here.at = at
+    if _here.tell is not None:
+        _here.tell(at)
+
+
+def noted() -> tuple[str, ...]:
+    """Return what was noted last."""
+    return _here.at
 
 
 def attempt(

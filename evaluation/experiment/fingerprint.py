@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import isac_track
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
@@ -105,25 +105,11 @@ def source_digest(module: str) -> str:
     A module without a file, such as `__main__`, has the digest of nothing.
     """
     root, tops = _where(module)
-    return closure_digest(module, source_of=lambda name: _read(name, root=root, tops=tops))
-
-
-def can_be_found(module: str) -> bool:
-    """Whether there is a file of a module here."""
-    return _where(module)[0] is not None
-
-
-def closure_digest(module: str, *, source_of: Callable[[str], tuple[bytes, bool] | None]) -> str:
-    """Return the sha256 of a module and of all that it imports.
-
-    `source_of` takes a module's name to its source and whether it is a package; None for one that
-    does not count.
-    """
     known: dict[str, bytes] = {}
     names = [module]
     while names:
         name = names.pop()
-        found = None if name in known else source_of(name)
+        found = None if name in known else _read(name, root=root, tops=tops)
         if found is None:
             continue
         known[name], is_package = found
@@ -134,6 +120,11 @@ def closure_digest(module: str, *, source_of: Callable[[str], tuple[bytes, bool]
         whole.update(name.encode() + b"\0")
         whole.update(hashlib.sha256(known[name]).digest())
     return whole.hexdigest()
+
+
+def can_be_found(module: str) -> bool:
+    """Whether there is a file of a module here."""
+    return _where(module)[0] is not None
 
 
 def _where(module: str) -> tuple[Path | None, tuple[str, ...]]:

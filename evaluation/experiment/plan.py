@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from isac_track.datasets import Dataset
     from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
-    from isac_track.types import Tracks
 
 MOST_DEFAULT_JOBS: Final = 8
 """Unless more are asked for: each takes a few hundred MB."""
@@ -52,10 +51,12 @@ class Unit:
     consumers: Mapping[str, Consumer]
     """By their keys."""
 
-    def file_of(self, keys: Iterable[str]) -> str:
-        """Return the name of the file that some of its consumers are written to at once."""
+    @property
+    def file(self) -> str:
+        """Name of the file that all of its consumers are written to at once."""
         slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{self.mechanism.spec}_{self.stage}")[:80]
-        return f"{slug}_{self.block:05d}_{fingerprint.digest([self.key, *keys])}.parquet"
+        digest = fingerprint.digest([self.key, *self.consumers])
+        return f"{slug}_{self.block:05d}_{digest}.parquet"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -103,8 +104,7 @@ def plan(settings: Settings) -> Plan:
         For anything that a user can mend.
     """
     crossed = axes(settings)
-    source: str | Path | None = settings.dataset
-    dataset = datasets.load(source, format=settings.format, fps=settings.fps)
+    dataset = datasets.load(settings.dataset, format=settings.format, fps=settings.fps)
     tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
     identity = {
         "dataset": dataset.name,
@@ -116,7 +116,18 @@ def plan(settings: Settings) -> Plan:
         "crowd": _crowd_hash(),
         **settings.stages.flat(),
     }
-    crossed, sessions = _sessions(crossed, settings, tracks=dataset.tracks)
+    sessions, skipped = [], {}
+    for task in crossed.tasks:
+        try:
+            sessions.append(
+                sessions_of(task, tracks=dataset.tracks, stages=settings.stages, seed=settings.seed)
+            )
+        except DataError as error:
+            if settings.tasks is not None:  # it was named, so that it must be
+                raise
+            skipped[task.name] = str(error)
+    links = tuple((task, link) for task, link in crossed.links if task.name not in skipped)
+    crossed = replace(crossed, links=links, skipped=skipped)
     units, code_of = _units(crossed, settings, identity=identity)
     jobs = _jobs(crossed, settings)
     if jobs > 1 or settings.cell_timeout_s is not None or settings.scheduler is not None:
@@ -133,37 +144,16 @@ def plan(settings: Settings) -> Plan:
         out=out if settings.out is None else Path(settings.out),
         units=units,
         code_of=code_of,
-        sessions=sessions,
+        sessions=tuple(sessions),
     )
 
 
 def _crowd_hash() -> str:
     """Return a digest of the bundled crowd, which one task always uses."""
     whole = hashlib.sha256()
-    for session in crowd.SESSIONS:
+    for session in crowd.FILES:
         whole.update(crowd.bundled_path(session).read_bytes())
     return whole.hexdigest()[:16]
-
-
-def _sessions(
-    crossed: Axes, settings: Settings, *, tracks: Tracks
-) -> tuple[Axes, tuple[Sessions, ...]]:
-    """Return the sessions of every task, and the axes without tasks that cannot be.
-
-    A task that was named must be; one of a preset is left out, with the reason.
-    """
-    sessions, skipped = [], {}
-    for task in crossed.tasks:
-        try:
-            sessions.append(
-                sessions_of(task, tracks=tracks, stages=settings.stages, seed=settings.seed)
-            )
-        except DataError as error:
-            if settings.tasks is not None:
-                raise
-            skipped[task.name] = str(error)
-    links = tuple((task, link) for task, link in crossed.links if task.name not in skipped)
-    return replace(crossed, links=links, skipped=skipped), tuple(sessions)
 
 
 def _units(
@@ -202,11 +192,12 @@ def _check_sendable(units: Iterable[Unit]) -> None:
     """Raise PluginError for a plug-in that no other process can be given."""
     from joblib.externals.loky.backend.reduction import dumps  # noqa: PLC0415 - only with workers
 
-    plugins: dict[str, Plugin] = {}
-    for unit in units:
-        consumers = unit.consumers.values()
-        some = (unit.mechanism, *(plugin for one in consumers for plugin in one.plugins))
-        plugins |= {one.spec: one for one in some}
+    plugins = {
+        one.spec: one
+        for unit in units
+        for who in unit.consumers.values()
+        for one in (unit.mechanism, *who.plugins)
+    }
     for plugin in plugins.values():
         try:
             dumps(plugin)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from evaluation.experiment.constants import MOST_SCENES
 from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, did_you_mean
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,9 +49,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
-            near = get_close_matches(self.preset, PRESETS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(PRESETS)}"
-            raise SettingsError(f"unknown preset {self.preset!r}; {hint}")
+            hint = did_you_mean(self.preset, PRESETS, quote="'") or f"; known: {', '.join(PRESETS)}"
+            raise SettingsError(f"unknown preset {self.preset!r}{hint}")
         if self.scenes is not None and not 2 <= self.scenes <= MOST_SCENES:  # noqa: PLR2004
             raise SettingsError(
                 f"a run needs at least 2 scenes (one of each label) and at most {MOST_SCENES:,}, "

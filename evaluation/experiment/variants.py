@@ -6,7 +6,6 @@ A variant's run has one assumption changed, and only the attacks that matter.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,7 +13,7 @@ from evaluation.experiment.settings import Settings
 from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN, known
-from isac_track.errors import DataError, SettingsError
+from isac_track.errors import DataError, SettingsError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -156,9 +155,8 @@ def parse(name: str) -> Variant:
         return Variant(f"{key}={value}", recording=value)
     if equals and not value:
         raise SettingsError(f"variant {name!r} has no value")
-    near = get_close_matches(name, (BASE, *_USUAL), n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"--list names them; also {_FORMS}"
-    raise SettingsError(f"unknown variant {name!r}; {hint}")
+    hint = did_you_mean(name, (BASE, *_USUAL), quote="'") or f"; --list names them; also {_FORMS}"
+    raise SettingsError(f"unknown variant {name!r}{hint}")
 
 
 def settings_of(

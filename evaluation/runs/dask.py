@@ -12,24 +12,20 @@ import platform
 import threading
 import time
 import uuid
+from collections import deque
 from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from evaluation.cells.progress import Failed, note
+from evaluation.cells.work import Failed, note
 from evaluation.experiment.fingerprint import code_hash, source_digest
-from evaluation.runs.workers import hand_out
+from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, told
 
 if TYPE_CHECKING:
-    from collections import deque
     from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-
-    from evaluation.experiment.axes import Consumer
-    from evaluation.runs.workers import Ended
-    from isac_track.plugins import Plugin
 
 W = TypeVar("W")
 R = TypeVar("R")
@@ -51,6 +47,7 @@ _AHEAD: Final = 3
 _LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
 """Dask warns of large graphs; ours holds the tracks, once."""
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
+_OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
 _LOADING: Final = threading.Lock()
 _FIRST_SEEN: Final[dict[str, str]] = {}
 """Digests of the source as this process loaded it: files may change under a running worker."""
@@ -62,7 +59,7 @@ def spread_on_cluster(
     *,
     scheduler: str,
     modules: Iterable[str] = (),
-) -> Generator[Ended[W, R]]:
+) -> Generator[tuple[W, list[R | Failed]]]:
     """Yield each work with what the function makes of it, as it is finished: `spread` on a cluster.
 
     The function is sent to each worker once, the works with every task. A work whose workers died
@@ -75,7 +72,7 @@ def spread_on_cluster(
     scheduler : str
         Its address, such as ``tcp://host:8786``.
     modules : iterable of str
-        Of the user's own plug-ins: the workers must have the same.
+        Those that are not of the project are the user's own: the workers must have the same.
 
     Raises
     ------
@@ -83,32 +80,33 @@ def spread_on_cluster(
         If the scheduler cannot be reached or is gone, no worker is there, or a worker would not
         compute the same.
     """
-    expected = _about(tuple(modules), seen={})
+    expected = _about(tuple(one for one in modules if one.partition(".")[0] not in _OURS), seen={})
     with _connected(scheduler) as client:
         cluster = _Cluster(function, client, scheduler, expected)
+        suspects: deque[W] = deque()
         try:
-            yield from hand_out(works, cluster)
+            while works or suspects or cluster.under_way:
+                check_interrupt()
+                while works and len(cluster.under_way) < _AHEAD * cluster.n_threads:
+                    cluster.start(works.popleft())
+                if suspects and not cluster.under_way:
+                    cluster.start(suspects.popleft())
+                for work, items in cluster.ended():
+                    known = len(works)
+                    yield work, items
+                    # A death may be a neighbour's fault: what is added after one waits until
+                    # nothing else is left, and is tried one at a time.
+                    if any(isinstance(one, Failed) and one.died for one in items):
+                        again = [works.pop() for _ in range(len(works) - known)]
+                        suspects.extend(reversed(again))
         finally:
             if cluster.under_way and client.status == "running":
                 with contextlib.suppress(Exception):
                     client.cancel([*cluster.under_way])
 
 
-def own_modules(cells: Iterable[tuple[Plugin, Consumer]]) -> tuple[str, ...]:
-    """Return the modules of the plug-ins that are not built in."""
-    plugins = {
-        one.origin.partition(":")[0]
-        for mechanism, consumer in cells
-        for one in (mechanism, *consumer.plugins)
-    }
-    ours = ("isac_track", "predictors", "attacks")
-    return tuple(sorted(name for name in plugins if name.partition(".")[0] not in ours))
-
-
 class _Cluster(Generic[W, R]):
     """The workers of a scheduler."""
-
-    knows_culprits = False
 
     def __init__(
         self,
@@ -118,12 +116,11 @@ class _Cluster(Generic[W, R]):
         expected: Mapping[str, str],
     ) -> None:
         self._client, self._scheduler, self._expected = client, scheduler, expected
-        self._run = f"isac-track-{uuid.uuid4().hex}"
-        self._count, self._threads = 0, 1
+        self.n_threads = 1
         self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
         self._check_workers()
-        self._function = self._submitted("context", _loaded, _packed(function))
+        self._function = self._submitted(_loaded, _packed(function))
 
     def _check_workers(self) -> None:
         """Raise SettingsError unless workers are there that compute the same."""
@@ -149,21 +146,14 @@ class _Cluster(Generic[W, R]):
                 )
             _check_alike(answer, self._expected, worker=worker)
 
-    def n_busy(self) -> int:
-        return len(self.under_way)
-
-    def has_room(self) -> bool:
-        return self.n_busy() < _AHEAD * self._threads
-
     def start(self, work: W) -> None:
-        self._count += 1
         arguments = (self._function, _packed(work), self._expected)
-        self.under_way[self._submitted(str(self._count), _computed, *arguments)] = work
+        self.under_way[self._submitted(_computed, *arguments)] = work
 
-    def _submitted(self, key: str, function: Callable[..., Any], *arguments: object) -> Task:
-        return self._client.submit(function, *arguments, key=f"{self._run}-{key}", pure=False)
+    def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
+        return self._client.submit(function, *arguments, key=f"isac-track-{uuid.uuid4().hex}")
 
-    def ended(self) -> Iterator[Ended[W, R]]:
+    def ended(self) -> Iterator[tuple[W, list[R | Failed]]]:
         """Yield what has ended; SettingsError if scheduler or workers are gone for long."""
         if self._client.status != "running":
             raise self._gone()
@@ -171,22 +161,15 @@ class _Cluster(Generic[W, R]):
             if self._ask_threads():
                 self._worked_s = time.monotonic()
             elif self._asked_s > self._worked_s + _NO_WORKER_S:
-                raise SettingsError(
-                    f"the scheduler at {self._scheduler} has had no worker for {_NO_WORKER_S:g} s; "
-                    f"finished cells are kept; start some (`dask worker {self._scheduler}`) and "
-                    "run the same command again"
-                )
-        ended = [task for task in self.under_way if task.status not in ("pending", "lost")]
-        if not ended:
-            time.sleep(_LOOK_S)
-        for task in ended:
+                start = f"some (`dask worker {self._scheduler}`)"
+                raise self._gone(f"has had no worker for {_NO_WORKER_S:g} s", start)
+        time.sleep(_LOOK_S)
+        for task in [one for one in self.under_way if one.status not in ("pending", "lost")]:
             items = self._items(task)
-            if items is None:
-                time.sleep(_LOOK_S)
-                continue
-            work = self.under_way.pop(task)
-            task.release()
-            yield work, items
+            if items is not None:
+                work = self.under_way.pop(task)
+                task.release()
+                yield work, items
 
     def _items(self, task: Task) -> list[R | Failed] | None:
         """Return what came of a task; None if it is not there (any more)."""
@@ -221,13 +204,13 @@ class _Cluster(Generic[W, R]):
             raise self._gone() from None
         self._asked_s = time.monotonic()
         n_threads: int = sum(threads.values())
-        self._threads = n_threads or self._threads
+        self.n_threads = n_threads or self.n_threads
         return n_threads
 
-    def _gone(self) -> SettingsError:
+    def _gone(self, what: str = "is gone", start: str = "it") -> SettingsError:
         return SettingsError(
-            f"the scheduler at {self._scheduler} is gone; finished cells are kept; start it and "
-            "run the same command again"
+            f"the scheduler at {self._scheduler} {what}; finished cells are kept; start {start} "
+            "and run the same command again"
         )
 
 
@@ -241,11 +224,9 @@ def _connected(scheduler: str) -> Iterator[Client]:
         raise SettingsError("--executor dask: pip install 'isac-track[dask]'") from None
     noisy = ("distributed", "tornado", "asyncio")
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy]
-    loggers = [logging.getLogger(name) for name in {*names, "distributed", "asyncio"}]
-    levels = [logger.level for logger in loggers]
     with contextlib.ExitStack() as ends:
-        for logger, level in zip(loggers, levels, strict=True):
-            ends.callback(logger.setLevel, level)
+        for logger in map(logging.getLogger, {*names, "distributed", "asyncio"}):
+            ends.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL)  # what matters is told in one line
         ends.enter_context(dask.config.set(_LARGE))
         try:

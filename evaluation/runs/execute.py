@@ -10,15 +10,20 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from evaluation.cells.progress import Failed, note, noted
 from evaluation.cells.sample_tracks import chosen, gallery_rows
-from evaluation.cells.work import LinkWork, attempt
+from evaluation.cells.work import Failed, LinkWork, attempt, note, noted
 from evaluation.experiment.fingerprint import sources
 from evaluation.runs.cell_files import packed, places_of, read_rows, sound_files, write_gallery
-from evaluation.runs.describe import describe, entries_of, merged_cells
 from evaluation.runs.files import FOLDER, locked, write_checked
 from evaluation.runs.folder import check_folder, open_run
-from evaluation.runs.manifest import others, with_ceiling, write_manifest
+from evaluation.runs.manifest import (
+    describe,
+    entries_of,
+    merged_cells,
+    others,
+    with_ceiling,
+    write_manifest,
+)
 from evaluation.runs.pieces import Failures, cut_for_cluster, missing_of, pieces_of
 from evaluation.runs.workers import spread
 from isac_track import kalman
@@ -33,10 +38,15 @@ if TYPE_CHECKING:
 
     from evaluation.cells.tables import Tables
     from evaluation.cells.work import Item
-    from evaluation.experiment.axes import Consumer
-    from evaluation.experiment.plan import Plan
-    from evaluation.runs.pieces import FailedCell, Missing, Work
+    from evaluation.experiment.plan import Plan, Unit
+    from evaluation.runs.pieces import Cell, Work
     from isac_track.plugins import Plugin
+
+_LOOPS = (
+    *("attacks.reconstruction._window_loops", "attacks.linkage._lag_loop"),
+    "isac_track.linkability._loops",
+)
+"""Loaded before workers start: each would compile for itself."""
 
 
 class FailedCellsWarning(UserWarning):
@@ -70,27 +80,37 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     manifest["failed"] = others(failures, than=ours)
     manifest["cells"] = merged_cells(manifest["cells"], ours, held=held)
     write_manifest(out, manifest | {"state": "running"})
-    failed = _compute(missing, ready, tell)
+    failed = [
+        {
+            "spec": mechanism.spec,
+            "kind": consumer.kind,
+            "consumer": consumer.spec,
+            "knowledge": consumer.knowledge,
+            "block": block,
+            "why": why,
+        }
+        for (block, mechanism, consumer), why in _compute(missing, ready, tell)
+    ]
     if failed:
-        described = [one.described() for one in failed]
-        manifest["failed"] += described
+        manifest["failed"] += failed
         # No entry that misses a cell: nothing is averaged over less.
-        manifest["cells"] = with_ceiling(others(manifest["cells"], than=described))
+        manifest["cells"] = with_ceiling(others(manifest["cells"], than=failed))
         if not manifest["cells"]:
             write_manifest(out, manifest | {"state": "failed"})
-            raise PluginError(failed[0].why)
-        reasons = list(dict.fromkeys(one.why for one in failed))
+            raise PluginError(failed[0]["why"])
+        reasons = list(dict.fromkeys(one["why"] for one in failed))
         more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
         text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
         warnings.warn(text, FailedCellsWarning, stacklevel=4)
     tell(ready.n_cells, ready.n_cells, "intervals, verdict, figures and report")
-    manifest["gallery_without"] = _write_gallery(ready, failed)
+    without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
+    manifest["gallery_without"] = _write_gallery(ready, without)
     # How many agents kept a place without clearance; None if no cell tells.
+    forecasts = (one for one in manifest["cells"] if one["kind"] == "predictor")
     manifest["exhausted_redraws"] = next(
         (
             int(read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum())
-            for entry in manifest["cells"]
-            if entry["kind"] == "predictor"
+            for entry in forecasts
         ),
         None,
     )
@@ -115,7 +135,7 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
         manifest, files, _ = open_run(ready.out, identity=ready.identity, fresh=fresh)
         write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
         missing = missing_of(ready, places_of(files))
-        wanted = {(one.unit.key, key) for one in missing for key in one.consumers}
+        wanted = {(one.key, key) for one in missing for key in one.consumers}
         for source in sources:
             for name, index in sound_files(source)[0].items():
                 held = {(index.unit, one.key) for one in index.consumers.values()}
@@ -124,90 +144,86 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
                     wanted -= held
 
 
-def _write_gallery(ready: Plan, failed: list[FailedCell]) -> list[str]:
-    """Keep some tracks to look at, from plug-ins that have not failed; return what fails here."""
-    named = {one.mechanism.spec for one in failed} | {one.consumer.spec for one in failed}
+def _write_gallery(ready: Plan, without: set[str]) -> list[str]:
+    """Keep some tracks to look at, `without` some plug-ins; return what fails here."""
     compute = partial(
         _gallery_part,
         tracks=ready.tracks,
-        attacks=[one for one in ready.axes.attacks if one.spec not in named],
+        attacks=[one for one in ready.axes.attacks if one.spec not in without],
         stages=ready.settings.stages,
         seed=ready.settings.seed,
     )
-    mechanisms = chosen([one for one in ready.axes.mechanisms if one.spec not in named])
+    mechanisms = chosen([one for one in ready.axes.mechanisms if one.spec not in without])
     parts: list[pd.DataFrame] = []
-    without = []
+    failed = []
     limit_s = ready.settings.cell_timeout_s
     for mechanism, found in spread(compute, deque(mechanisms), jobs=1, limit_s=limit_s):
         for part in found:
             if isinstance(part, Failed):
-                without.append(f"{mechanism.spec}: {part.why}")
+                failed.append(f"{mechanism.spec}: {part.why}")
             else:
                 parts.append(part)
     write_gallery(parts, out=ready.out)
-    return without
+    return failed
 
 
 def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | Failed]:  # noqa: ANN401 - handed on
     note(mechanism.spec, "gallery")
     try:
         yield gallery_rows(mechanism, **options)
-    except PluginError as error:
-        yield Failed(noted(), str(error))
     except Exception as error:  # noqa: BLE001 - the cells are finished: no picture may cost them
-        yield Failed(noted(), told(error))
+        yield Failed(noted(), str(error) if isinstance(error, PluginError) else told(error))
 
 
 class _Files:
     """The files to come, and what is computed of them so far: each is written when it is whole."""
 
-    def __init__(self, missing: Sequence[Missing], ready: Plan) -> None:
-        self._ready = ready
+    def __init__(self, missing: Sequence[Unit], ready: Plan) -> None:
+        self.n_done, self._ready = 0, ready
         self._of = {
-            (one.unit.block, one.unit.mechanism.spec, consumer.label): one
-            for one in missing
-            for consumer in one.consumers.values()
+            (unit.block, unit.mechanism.spec, consumer.label): unit
+            for unit in missing
+            for consumer in unit.consumers.values()
         }
         self._found: dict[str, dict[str, Tables | None]] = {one.file: {} for one in missing}
 
-    def add(self, block: int, mechanism: Plugin, consumer: Consumer, tables: Tables | None) -> None:
+    def add(self, cell: Cell, tables: Tables | None) -> None:
         """Take what a consumer makes of a unit; None if it fails."""
-        missing = self._of[block, mechanism.spec, consumer.label]
-        found = self._found[missing.file]
+        block, mechanism, consumer = cell
+        unit = self._of[block, mechanism.spec, consumer.label]
+        file, code = unit.file, self._ready.code_of
+        found = self._found[file]
         found[consumer.label] = tables
-        if len(found) < len(missing.consumers):
+        self.n_done += 1
+        if len(found) < len(unit.consumers):
             return
-        del self._found[missing.file]
-        code = self._ready.code_of
+        del self._found[file]
         whole = [
             (one, key, {name: code[name] for name in sources("", *one.plugins)}, tables)
-            for key, one in missing.consumers.items()
+            for key, one in unit.consumers.items()
             if (tables := found[one.label]) is not None
         ]
         if whole:
-            content = packed(whole, unit=missing.unit.key, code=missing.unit.code)
-            write_checked(self._ready.out, missing.file, content)
+            content = packed(whole, unit=unit.key, code=unit.code)
+            write_checked(self._ready.out, file, content)
 
 
 def _compute(
-    missing: Sequence[Missing], ready: Plan, tell: Callable[[int, int, str], None]
-) -> list[FailedCell]:
-    """Compute what is missing, and return what could not be."""
+    missing: Sequence[Unit], ready: Plan, tell: Callable[[int, int, str], None]
+) -> list[tuple[Cell, str]]:
+    """Compute what is missing, and return what could not be, and why."""
     works = deque(pieces_of(missing, ready))
-    total = sum(len(one.consumers) for one in missing)
-    files = _Files(missing, ready)
-    failures = Failures()
     if not works:
         return []
-    done = 0
-    tell(done, total, "starting")
-    # Loops are loaded before workers start: each would compile for itself.
-    if any(_uses_kernels(consumer) for _, consumer in ready.pairs):
-        kalman.prepare()  # before workers start: each would compile for itself
-        import_module("attacks.reconstruction._parabola_loop")
-    if any(isinstance(work, LinkWork) for work in works):
-        for loops in ("isac_track.linkability._loops", "attacks.linkage._lag_loop"):
-            import_module(loops)
+    total = sum(len(one.consumers) for one in missing)
+    files, failures = _Files(missing, ready), Failures()
+    tell(0, total, "starting")
+    origins = {plugin.origin for _, one in ready.pairs for plugin in one.plugins}
+    has_links = any(isinstance(work, LinkWork) for work in works)
+    if has_links or any(one.startswith(("predictors.kalman", "attacks.")) for one in origins):
+        kalman.prepare()
+        for module in _LOOPS[: 3 if has_links else 1]:
+            import_module(module)
     with closing(_computed(works, ready)) as computed:
         for work, items in computed:
             finished: set[tuple[str, str]] = set()
@@ -215,23 +231,15 @@ def _compute(
                 if isinstance(item, Failed):
                     before = len(failures.cells)
                     works.extend(failures.rest(work, item, finished=finished))
-                    for one in failures.cells[before:]:
-                        files.add(one.block, one.mechanism, one.consumer, None)
-                    done += len(failures.cells) - before
+                    for cell, _ in failures.cells[before:]:
+                        files.add(cell, None)
                     continue
                 block, mechanism, consumer, tables = item
-                files.add(block, mechanism, consumer, tables)
+                files.add((block, mechanism, consumer), tables)
                 finished.add((mechanism.spec, consumer.label))
-                done += 1
                 check_interrupt()
-                tell(done, total, f"{mechanism.spec} > {consumer.label}")
+                tell(files.n_done, total, f"{mechanism.spec} > {consumer.label}")
     return failures.cells
-
-
-def _uses_kernels(consumer: Consumer) -> bool:
-    origin = "" if consumer.plugin is None else consumer.plugin.origin
-    links = consumer.kind in {"linkage", "control"}
-    return links or origin.startswith(("predictors.kalman", "attacks."))
 
 
 def _computed(works: deque[Work], ready: Plan) -> Generator[tuple[Work, Iterable[Item | Failed]]]:
@@ -240,8 +248,9 @@ def _computed(works: deque[Work], ready: Plan) -> Generator[tuple[Work, Iterable
     compute = partial(attempt, tracks=ready.tracks, stages=settings.stages, seed=settings.seed)
     if settings.scheduler is None:
         return spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
-    from evaluation.runs.dask import own_modules, spread_on_cluster  # noqa: PLC0415 - only there
+    from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
 
     cut_for_cluster(works)
-    modules = own_modules(ready.pairs)
-    return spread_on_cluster(compute, works, scheduler=settings.scheduler, modules=modules)
+    return spread_on_cluster(
+        compute, works, scheduler=settings.scheduler, modules=ready.code_of.keys()
+    )

@@ -12,7 +12,6 @@ from evaluation.runs.cell_files import label_of, sound_files
 from evaluation.runs.files import FOLDER, LOCK, MANIFEST, PAGE, WRITTEN, forget_missing
 from evaluation.runs.manifest import (
     CELL_NAME,
-    LAYOUT,
     parsed,
     read_manifest,
     undamaged,
@@ -77,8 +76,7 @@ def open_run(
     DataError
         If its manifest cannot be read, or is damaged and not to be replaced.
     """
-    manifest: dict[str, Any] = {"layout": LAYOUT, "identity": identity, "cells": []}
-    manifest["dropped_cells"] = 0
+    manifest: dict[str, Any] = {"identity": identity, "cells": [], "dropped_cells": 0}
     with usable(out):
         is_there = (out / MANIFEST).exists()
         if fresh and is_there:

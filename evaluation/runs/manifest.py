@@ -2,95 +2,47 @@
 
 Within the program `cells` is a list of flat entries, one for each consumer at each level. In the
 file an entry stands for all consumers of a level that share their files, and sets of consumers that
-many levels have are written once, in `consumers`.
+many levels have are written once, in `consumers`. A seal over all of it tells whether the file is
+as a run of this layout wrote it: its readers need not look at every value.
 """
 
 from __future__ import annotations
 
 import json
+import platform
 import re
-import reprlib
+import shutil
+import subprocess
+import sys
+from collections import defaultdict
+from dataclasses import asdict
+from importlib.metadata import version
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from attacks.tasks.controls import CONTROLS
+import numpy as np
+
+import isac_track
+from evaluation.experiment.fingerprint import digest
+from evaluation.runs.cell_files import label_of
 from evaluation.runs.files import MANIFEST, write_whole
 from isac_track.errors import DataError
-from isac_track.protocols import ADVERSARIES
+from isac_track.privacy import mean_interval_s
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping
+
+    from evaluation.experiment.plan import Plan, Unit
+    from evaluation.runs.cell_files import Index
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
-LAYOUT: Final = 2
-"""Of the folder: a file of cells for each unit of work, where each consumer had its own before."""
+LAYOUT: Final = 3
+"""Of the folder and of its manifest: another one wherever readers would miss or mistake a value."""
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
-_LARGEST: Final = 1e300
 _OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "spec", "files")
 _OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow")
-_KINDS: Final = ("shared", "predictor", "attack", "linkage", "control", "windows")
-_IS: Final[dict[str, Callable[[Any], object]]] = {
-    "anything": lambda _value: True,
-    "text": lambda value: isinstance(value, str),
-    "text?": lambda value: value is None or isinstance(value, str),
-    "flag": lambda value: isinstance(value, bool),
-    "count": lambda value: type(value) is int and 0 <= value < _LARGEST,
-    "number": lambda value: type(value) in (int, float) and -_LARGEST < value < _LARGEST,
-    "number?": lambda value: value is None or _IS["number"](value),
-    "plain": lambda value: value is None or isinstance(value, str | bool) or _IS["number"](value),
-    "kind": lambda value: value in _KINDS,
-    "names": lambda value: (
-        isinstance(value, list)
-        and all(isinstance(name, str) for name in value)
-        and 0 < len(set(value)) == len(value)
-    ),
-    "files": lambda value: _IS["names"](value) and all(map(CELL_NAME.fullmatch, value)),
-}
-_SHAPE: Final = {
-    "layout?": "count",
-    "identity": {"seed": "count", "scenes": "count", "sha256?": "text", "*": "plain"},
-    "cells": [
-        {
-            **dict.fromkeys(("mechanism", "family", "adding", "spec"), "text"),
-            "level": "number?",
-            "files": "files",
-            "consumers": "count",
-        }
-    ],
-    "consumers!": [[{"kind": "kind", "consumer": "text", "knowledge": "text", "slow": "flag"}]],
-    "dropped_cells?": "count",
-    "damaged_cells?": ["text"],
-    "code?": "text",
-    "state?": "text",
-    "wall_time_s?": "number",
-    "environment!": {"libraries?": {"*": "text"}, "command?": ["text"], "*": "text?"},
-    "settings!": {
-        "preset!": "text",
-        "scenes!": "count",
-        "seed!": "count",
-        "stages!": {"*": "plain"},
-        **{f"{axis}!": ["text"] for axis in ("mechanisms", "predictors", "attacks", "tasks")},
-    },
-    "dataset!": {
-        **{f"{name}!": "text" for name in ("name", "path", "sha256", "format")},
-        "tracks!": "count",
-        "tracks_used!": "count",
-        "simulated!": "flag",
-        "notice?": "text?",
-    },
-    "history!": {"points": "number", "interval_s": "number"},
-    "figures?": ["text"],
-    "groups!": "names",
-    "linkage?": {
-        "skipped?": {"*": "text"},
-        "tasks?": {"*": {"about": "text", "people": "count", "candidates": {"*": "count"}}},
-    },
-    "failed?": [dict.fromkeys(FAILED_COLUMNS, "text") | {"block": "count"}],
-}
-"""What readers of a manifest rely on: of a table its names (`?`: it may be missing, `!`: it may as
-long as there are no cells, `*`: all others), of a list its one kind of member, and of a value what
-it is."""
+_LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
 def read_manifest(out: Path) -> dict[str, Any]:
@@ -108,28 +60,24 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest, whole or not at all."""
     consumers: list[list[dict[str, Any]]] = []
     cells = []
-    for level, entries in groupby(manifest["cells"], key=lambda one: _part(one, _OF_LEVEL)):
-        alike = [_part(one, _OF_CONSUMER) for one in entries]
+    for level, entries in groupby(
+        manifest["cells"], key=lambda entry: {name: entry[name] for name in _OF_LEVEL}
+    ):
+        alike = [{name: entry[name] for name in _OF_CONSUMER} for entry in entries]
         if alike not in consumers:
             consumers.append(alike)
         cells.append(level | {"consumers": consumers.index(alike)})
     folded = {**manifest, "cells": cells, "consumers": consumers}
-    text = json.dumps(folded, indent=1, ensure_ascii=False) + "\n"
+    sealed = folded | {"seal": digest([LAYOUT, folded])}
+    text = json.dumps(sealed, indent=1, ensure_ascii=False) + "\n"
     write_whole(out / MANIFEST, text.encode())
-
-
-def _part(entry: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    return {name: entry[name] for name in names}
 
 
 def parsed(out: Path) -> dict[str, Any]:
     """Return what the manifest's file holds, if it is one at all; DataError if not."""
     path = out / MANIFEST
     try:
-        text = path.read_text(encoding="utf-8")
-        manifest = json.loads(text)
-        if "\\u" in text:  # half a surrogate pair: no file could be written with it
-            json.dumps(manifest, ensure_ascii=False).encode()
+        manifest = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DataError(
             f"{out} holds no run ({MANIFEST} is missing); make one with "
@@ -146,71 +94,24 @@ def parsed(out: Path) -> dict[str, Any]:
 
 
 def undamaged(found: dict[str, Any], *, out: Path) -> dict[str, Any]:
-    """Return the manifest that a file holds; DataError if a reader would stumble over it."""
-    cells: list[dict[str, Any]] = []
-    defect = _defect(found)
-    if not defect:
-        consumers = found.pop("consumers", [])
-        for level in found["cells"]:
-            alike = consumers[level.pop("consumers")]
-            cells += [level | consumer for consumer in alike]
-        defect = _unmatched(cells)
-    if defect:
+    """Return the manifest that a file holds; DataError if it is not as it was written."""
+    content = {name: value for name, value in found.items() if name != "seal"}
+    is_sealed = found.get("seal") == digest([LAYOUT, content])
+    # Files are deleted by these names: a seal is no proof of who wrote it.
+    if not is_sealed or not all(
+        CELL_NAME.fullmatch(name) for level in content["cells"] for name in level["files"]
+    ):
         raise DataError(
-            f"{out} was written by another version, or its {MANIFEST} is damaged "
-            f"({ascii(defect)[1:-1]}); run the matrix again with --fresh or another --out"
+            f"{out} was written by another version, or its {MANIFEST} is damaged; "
+            "run the matrix again with --fresh or another --out"
         )
-    return found | {"cells": cells}
-
-
-def _defect(found: Mapping[str, Any]) -> str:
-    """Return what is not as it should be in a manifest's file, and where; "" if nothing."""
-    if not found["cells"]:
-        return _misfit(found, _SHAPE, optional="?!*").lstrip(".")
-    if found.get("layout") != LAYOUT:
-        return "its cells are laid out in another way"
-    defect = _misfit(found, _SHAPE, optional="?*").lstrip(".")
-    last = 0 if defect else max(level["consumers"] for level in found["cells"])
-    if not defect and last >= len(found["consumers"]):
-        return f"cells name consumers[{last}]"
-    return defect
-
-
-def _unmatched(entries: list[dict[str, Any]]) -> str:
-    """Return which cell is of nobody that there is, or lacks its ceiling; "" if none."""
-    whole = {id(one) for one in with_ceiling(entries)}
-    for entry in entries:
-        kind, consumer, knowledge = (entry[name] for name in ("kind", "consumer", "knowledge"))
-        where = f"of {consumer} at {entry['spec']}"
-        if knowledge not in (ADVERSARIES if kind in {"attack", "linkage"} else {""}):
-            return f"knowledge {where} is {knowledge!r}"
-        if kind == "control" and consumer.partition("/control-")[2] not in CONTROLS:
-            return f"{consumer} is no control"
-        if id(entry) not in whole:
-            return f"the ceiling {where} is missing"
-    return ""
-
-
-def _misfit(value: Any, shape: Any, *, optional: str, place: str = "") -> str:  # noqa: ANN401 - as JSON has it
-    """Return where a value is not of a shape (see `_SHAPE`); "" if it is."""
-    if isinstance(shape, str):
-        return "" if _IS[shape](value) else f"{place} is {reprlib.repr(value)}"
-    parts: Iterable[tuple[str, Any, Any]]
-    if isinstance(shape, list):
-        if not isinstance(value, list):
-            return f"{place} is no list"
-        parts = ((f"{place}[{row}]", one, shape[0]) for row, one in enumerate(value))
-    else:
-        if not isinstance(value, dict):
-            return f"{place} is no table"
-        known = {name.rstrip("?!"): inner for name, inner in shape.items()}
-        for name in shape:
-            if name[-1] not in optional and name.rstrip("!") not in value:
-                return f"{place}.{name.rstrip('!')} is missing"
-        others = known.get("*", "anything")
-        parts = ((f"{place}.{name}", one, known.get(name, others)) for name, one in value.items())
-    wrong = (_misfit(one, inner, optional=optional, place=at) for at, one, inner in parts)
-    return next(filter(None, wrong), "")
+    consumers = content.pop("consumers")
+    content["cells"] = [
+        {name: value for name, value in level.items() if name != "consumers"} | consumer
+        for level in content["cells"]
+        for consumer in consumers[level["consumers"]]
+    ]
+    return content
 
 
 def others(
@@ -235,3 +136,132 @@ def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
         for entry in entries
         if entry["kind"] != "linkage" or (entry["consumer"], entry["knowledge"]) in ceilings
     ]
+
+
+def describe(ready: Plan) -> dict[str, Any]:
+    """Return what a run is made from: code, settings, data set, what is linked."""
+    tracks, dataset, settings, axes = ready.tracks, ready.dataset, ready.settings, ready.axes
+    tasks = {}
+    for sessions in ready.sessions:
+        galleries = np.bincount(sessions.gallery.search, minlength=len(sessions.searches))
+        tasks[sessions.task.name] = {
+            "about": sessions.task.about,
+            "people": len(sessions.source),
+            "too_short": sessions.too_short,
+            "not_drawn": sessions.not_drawn,
+            "clusters": len(set(sessions.group)),
+            "in_groups": int((~sessions.alone).sum()),
+            "frozen": int((~sessions.moving).sum()),
+            "probes": len(sessions.probe),
+            "mated": int((sessions.mate >= 0).sum()),
+            "candidates": dict(zip(sessions.searches, galleries.tolist(), strict=True)),
+            "learnt_from": sessions.learns.sum(axis=1).tolist(),
+            "calibrated_on": sessions.calibrates.sum(axis=1).tolist(),
+        }
+    return {
+        "environment": {
+            "isac_track": isac_track.__version__,
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+            "libraries": {name: version(name) for name in _LIBRARIES},
+            "git_commit": _git_commit(),
+            "command": [word.encode(errors="replace").decode() for word in sys.argv],
+        },
+        "code": ready.code,
+        "settings": {
+            "preset": settings.preset,
+            "scenes": settings.n_scenes,
+            "seed": settings.seed,
+            "mechanisms": [plugin.spec for plugin in axes.mechanisms],
+            "predictors": [plugin.spec for plugin in axes.predictors],
+            "attacks": [
+                *(plugin.spec for plugin in axes.attacks),
+                *dict.fromkeys(link.spec for _, link in axes.links),
+            ],
+            "tasks": [task.name for task in axes.tasks],
+            "stages": settings.stages.flat(),
+        },
+        "granted": {
+            plugin.spec: sorted(one.name for one in plugin.instance.requires)
+            for plugin in axes.predictors
+            if plugin.instance.requires
+        },
+        "without_rule": sorted(
+            {
+                plugin.family
+                for plugin in axes.mechanisms
+                if not plugin.adding and getattr(plugin.instance, "adds_error", True)
+            }
+        ),
+        "dataset": {
+            "path": str(dataset.path),
+            **{
+                name: getattr(dataset, name)
+                for name in ("name", "sha256", "format", "simulated", "notice")
+            },
+            "tracks": len(dataset.tracks),
+            "tracks_used": len(tracks),
+            "too_short": tracks.too_short,
+            "no_future": tracks.no_future,
+            "repairs": [asdict(repair) for repair in dataset.repairs],
+        },
+        "history": {
+            "points": float(np.diff(tracks.offsets).mean()),
+            "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),
+        },
+        "groups": sorted(set(tracks.group)),
+        "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
+    }
+
+
+def _git_commit() -> str | None:
+    root = Path(isac_track.__file__).parent.parent
+    git = shutil.which("git")
+    if git is None or not (root / ".git").exists():
+        return None
+    answer = subprocess.run(  # noqa: S603 - a fixed command
+        [git, "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return answer.stdout.strip() or None
+
+
+def entries_of(
+    ready: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
+) -> list[dict[str, Any]]:
+    """Return the entries of a run's cells, whose files are in `places` or to come."""
+    of_cell = {(one.key, key): one.file for one in missing for key in one.consumers} | {**places}
+    files: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for unit in ready.units:  # block by block
+        for key, consumer in unit.consumers.items():
+            files[unit.mechanism.spec, consumer.label].append(of_cell[unit.key, key])
+    return [
+        {
+            "mechanism": mechanism.name,
+            **{name: getattr(mechanism, name) for name in ("level", "family", "adding", "spec")},
+            "kind": consumer.kind,
+            "consumer": consumer.spec,
+            "knowledge": consumer.knowledge,
+            "slow": consumer.is_slow,
+            "files": files[mechanism.spec, consumer.label],
+        }
+        for mechanism, consumer in ready.pairs
+    ]
+
+
+def merged_cells(
+    earlier: Iterable[dict[str, Any]], ours: list[dict[str, Any]], *, held: Mapping[str, Index]
+) -> list[dict[str, Any]]:
+    """Return the index of cells: those of this run, and finished ones of earlier axes.
+
+    An earlier level that was never finished (interrupted, or a plug-in that failed) is left out:
+    `held` has what the files hold that are there.
+    """
+    finished = [
+        entry
+        for entry in earlier
+        if all(name in held and label_of(entry) in held[name].consumers for name in entry["files"])
+    ]
+    return with_ceiling(ours + others(finished, than=ours))

@@ -5,13 +5,12 @@ When a plug-in or a worker fails, its cell is left out by name, and the rest goe
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from evaluation.cells.work import Block, LinkWork
-from evaluation.experiment.axes import n_blocks
 from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.runs.cell_files import index_of, places_of
 from evaluation.runs.files import FOLDER, written_down
@@ -19,13 +18,11 @@ from isac_track.scenes import track_order
 
 if TYPE_CHECKING:
     from collections import deque
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     import pandas as pd
 
-    from evaluation.cells.progress import Failed
-    from evaluation.cells.work import Levels
+    from evaluation.cells.work import Failed, Levels
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan, Unit
     from isac_track.plugins import Plugin
@@ -41,23 +38,17 @@ _CLUSTER_TASKS = 64
 _MOST_NAMED = 3
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Missing:
-    """What a unit of work lacks: consumers by their keys, and the file that they will be in."""
+def missing_of(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Unit]:
+    """Return the units of a run with the consumers that they lack, and none that lacks none.
 
-    unit: Unit
-    consumers: Mapping[str, Consumer]
-    file: str
-
-
-def missing_of(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Missing]:
-    """Return what the units of a run lack, given the file of every finished cell by its keys."""
-    missing = []
+    `places` has the file of every finished cell by the keys of its unit and its consumer.
+    """
+    units = []
     for unit in ready.units:
         who = {key: one for key, one in unit.consumers.items() if (unit.key, key) not in places}
         if who:
-            missing.append(Missing(unit, who, unit.file_of(who)))
-    return missing
+            units.append(replace(unit, consumers=who))
+    return units
 
 
 def n_finished(ready: Plan) -> int:
@@ -70,14 +61,8 @@ def n_finished(ready: Plan) -> int:
     return ready.n_cells - sum(len(one.consumers) for one in missing_of(ready, places))
 
 
-def pieces_of(missing: Sequence[Missing], ready: Plan) -> list[Work]:
+def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
     """Return what is to be computed: first scenes, block by block, then what is linked."""
-    # The longest first: at the end no worker waits for long.
-    links = sorted(_links(missing, ready), key=_pairs, reverse=True)
-    return [*_blocks(missing, ready), *links]
-
-
-def _blocks(missing: Sequence[Missing], ready: Plan) -> Iterator[Block]:
     settings = ready.settings
     order = track_order(
         n_tracks=len(ready.tracks),
@@ -85,42 +70,41 @@ def _blocks(missing: Sequence[Missing], ready: Plan) -> Iterator[Block]:
         agents=settings.stages.scenes.agents,
         seed=settings.seed,
     )
-    count = n_blocks(settings.n_scenes)
-    of_scenes = [one for one in missing if not next(iter(one.consumers.values())).task]
-    for number in range(count):
-        levels = _levels([one for one in of_scenes if one.unit.block == number])
-        # Split where there are few blocks for the workers; each piece senses the block again, so
-        # that there are no more than an even load takes.
-        n_pieces = 1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // count)
-        first = number * BLOCK_SCENES
-        scenes = order[first : first + BLOCK_SCENES]
-        for piece in _shared_out(levels, n_pieces):
-            yield Block(number=number, first_scene=first, order=scenes, levels=piece)
-
-
-def _links(missing: Sequence[Missing], ready: Plan) -> Iterator[LinkWork]:
+    tasks = {sessions.task.name for sessions in ready.sessions}
+    groups = tuple(sorted(set(ready.tracks.group)))
+    starts = range(0, settings.n_scenes, BLOCK_SCENES)
+    # Split where there are few blocks for the workers; each piece senses the block again, so that
+    # there are no more than an even load takes.
+    n_pieces = 1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // len(starts))
+    blocks = [
+        Block(number, first, order[first : first + BLOCK_SCENES], piece)
+        for number, first in enumerate(starts)
+        for piece in _shared_out(
+            _levels(one for one in missing if one.block == number and one.stage not in tasks),
+            n_pieces,
+        )
+    ]
+    links = []
     for sessions in ready.sessions:
-        levels = _levels([one for one in missing if one.unit.stage == sessions.task.name])
+        levels = _levels(one for one in missing if one.stage == sessions.task.name)
         # Each piece senses the sessions again, which takes less than one level.
         for first in range(0, len(levels), _LEVELS_PER_TASK):
-            yield LinkWork(
-                sessions=sessions,
-                groups=tuple(sorted(set(ready.tracks.group))),
-                levels=levels[first : first + _LEVELS_PER_TASK],
-                keep_scores=ready.settings.keep_scores,
-            )
+            piece = levels[first : first + _LEVELS_PER_TASK]
+            links.append(LinkWork(sessions, groups, piece, settings.keep_scores))
+    # The longest first: at the end no worker waits for long.
+    return [*blocks, *sorted(links, key=_n_pairs, reverse=True)]
 
 
-def _levels(missing: Sequence[Missing]) -> Levels:
+def _levels(units: Iterable[Unit]) -> Levels:
     """Return the levels of some units of one block, or of one task: all stages together."""
     levels: dict[str, tuple[Plugin, list[Consumer]]] = {}
-    for one in missing:
-        mechanism = one.unit.mechanism
-        levels.setdefault(mechanism.spec, (mechanism, []))[1].extend(one.consumers.values())
+    for one in units:
+        found = levels.setdefault(one.mechanism.spec, (one.mechanism, []))
+        found[1].extend(one.consumers.values())
     return tuple((mechanism, tuple(consumers)) for mechanism, consumers in levels.values())
 
 
-def _pairs(work: LinkWork) -> int:
+def _n_pairs(work: LinkWork) -> int:
     """Return how many pairs are compared: what a linker takes goes by it."""
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
     probes, gallery = (np.bincount(side, minlength=len(work.sessions.searches)) for side in sides)
@@ -140,66 +124,6 @@ def cut_for_cluster(works: deque[Work]) -> None:
         works.extend(replace(work, levels=piece) for piece in _shared_out(work.levels, n_pieces))
 
 
-@dataclass(frozen=True, slots=True)
-class FailedCell:
-    """A cell that could not be computed, and why."""
-
-    block: int
-    mechanism: Plugin
-    consumer: Consumer
-    why: str
-
-    def described(self) -> dict[str, Any]:
-        """Return its entry in a manifest."""
-        return {
-            "spec": self.mechanism.spec,
-            "kind": self.consumer.kind,
-            "consumer": self.consumer.spec,
-            "knowledge": self.consumer.knowledge,
-            "block": self.block,
-            "why": self.why,
-        }
-
-
-class Failures:
-    """The failed cells of a run, and those that a worker died at once."""
-
-    def __init__(self) -> None:
-        self.cells: list[FailedCell] = []
-        self._died_at: set[tuple[tuple[int, str, str], ...]] = set()
-
-    def rest(
-        self, work: Work, failure: Failed, *, finished: AbstractSet[tuple[str, str]]
-    ) -> list[Work]:
-        """Return what is still to be done of a work in which something failed.
-
-        A worker's death is tried once more. `finished` has the specs of what is finished of it.
-        """
-        left = only(work, lambda cell: specs_of(cell) not in finished)
-        culprits = only(left, lambda cell: _is_at(cell, failure.at))
-        innocent = only(left, lambda cell: not _is_at(cell, failure.at))
-        if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
-            culprits, innocent = innocent, culprits
-        again = self._once_more(culprits, place_is_known=bool(failure.at)) if failure.died else []
-        if not again:
-            self.cells += [FailedCell(*cell, failure.why) for cell in cells_of(culprits)]
-        return [*again, *([innocent] if innocent.levels else ())]
-
-    def _once_more(self, culprits: Work, *, place_is_known: bool) -> list[Work]:
-        """Return the work at which a worker died, in smaller parts; none if it was its second."""
-        key = tuple((cell[0], *specs_of(cell)) for cell in cells_of(culprits))
-        is_vague = not place_is_known and len(key) > 1
-        if key in self._died_at and not is_vague:
-            return []
-        self._died_at.add(key)
-        if is_vague and len(culprits.levels) == 1:  # it is not known where it was: cell by cell
-            self._died_at.update((one,) for one in key)
-            mechanism, consumers = culprits.levels[0]
-            return [replace(culprits, levels=((mechanism, (one,)),)) for one in consumers]
-        # One level at a time: the next death, if there is one, takes no others along.
-        return [replace(culprits, levels=(level,)) for level in culprits.levels]
-
-
 def cells_of(work: Work) -> Iterator[Cell]:
     """Yield the cells of a piece of work."""
     number = work.number if isinstance(work, Block) else 0
@@ -213,7 +137,45 @@ def specs_of(cell: Cell) -> tuple[str, str]:
     return cell[1].spec, cell[2].label
 
 
-def only(work: Work, wanted: Callable[[Cell], bool]) -> Work:
+class Failures:
+    """The failed cells of a run with the reasons, and those that a worker died at once."""
+
+    def __init__(self) -> None:
+        self.cells: list[tuple[Cell, str]] = []
+        self._died_at: set[tuple[tuple[int, str, str], ...]] = set()
+
+    def rest(self, work: Work, failure: Failed, *, finished: set[tuple[str, str]]) -> list[Work]:
+        """Return what is still to be done of a work in which something failed.
+
+        A worker's death is tried once more. `finished` has the specs of what is finished of it.
+        """
+        left = _only(work, lambda cell: specs_of(cell) not in finished)
+        culprits = _only(left, lambda cell: _is_at(cell, failure.at))
+        innocent = _only(left, lambda cell: not _is_at(cell, failure.at))
+        if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
+            culprits, innocent = innocent, culprits
+        again = self._once_more(culprits, place_is_known=bool(failure.at)) if failure.died else []
+        if not again:
+            self.cells += [(cell, failure.why) for cell in cells_of(culprits)]
+        return [*again, *([innocent] if innocent.levels else ())]
+
+    def _once_more(self, culprits: Work, *, place_is_known: bool) -> list[Work]:
+        """Return the work at which a worker died, to be tried again; none if it was its second."""
+        key = tuple((cell[0], *specs_of(cell)) for cell in cells_of(culprits))
+        if not place_is_known and len(key) > 1:  # nobody knows which it was: each by itself, once
+            self._died_at.update((one,) for one in key)
+            return [
+                replace(culprits, levels=((mechanism, (one,)),))
+                for mechanism, consumers in culprits.levels
+                for one in consumers
+            ]
+        if key in self._died_at:
+            return []
+        self._died_at.add(key)
+        return [culprits]
+
+
+def _only(work: Work, wanted: Callable[[Cell], bool]) -> Work:
     """Return the work with no other cells."""
     chosen = [cell for cell in cells_of(work) if wanted(cell)]
     levels = (

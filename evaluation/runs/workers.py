@@ -1,10 +1,9 @@
-"""Works handed out and taken back, and worker processes of this machine that do them.
+"""Works handed out to worker processes of this machine, and what comes back of them.
 
 Each worker is in a lane of its own, so that one that dies takes nobody along: a pool of several
 that share a queue breaks as a whole when one of them is killed, and nobody can tell what it was at.
-Here each lane is a loky executor of one process. The process notes where it is before each cell, in
-a file that outlives it: that names the culprit, and tells how long a cell has been running. The
-file has no name in any folder, so that nobody has to remove it.
+Here each lane is one process at the other end of a pipe. It tells where it is before each cell:
+that names the culprit, and shows how long a cell has been running.
 """
 
 from __future__ import annotations
@@ -12,76 +11,48 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
-import json
 import os
 import signal
+import subprocess
 import sys
-import tempfile
 import threading
 import time
-from collections import deque
-from multiprocessing import resource_tracker
-from multiprocessing.reduction import DupFd
-from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeAlias, TypeVar
+import traceback
+from multiprocessing import Pipe, connection
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
+import pyarrow as pa
+from joblib.externals.loky.backend.reduction import dumps
 from threadpoolctl import threadpool_limits
 
-from evaluation.cells.progress import NOTE_BYTES, Failed, note, note_to
+from evaluation.cells.work import Failed, note, note_to
 from isac_track.command_line import check_interrupt
-from isac_track.errors import DataError
+from isac_track.errors import told
 
 if TYPE_CHECKING:
+    from collections import deque
     from collections.abc import Callable, Generator, Iterable, Iterator
-
-    from joblib.externals.loky import Future
 
 W = TypeVar("W")
 R = TypeVar("R")
-Ended: TypeAlias = "tuple[W, list[R | Failed]]"
-"""A work, and what came of it."""
-
 _ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
 """More would fight over the cores; and a sum depends on how many share it."""
 _LOOK_S: Final = 0.25
 """How often running cells are held against their limit."""
-_SET_PARENT_DEATH_SIGNAL: Final = 1
-"""Of Linux's prctl."""
-
-
-class _Crew(Protocol[W, R]):
-    """Those who compute: lanes of this machine, or a cluster."""
-
-    knows_culprits: bool
-    """Whether a worker's death blames nobody but the cell at which it came."""
-
-    def n_busy(self) -> int: ...
-    def has_room(self) -> bool: ...
-    def start(self, work: W) -> None: ...
-    def ended(self) -> Iterator[Ended[W, R]]: ...  # of the works under way, after a moment
-
-
-def hand_out(works: deque[W], crew: _Crew[W, R]) -> Generator[Ended[W, R]]:
-    """Yield each work with what came of it, as it is finished; works may be added meanwhile.
-
-    Where a death may be a neighbour's fault, what is added after one waits until nothing else is
-    left, and is tried one at a time.
-    """
-    suspects: deque[W] = deque()
-    while works or suspects or crew.n_busy():
-        check_interrupt()
-        while works and crew.has_room():
-            crew.start(works.popleft())
-        if suspects and not crew.n_busy():
-            crew.start(suspects.popleft())
-        for work, items in crew.ended():
-            known = len(works)
-            yield work, items
-            died = any(isinstance(one, Failed) and one.died for one in items)
-            if died and not crew.knows_culprits:
-                again = [works.pop() for _ in range(len(works) - known)]
-                suspects.extend(reversed(again))
+_WORKER: Final = """
+import ctypes, os, signal, sys
+if sys.platform == "linux":  # 1: it ends with its parent, even where no other thread may run
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+from multiprocessing.connection import Connection
+pipe = Connection(int(sys.argv[1]))
+sys.path[:] = pipe.recv()
+from evaluation.runs.workers import serve
+serve(pipe, parent=int(sys.argv[2]))
+"""
+_M_ARENA_MAX: Final = -8
+"""Of glibc's malloc.h."""
 
 
 def spread(
@@ -106,8 +77,6 @@ def spread(
 
     Raises
     ------
-    DataError
-        If the workers have no room for their notes.
     Exception
         What the function raises.
     """
@@ -119,170 +88,138 @@ def spread(
                 yield work, function(work)
         return
     with contextlib.ExitStack() as ends:
-        lanes = []
-        for _ in range(min(jobs, len(works))):
-            lanes.append(_Lane[W, R](function, limit_s))
-            ends.callback(lanes[-1].close)
-        yield from hand_out(works, _Lanes(lanes))
+        lanes = [_Lane[W, R](function, limit_s) for _ in range(min(jobs, len(works)))]
+        for lane in lanes:
+            ends.callback(lane.stop)
+        while works or any(lane.is_busy for lane in lanes):
+            check_interrupt()
+            for lane in lanes:
+                if works and not lane.is_busy:
+                    lane.start(works.popleft())
+            connection.wait([lane.pipe for lane in lanes if lane.is_busy], timeout=_LOOK_S)
+            for lane in lanes:
+                if lane.is_busy and (items := lane.items()) is not None:
+                    lane.is_busy = False
+                    yield lane.work, items
 
 
-class _Lanes(Generic[W, R]):
-    knows_culprits = True
+@contextlib.contextmanager
+def given_back() -> Iterator[None]:
+    """Give back to the system what was freed while this was open: one process may run many.
 
-    def __init__(self, lanes: list[_Lane[W, R]]) -> None:
-        self._lanes = lanes
-
-    def n_busy(self) -> int:
-        return sum(lane.future is not None for lane in self._lanes)
-
-    def has_room(self) -> bool:
-        return self.n_busy() < len(self._lanes)
-
-    def start(self, work: W) -> None:
-        next(lane for lane in self._lanes if lane.future is None).start(work)
-
-    def ended(self) -> Iterator[Ended[W, R]]:
-        from joblib.externals.loky import FIRST_COMPLETED, wait  # noqa: PLC0415 - only with workers
-
-        futures = [lane.future for lane in self._lanes if lane.future is not None]
-        wait(futures, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
-        for lane in self._lanes:
-            if lane.future is not None and (items := lane.items()) is not None:
-                yield lane.work, items
-
-
-class _Board:
-    """Where a worker's notes are; the worker gets the descriptor of the same file."""
-
-    def __init__(self) -> None:
-        try:
-            self.file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - closed by its lane
-            self.clear()
-        except OSError as error:
-            raise DataError(
-                f"no room for temporary files: {error.strerror}; finished cells are kept "
-                "(TMPDIR names another folder)"
-            ) from None
-
-    def __reduce__(self) -> tuple[Callable[[Any], int], tuple[Any]]:
-        return _descriptor, (DupFd(self.file.fileno()),)
-
-    def clear(self) -> None:
-        # All of its length: what is written over it later needs no room on a full disk.
-        os.pwrite(self.file.fileno(), b" " * NOTE_BYTES, 0)
-
-    def read(self) -> tuple[int, float, list[str]]:
-        """Return process, time and place; zeros and nothing if there is no whole note."""
-        try:
-            pid, since, at = json.loads(os.pread(self.file.fileno(), NOTE_BYTES, 0))
-        except ValueError:
-            return 0, 0.0, []
-        return pid, since, at
-
-
-def _descriptor(inherited: Any) -> int:  # noqa: ANN401 - of multiprocessing, untyped
-    number: int = inherited.detach()
-    return number
+    glibc gives threads arenas of their own, whose ends ``malloc_trim`` cannot reach, and pyarrow's
+    pools keep pieces that the next run does not quite fill: eight small runs in a row grew from 548
+    to 763 MB with nothing leaked. So threads share an arena from now on (one that has its own
+    already keeps it), and pyarrow takes its memory from malloc meanwhile. With another C library,
+    malloc is left as it is.
+    """
+    pool = pa.default_memory_pool()
+    libc: Any = None
+    with contextlib.suppress(OSError, TypeError):  # Windows: there is no name for "this process"
+        libc = ctypes.CDLL(None)
+    is_glibc = hasattr(libc, "malloc_trim")
+    if is_glibc:
+        libc.mallopt(_M_ARENA_MAX, 1)
+    pa.set_memory_pool(pa.system_memory_pool())
+    try:
+        yield
+    finally:
+        pa.set_memory_pool(pool)
+        gc.collect()
+        if is_glibc:
+            libc.malloc_trim(ctypes.c_size_t(0))
 
 
 class _Lane(Generic[W, R]):
     """One worker process after another, one piece of work at a time."""
 
     work: W
+    pipe: Any
 
     def __init__(self, function: Callable[[W], Iterable[R]], limit_s: float | None) -> None:
         self._function, self._limit_s = function, limit_s
-        self._board = _Board()
-        self._executor: Any = None
-        self._overdue = ""
-        self.future: Future[list[R]] | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self.is_busy = False
 
     def start(self, work: W) -> None:
-        from joblib.externals.loky import BrokenProcessPool  # noqa: PLC0415 - only with workers
+        self.work, self.is_busy, self._overdue = work, True, ""
+        self._at: tuple[str, ...] = ()
+        self._since_s = time.monotonic()
+        if self._process is None or self._process.poll() is not None:  # killed with nothing to do
+            self.stop()
+            self._begin()
+        with contextlib.suppress(OSError):  # it is gone: `items` finds that
+            self.pipe.send_bytes(dumps(work))
 
-        self.work, self._overdue = work, ""
-        with _ctrl_c_is_not_inherited():
-            try:
-                self.future = self._submitted()
-            except BrokenProcessPool:  # its worker was killed while it had nothing to do
-                self._stop()
-                self.future = self._submitted()
-
-    def _submitted(self) -> Future[list[R]]:
-        from joblib.externals.loky import ProcessPoolExecutor  # noqa: PLC0415 - as above
-
-        if self._executor is None:
-            self._board.clear()
-            self._executor = ProcessPoolExecutor(
-                max_workers=1,
-                initializer=_begin,
-                initargs=(self._board, os.getpid()),
-                env=_ONE_THREAD,
+    def _begin(self) -> None:
+        """Start a worker in a group of its own, which no Ctrl-C reaches: it waits for the end."""
+        self.pipe, theirs = Pipe()
+        with theirs:
+            number = theirs.fileno()
+            self._process = subprocess.Popen(  # noqa: S603 - this very Python
+                [sys.executable, "-c", _WORKER, str(number), str(os.getpid())],
+                env=os.environ | _ONE_THREAD,
+                pass_fds=[number],
+                process_group=0,
             )
-        future: Future[list[R]] = self._executor.submit(_listed, self._function, self.work)
-        return future
+        with contextlib.suppress(OSError):  # as above
+            self.pipe.send(sys.path)
+            self.pipe.send_bytes(dumps(self._function))
 
     def items(self) -> list[R | Failed] | None:
         """Return what came of the work, if it is done or the worker is; kill one that is late."""
-        from joblib.externals.loky import BrokenProcessPool  # noqa: PLC0415 - as above
-
-        assert self.future is not None
-        pid, since, at = self._board.read()
-        is_late = self._limit_s is not None and time.monotonic() - since > self._limit_s
-        if pid and at and is_late and not self._overdue:
-            self._overdue = f"it ran for longer than {self._limit_s:g} s"
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        if not self.future.done():
-            return None
-        error = self.future.exception()
-        found = [] if error else self.future.result()
-        self.future = None
-        if error is None:
-            return [*found]
-        at = self._board.read()[2]
-        if isinstance(error, BrokenProcessPool):
+        kind, process = "at", self._process
+        said: Any = None
+        try:
+            while kind == "at" and self.pipe.poll():
+                kind, said = self.pipe.recv()
+                if kind == "at":
+                    self._at, self._since_s = said, time.monotonic()
+            is_gone = kind == "at" and process is not None and process.poll() is not None
+        except (EOFError, ConnectionError):
+            is_gone = True
+        if is_gone:
+            self.stop()
             why = self._overdue or "its worker died (killed, crashed or out of memory)"
-            self._stop()
-            return [Failed(tuple(at), why, died=not self._overdue)]
-        if isinstance(error, Exception):
-            raise error
-        # KeyboardInterrupt, say: raised by a plug-in, since no Ctrl-C reaches a worker.
-        return [Failed(tuple(at), f"it raised {type(error).__name__}")]
+            return [Failed(self._at, why, died=not self._overdue)]
+        if kind == "done":
+            return [*said]
+        if kind == "raised" and isinstance(said, Exception):
+            raise said
+        if kind == "raised":  # KeyboardInterrupt, say: no Ctrl-C reaches a worker
+            return [Failed(self._at, f"it raised {type(said).__name__}")]
+        is_late = self._limit_s is not None and time.monotonic() - self._since_s > self._limit_s
+        if self._at and is_late and not self._overdue:
+            self._overdue = f"it ran for longer than {self._limit_s:g} s"
+            self._kill()
+        return None
 
-    def _stop(self) -> None:
-        """End the worker, whatever it is at."""
-        if self._executor is not None:
-            self._executor.shutdown(wait=True, kill_workers=True)
-            self._executor = None
+    def _kill(self) -> None:
+        """Kill the worker, whatever it is at, and all that it started."""
+        if self._process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
 
-    def close(self) -> None:
-        self._stop()
-        self._board.file.close()
-
-
-@contextlib.contextmanager
-def _ctrl_c_is_not_inherited() -> Iterator[None]:
-    """Start processes that no Ctrl-C reaches, not even while they start; it waits for the end."""
-    resource_tracker.ensure_running()  # it would let Ctrl-C through again when it starts
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    def stop(self) -> None:
+        """End the worker, if there is one."""
+        if self._process is not None:
+            self._kill()
+            self._process.wait()
+            self.pipe.close()
+            self._process = None
 
 
 # From here on: in a worker.
 
 
-def _begin(file: int, parent: int) -> None:
-    """Begin a worker: it notes where it is, leaves Ctrl-C to its parent, and ends with it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    note_to(file)
-    if sys.platform == "linux":
-        # The system ends it also where a plug-in lets no other thread run.
-        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, untyped
+    """Do what comes through a pipe, and tell where that is and what came of it."""
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    note_to(lambda at: pipe.send(("at", at)))
+    with contextlib.suppress(EOFError):
+        function = pipe.recv()
+        while True:
+            pipe.send_bytes(_answered(function, pipe.recv()))
 
 
 def _end_with(parent: int) -> None:
@@ -291,15 +228,19 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def _listed(function: Callable[[W], Iterable[R]], work: W) -> list[R]:
+def _answered(function: Callable[[W], Iterable[R]], work: W) -> Any:  # noqa: ANN401 - bytes
     # What was imported stays, and arrays form no circles: to look for them takes one second of 20.
     gc.freeze()
     gc.disable()
     try:
         note()
-        found = list(function(work))
-        note()  # idle: no cell is under way
+        return dumps(("done", list(function(work))))
+    except BaseException as error:  # noqa: BLE001 - whatever it is, it is the parent's to tell
+        error.add_note(traceback.format_exc())
+        try:
+            return dumps(("raised", error))
+        except Exception:  # noqa: BLE001 - a stranger's error may not be sendable
+            return dumps(("raised", RuntimeError(told(error))))
     finally:
         gc.enable()
         gc.collect()
-    return found

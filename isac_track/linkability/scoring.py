@@ -48,7 +48,7 @@ from isac_track.linkability.significance import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -120,16 +120,22 @@ class ProbeRanks:
             for name, (values, cluster) in self.values().items()
         }
 
-    def replicates(self, weights: Floats) -> dict[str, Floats]:
+    def replicates(
+        self, weights: Floats, names: Collection[str] | None = None
+    ) -> dict[str, Floats]:
         """Return the bootstrap replicates of each metric, (B,), as `scorecard` estimates it.
 
         Parameters
         ----------
         weights : (B, C)
             As there.
+        names : collection of str, optional
+            Of these metrics alone.
         """
         found = {}
         for name, sums in self.sums(weights.shape[1]).items():
+            if names is not None and name not in names:
+                continue
             drawn = weights @ np.stack(sums, axis=1)
             found[name] = np.full(len(weights), np.nan)
             np.divide(drawn[:, 0], drawn[:, 1], out=found[name], where=drawn[:, 1] > 0)

@@ -1,13 +1,12 @@
 """Run folders that hold tables alone, with numbers that a question about them is easy to answer."""
 
-import json
-
 import numpy as np
 import pandas as pd
 
 from evaluation.analysis import linkability, summary
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.experiment.presets import PRESETS
+from evaluation.runs.manifest import read_manifest, write_manifest
 from evaluation.verdict.choose_level import Limits, choose
 from isac_track.config import StageSettings
 
@@ -74,25 +73,14 @@ def summary_frame(rates, *, half=HALF):
     """`rates`: mechanism -> level -> missed rate."""
     levels = [("raw", None, 0.12)]
     levels += [(name, at, missed) for name, of in rates.items() for at, missed in of.items()]
-    rows = [
-        {
-            "dataset": "walks",
-            "mechanism": mechanism,
-            "level": np.nan if level is None else level,
-            "consumer": consumer,
-            "knowledge": knowledge,
-            "metric": metric,
-            "value": value,
-            "ci_low": value - spread,
-            "ci_high": value + spread,
-            "n": 55,
-            **declared(mechanism),
-        }
-        for mechanism, level, missed in levels
-        for consumer, knowledge, metric, value, spread in numbers(
-            mechanism, level, missed, half=half
-        )
-    ]
+    rows = []
+    for mechanism, level, missed in levels:
+        where = {"dataset": "walks", "mechanism": mechanism, "n": 55, **declared(mechanism)}
+        where["level"] = np.nan if level is None else level
+        for *key, value, spread in numbers(mechanism, level, missed, half=half):
+            of = dict(zip(("consumer", "knowledge", "metric"), key, strict=True))
+            ends = {"value": value, "ci_low": value - spread, "ci_high": value + spread}
+            rows.append(where | of | ends)
     return pd.DataFrame(rows, columns=summary.COLUMNS)
 
 
@@ -135,7 +123,7 @@ def write_run(out, rates=USUAL, *, half=HALF, cells=ATTACKS, code=None, **datase
         | {"simulated": False, "notice": None}
         | dataset,
     }
-    (out / "manifest.json").write_text(json.dumps(content))
+    write_manifest(out, content)
     summary_frame(rates, half=half).to_csv(out / "summary.csv", index=False)
     if cells is not None:
         linked_frame(rates, cells).to_csv(out / "linkability.csv", index=False)
@@ -149,10 +137,10 @@ def edited(out, name, change):
 
 
 def edit_manifest(out, change):
-    """Change the manifest of a run, in place."""
-    manifest = json.loads((out / "manifest.json").read_text())
+    """Change the manifest of a run, in place, as if it had been written so."""
+    manifest = read_manifest(out)
     change(manifest)
-    (out / "manifest.json").write_text(json.dumps(manifest))
+    write_manifest(out, manifest)
 
 
 def asked(out, *, adding=("linear", "independent"), predictor=None, after_attack=False, **limits):

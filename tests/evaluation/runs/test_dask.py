@@ -21,8 +21,7 @@ from helpers.processes import ROOT, TESTS
 
 import evaluation
 from evaluation import matrix
-from evaluation.cells.progress import Failed, note, noted
-from evaluation.cells.work import Block
+from evaluation.cells.work import Block, Failed, note, noted
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster
@@ -148,7 +147,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cluster(folder):
-    with started(folder, options=()) as cluster:
+    with started(folder) as cluster:
         yield cluster
 
 
@@ -180,26 +179,6 @@ def slow(settings, monkeypatch, folder, tmp_path):
     )
     evaluation.run(local, pictures=False)
     return local
-
-
-def command(settings, folder, *options):
-    """The matrix as a process of its own."""
-    return subprocess.Popen(
-        [
-            sys.executable, "-m", "evaluation.matrix", "--preset", "smoke",
-            "--dataset", settings.dataset, "--scenes", str(settings.scenes), "--mechanism", SLOW,
-            "--predictor", "none", "--attack", "none", "--task", "none",
-            "--out", str(settings.out), *options,
-        ],
-        env=dict(os.environ, PYTHONPATH=path_of(folder)),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )  # fmt: skip
-
-
-def on(cluster):
-    return ("--executor", "dask", "--scheduler", cluster.address)
 
 
 def sent(settings, cluster, **changes):
@@ -264,42 +243,37 @@ def n_tasks(dask_scheduler):
     return len(dask_scheduler.tasks)
 
 
-class TestWhatIsKilled:
-    def test_a_worker_loses_nothing(self, slow, folder, tmp_path):
-        there = replace(slow, jobs=None, out=tmp_path / "there")
-        with started(folder) as own, command(there, folder, *on(own)) as run:
-            wait_for(lambda: len(cells(there)) > 2, most_s=40)
-            os.killpg(own.workers[1].pid, signal.SIGKILL)
-            assert len(cells(there)) < 8
-            _, said = run.communicate(timeout=60)
-        assert run.returncode == 0, said
-        assert_same_bits(there, slow)
+def n_workers(dask_scheduler):
+    return len(dask_scheduler.workers)
 
-    @pytest.mark.slow
-    def test_the_scheduler_ends_the_run_in_one_line(self, slow, folder, tmp_path):
-        there = replace(slow, jobs=None, out=tmp_path / "there")
-        with started(folder) as own, command(there, folder, *on(own)) as run:
-            wait_for(lambda: len(cells(there)) > 2, most_s=40)
-            os.killpg(own.scheduler.pid, signal.SIGKILL)
-            at = time.monotonic()
-            _, said = run.communicate(timeout=60)
-            assert time.monotonic() - at < 15
-        assert run.returncode == 2
-        (_, error) = said.splitlines()  # what is computed, then the error
-        assert error == (
-            f"error: the scheduler at {own.address} is gone; finished cells are kept; start it "
-            "and run the same command again"
-        )
-        kept = {path: path.stat().st_mtime_ns for path in cells(there)}
-        assert 2 < len(kept) < 8
-        evaluation.run(there, pictures=False)
+
+class TestWhatIsKilled:
+    def run(self, there, *, at_third):
+        """Run it, and do something as soon as three cells are finished."""
+
+        def tell(done, _total, _what):
+            if done == 3:
+                at_third()
+
+        return evaluation.run(there, progress=tell, pictures=False)
+
+    def test_a_worker_loses_nothing(self, slow, cluster, tmp_path):
+        worker = cluster.start_worker(2)
+        wait_for(lambda: cluster.count(n_workers) == 3, most_s=30)
+        there = sent(slow, cluster, out=tmp_path / "there")
+        self.run(there, at_third=lambda: os.killpg(worker.pid, signal.SIGKILL))
+        assert worker.wait() == -signal.SIGKILL
         assert_same_bits(there, slow)
-        assert all(path.stat().st_mtime_ns == stamp for path, stamp in kept.items())
 
     @pytest.mark.slow
     def test_the_driver_leaves_the_cluster_running(self, slow, folder, cluster, tmp_path):
         there = replace(slow, jobs=None, out=tmp_path / "there")
-        with command(there, folder, *on(cluster)) as run:
+        words = [sys.executable, "-m", "evaluation.matrix", "--preset", "smoke"]
+        words += ["--dataset", slow.dataset, "--scenes", "300", "--mechanism", SLOW]
+        words += ["--predictor=none", "--attack=none", "--task=none", "--out", str(there.out)]
+        words += ["--executor", "dask", "--scheduler", cluster.address]
+        environment = dict(os.environ, PYTHONPATH=path_of(folder))
+        with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True) as run:
             wait_for(lambda: len(cells(there)) > 2, most_s=40)
             run.send_signal(signal.SIGINT)
             _, said = run.communicate(timeout=30)
@@ -311,31 +285,36 @@ class TestWhatIsKilled:
 
     @pytest.mark.slow
     @pytest.mark.parametrize(
-        ("who", "signalled", "limit", "message"),
+        ("who", "signalled", "message"),
         [
-            ("workers", signal.SIGKILL, "_NO_WORKER_S", "has had no worker for 1 s; finished ce"),
-            ("scheduler", signal.SIGSTOP, "_ANSWER_S", "is gone; finished cells"),
+            ("workers", signal.SIGKILL, "has had no worker for 1 s; finished ce"),
+            ("scheduler", signal.SIGSTOP, "is gone; finished cells"),
+            ("scheduler", signal.SIGKILL, "is gone; finished cells are kept; start it and run the"),
         ],
     )
-    def test_all_workers_or_a_scheduler_that_hangs_end_the_run_in_one_line(
-        self, slow, folder, monkeypatch, tmp_path, who, signalled, limit, message
+    def test_all_workers_or_the_scheduler_end_the_run_and_the_same_settings_continue(
+        self, slow, folder, monkeypatch, tmp_path, who, signalled, message
     ):
-        monkeypatch.setattr(on_cluster, limit, 1.0)
+        for limit in ("_NO_WORKER_S", "_ANSWER_S"):
+            monkeypatch.setattr(on_cluster, limit, 1.0)
         with started(folder) as own:
             there = sent(slow, own, out=tmp_path / "there")
 
-            def end(done, _total, _what):
-                if done == 3:
-                    for process in own.workers if who == "workers" else [own.scheduler]:
-                        os.killpg(process.pid, signalled)
+            def end():
+                for process in own.workers if who == "workers" else [own.scheduler]:
+                    os.killpg(process.pid, signalled)
 
             with pytest.raises(SettingsError, match=f"{own.address} {message}"):
-                evaluation.run(there, progress=end)
-        assert 1 <= len(cells(there)) < 8
+                self.run(there, at_third=end)
+        kept = {path: path.stat().st_mtime_ns for path in cells(there)}
+        assert 1 <= len(kept) < 8
+        evaluation.run(replace(slow, out=there.out), pictures=False)
+        assert_same_bits(there, slow)
+        assert all(path.stat().st_mtime_ns == stamp for path, stamp in kept.items())
 
     @pytest.mark.slow
     def test_workers_that_a_plugin_kills_cost_its_cells_alone(
-        self, settings, cluster, folder, monkeypatch, tmp_path
+        self, settings, folder, monkeypatch, tmp_path
     ):
         monkeypatch.syspath_prepend(str(folder))
         changed = replace(
@@ -343,9 +322,10 @@ class TestWhatIsKilled:
             mechanisms=("raw", "fixed:0.7"),
             predictors=("least_squares", "cluster_plugins:Killer", "kalman_cv"),
         )
-        there = sent(changed, cluster, out=tmp_path / "there")
-        with pytest.warns(FailedCellsWarning, match="its worker died"):
-            found = evaluation.run(there, pictures=False)
+        with started(folder, options=()) as own:  # with nannies, who start them again
+            there = sent(changed, own, out=tmp_path / "there")
+            with pytest.warns(FailedCellsWarning, match="its worker died"):
+                found = evaluation.run(there, pictures=False)
         assert set(found.failed["consumer"]) == {"cluster_plugins:Killer"}
         assert sorted(found.failed["spec"]) == ["fixed:0.7", "raw"]
         without = replace(changed, predictors=("least_squares", "kalman_cv"))
@@ -357,18 +337,26 @@ class TestWhatIsRefused:
     def test_an_address_where_nobody_answers(self, settings, monkeypatch, capsys):
         monkeypatch.setattr(on_cluster, "_CONNECT_S", 0.5)
         for address in ("tcp://127.0.0.1:1", "nonsense", "carrier-pigeon://a:1"):
-            words = ["--dataset", settings.dataset, "--out", str(settings.out)]
+            words = ["--dataset", settings.dataset, "--out", str(settings.out), "--mechanism=raw"]
+            words += ["--predictor=none", "--attack=none", "--task=none"]
             words += ["--executor", "dask", "--scheduler", address]
             assert matrix.main(words) == 2
             error = capsys.readouterr().err.splitlines()[-1]
             assert error.startswith(f"error: no Dask scheduler answers at {address!r} (")
             assert "start one with `dask scheduler`, and workers with `dask worker" in error
 
-    def test_a_scheduler_without_workers(self, settings, folder, monkeypatch):
+    def test_a_scheduler_without_workers_and_workers_without_the_package(
+        self, settings, folder, monkeypatch, tmp_path
+    ):
+        (tmp_path / "evaluation.py").write_text("raise ImportError('not here')", encoding="utf-8")
         monkeypatch.setattr(on_cluster, "_FIRST_WORKER_S", 0.2)
         with started(folder, threads=()) as own:
             there = sent(settings, own)
             with pytest.raises(SettingsError, match=f"{own.address} has no workers; .*dask worker"):
+                evaluation.run(there)
+            monkeypatch.setattr(on_cluster, "_FIRST_WORKER_S", 30.0)
+            own.start_worker(1, modules=tmp_path)
+            with pytest.raises(SettingsError, match="lacks this isac-track"):
                 evaluation.run(there)
 
     def test_a_plugin_that_workers_cannot_import(self, settings, cluster, tmp_path, monkeypatch):
@@ -377,13 +365,6 @@ class TestWhatIsRefused:
         there = sent(settings, cluster, mechanisms=("here_alone:Slow:0.5",))
         with pytest.raises(SettingsError, match=r"cannot import 'here_alone' .*on every worker"):
             evaluation.run(there)
-
-    def test_workers_without_the_package(self, settings, folder, tmp_path):
-        (tmp_path / "evaluation.py").write_text("raise ImportError('not here')", encoding="utf-8")
-        with started(folder, threads=(1,), modules=tmp_path) as own:
-            there = sent(settings, own)
-            with pytest.raises(SettingsError, match="lacks this isac-track"):
-                evaluation.run(there)
 
     def test_a_plugin_that_workers_have_as_it_was_before(
         self, settings, cluster, folder, monkeypatch
@@ -402,16 +383,15 @@ class TestWhatIsRefused:
     @pytest.mark.slow
     def test_a_worker_with_another_plugin_that_joins_later(self, slow, folder, tmp_path):
         (tmp_path / "cluster_plugins.py").write_text(PLUGINS + "# other\n", encoding="utf-8")
-        there = replace(slow, scenes=1500, jobs=None, out=tmp_path / "there")
-        with (
-            started(folder, threads=(1,)) as own,
-            command(there, folder, *on(own)) as run,
-        ):
-            wait_for(lambda: len(cells(there)) > 2, most_s=40)
-            own.start_worker(1, modules=tmp_path)
-            _, said = run.communicate(timeout=60)
-        assert run.returncode == 2
-        assert "would not compute the same: module cluster_plugins" in said.splitlines()[-1]
+        with started(folder, threads=(1,)) as own:
+            there = sent(slow, own, scenes=1500, out=tmp_path / "there")
+
+            def tell(done, _total, _what):
+                if done == 3:
+                    own.start_worker(1, modules=tmp_path)
+
+            with pytest.raises(SettingsError, match="the same: module cluster_plugins"):
+                evaluation.run(there, progress=tell, pictures=False)
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -432,7 +412,7 @@ class TestWhatIsRefused:
 
 
 class TestADeathAtAnUnknownPlace:
-    """Nobody knows at which cell the worker was: works are split until one cell is left."""
+    """Nobody knows at which cell the worker was: each is tried by itself."""
 
     def block(self, *specs):
         mechanisms = [plugins.parse("mechanisms", spec)[0] for spec in specs]
@@ -455,14 +435,10 @@ class TestADeathAtAnUnknownPlace:
                 works.extend(again)
             else:
                 finished += names
-        (failed,) = failures.cells
-        assert (failed.block, failed.mechanism.spec, failed.consumer.label) == (
-            3,
-            "fixed:0.5",
-            "least_squares",
-        )
+        ((cell, why),) = failures.cells
+        assert (cell[0], *specs_of(cell), why) == (3, "fixed:0.5", "least_squares", "died")
         assert len(finished) == len(set(finished)) == 5
-        assert tries == 3  # the work, its level, the cell
+        assert tries == 2  # the work, the cell
 
     def test_is_tried_once_more_where_there_is_one_cell_alone(self):
         failures = Failures()
