@@ -6,9 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers.cells import EPSILON_M, STAGES, Spy, World, linked, parsed, plugin, sessions_of
-from helpers.walkers import write_walkers
 
-import evaluation
 from attacks.tasks.sessions import Windows
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.sharing import restricted, samples_shared, share
@@ -17,7 +15,6 @@ from evaluation.cells.work import LinkWork, cells
 from evaluation.experiment.axes import Consumer, Link, axes
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
-from evaluation.runs.cell_files import read_rows
 from isac_track import plugins, privacy
 from isac_track.config import StageSettings
 from isac_track.errors import PluginError
@@ -348,54 +345,6 @@ class TestWindows:
         found = self.frame(replace(task, **short), "raw")
         assert found["speed_mps"].isna().all()
         assert (found["path_m"] == 0).all()
-
-
-EVERY_OTHER = """
-from dataclasses import dataclass, replace
-import numpy as np
-from isac_track.sharing import perturb
-
-@dataclass(frozen=True)
-class EveryOther:
-    def share(self, sensed, rng):
-        whole = perturb(sensed, 0.2, rng)
-        sizes = np.diff(whole.offsets)
-        kept = (np.arange(whole.t.size) - np.repeat(whole.offsets[:-1], sizes)) % 2 == 0
-        offsets = np.concatenate([[0], np.cumsum((sizes + 1) // 2)])
-        some = {name: getattr(whole, name)[kept] for name in ("t", "xy", "sigma")}
-        return replace(whole, offsets=offsets, **some)
-"""
-
-
-def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
-    (tmp_path / "sieves.py").write_text(EVERY_OTHER, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    write_walkers(tmp_path / "walks.csv")
-    settings = Settings(
-        preset="smoke",
-        dataset=str(tmp_path / "walks.csv"),
-        scenes=8,
-        mechanisms=("raw", "sieves:EveryOther", "thin:3"),
-        attacks=("shape", "kalman_rts"),
-        tasks=("rerelease",),
-        stages=StageSettings().changed({"resample.min_duration_s": 10.0}),
-        jobs=1,
-        out=tmp_path / "run",
-    )
-    results = evaluation.run(settings, pictures=False)
-    entries = [one for one in results.manifest["cells"] if one["kind"] == "windows"]
-    assert [(one["spec"], one["consumer"], one["knowledge"]) for one in entries] == [
-        (spec, "rerelease/windows", "") for spec in ("clean", "raw", "sieves:EveryOther", "thin:3")
-    ]
-    frames = [read_rows(settings.out, one, columns=["n_samples"]) for one in entries]
-    mean = [frame["n_samples"].to_numpy().mean() for frame in frames]
-    assert mean[0] == mean[1]
-    assert mean[2] / mean[1] == pytest.approx(1 / 2, rel=0.05)
-    assert mean[3] / mean[1] == pytest.approx(1 / 3, rel=0.05)
-    assert not results.summary["consumer"].str.contains("windows").any()
-    assert set(results.summary["mechanism"]) >= {"raw", "sieves:EveryOther", "thin"}
-    table = results.summary.set_index(["mechanism", "consumer", "metric"])["value"]
-    assert table["thin", "kalman_rts", "plr"].min() > 0
 
 
 def test_the_presets_but_smoke_hold_the_controls():

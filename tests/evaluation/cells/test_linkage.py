@@ -433,9 +433,9 @@ def settings_in(folder):
         preset="smoke",
         dataset=str(folder / "walkers.csv"),
         scenes=8,
-        mechanisms=("raw", "fixed:1"),
+        mechanisms=("raw", "fixed:1", "thin:3"),
         predictors=(),
-        attacks=("shape", "histogram@kalman_rts", "kinematic"),
+        attacks=("shape", "histogram@kalman_rts", "kinematic", "identity", "kalman_rts"),
         tasks=("rerelease", "handover-2s"),
         out=folder / "run",
         jobs=1,
@@ -453,7 +453,7 @@ class TestRuns:
         summary = finished.summary
         assert not summary.duplicated(KEY).any()
         ranks = summary[summary["metric"] == "rank1"]
-        assert set(ranks["mechanism"]) == {"raw", "fixed", "clean"}
+        assert set(ranks["mechanism"]) == {"raw", "fixed", "thin", "clean"}
         # Who needs no frame is not run where it shows, nor the other way round.
         consumers = ranks.loc[~ranks["consumer"].str.contains("control"), "consumer"]
         everybody = {"rerelease/shape", "rerelease/histogram@kalman_rts", "handover-2s/kinematic"}
@@ -488,9 +488,27 @@ class TestRuns:
         assert manifest["settings"]["tasks"] == ["rerelease", "handover-2s"]
         assert "shape" in manifest["settings"]["attacks"]
 
-    def test_it_goes_on_where_it_stopped_and_workers_change_nothing(self, finished, tmp_path):
+    def test_the_windows_of_every_level_have_a_cell_and_no_row_of_the_summary(self, finished):
+        entries = [one for one in finished.manifest["cells"] if one["kind"] == "windows"]
+        mean = {}
+        for one in entries:
+            assert one["knowledge"] == ""
+            rows = cell_files.read_rows(finished.out, one, columns=["n_samples"])
+            mean[one["consumer"], one["spec"]] = rows["n_samples"].to_numpy().mean()
+        assert len(mean) == len(entries) == 2 * 4
+        for task in ("rerelease", "handover-2s"):
+            clean, raw, few = (mean[f"{task}/windows", by] for by in ("clean", "raw", "thin:3"))
+            assert clean == raw
+            assert few / raw == pytest.approx(1 / 3, rel=0.05)
+        table = finished.summary.set_index(["mechanism", "consumer", "metric"])["value"]
+        assert not finished.summary["consumer"].str.contains("windows").any()
+        assert table["thin", "kalman_rts", "plr"].min() > 0
+
+    def test_it_goes_on_with_more_where_it_stopped_and_workers_change_no_bit(
+        self, finished, tmp_path
+    ):
         settings = settings_in(tmp_path)
-        some = ("shape", "histogram@kalman_rts")
+        some = ("shape", "histogram@kalman_rts", "identity")
         first = replace(settings, tasks=("rerelease",), mechanisms=("raw",), attacks=some)
         evaluation.run(first, pictures=False)
         written = {path: path.stat().st_mtime_ns for path in (settings.out / "cells").iterdir()}

@@ -1,16 +1,13 @@
 """What an attack is shown of a block, what it is not, and what its rows say."""
 
 import contextlib
-import shutil
 import sys
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers.cells import EPSILON_M, SlowSpy, Spy, World, parsed, plugin
-from helpers.recordings import write_csv
 from helpers.runs import rows_of
 
 import evaluation
@@ -529,31 +526,25 @@ class Silent:
     def share(self, sensed, rng):
         return perturb(sensed, 0.0, rng).without_sigma()
 """
-KEY = ["mechanism", "level", "consumer", "knowledge", "metric"]
 METRICS = ("mse_m2", "plr")
 
 
-def settings_in(folder, tracks):
-    return Settings(
-        preset="smoke",
-        dataset=str(write_csv(folder / "walks.csv", tracks)),
-        scenes=N_SCENES,
-        mechanisms=("raw", "fid:1000", "fixed:0.7,adding=independent"),
-        predictors=(),
-        attacks=("identity", "kalman_rts", "averaging"),
-        jobs=1,
-        out=folder / "run",
-    )
-
-
-@pytest.fixture(scope="module")
-def results(tracks, tmp_path_factory):
-    """A run that nobody changes."""
-    return evaluation.run(settings_in(tmp_path_factory.mktemp("run"), tracks), pictures=False)
-
-
 class TestRuns:
-    def test_it_says_what_is_shared_and_ratios_are_of_sums_over_tracks(self, results):
+    @pytest.fixture
+    def settings(self, csv_recording, tmp_path):
+        return Settings(
+            preset="smoke",
+            dataset=str(csv_recording),
+            scenes=N_SCENES,
+            mechanisms=("raw", "fid:1000", "fixed:0.7,adding=independent"),
+            predictors=(),
+            attacks=("identity", "kalman_rts", "averaging"),
+            jobs=1,
+            out=tmp_path / "run",
+        )
+
+    def test_it_says_what_is_shared_and_ratios_are_of_sums_over_tracks(self, settings):
+        results = evaluation.run(settings, pictures=False)
         keys = ["mechanism", "consumer", "knowledge", "metric"]
         table = results.summary.set_index(keys)["value"].sort_index()
         shared, attacked = (
@@ -573,33 +564,14 @@ class TestRuns:
             assert said["plr_over_benchmark"] == pytest.approx(plr)
             assert said["rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))
 
-    def test_further_attacks_change_no_bit_whether_added_or_there_at_once(
-        self, results, tracks, tmp_path
-    ):
-        settings = settings_in(tmp_path, tracks)
-        shutil.copytree(results.out, settings.out)
-        more = replace(settings, attacks=(*settings.attacks, "radial_rts", "imm_rts"))
-        after = evaluation.run(more, pictures=False).summary
-        assert len(after) > len(results.summary)
-        evaluation.run(replace(more, out=tmp_path / "afresh"), pictures=False)
-        first, second = (tmp_path / name / "summary.csv" for name in ("run", "afresh"))
-        assert first.read_bytes() == second.read_bytes()
-        before, kept = (
-            frame[frame["consumer"].isin(results.summary["consumer"])].sort_values(
-                KEY, ignore_index=True
-            )
-            for frame in (results.summary, after)
-        )
-        pd.testing.assert_frame_equal(kept, before, check_exact=True)
-
     def test_a_mechanism_that_declares_no_sigma_has_no_benchmark_and_every_attack_runs(
-        self, tracks, tmp_path, monkeypatch
+        self, settings, tmp_path, monkeypatch
     ):
         (tmp_path / "silent_mechanism.py").write_text(SILENT, encoding="utf-8")
         monkeypatch.syspath_prepend(str(tmp_path))
         spec = "silent_mechanism:Silent"
-        settings = replace(settings_in(tmp_path, tracks), mechanisms=(spec, "raw"))
-        summary = evaluation.run(settings, pictures=False).summary
+        asked = replace(settings, mechanisms=(spec, "raw"))
+        summary = evaluation.run(asked, pictures=False).summary
         assert "oracle" in set(summary.loc[summary["mechanism"] == spec, "knowledge"])
         table = summary[summary["consumer"] == "identity"].set_index(["mechanism", "metric"])
         for metric in ("plr", "rmse", "ael", "mel"):
