@@ -86,11 +86,11 @@ ENDS = [(1.0 - CONFIDENCE) / 2.0, 1.0 - (1.0 - CONFIDENCE) / 2.0]
 @pytest.mark.parametrize("n_replicates", [1, 2, 3, 40, 41, 400, 1000])
 def test_percentiles_of_many_rows_are_numpys_to_the_last_bit(n_replicates):
     rng = stream(1, "test", "percentiles", n_replicates)
-    rows = rng.standard_normal((40, n_replicates)) * 10.0 ** rng.integers(-9, 9, (40, 1))
-    rows[10:20] = rows[10:20].round(0)  # ties
-    rows[20:, :] = np.where(rng.random((20, n_replicates)) < 0.3, np.nan, rows[20:])
+    rows = rng.standard_normal((400, n_replicates)) * 10.0 ** rng.integers(-9, 9, (400, 1))
+    rows[100:200] = rows[100:200].round(0)  # ties
+    rows[rng.random(rows.shape) < np.linspace(-0.2, 0.9, 400)[:, None]] = np.nan
     rows[-1] = np.nan
-    rows[-2, 1:] = np.nan
+    rows[-2] = np.r_[1.0, rows[-1, 1:]]
     found = percentile_intervals(rows)
     for row, ends in zip(rows, found.T, strict=True):
         there = row[~np.isnan(row)]

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.cells import EPSILON_M, STAGES, Spy, World, linked, parsed, plugin, sessions_of
+from helpers.cells import EPSILON_M, STAGES, Silent, Spy, World, linked, parsed, plugin, sessions_of
 
 from attacks.tasks.sessions import Windows
 from evaluation.cells.link_setup import sensed_sessions
@@ -320,7 +320,7 @@ class TestWindows:
     def test_each_window_of_either_side_has_a_row_and_the_same_walk_at_every_level(
         self, sessions, task
     ):
-        levels = ("raw", "thin:4", "clean", Makes(Release.without_sigma))
+        levels = ("raw", "thin:4", "clean", Silent())
         raw, thin, clean, silent = (self.frame(sessions[task], by) for by in levels)
         sides = {side: len(getattr(sessions[task], side)) for side in ("probe", "gallery")}
         for one in (raw, thin, clean, silent):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar
@@ -9,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.cells import STAGES, Spy, linked, parsed, plugin, sessions_of
+from helpers.cells import STAGES, Silent, Spy, linked, parsed, plugin, sessions_of
 from helpers.walkers import walkers, write_walkers
 
 import evaluation
@@ -326,11 +327,6 @@ class TestBreaches:
             of_task("rerelease", behind(Linker(), cuts))
 
     def test_what_requires_sigma_needs_a_mechanism_that_declares_it(self):
-        class Silent:
-            def share(self, sensed, rng):
-                raw = parsed("mechanisms", "raw").instance
-                return replace(raw.share(sensed, rng), sigma=None)
-
         needs = Linker(requires=frozenset({Knowledge.SIGMA}))
         with pytest.raises(PluginError, match="requires SIGMA, but mechanism 'silent'"):
             of_task("split", needs, by=plugin(Silent(), "silent"))
@@ -591,22 +587,19 @@ class TestAxes:
         assert (nothing.links, nothing.ceiling) == ((), None)
 
 
+OF_A_LINKER = {"kind": "linkage", "knowledge": "blind"}
+
+
 def entry(consumer, mechanism, p_value, low=1.0):
     """An entry of a manifest, and what was achieved there."""
-    is_control = "control" in consumer
-    of = {"value": 0.1, "ci_low": 0.0, "ci_high": 0.2, "n": 5}
-    names = ("p_rank1", "n_probes", "n_mated", "n_clusters", "realised_fpr_1pct")
-    names += ("realised_fpr_01pct", "d_sys_bins", "is_inverted", "minimum_detectable_rank1")
-    numbers = dict.fromkeys(names, 1) | {"gallery_sizes": [5, 5, 5.0]}
-    outcome = cell_files.LinkageOutcome(
-        estimates=dict.fromkeys(("rank1", "chance"), Estimate(**of)),
-        numbers=numbers | {"p_value": p_value, "p_value_low": low},
-        cohorts={},
-    )
+    of = Estimate(value=0.1, ci_low=0.0, ci_high=0.2, n=5)
+    numbers = defaultdict(int, p_value=p_value, p_value_low=low, gallery_sizes=[5, 5, 5.0])
+    outcome = cell_files.LinkageOutcome({"rank1": of, "chance": of}, numbers=numbers, cohorts={})
     where = {"consumer": consumer, "mechanism": mechanism, "spec": mechanism}
-    where |= {"level": None if mechanism in {"raw", "clean"} else 1.0}
-    kind = {"kind": "control" if is_control else "linkage"}
-    return where | kind | {"knowledge": "" if is_control else "blind"}, outcome
+    where["level"] = None if mechanism in {"raw", "clean"} else 1.0
+    is_control = "control" in consumer
+    where |= {"kind": "control", "knowledge": ""} if is_control else OF_A_LINKER
+    return where, outcome
 
 
 def outcomes(*entries):

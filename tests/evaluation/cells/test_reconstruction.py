@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.cells import EPSILON_M, SlowSpy, Spy, World, parsed, plugin
+from helpers.cells import EPSILON_M, Silent, SlowSpy, Spy, World, parsed, plugin
 from helpers.runs import rows_of
 
 import evaluation
@@ -31,14 +31,6 @@ ONE_PASS = 3
 MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = (
     Knowledge[name] for name in ("MECHANISM", "SIGMA", "TRAIN", "SCENE", "REPEATS")
 )
-
-
-@dataclass(frozen=True)
-class Undeclared:
-    """Shares the raw estimates and says nothing of their uncertainty."""
-
-    def share(self, sensed, rng):
-        return Raw().share(sensed, rng).without_sigma()
 
 
 def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None):
@@ -442,7 +434,7 @@ class TestBenchmark:
         assert plr == 1.0
 
     def test_what_is_not_declared_has_none(self):
-        assert np.isnan(expected_of(Undeclared(), n_samples=5)).all()
+        assert np.isnan(expected_of(Silent(), n_samples=5)).all()
 
     def test_it_is_the_same_whatever_was_drawn(self, tracks):
         found = computed(tracks, "identity", "kalman_rts", mechanisms=("raw",))
@@ -517,15 +509,6 @@ def test_of_one_group_an_attack_that_learns_is_refused_and_the_others_run(tracks
         assert len(found[key][0]["plr"]) == 4 * N_SCENES
 
 
-SILENT = """
-from dataclasses import dataclass
-from isac_track.sharing import perturb
-
-@dataclass(frozen=True)
-class Silent:
-    def share(self, sensed, rng):
-        return perturb(sensed, 0.0, rng).without_sigma()
-"""
 METRICS = ("mse_m2", "plr")
 
 
@@ -565,11 +548,9 @@ class TestRuns:
             assert said["rmse"] == pytest.approx(np.sqrt(rows["mse_m2"].mean()))
 
     def test_a_mechanism_that_declares_no_sigma_has_no_benchmark_and_every_attack_runs(
-        self, settings, tmp_path, monkeypatch
+        self, settings
     ):
-        (tmp_path / "silent_mechanism.py").write_text(SILENT, encoding="utf-8")
-        monkeypatch.syspath_prepend(str(tmp_path))
-        spec = "silent_mechanism:Silent"
+        spec = "helpers.cells:Silent"
         asked = replace(settings, mechanisms=(spec, "raw"))
         summary = evaluation.run(asked, pictures=False).summary
         assert "oracle" in set(summary.loc[summary["mechanism"] == spec, "knowledge"])
