@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers.cells import EPSILON_M, STAGES, Silent, Spy, World, linked, parsed, plugin, sessions_of
 
+from attacks.reconstruction.identity import Identity
 from attacks.tasks.sessions import Windows
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.sharing import restricted, samples_shared, share
@@ -40,23 +41,13 @@ def is_odd(sensed):
 
 @dataclass(frozen=True)
 class Sieve:
-    """A mechanism of one's own that shares what `chooses` and `base` say."""
+    """A mechanism of one's own: another, of whose release it shares what `take` leaves."""
 
-    base: object
-    choose: object = is_odd
-
-    def share(self, sensed, rng):
-        return taken(self.base.share(sensed, rng), self.choose(sensed))
-
-
-@dataclass(frozen=True)
-class Makes:
-    """Shares what a function makes of the raw release."""
-
-    make: object
+    base: object = Raw()
+    take: object = lambda release, sensed: taken(release, is_odd(sensed))
 
     def share(self, sensed, rng):
-        return self.make(Raw().share(sensed, rng))
+        return self.take(self.base.share(sensed, rng), sensed)
 
 
 def attack(instance):
@@ -65,10 +56,6 @@ def attack(instance):
         Consumer("attack", one, knowledge=name, granted=granted)
         for name, granted in grants(instance).items()
     ]
-
-
-def identity():
-    return Consumer("attack", parsed("attacks", "identity"), "blind")
 
 
 def rows_of(world, by, *consumers):
@@ -128,29 +115,29 @@ class TestSamplesShared:
 
 class TestRefused:
     @pytest.mark.parametrize(
-        ("make", "message"),
+        ("take", "message"),
         [
             (
-                lambda release: replace(release, t=release.t + 1e-6),
+                lambda release, _: replace(release, t=release.t + 1e-6),
                 r"^mechanism 'mine' changed .* times: in track 0 nothing was sensed at \S+ s; ",
             ),
             (
-                lambda release: taken(release, np.arange(release.t.size) >= release.offsets[1]),
+                lambda release, _: taken(release, np.arange(release.t.size) >= release.offsets[1]),
                 r"^mechanism 'mine' failed: ValueError: every track needs at least one sample",
             ),
         ],
     )
-    def test_what_moves_times_drops_tracks_or_leaves_nothing(self, world, make, message):
+    def test_what_moves_times_or_leaves_nothing(self, world, take, message):
         with pytest.raises(PluginError, match=message):
-            rows_of(world, Makes(make), Consumer("shared"))
+            rows_of(world, Sieve(take=take), Consumer("shared"))
 
     def test_what_leaves_out_other_samples_when_a_walk_is_shared_again(self, world):
-        def by_chance(sensed):
+        def by_chance(release, sensed):
             chosen = sensed.unit_error[:, 0] > 0
             chosen[sensed.offsets[1:] - 1] = True
-            return chosen
+            return taken(release, chosen)
 
-        sieve = Sieve(Raw(), by_chance)
+        sieve = Sieve(take=by_chance)
         needs = frozenset({Knowledge.REPEATS})
         with pytest.raises(PluginError, match="'mine' leaves out other samples when the same"):
             rows_of(world, sieve, *attack(Spy(requires=needs)))
@@ -220,12 +207,12 @@ class TestScenes:
                 assert np.isin(rows["plr"], [0, 1]).all()
 
     def test_the_smoother_of_what_is_left_has_a_benchmark_of_its_own(self, world):
-        (few,), (all_of_them,) = (rows_of(world, f"thin:{n}", identity()) for n in (4, 1))
+        (few,), (all_of_them,) = (rows_of(world, f"thin:{n}", *attack(Identity())) for n in (4, 1))
         assert (few["benchmark_mse_m2"] > all_of_them["benchmark_mse_m2"]).all()
 
     @pytest.mark.parametrize("spec", ["correlated:0.5", "offset:0.3"])
     def test_without_independent_errors_there_is_no_linear_benchmark(self, world, spec):
-        (rows,) = rows_of(world, spec, identity())
+        (rows,) = rows_of(world, spec, *attack(Identity()))
         assert np.isnan(rows["benchmark_mse_m2"]).all()
         assert np.isnan(rows["benchmark_plr"]).all()
         assert np.isfinite(rows["mse_m2"]).all()

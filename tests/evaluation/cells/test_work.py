@@ -19,26 +19,19 @@ ALIKE = ("fid:1", "fid:1.001", "fixed:0.75")
 """Their releases are the same bit for bit: so near 1, eta lets nothing through."""
 
 
-def levels_of(*, consumers, specs=(*ALIKE, "fixed:0.3")):
-    return tuple((parsed("mechanisms", spec), consumers) for spec in specs)
-
-
-def block_of(tracks):
-    order = track_order(n_tracks=len(tracks), n_scenes=6, agents=4, seed=0)
-    crossed = axes(Settings(attacks=("identity", "kalman_rts"), tasks=()))
-    return Block(0, 0, order, levels_of(consumers=crossed.consumers))
-
-
-def linking():
-    attacks = ("shape", "histogram", "histogram@kalman_rts")
-    consumers = axes(Settings(attacks=attacks, tasks=("rerelease",))).readers(TASKS["rerelease"])
-    return LinkWork(sessions_of("rerelease"), (), levels_of(consumers=consumers))
-
-
 @pytest.fixture(params=["scenes", "task"])
 def piece(request, tracks):
-    known = cut(tracks, settings=STAGES, seed=0)
-    return (block_of(known) if request.param == "scenes" else linking()), known
+    known, task = cut(tracks, settings=STAGES, seed=0), TASKS["rerelease"]
+    if request.param == "scenes":
+        consumers = axes(Settings(attacks=("identity", "kalman_rts"), tasks=())).consumers
+    else:
+        attacks = ("shape", "histogram", "histogram@kalman_rts")
+        consumers = axes(Settings(attacks=attacks, tasks=(task.name,))).readers(task)
+    levels = tuple((parsed("mechanisms", spec), consumers) for spec in (*ALIKE, "fixed:0.3"))
+    if request.param == "task":
+        return LinkWork(sessions_of(task.name), (), levels), known
+    order = track_order(n_tracks=len(known), n_scenes=6, agents=4, seed=0)
+    return Block(0, 0, order, levels), known
 
 
 def test_levels_that_are_shared_alike_are_computed_once_and_the_same(piece, monkeypatch):
