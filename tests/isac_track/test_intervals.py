@@ -83,7 +83,7 @@ def test_too_few_clusters_have_no_interval():
 ENDS = [(1.0 - CONFIDENCE) / 2.0, 1.0 - (1.0 - CONFIDENCE) / 2.0]
 
 
-@pytest.mark.parametrize("n_replicates", [1, 2, 3, 40, 41, 400, 1000])
+@pytest.mark.parametrize("n_replicates", [1, 2, 41, 1000])
 def test_percentiles_of_many_rows_are_numpys_to_the_last_bit(n_replicates):
     rng = stream(1, "test", "percentiles", n_replicates)
     rows = rng.standard_normal((400, n_replicates)) * 10.0 ** rng.integers(-9, 9, (400, 1))
