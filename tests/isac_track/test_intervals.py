@@ -97,33 +97,27 @@ def test_percentiles_of_many_rows_are_numpys_to_the_last_bit(n_replicates):
         expected = np.quantile(there, ENDS) if there.size else [np.nan, np.nan]
         np.testing.assert_array_equal(ends, expected)
         np.testing.assert_array_equal(percentile_interval(row), expected)
-
-
-def test_no_replicates_have_no_percentiles():
-    assert percentile_intervals(np.zeros((0, 5))).shape == (2, 0)
-    assert np.isnan(percentile_intervals(np.zeros((3, 0)))).all()
+    assert percentile_intervals(rows[:0]).shape == (2, 0)
+    assert np.isnan(percentile_intervals(rows[:3, :0])).all()
 
 
 def test_many_ratios_are_each_by_itself():
-    rng = stream(2, "test", "ratios")
     weights = cluster_weights(n_clusters=6, n_replicates=30, seed=0)
-    denominator = rng.integers(0, 3, (7, 6)).astype(float)
-    numerator = denominator * rng.random((7, 6))
-    # A share of one and of none, a cluster alone, nothing; and no share, though it is one.
-    numerator[:2], denominator[2, 1:], denominator[3] = denominator[:2] * [[1], [0]], 0.0, 0.0
-    numerator[2:4] *= denominator[2:4] > 0
-    numerator[4] = denominator[4]
-    is_share = [True, True, True, True, False, True, False]
-    found = ratio_estimates(
-        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
-    )
-    for row, one in enumerate(found):
-        alone = ratio_estimate(
-            numerator=numerator[row],
-            denominator=denominator[row],
-            weights=weights,
-            is_share=is_share[row],
-        )
+    some, first = stream(2, "test", "ratios").random(6), np.eye(6)[0]
+    rows = [
+        (some, np.ones(6), False),
+        (some, np.ones(6), True),
+        (np.ones(6), np.ones(6), True),  # all, and nobody
+        (np.zeros(6), np.ones(6), True),
+        (np.ones(6), np.ones(6), False),
+        (some * first, first, True),  # one cluster alone, and none
+        (np.zeros(6), np.zeros(6), True),
+    ]
+    top, bottom, is_share = zip(*rows, strict=True)
+    sums = {"numerator": np.array(top), "denominator": np.array(bottom)}
+    found = ratio_estimates(**sums, weights=weights, is_share=is_share)
+    for one, (over, under, share) in zip(found, rows, strict=True):
+        alone = ratio_estimate(numerator=over, denominator=under, weights=weights, is_share=share)
         for name in ("value", "ci_low", "ci_high", "n", "replicates"):
             expected = getattr(alone, name)
             np.testing.assert_allclose(getattr(one, name), expected, rtol=1e-12, err_msg=name)
