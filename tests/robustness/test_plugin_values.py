@@ -156,7 +156,7 @@ MECHANISMS = {
 }
 COVARIANCE = "failed: ValueError: a predicted covariance is not"
 PREDICTORS = {
-    "Predicted:nan=true": f"{COVARIANCE} finite or beyond 1e+24 m^2",
+    "Predicted:nan=True": f"{COVARIANCE} finite or beyond 1e+24 m^2",
     "Predicted:xx=1e+30": f"{COVARIANCE} finite or beyond 1e+24 m^2",
     "Predicted:xy=0.5": f"{COVARIANCE} symmetric",
     "Predicted:xx=-1": f"{COVARIANCE} positive semidefinite",
