@@ -127,9 +127,8 @@ class Row:
         """
         case = self.ordinary
         plain = self.answer(case)
-        spread = case.spread(plain)
-        chance = _rms(case.gaps(plain, self.answer(case, seed=1)) / spread)
-        gaps = case.gaps(got, expected) / spread
+        chance = _rms(case.gaps(plain, self.answer(case, seed=1), plain))
+        gaps = case.gaps(got, expected, plain)
         gap = _rms(gaps) if chance > 0 else float(gaps.max())
         if gap > tolerance + SPREADS * chance:
             drawn = f" (two seeds differ by {chance:.3g}{case.unit})" if chance > 0 else ""
@@ -174,7 +173,7 @@ def same_seed_same_result(row: Row) -> None:
     case = row.ordinary
     first, second = row.answer(case), row.answer(case)
     if first.tobytes() != second.tobytes():
-        changed = case.gaps(first, second)[0] > 0
+        changed = case.gaps(first, second, first)[0] > 0
         row.fail(
             case.about,
             f"two runs with one seed differ in {np.count_nonzero(changed)} of {changed.size} "

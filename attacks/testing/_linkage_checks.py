@@ -98,14 +98,11 @@ class LinkageCase:
             )
         return scores
 
-    def gaps(self, one: Floats, other: Floats) -> Floats:
-        """Return how far apart scores are, (1, P G)."""
-        return np.abs(one - other).reshape(1, -1)
-
-    def spread(self, scores: Floats) -> float:
-        """Return what gaps are measured in: scores have no unit, but a lowest and a highest."""
-        # Where all scores are alike there is no spread; their size will do.
-        return float(np.ptp(scores)) or float(np.abs(scores).max()) or 1.0
+    def gaps(self, one: Floats, other: Floats, plain: Floats) -> Floats:
+        """Return how far apart scores are, (1, P G): they have no unit, but a spread."""
+        # Where all scores are alike there is none; their size will do.
+        spread = float(np.ptp(plain)) or float(np.abs(plain).max()) or 1.0
+        return (np.abs(one - other) / spread).reshape(1, -1)
 
     def reordered(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
         """Return the ordinary case with its tracks in another order, and how scores follow."""
@@ -164,11 +161,10 @@ def made_up(
 ) -> LinkageCase:
     """Return people who differ in speed, in how evenly they walk and in how they turn.
 
-    People, sampling instants, frames and unit errors depend on `name` and sizes alone, so that
-    two noise levels differ in nothing else; a noise of `sigma_m`, `RAW_SIGMA_M` or more, is in all
-    four releases. `sizes` are the samples of each track of probe and gallery, which are the same
-    people (the gallery comes in an order of its own), and of either release of the training set,
-    which is other people, made alike.
+    People, sampling instants, frames and unit errors depend on `name` and sizes alone, so that two
+    noise levels, of `RAW_SIGMA_M` or more, differ in nothing else. `sizes` are the samples of each
+    track of probe and gallery, which are the same people, and of either release of the training
+    set, which is other people.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 

@@ -63,10 +63,9 @@ class Case:
     repeats: tuple[Release, ...]
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
-        """Return positions and, if it is claimed, std as columns, (M, 2 or 3) m.
+        """Return positions and std, if claimed, (M, 2 or 3) m; ValueError if it is neither.
 
-        ValueError if it is not one position per sample. Positions alone will do: the check of the
-        type is another one.
+        Positions alone will do: the check of the type is another one.
         """
         std = getattr(result, "std", None) if hasattr(result, "xy") else None  # arrays have a std()
         try:
@@ -82,15 +81,11 @@ class Case:
             raise ValueError(f"{lost} of {len(xy)} positions are not finite")
         return xy if std is None else np.column_stack([xy, np.asarray(std, dtype=np.float64)])
 
-    def gaps(self, one: Floats, other: Floats) -> Floats:
+    def gaps(self, one: Floats, other: Floats, _plain: Floats) -> Floats:
         """Return how far apart two answers are, (1 or 2, M) m: positions, and std if claimed."""
         if one.shape != other.shape:  # a std that comes and goes
             return np.array([[np.inf]])
         return np.stack([np.hypot(*(one - other)[:, :2].T), *np.abs(one - other)[:, 2:].T])
-
-    def spread(self, _answer: Floats) -> float:
-        """Return what gaps are measured in, m."""
-        return 1.0
 
     def reordered(self) -> tuple[Case, Callable[[Floats], Floats]]:
         """Return the ordinary case with its tracks in another order, and how an answer follows."""
@@ -113,15 +108,12 @@ class Case:
         return changed, lambda answer: np.hstack([made.turned(answer[:, :2], mine), answer[:, 2:]])
 
 
-def ordinary_and_another(granted: frozenset[Knowledge]) -> tuple[Case, Case]:
-    """Return a small case as most are, and one with its samples and pseudonyms of other walks."""
+def ordinary_and_another(_granted: frozenset[Knowledge]) -> tuple[Case, Case]:
+    """Return a small case as most are, and one with another release of the same walks."""
     sizes = tuple(20 + 4 * row for row in range(8))
     case = made_up("ordinary", about="8 walks, noise of 0.3 m", sizes=sizes)
-    other = made_up("another", about="", sizes=sizes).release
-    if Knowledge.REPEATS in granted:
-        # Repeats are of the walks of a case: another release of those is all that may be asked.
-        other = case.repeats[0]
-    return case, replace(case, release=replace(other, pseudonym=case.release.pseudonym))
+    other = replace(case.repeats[0], pseudonym=case.release.pseudonym)
+    return case, replace(case, release=other)
 
 
 def noisy(sigma_m: float, law: ErrorLaw) -> Case:
@@ -144,8 +136,7 @@ def made_up(
     """Return walks of people, shared with errors of standard deviation `sigma_m`.
 
     Walks and unit errors depend on `name` and `sizes` (samples of each track) alone, so that two
-    noise levels, of `RAW_SIGMA_M` or more, differ in nothing else. The training set is other
-    people, recorded and shared alike.
+    noise levels, of `RAW_SIGMA_M` or more, differ in nothing else.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 

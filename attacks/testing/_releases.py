@@ -40,13 +40,6 @@ STEADY_S, IRREGULAR_S = (1 / 16, 1 / 8), (1e-3, 30.0)
 """Shortest and longest step between two samples, of a recording and of an odd one."""
 SPEEDS_MPS = (0.6, 2.0)
 """Slowest and fastest of the people."""
-SWAY, SWAY_S = (0.05, 0.3), (2.0, 6.0)
-"""By what share of itself a person's speed rises and falls, and how often."""
-TURN_RADPS = (-0.25, 0.25)
-"""How fast a person turns on the whole."""
-WIND_RADPS, WIND_S = (0.1, 0.8), (3.0, 8.0)
-"""By how much more or less on the way, to either side, and how often."""
-_ROUND = (0.0, 2.0 * np.pi)
 _GRID_S = 0.02
 
 
@@ -62,20 +55,19 @@ def instants(rng: np.random.Generator, size: int, steps_s: tuple[float, float]) 
 
 
 def person(speed_mps: float, rng: np.random.Generator) -> Person:
-    """Return where somebody is at times before and after 0, (M,) s -> (M, 2) m.
-
-    Speed and turning rate each sway about a mean of their own.
-    """
-    sway, sway_s, sway_phase = rng.uniform(*SWAY), rng.uniform(*SWAY_S), rng.uniform(*_ROUND)
-    turn_radps = rng.uniform(*TURN_RADPS)
-    wind_radps, wind_s = rng.uniform(*WIND_RADPS), rng.uniform(*WIND_S)
-    wind_phase, heading_rad = rng.uniform(*_ROUND), rng.uniform(*_ROUND)
+    """Return where somebody is at times before and after 0, (M,) s -> (M, 2) m."""
+    round_rad = 2.0 * np.pi
+    # By what share of itself the speed rises and falls, and how often.
+    sway, sway_s, sway_phase = rng.uniform([0.05, 2.0, 0.0], [0.3, 6.0, round_rad])
+    # How fast a person turns on the whole, and by how much more or less on the way, how often.
+    turn_radps, wind_radps, wind_s = rng.uniform([-0.25, 0.1, 3.0], [0.25, 0.8, 8.0])
+    wind_phase, heading_rad = rng.uniform(0.0, round_rad, 2)
     start_m = rng.uniform(-BOX_M / 2, BOX_M / 2, 2)
 
     def positions(t: Floats) -> Floats:
         first, last = min(float(t[0]), 0.0) - _GRID_S, max(float(t[-1]), 0.0) + _GRID_S
         grid = np.linspace(first, last, 2 + int((last - first) / _GRID_S))
-        cycle = 2.0 * np.pi / np.array([sway_s, wind_s])
+        cycle = round_rad / np.array([sway_s, wind_s])
         speed = speed_mps * (1.0 + sway * np.sin(cycle[0] * grid + sway_phase))
         wind = wind_radps / cycle[1] * -np.cos(cycle[1] * grid + wind_phase)
         heading = heading_rad + turn_radps * grid + wind

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from helpers.broken_attacks import SIGMA, TRAIN, locals_called, planting
+from helpers.broken_attacks import TRAIN, locals_called, planting
 
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
@@ -142,23 +142,12 @@ def whole_numbers(probe, gallery):
     return np.round(1e9 * BASE.link(probe, gallery)).astype(np.int64)
 
 
-@fails("same_seed_same_result", "draw from context.rng alone")
-def own_dice(probe, gallery):
-    noise = np.random.default_rng().normal(0.0, 1e-3, (len(probe), len(gallery)))
-    return BASE.link(probe, gallery) + noise
-
-
 @fails("inputs_are_not_mutated", "as informed (granted TRAIN), .* context.train.mate", uses=TRAIN)
 def crosses_out(context):
     """Marks the training pairs that it has learnt from."""
     if Knowledge.TRAIN in context.granted:
         context.train.mate.flags.writeable = True
         context.train.mate[:] = -1
-
-
-@fails("only_granted_knowledge_is_touched", "gallery.sigma are None", uses=SIGMA)
-def takes_sigma(release):
-    return BASE.traits(release) / (1.0 + release.sigma.mean())
 
 
 @fails("order_of_tracks_does_not_matter", "depend on a track's number?")

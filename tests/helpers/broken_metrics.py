@@ -26,12 +26,6 @@ def plr(leaks="strictly", share=np.mean):
     return lambda shared_xy, true_xy, epsilon_m: share(LEAKS[leaks](shared_xy - true_xy, epsilon_m))
 
 
-def raises_on_one(leaked):
-    if len(leaked) < 2:
-        raise IndexError("too short")
-    return np.mean(leaked)
-
-
 def mean_interval(t):
     return (t[-1] - t[0]) / (len(t) - 1) if len(t) > 1 else nan
 
@@ -66,24 +60,22 @@ INTERVALS = {
 }
 
 
-def first_and_last(shared_xy, true_xy, epsilon_m):
-    """Index of the first and last sample of every segment."""
-    padded = np.r_[False, LEAKS["strictly"](shared_xy - true_xy, epsilon_m), False].astype(int)
-    return np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1) - 1
-
-
 def elapsed(combine):
     """Return the time from the first sample of a segment to its last."""
 
     def descriptor(shared_xy, true_xy, t, epsilon_m):
-        first, last = first_and_last(shared_xy, true_xy, epsilon_m)
+        padded = np.r_[False, LEAKS["strictly"](shared_xy - true_xy, epsilon_m), False].astype(int)
+        first, last = (
+            np.flatnonzero(np.diff(padded) == 1),
+            np.flatnonzero(np.diff(padded) == -1) - 1,
+        )
         return combine(t[last] - t[first]) if first.size else 0.0
 
     return descriptor
 
 
 def mel_changes_its_input(shared_xy, true_xy, t, epsilon_m):
-    t -= t[0]
+    t += 1.0
     return mel()(shared_xy, true_xy, t, epsilon_m)
 
 
@@ -94,13 +86,12 @@ def exposure(shared_xy, true_xy, t, offsets, epsilon_m):
 
 
 def exposure_across_tracks(shared_xy, true_xy, t, offsets, epsilon_m):
-    """Runs over the flat arrays, booked where they begin."""
-    share, ael_s, mel_s = exposure(shared_xy, true_xy, t, offsets, epsilon_m)
-    first, last = first_and_last(shared_xy, true_xy, epsilon_m)
-    for row, (lo, hi) in enumerate(pairwise(offsets)):
-        mine = (last - first + 1)[(first >= lo) & (first < hi)]
-        mel_s[row] = mine.max() * mean_interval(t[lo:hi]) if mine.size else 0.0
-    return share, ael_s, mel_s
+    """Takes the first sample of the next track along."""
+    found = []
+    for lo, hi in pairwise(offsets):
+        walk = [values[lo : hi + 1] for values in (shared_xy, true_xy, t)]
+        found.append(exposure(*walk, [0, len(walk[2])], epsilon_m))
+    return np.concatenate(found, axis=1)
 
 
 def exposure_sorted_by_length(*walks):

@@ -66,37 +66,20 @@ class TestMistakesAreCaught:
         assert {one.status for one in found} == {"passed", "skipped"}
 
     @pytest.mark.parametrize(
-        ("metric", "broken", "name", "message"),
+        ("broken", "message"),
         [
+            (lambda *_: "one"[9], "mel_s raised IndexError: string index out of range; called as"),
+            (lambda *_: sys.exit("enough"), "mel_s raised SystemExit: enough; called as mel_s([["),
+            (broken_metrics.mel_changes_its_input, "mel_s changed its input; called as mel_s([["),
+            (lambda *_: None, "mel_s returned None, which cannot be read as its result: "),
             (
-                "plr",
-                broken_metrics.plr(share=broken_metrics.raises_on_one),
-                "plr_single_sample",
-                "plr raised IndexError: too short; called as plr([[",
-            ),
-            (
-                "mel_s",
-                broken_metrics.mel_changes_its_input,
-                "mel_matches_brute_force",
-                "mel_s changed its input; called as mel_s",
-            ),
-            (
-                "mel_s",
-                lambda *_: None,
-                "mel_hand_examples",
-                "mel_s returned None, which cannot be read as its result",
-            ),
-            (
-                "mel_s",
                 broken_metrics.duration(sum),
-                "mel_hand_examples",
-                "MEL is 1.0, expected 0.75; leakage pattern 101110, t = [0, 0.25, ",
+                "MEL is 1.0, expected 0.75; leakage pattern 101110, t =",
             ),
-            ("plr", lambda *_: sys.exit("enough"), "plr_single_sample", "SystemExit: enough"),
         ],
     )
-    def test_with_a_counterexample(self, metric, broken, name, message):
-        assert message in outcome_of(metric, broken, name).message
+    def test_with_a_counterexample(self, broken, message):
+        assert message in outcome_of("mel_s", broken, "mel_hand_examples").message
 
 
 class TestTheOracleOfTheSuite:

@@ -23,7 +23,7 @@ import numpy as np
 
 from attacks.reconstruction.moving_average import MovingAverage
 from isac_track.sharing import Fixed
-from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M, Prediction, Reconstruction
+from isac_track.types import ESTIMATE_LIMIT_M, Prediction, Reconstruction
 from predictors.kalman import KalmanCV
 
 
@@ -40,12 +40,6 @@ class Shared(Fixed):
         xy = release.xy + np.array([self.east_m, 0.0])
         sigma = release.sigma if self.sigma_m is None else np.full_like(xy[:, 0], self.sigma_m)
         return replace(release, xy=xy, sigma=sigma)
-
-
-class Vague(Shared):
-    def share(self, sensed, rng):
-        release = super().share(sensed, rng)
-        return replace(release, sigma=np.full_like(release.sigma, np.inf))
 
 
 class Later(Shared):
@@ -66,7 +60,6 @@ class Nothing(Shared):
 class Mutates(Shared):
     def share(self, sensed, rng):
         sensed.xy[0] = 0
-        return super().share(sensed, rng)
 
 
 class Retimes(Shared):
@@ -90,10 +83,11 @@ class Predicted(KalmanCV):
     yx: float = 0.0
     yy: float = 1.0
     east_m: float = 0.0
+    nan: bool = False
 
     def predict(self, release, t_future):
         mean = super().predict(release, t_future).mean + np.array([self.east_m, 0.0])
-        cov = np.array([[self.xx, self.xy], [self.yx, self.yy]])
+        cov = np.array([[self.xx, self.xy], [self.yx, np.nan if self.nan else self.yy]])
         return Prediction(mean, np.broadcast_to(cov, (*mean.shape, 2)))
 
 
@@ -107,45 +101,27 @@ class Peeks(KalmanCV):
         return Prediction(np.zeros((*t_future.shape, 2)) + release.sigma.max())
 
 
-class NanCov(KalmanCV):
-    def predict(self, release, t_future):
-        found = super().predict(release, t_future)
-        return Prediction(found.mean, np.full_like(found.cov, np.nan))
-
-
 class Unsayable(Exception):
     def __str__(self):
         raise RuntimeError("not even that")
 
 
-class Speechless(KalmanCV):
+ERRORS = {
+    "speechless": Unsayable,
+    "torn": lambda: ValueError("half a pair \\udcff and \\x1b[31mred"),
+    "lengthy": lambda: ValueError("one\\ntwo\\n" + "all work and no play\\n" * 50_000),
+    "cancelled": asyncio.CancelledError,
+    "leaves": lambda: SystemExit(0),
+    "interrupts": KeyboardInterrupt,
+}
+
+
+@dataclass(frozen=True)
+class Raises(KalmanCV):
+    what: str = "torn"
+
     def predict(self, release, t_future):
-        raise Unsayable
-
-
-class Torn(KalmanCV):
-    def predict(self, release, t_future):
-        raise ValueError("half a pair \\udcff and \\x1b[31mred")
-
-
-class Lengthy(KalmanCV):
-    def predict(self, release, t_future):
-        raise ValueError("one\\ntwo\\n" + "all work and no play\\n" * 50_000)
-
-
-class Cancelled(KalmanCV):
-    def predict(self, release, t_future):
-        raise asyncio.CancelledError
-
-
-class Leaves(KalmanCV):
-    def predict(self, release, t_future):
-        raise SystemExit(0)
-
-
-class Interrupts(KalmanCV):
-    def predict(self, release, t_future):
-        raise KeyboardInterrupt
+        raise ERRORS[self.what]()
 
 
 class Signals(KalmanCV):
@@ -156,11 +132,10 @@ class Signals(KalmanCV):
         time.sleep(10)
 
 
-class Swallows(KalmanCV):
+class Swallows(Signals):
     def predict(self, release, t_future):
         try:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(10)
+            super().predict(release, t_future)
         except BaseException:
             raise ValueError("something went wrong") from None
 
@@ -171,7 +146,6 @@ class Distant(MovingAverage):
 '''
 MECHANISMS = {
     # SPEC without the module: why it is left out
-    "Vague:0.5": "declared a sigma above 1e+10 m, the limit",
     "Shared:0.5,sigma_m=100000000000": "declared a sigma above 1e+10 m, the limit",
     "Shared:0.5,sigma_m=-0.1": "declared a sigma below 0 or NaN",
     "Shared:0.5,east_m=1e+250": "shared a position that is not within 1e+10 m of the origin",
@@ -182,18 +156,18 @@ MECHANISMS = {
 }
 COVARIANCE = "failed: ValueError: a predicted covariance is not"
 PREDICTORS = {
-    "NanCov": f"{COVARIANCE} finite or beyond 1e+24 m^2",
+    "Predicted:nan=True": f"{COVARIANCE} finite or beyond 1e+24 m^2",
     "Predicted:xx=1e+30": f"{COVARIANCE} finite or beyond 1e+24 m^2",
     "Predicted:xy=0.5": f"{COVARIANCE} symmetric",
     "Predicted:xx=-1": f"{COVARIANCE} positive semidefinite",
     "Predicted:xy=2,yx=2": f"{COVARIANCE} positive semidefinite",
     "Predicted:east_m=1e+13": "failed: ValueError: a predicted position lies beyond 1e+12 m",
-    "Speechless": "failed: Unsayable: (its message cannot be read)",
-    "Torn": r"failed: ValueError: half a pair \udcff and \x1b[31mred",
-    "Lengthy": "failed: ValueError: one two all work and no play all work",
-    "Cancelled": "failed: CancelledError",
-    "Leaves": "failed: SystemExit: 0",
-    "Interrupts": "failed: KeyboardInterrupt",
+    "Raises:what=speechless": "failed: Unsayable: (its message cannot be read)",
+    "Raises": r"failed: ValueError: half a pair \udcff and \x1b[31mred",
+    "Raises:what=lengthy": "failed: ValueError: one two all work and no play all work",
+    "Raises:what=cancelled": "failed: CancelledError",
+    "Raises:what=leaves": "failed: SystemExit: 0",
+    "Raises:what=interrupts": "failed: KeyboardInterrupt",
     "Shapeless": "must return a Prediction with mean (32, 12, 2)",
     "Peeks": "failed: AttributeError",
 }
@@ -220,10 +194,10 @@ def arguments(out, *options, jobs=1):
     return [str(word) for word in words]
 
 
-def alone(folder, *options):
+def alone(out, *options):
     """As few cells as there can be."""
     words = ["--dataset", "plaza", "--preset", "smoke", "--scenes", "8", "--task", "none"]
-    return [*words, "--jobs", "1", "--out", str(folder / "run"), *options]
+    return [*words, "--jobs", "1", "--out", str(out), "--attack", "none", *options]
 
 
 def named(**axes):
@@ -233,10 +207,6 @@ def named(**axes):
         for spec in specs
         for word in (f"--{axis}", f"odd:{spec}")
     ]
-
-
-def failed(out):
-    return pd.read_csv(out / "failed.csv", keep_default_na=False)
 
 
 def rows(out):
@@ -251,7 +221,7 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, capsys, jobs):
     bad = named(mechanism=MECHANISMS, predictor=PREDICTORS, attack=ATTACKS)
     assert matrix.main(arguments(tmp_path / "all", *GOOD, *bad, jobs=jobs)) == 3
     assert "Traceback" not in capsys.readouterr().err
-    table = failed(tmp_path / "all")
+    table = pd.read_csv(tmp_path / "all" / "failed.csv", keep_default_na=False)
     for spec, why in MECHANISMS.items():
         own = table[table["spec"] == f"odd:{spec}"]
         assert set(own["kind"]) >= {"shared", "predictor", "attack", "linkage"}, spec
@@ -290,7 +260,7 @@ def test_what_lies_at_the_limits_is_computed(tmp_path, capsys):
 def test_a_fault_of_our_own_takes_no_other_cells_along_and_is_not_hidden(tmp_path, capsys):
     out = tmp_path / "run"
     assert matrix.main(arguments(out, *GOOD, *named(mechanism=["Strange"]))) == 3
-    table = failed(out)
+    table = pd.read_csv(out / "failed.csv", keep_default_na=False)
     assert set(zip(table["spec"], table["consumer"], strict=True)) == {
         ("odd:Strange:0.5", "moving_average")
     }
@@ -306,7 +276,7 @@ def test_a_fault_of_our_own_takes_no_other_cells_along_and_is_not_hidden(tmp_pat
 @pytest.mark.parametrize("name", ["Signals", "Swallows"])
 def test_a_ctrl_c_while_a_plugin_runs_is_the_users(tmp_path, capsys, name):
     """Even where the plug-in computes the last cell and makes another error of it."""
-    words = alone(tmp_path, "--mechanism", "raw", *named(predictor=[name]), "--attack", "none")
+    words = alone(tmp_path / "run", "--mechanism", "raw", *named(predictor=[name]))
     assert matrix.main(words) == 130
     assert "interrupted; finished cells are kept" in capsys.readouterr().err
 
@@ -324,6 +294,6 @@ def test_without_a_command_nobody_knows_whose_ctrl_c_it_was():
 @pytest.mark.usefixtures("odd")
 def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, capsys):
     bad = named(mechanism=["Shared:east_m=1e250"])
-    assert matrix.main(alone(tmp_path, *bad, "--predictor", "none", "--attack", "none")) == 2
+    assert matrix.main(alone(tmp_path / "run", *bad, "--predictor", "none")) == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("error: mechanism 'odd:Shared:0.5,east_m=1e+250' shared a position")
