@@ -92,11 +92,13 @@ def _run(
     from evaluation.reporting import assumption_tables  # noqa: PLC0415
     from evaluation.results import run  # noqa: PLC0415
     from evaluation.runs.execute import borrow  # noqa: PLC0415
+    from evaluation.runs.files import write_whole  # noqa: PLC0415
     from evaluation.verdict.sensitivity import (  # noqa: PLC0415
+        TABLE,
         attacks_of,
+        collect,
         folder_of,
         read_verdict,
-        write,
     )
 
     attacks = attacks_of(read_verdict(options.out)["items"])
@@ -105,7 +107,8 @@ def _run(
     outcomes = []
     for place, variant in enumerate(variants, start=1):
         print(f"{place} of {len(variants)}: {variant.name}", file=sys.stderr)
-        started, why, left_out = time.monotonic(), "", ()
+        started, why = time.monotonic(), ""
+        left_out: Sequence[str] = ()
         try:
             settings, left_out = settings_of(
                 variant,
@@ -132,7 +135,8 @@ def _run(
         for one in left_out:
             print(f"notice: left out: {one}", file=sys.stderr)
         print(f"failed: {why}" if why else f"done in {seconds:.0f} s", file=sys.stderr)
-        rows, not_shown = write(options.out)
+        rows, not_shown = collect(options.out)
+        write_whole(options.out / TABLE, rows.to_csv(index=False).encode())
     if options.json:
         found = assumption_tables.to_json(rows, outcomes, out=options.out)
         print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True)

@@ -74,12 +74,11 @@ class Curve:
         reached: Floats = left + share * (self.missed[rows, right] - left)
         return reached
 
-    def points(self) -> dict[str, Floats]:
-        """Return the estimate at equally spaced false-alarm rates, `N_POINTS` of them."""
-        at = np.linspace(0.0, 1.0, N_POINTS)
+    def points(self) -> Floats:
+        """Return the estimate at `N_POINTS` equally spaced false-alarm rates, (`N_POINTS`,)."""
         shape = (N_POINTS, self.missed.shape[1])
         estimate = (np.broadcast_to(one[0], shape) for one in (self.missed, self.false_alarm))
-        return {"false_alarm_rate": at, "missed_conflict_rate": Curve(*estimate).missed_at(at)}
+        return Curve(*estimate).missed_at(np.linspace(0.0, 1.0, N_POINTS))
 
 
 def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> Curve | None:
@@ -104,7 +103,7 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
     cells = np.ravel_multi_index((conflict.astype(int), cluster, bins), shape)
     counts = np.bincount(cells, minlength=math.prod(shape)).reshape(shape).astype(np.float64)
     everyone = np.concatenate([np.ones((1, n_clusters)), weights])
-    alarms, hits = (np.cumsum(everyone @ part, axis=1) for part in counts)
+    alarms, hits = (everyone @ part for part in np.cumsum(counts, axis=2))
     start = np.zeros((everyone.shape[0], 1))
     with np.errstate(invalid="ignore"):  # a replicate without a label has no rate: NaN
         missed = 1.0 - np.concatenate([start, hits / hits[:, -1:]], axis=1)
@@ -131,7 +130,7 @@ def decisions(
     weights = weights_of(manifest)
     at_reference: dict[Where, tuple[Floats, Floats]] = {}
     at_raw_alarms: dict[Key, Estimate] = {}
-    curves: list[pd.DataFrame] = []
+    points = [np.zeros(0)]
     rows: list[tuple[int, dict[str, Any]]] = []
     # The reference first: the others are compared with its curve.
     order = sorted(enumerate(scored), key=lambda one: one[1][0]["consumer"] != reference)
@@ -156,9 +155,8 @@ def decisions(
                 )
             level = np.nan if where[1] is None else where[1]
             whose = (manifest["dataset"]["name"], where[0], level, consumer, name)
-            about = dict(zip(_ABOUT, whose, strict=True))
-            curves.append(pd.DataFrame({**about, **drawn.points()}))
-            row = about | _with_ends("area", "area", drawn.areas())
+            points.append(drawn.points())
+            row = dict(zip(_ABOUT, whose, strict=True)) | _with_ends("area", "area", drawn.areas())
             if where in at_reference:
                 false_alarm, reference_missed = at_reference[where]
                 missed = drawn.missed_at(false_alarm)
@@ -166,8 +164,13 @@ def decisions(
                 row |= _with_ends("missed_conflict_rate", "missed", missed)
                 row |= _with_ends("difference", "ci", missed - reference_missed)
             rows.append((place, row))
+    about = pd.DataFrame([row for _, row in rows], columns=list(_ABOUT))
+    curves = about.loc[about.index.repeat(N_POINTS)].assign(
+        false_alarm_rate=np.tile(np.linspace(0.0, 1.0, N_POINTS), len(rows)),
+        missed_conflict_rate=np.concatenate(points),
+    )
     return (
-        pd.concat(curves)[CURVE_COLUMNS] if curves else pd.DataFrame(columns=CURVE_COLUMNS),
+        curves,
         pd.DataFrame([row for _, row in sorted(rows, key=itemgetter(0))], columns=DECISION_COLUMNS),
         at_raw_alarms,
     )

@@ -105,7 +105,16 @@ def compare(
         raise SettingsError("--mechanism-a and --mechanism-b are named together")
     first = manifest_of(out_a)
     second = first if out_a.resolve() == out_b.resolve() else manifest_of(out_b)
-    found_a, found_b = _found([(out_a, first), (out_b, second)])
+    runs = [(out_a, first), (out_b, second)]
+    if first is second:
+        runs = runs[:1]
+    elif first["identity"]["sha256"] == second["identity"]["sha256"]:
+        # A run's draws depend on its seed and on its list of groups: both take one.
+        same = {"groups": sorted({*first["groups"], *second["groups"]})}
+        seed = {"seed": first["identity"]["seed"]}
+        runs = [(out, one | same | {"identity": one["identity"] | seed}) for out, one in runs]
+    found = [{**estimates(out, one)[0], **linkage_estimates(cards(out, one))} for out, one in runs]
+    found_a, found_b = found[0], found[-1]
     of_a, of_b = list(found_a), list(found_b)
     if mechanism_a is None or mechanism_b is None:
         pairs = [(key, key) for key in of_a if key in found_b]
@@ -183,22 +192,6 @@ def counts(rows: pd.DataFrame) -> dict[str, int]:
     return {name: int(found.get(name, 0)) for name in (IDENTICAL, DIFFERS, UNDECIDED, UNTESTED)}
 
 
-def _found(
-    runs: Sequence[tuple[Path, dict[str, Any]]],
-) -> tuple[dict[Key, Estimate], dict[Key, Estimate]]:
-    """Return all estimates of both runs; of one recording they draw the same people."""
-    (_, first), (_, second) = runs
-    if first is second:
-        runs = runs[:1]
-    elif first["identity"]["sha256"] == second["identity"]["sha256"]:
-        # A run's draws depend on its seed and on its list of groups: both take one.
-        same = {"groups": sorted({*first["groups"], *second["groups"]})}
-        seed = {"seed": first["identity"]["seed"]}
-        runs = [(out, one | same | {"identity": one["identity"] | seed}) for out, one in runs]
-    found = [{**estimates(out, one)[0], **linkage_estimates(cards(out, one))} for out, one in runs]
-    return found[0], found[-1]
-
-
 def _of_mechanism(
     keys: Sequence[Key], named: str, manifest: Manifest, option: str, out: Path
 ) -> list[Key]:
@@ -239,6 +232,7 @@ def _matched_levels(
 def _rows(
     pairs: Sequence[tuple[Key, Key, Estimate, Estimate]], first: Manifest, second: Manifest
 ) -> pd.DataFrame:
+    """Return a row for each pair with what Holm says of either family, the surest first."""
     paired_by = {
         name: run_changes.pairing(first, second, consumer=name)
         for name in dict.fromkeys(key.consumer for key, *_ in pairs)
@@ -271,18 +265,14 @@ def _rows(
                 "finding": IDENTICAL if same else UNTESTED,
             }
         )
-    return _judged(pd.DataFrame(rows, columns=COLUMNS))
-
-
-def _judged(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows with what Holm says of either family, the surest difference first."""
-    rows["headline"] = rows["headline"].astype(bool)
-    rows["p_holm"] = rows.groupby("headline")["p_value"].transform(
+    table = pd.DataFrame(rows, columns=COLUMNS)
+    table["headline"] = table["headline"].astype(bool)
+    table["p_holm"] = table.groupby("headline")["p_value"].transform(
         lambda family: holm(family.to_numpy(dtype=np.float64))
     )
-    tested = (rows["finding"] != IDENTICAL) & rows["p_holm"].notna()
-    differs = np.where(rows["p_holm"] <= SIGNIFICANCE, DIFFERS, UNDECIDED)
-    rows["finding"] = rows["finding"].where(~tested, differs)
+    tested = (table["finding"] != IDENTICAL) & table["p_holm"].notna()
+    differs = np.where(table["p_holm"] <= SIGNIFICANCE, DIFFERS, UNDECIDED)
+    table["finding"] = table["finding"].where(~tested, differs)
     # Of p-values too small to tell apart, the larger t is the surer.
-    order = pd.DataFrame({"p": rows["p_value"], "t": -rows["t"].abs()})
-    return rows.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(drop=True)
+    order = pd.DataFrame({"p": table["p_value"], "t": -table["t"].abs()})
+    return table.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(drop=True)

@@ -126,7 +126,6 @@ DESCRIPTORS: Final = measured("descriptor")
 """Of privacy: PLR, AEL and MEL."""
 RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
 """Of what an attack makes of the positions."""
-HEADLINE_METRICS: Final = tuple(metric.name for metric in _ROWS if metric.is_headline)
 MISSED_RATE: Final = "missed_conflict_rate"
 """What noise costs a robot."""
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"

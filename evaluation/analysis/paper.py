@@ -201,18 +201,16 @@ def _better_at_every_rate(matched: pd.DataFrame, *, n: int) -> Iterator[_Claim]:
             continue
         better, worse = int((reached["ci_high"] < 0).sum()), int((reached["ci_low"] > 0).sum())
         # The rate shown is the one that speaks most against the claim.
-        worst = reached.loc[reached["ci_low" if worse else "ci_high"].idxmax()]
+        worst = reached.iloc[int(reached["ci_low" if worse else "ci_high"].to_numpy().argmax())]
+        effect, low, high = (float(worst[one]) for one in ("difference", "ci_low", "ci_high"))
+        answer = _answer(holds=better == len(reached), fails=worse > 0, n=n)
         evidence = (
             "FID minus fixed where it speaks most against, at a rate of "
             f"{worst['missed_conflict_rate']:.3f}; of {len(reached)} rates {better} better, "
             f"{worse} worse beyond the interval; {left_out} more are not reached by enough "
             "replicates"
         )
-        yield (
-            *(claim, _answer(holds=better == len(reached), fails=worse > 0, n=n)),
-            *(float(worst[one]) for one in ("difference", "ci_low", "ci_high")),
-            *(metric.summary_unit, evidence),
-        )
+        yield claim, answer, effect, low, high, metric.summary_unit, evidence
 
 
 def _answer(*, holds: bool, fails: bool, n: int) -> str:

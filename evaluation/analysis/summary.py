@@ -66,12 +66,9 @@ def estimates(
         table = read_rows(out, entry, columns=_COLUMNS_OF[entry["kind"]])
         cluster = clusters(table, manifest)
         if entry["kind"] == "predictor":
-            ratios = _predictor_ratios(table)
             columns = {name: table[name].to_numpy() for name in _COLUMNS_OF["predictor"][1:]}
             scored.append((entry, cluster, columns))
-        else:
-            ratios = _descriptor_ratios(table)
-        for metric, ratio in ratios.items():
+        for metric, ratio in _ratios(entry["kind"], table).items():
             found[key_of(entry, metric)] = estimate(
                 metric, *ratio, cluster=cluster, weights=weights
             )
@@ -155,11 +152,21 @@ def to_frame(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _descriptor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
-    """Return numerator and denominator of each metric, (R,): of what was shared, or of an attack.
+def _ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
+    """Return numerator and denominator of each metric, (R,), of a cell of this kind.
 
     Of an attack also the ratio to the linear benchmark: sums over the same tracks.
     """
+    if kind == "predictor":
+        conflict, predicted, ours, truth = (
+            table[name].to_numpy()
+            for name in ("conflict", "predicted", "predicted_separation_m", "separation_m")
+        )
+        return {
+            "missed_conflict_rate": ((conflict & ~predicted) * 1.0, conflict * 1.0),
+            "false_alarm_rate": ((~conflict & predicted) * 1.0, ~conflict * 1.0),
+            "distance_mae": (np.abs(ours - truth), np.ones_like(ours)),
+        }
     ratios = {}
     for metric in _POSITIONS:
         if metric.over and metric.over not in table.column_names:
@@ -167,21 +174,9 @@ def _descriptor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
         values = table[metric.column].to_numpy()
         over = table[metric.over].to_numpy() if metric.over else np.ones_like(values)
         # A one-sample track that leaks has no exposure length (NaN): it does not count there.
-        known = ~np.isnan(values if not metric.over else over)
+        known = ~np.isnan(over if metric.over else values)
         ratios[metric.name] = (
             np.where(known & ~np.isnan(values), values, 0.0),
             np.where(known, over, 0.0),
         )
     return ratios
-
-
-def _predictor_ratios(table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
-    conflict, predicted, ours, truth = (
-        table[name].to_numpy()
-        for name in ("conflict", "predicted", "predicted_separation_m", "separation_m")
-    )
-    return {
-        "missed_conflict_rate": ((conflict & ~predicted).astype(float), conflict.astype(float)),
-        "false_alarm_rate": ((~conflict & predicted).astype(float), (~conflict).astype(float)),
-        "distance_mae": (np.abs(ours - truth), np.ones_like(ours)),
-    }

@@ -155,7 +155,7 @@ def interpolated(where: Places, values: Floats, *, log: bool) -> Floats:
     to the curve.
     """
     n_rows = min(where.right.shape[0], values.shape[0])
-    right, share = (one[:n_rows] for one in where)
+    right, share = where.right[:n_rows], where.share[:n_rows]
     y = values[:n_rows, ::-1]
     y = np.log(np.maximum(y, _SMALLEST)) if log else y
     low, high = (np.take_along_axis(y, place, axis=1) for place in (right - 1, right))

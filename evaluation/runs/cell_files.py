@@ -216,8 +216,8 @@ def read_outcome(
                 replicates[metric] = others[metric].to_numpy()
         columns = tables[ESTIMATES].select(["metric", "value", "ci_low", "ci_high", "n"])
         estimates = {
-            name: Estimate(*numbers, replicates.get(name, _NONE))
-            for name, *numbers in zip(*columns.to_pydict().values(), strict=True)
+            name: Estimate(value, low, high, n, replicates.get(name, _NONE))
+            for name, value, low, high, n in zip(*columns.to_pydict().values(), strict=True)
         }
         return LinkageOutcome(estimates, about["numbers"], about["cohorts"])
 

@@ -215,12 +215,8 @@ def choose(
 
     `adding` names the rules to answer for; `predictor` is by default the first of the run.
 
-    Raises
-    ------
-    DataError
-        If the folder holds no run, or a file of it is missing or broken.
-    SettingsError
-        If the run lacks what is asked for; the message names the option and the way out.
+    Raises DataError if the folder holds no run, or a file of it is missing or broken, and
+    SettingsError if the run lacks what is asked for; the message names the option and the way out.
     """
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
@@ -287,7 +283,7 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
         return pd.read_csv(
             out / name,
             usecols=list(columns),
-            dtype=dict.fromkeys(columns, str) | dict.fromkeys(numbers, float),
+            dtype={column: float if column in numbers else str for column in columns},
             keep_default_na=False,
             na_values={column: [""] for column in numbers},
         )

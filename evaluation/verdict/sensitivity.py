@@ -10,7 +10,6 @@ import pandas as pd
 
 from evaluation.analysis.run_changes import verdict_of
 from evaluation.experiment.variants import BASE, variants
-from evaluation.runs.files import write_whole
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
 
@@ -54,8 +53,8 @@ def changes(
     for one in base["items"]:
         other = found.get(one["id"])
         before, after = one["sign"], other["sign"] if other else None
-        is_other = TURNED if before else GAINED
-        changed = {0: LOST, before: SAME, None: MISSING}.get(after, is_other)
+        otherwise = TURNED if before else GAINED
+        changed = {0: LOST, before: SAME, None: MISSING}.get(after, otherwise)
         theirs = other or dict.fromkeys(_THEIRS)
         rows.append(
             {
@@ -123,10 +122,3 @@ def counts(rows: pd.DataFrame) -> dict[str, dict[str, dict[str, int]]]:
             change: int(number[change]) for change in CHANGES if change in number
         }
     return found
-
-
-def write(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Write `sensitivity.csv`; return what `collect` does."""
-    rows, left_out = collect(out)
-    write_whole(out / TABLE, rows.to_csv(index=False).encode())
-    return rows, left_out

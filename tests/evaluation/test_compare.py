@@ -22,7 +22,7 @@ from evaluation import compare
 from evaluation.analysis import summary
 from evaluation.analysis.differences import COLUMNS
 from evaluation.analysis.differences import compare as compared
-from evaluation.analysis.metrics import HEADLINE_METRICS
+from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import pairing
 from evaluation.analysis.significance import holm
 from evaluation.reporting.difference_tables import show
@@ -196,7 +196,8 @@ class TestAnotherRadius:
         assert rows["p_value"].dropna().is_monotonic_increasing
         controls = rows["consumer"].str.contains("/control-")
         assert controls.any()
-        assert (rows["headline"] == rows["metric"].isin(HEADLINE_METRICS) & ~controls).all()
+        headline = {name for name, metric in METRICS.items() if metric.is_headline}
+        assert (rows["headline"] == rows["metric"].isin(headline) & ~controls).all()
         for _, family in rows.groupby("headline"):
             adjusted = holm(family["p_value"].to_numpy())
             assert family["p_holm"].to_numpy() == pytest.approx(adjusted, nan_ok=True)

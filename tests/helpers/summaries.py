@@ -73,15 +73,16 @@ def summary_frame(rates, *, half=HALF):
     """`rates`: mechanism -> level -> missed rate."""
     levels = [("raw", None, 0.12)]
     levels += [(name, at, missed) for name, of in rates.items() for at, missed in of.items()]
-    rows = []
-    for mechanism, level, missed in levels:
-        where = {"dataset": "walks", "mechanism": mechanism, "n": 55, **declared(mechanism)}
-        where["level"] = np.nan if level is None else level
-        for *key, value, spread in numbers(mechanism, level, missed, half=half):
-            of = dict(zip(("consumer", "knowledge", "metric"), key, strict=True))
-            ends = {"value": value, "ci_low": value - spread, "ci_high": value + spread}
-            rows.append(where | of | ends)
-    return pd.DataFrame(rows, columns=summary.COLUMNS)
+    frame = pd.DataFrame(
+        [
+            {"mechanism": mechanism, "level": level, **declared(mechanism)}
+            | dict(zip(("consumer", "knowledge", "metric", "value", "half"), row, strict=True))
+            for mechanism, level, missed in levels
+            for row in numbers(mechanism, level, missed, half=half)
+        ]
+    ).assign(dataset="walks", n=55, unit="")
+    frame["ci_low"], frame["ci_high"] = (frame["value"] + sign * frame["half"] for sign in (-1, 1))
+    return frame[summary.COLUMNS]
 
 
 def linked_frame(rates, cells):
@@ -90,17 +91,14 @@ def linked_frame(rates, cells):
     rows = []
     for mechanism, level in levels:
         for (task, attack, knowledge), row in cells.items():
-            consumer = f"{task}/{attack}"
-            value = row["rank1"]
+            value, consumer = row["rank1"], f"{task}/{attack}"
             cell = {"mechanism": mechanism, "level": level, "consumer": consumer}
             cell |= {"dataset": linkability.dataset_of(consumer, dataset="walks")}
             cell |= {"knowledge": knowledge, "chance": 0.01}
             cell |= LINKS | {"ci_low": value - 0.05, "ci_high": value + 0.05} | row
             # Walking groups left out it links more, but that is another question.
-            rows += [
-                cell | {"cohort": "without_groups", "rank1": 0.98, "outcome": np.nan},
-                cell | {"cohort": "all"},
-            ]
+            others = {"cohort": "without_groups", "rank1": 0.98, "outcome": np.nan}
+            rows += [cell | others, cell | {"cohort": "all"}]
     return pd.DataFrame(rows, columns=linkability.COLUMNS)
 
 

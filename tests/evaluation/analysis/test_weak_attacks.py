@@ -19,7 +19,7 @@ from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import Estimate, percentile_interval
 
 DRAW = np.random.default_rng(0).normal(size=400)
-BLIND, INFORMED, ORACLE = "blind", "informed", "oracle"
+BLIND, INFORMED = "blind", "informed"
 
 
 def estimate(value, *, spread=0.03, own=0.0, n=50):
