@@ -41,22 +41,25 @@ NOBODY = 65534
 
 
 def one_line(capsys):
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("error: ")
-    return line
+    """The one error that was said, last of all."""
+    said = capsys.readouterr().err.splitlines()
+    assert [line for line in said if line.startswith("error: ")] == said[-1:]
+    return said[-1]
 
 
 @contextlib.contextmanager
-def without_rights():
-    """Root may enter every folder; within, it is nobody."""
-    if os.geteuid() != 0:
-        yield
-        return
-    os.seteuid(NOBODY)
+def forbidden(out, name=".", mode=0):
+    """What is so named in a folder has other rights; root, who may do everything, is nobody."""
+    is_root = os.geteuid() == 0
+    for path in (out, *out.rglob("*")) if is_root else ():
+        os.chown(path, NOBODY, NOBODY)
+    (out / name).chmod(mode)
+    os.seteuid(NOBODY if is_root else os.geteuid())
     try:
         yield
     finally:
-        os.seteuid(0)
+        os.seteuid(0 if is_root else os.geteuid())
+        (out / name).chmod(0o755)
 
 
 @pytest.fixture(scope="module")
@@ -80,12 +83,6 @@ def everybodys():
         yield Path(folder)
 
 
-def own_by_nobody(folder):
-    if os.geteuid() == 0:
-        for path in (folder, *folder.rglob("*")):
-            os.chown(path, NOBODY, NOBODY)
-
-
 class TestWhereTheFolderCannotBeUsed:
     @pytest.mark.parametrize("dry", [True, False])
     @pytest.mark.parametrize(
@@ -103,10 +100,9 @@ class TestWhereTheFolderCannotBeUsed:
         if dry and code == 0:  # nothing is there, and what cannot be made is told when it is
             return
         assert code == 2
-        errors = capsys.readouterr().err.splitlines()
-        assert said in errors[-1]
-        assert str(out) in errors[-1]
-        assert [line for line in errors if line.startswith("error: ")] == errors[-1:]
+        line = one_line(capsys)
+        assert said in line
+        assert str(out) in line
 
     @pytest.mark.parametrize("dry", [True, False])
     def test_a_name_that_no_folder_can_have_is_one_line(self, dry, tmp_path, capsys):
@@ -120,32 +116,23 @@ class TestWhereTheFolderCannotBeUsed:
             store.check_folder(Path("\ud800"))
 
     def test_somebody_elses_folder_is_named(self, tmp_path):
-        tmp_path.chmod(0o700 if os.geteuid() == 0 else 0)
         out = tmp_path / "run"
         ready = plan(replace(TINY, out=out))
-        try:
-            with without_rights():
-                for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
-                    with pytest.raises(SettingsError, match="Permission denied; choose another"):
-                        look()
-                with pytest.raises(DataError, match=f"{out}.*Permission denied"):
-                    read_manifest(out)
-        finally:
-            tmp_path.chmod(0o700)
+        with forbidden(tmp_path):
+            for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
+                with pytest.raises(SettingsError, match="Permission denied; choose another"):
+                    look()
+            with pytest.raises(DataError, match=f"{out}.*Permission denied"):
+                read_manifest(out)
 
     @pytest.mark.parametrize("name", ["cells", "SHA256SUMS", "."])
     def test_what_may_not_be_read_in_a_run_is_named(self, name, finished, everybodys):
         out = Path(shutil.copytree(finished, everybodys / "run"))
-        own_by_nobody(out)
-        (out / name).chmod(0)
         ready = plan(replace(TINY, out=out))
-        try:
-            with without_rights():
-                for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
-                    with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
-                        look()
-        finally:
-            (out / name).chmod(0o755)
+        with forbidden(out, name):
+            for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
+                with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
+                    look()
 
     def test_a_cell_that_cannot_be_dropped_is_named(self, out, monkeypatch):
         def refuse(path, **_):
@@ -176,9 +163,7 @@ class TestWhereTheFolderCannotBeUsed:
             path.mkdir()
         words = [str(out)] if command == "report" else [*OPTIONS, "--out", str(out)]
         assert {"report": report, "matrix": matrix}[command].main(words) == 2
-        errors = capsys.readouterr().err.splitlines()
-        assert said.format(path=path) in errors[-1]
-        assert [line for line in errors if line.startswith("error: ")] == errors[-1:]
+        assert said.format(path=path) in one_line(capsys)
         assert path.is_dir() is (name != "cells")
 
     def test_where_nothing_can_be_locked_the_run_is_refused(self, out, capsys, monkeypatch):
@@ -187,22 +172,16 @@ class TestWhereTheFolderCannotBeUsed:
 
         monkeypatch.setattr("evaluation.runs.files.fcntl.flock", refuse)
         assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
-        errors = capsys.readouterr().err.splitlines()
-        assert errors[-1].startswith(f"error: cannot lock {out / '.lock'}: No locks available; ")
+        assert f"error: cannot lock {out / '.lock'}: No locks available; " in one_line(capsys)
 
     def test_a_folder_that_may_not_be_written_has_no_lock(self, finished, everybodys):
         out = Path(shutil.copytree(finished, everybodys / "run"))
-        own_by_nobody(out)
-        out.chmod(0o500)
-        try:
-            with (
-                without_rights(),
-                pytest.raises(SettingsError, match=r"run/\.lock: Permission denied; make the"),
-                locked(out),
-            ):
-                raise AssertionError("it is locked")
-        finally:
-            out.chmod(0o755)
+        with (
+            forbidden(out, mode=0o500),
+            pytest.raises(SettingsError, match=r"run/\.lock: Permission denied; make the"),
+            locked(out),
+        ):
+            raise AssertionError("it is locked")
 
 
 def edited(out, change):
@@ -253,7 +232,7 @@ class TestManifest:
         said = one_line(capsys)
         assert f"{out} was written by another version, or its manifest.json is damaged" in said
         assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
-        assert "run the matrix again with --fresh" in capsys.readouterr().err.splitlines()[-1]
+        assert "run the matrix again with --fresh" in one_line(capsys)
         evaluation.run(replace(TINY, out=out, fresh=True), pictures=False)
         assert len(list((out / "cells").iterdir())) == 2
         assert (out / "notes.txt").read_text() == "mine"
@@ -266,7 +245,7 @@ class TestManifest:
         path = out / "manifest.json"
         assert f"{path} cannot be read" in said or f"{path} is not the manifest" in said
         assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
-        assert str(path) in capsys.readouterr().err.splitlines()[-1]
+        assert str(path) in one_line(capsys)
 
     def test_of_a_run_that_never_started_is_continued_but_has_no_report(self, tmp_path, capsys):
         out = tmp_path / "run"
