@@ -192,9 +192,9 @@ def edited(out, change):
 
 
 def places(value, at=()):
-    """Every path in a JSON value but its root."""
+    """Every path in a JSON value but its root, and of a list its first members alone."""
     inner = value.items() if isinstance(value, dict) else ()
-    inner = enumerate(value) if isinstance(value, list) else inner
+    inner = enumerate(value[:2]) if isinstance(value, list) else inner
     for key, one in inner:
         yield (*at, key)
         yield from places(one, (*at, key))
