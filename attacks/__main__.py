@@ -87,32 +87,29 @@ def _list() -> int:
     from isac_track.protocols import kind_of  # noqa: PLC0415 - it needs numpy, as above
 
     lines = [("attack", "kind", "adversaries", "", "")]
-    skipped = {}
+    skipped = []
     for name in plugins.names("attacks"):
         try:
-            (plugin,) = plugins.parse("attacks", name)
-            adversaries = ", ".join(adversaries_of(plugin.instance))
+            attack = plugins.parse("attacks", name)[0].instance
+            adversaries = ", ".join(adversaries_of(attack))
         except IsacTrackError as error:
-            skipped[name] = str(error)
+            skipped.append(f"skipped {name}: {error}")
             continue
-        slow = "slow" if getattr(plugin.instance, "slow", False) else ""
-        kind = kind_of(plugin.instance)
-        lines.append((name, kind, adversaries, slow, _summary(plugin.instance)))
-    widths = [max(len(line[column]) for line in lines) for column in range(4)]
-    for *columns, summary in lines:
-        padded = zip(columns, widths, strict=True)
-        shown = "  ".join(f"{text:<{width}}" for text, width in padded if width)
-        print(f"{shown}  {summary}".rstrip())
-    for name, wrong in skipped.items():
-        print(f"skipped {name}: {wrong}", file=sys.stderr)
+        slow = "slow" if getattr(attack, "slow", False) else ""
+        lines.append((name, kind_of(attack), adversaries, slow, _summary(attack)))
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        padded = zip(line, widths, strict=True)
+        print("  ".join(f"{text:<{width}}" for text, width in padded if width).rstrip())
+    for wrong in skipped:
+        print(wrong, file=sys.stderr)
     return DONE
 
 
 def _summary(attack: Any) -> str:  # noqa: ANN401 - any frozen dataclass
     text = (type(attack).__doc__ or "").strip()
     # A dataclass without a docstring gets its signature for one.
-    written = text and not text.startswith(f"{type(attack).__name__}(")
-    return text.splitlines()[0] if written else ""
+    return "" if text.startswith(f"{type(attack).__name__}(") else text.partition("\n")[0]
 
 
 def _check(spec: str) -> int:
@@ -166,28 +163,27 @@ def _new(name: str, *, kind: str, into: Path) -> int:
 
 def _reject_taken(name: str, *, class_name: str, folder: Path) -> None:
     """Raise SettingsError for a name that would clash with something or cannot be imported."""
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        better = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
-        hint = f"; did you mean {better!r}?" if better[:1].isalpha() and better != name else ""
-        raise SettingsError(
-            f"{name!r} must be a lower-case Python identifier, as my_attack is{hint}"
-        )
-    if keyword.iskeyword(name) or keyword.iskeyword(class_name):
-        raise SettingsError(f"{name!r} is a word of Python itself; take another name")
-    if class_name in _IMPORTED:
-        raise SettingsError(
-            f"{name!r} would call its class {class_name}, which is taken; take another name"
-        )
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise SettingsError(f"{folder} is there already; take another name, or --into DIR")
     from isac_track.plugins import names  # noqa: PLC0415 - `--help` stays quick
 
-    if name in names("attacks"):
-        raise SettingsError(f"{name!r} is the name of an attack already; take another name")
+    wrong, way_out = "", "take another name"
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        wrong, way_out = "must be a lower-case Python identifier, as my_attack is", ""
+        better = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+        if better[:1].isalpha() and better != name:
+            way_out = f"did you mean {better!r}?"
+    elif keyword.iskeyword(name) or keyword.iskeyword(class_name):
+        wrong = "is a word of Python itself"
+    elif class_name in _IMPORTED:
+        wrong = f"would call its class {class_name}, which is taken"
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise SettingsError(f"{folder} is there already; take another name, or --into DIR")
+    elif name in names("attacks"):
+        wrong = "is the name of an attack already"
     # A folder without a module, such as an empty one of that name, is in nobody's way.
-    spec = find_spec(name)
-    if name in sys.stdlib_module_names or (spec is not None and spec.origin is not None):
-        raise SettingsError(f"{name!r} is the name of a Python module already; take another name")
+    elif name in sys.stdlib_module_names or getattr(find_spec(name), "origin", None) is not None:
+        wrong = "is the name of a Python module already"
+    if wrong:
+        raise SettingsError(f"{name!r} {wrong}; {way_out}".removesuffix("; "))
 
 
 if __name__ == "__main__":

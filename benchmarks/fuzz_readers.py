@@ -16,7 +16,6 @@ import tempfile
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 CORPUS = Path(__file__).parent.parent / "tests" / "fuzz" / "corpus"
 SEEDS = {
@@ -26,7 +25,6 @@ SEEDS = {
     "trajnet": ["walks.trajnet"],
     "csv": ["walks.csv"],
     "parquet": ["text.parquet", "number.parquet"],
-    "npz": ["walks.npz"],
 }
 TIMEOUT_S = 10
 MEMORY_MB = 1024
@@ -92,16 +90,10 @@ def _fuzz(format_name: str, arguments: list[str]) -> None:
     warnings.simplefilter("error")
     file = Path(arguments[0]).with_name("file")
 
-    def read(data: bytes, fps: float | None) -> Any:  # noqa: ANN401 - thrown away
-        if format_name != "npz":
-            return datasets.read(data=data, path=str(file), format=format_name, fps=fps)
-        file.write_bytes(data)
-        return datasets.crowd.read_npz(file)
-
     def one_input(data: bytes) -> None:
         for fps in (None, 25.0):
             try:
-                read(data, fps)
+                datasets.read(data=data, path=str(file), format=format_name, fps=fps)
             except IsacTrackError as error:
                 message = str(error)
                 if str(file) not in message or len(message.splitlines()) != 1:

@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from evaluation.analysis.calibration import calibrate, ridge  # noqa: PLC0415 - for --help
-    from evaluation.reporting.calibration_table import show  # noqa: PLC0415
+    from evaluation.reporting.assumption_tables import show_constants  # noqa: PLC0415
     from isac_track import datasets  # noqa: PLC0415
 
     if options.scenes < 2 or options.seed < 0:  # noqa: PLR2004 - one scene of each label
@@ -40,7 +40,7 @@ def _run(options: argparse.Namespace) -> int:
     recorded = datasets.load(options.dataset).tracks
     cases: dict[str, dict[str, float]] = {"as committed": {}}
     cases |= ridge() if options.ridge else {}
-    show(
+    show_constants(
         {
             name: calibrate(recorded, changes=case, n_scenes=options.scenes, seed=options.seed)
             for name, case in cases.items()

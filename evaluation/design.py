@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from evaluation.analysis.families import ADDING_RULES
 from evaluation.analysis.metrics import METRICS, SUCCESS
-from evaluation.reporting.design_tables import show
-from evaluation.reporting.design_words import to_json
+from evaluation.reporting.design_words import show, to_json
 from evaluation.verdict.choose_level import ASKED, Limits, choose
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 

@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluation.reporting.docs import write_docs
-from evaluation.reporting.tables import show
+from evaluation.reporting.tables import show, write_docs
 from evaluation.results import load
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 

@@ -13,6 +13,7 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.matching import comparisons, matched
+from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.sweeps import Sweeps
 from evaluation.experiment.plan import plan
@@ -58,10 +59,7 @@ def run(
     pictures : bool
         Without them there are neither figures nor `report.html`; `evaluation.report` draws them.
 
-    Raises
-    ------
-    IsacTrackError
-        For anything that a user can mend; finished cells are kept.
+    Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     if ready is None:
         ready = plan(settings or Settings())
@@ -82,10 +80,7 @@ def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Result
     pdf : bool
         Whether the figures are drawn as PDF, too.
 
-    Raises
-    ------
-    IsacTrackError
-        If the folder holds no run, or a cell is missing or not as it was written.
+    Raises IsacTrackError if the folder holds no run, or a cell is missing or not as it was written.
     """
     out = Path(out)
     manifest = read_manifest(out)
@@ -112,7 +107,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     once = flags.on_first_releases(out, manifest)
     flagged = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
-    read = linkability.cards(out, manifest)
+    read = linkability.cards(out, manifest, drawn=ACHIEVED)
     linked = summary.linkage_estimates(read)
     known = families_in(manifest["cells"])
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)

@@ -42,27 +42,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = command.add_argument
     add("out", type=Path, metavar="OUT", nargs="?", help="folder of a finished run")
-    add(
-        "--variant",
-        action="append",
-        metavar="NAME",
-        help="a variant of --list, or STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, "
-        "recording=NAME|PATH; repeatable; replaces the list",
+    about = (
+        "a variant of --list, or STAGE.KEY=VALUE, law=LAW, epsilon=METRES, predictor=SPEC, "
+        "recording=NAME|PATH; repeatable; replaces the list"
     )
-    add(
-        "--trust",
-        action="append",
-        default=[],
-        metavar="SPEC",
-        help="a class of your own that the run used, package.module:Class; repeatable",
-    )
-    add(
-        "--set",
-        action="append",
-        metavar="STAGE.KEY=VALUE",
-        default=[],
-        help="one more variant: this setting changed; repeatable; adds to the list",
-    )
+    add("--variant", action="append", metavar="NAME", help=about)
+    about = "a class of your own that the run used, package.module:Class; repeatable"
+    add("--trust", action="append", default=[], metavar="SPEC", help=about)
+    about = "one more variant: this setting changed; repeatable; adds to the list"
+    add("--set", action="append", default=[], metavar="STAGE.KEY=VALUE", help=about)
     add("--list", action="store_true", help="list the variants, and stop")
     add("--scenes", type=int, metavar="N", help="scenes of each variant (default: the run's)")
     add("--jobs", type=int, metavar="N", help="worker processes, as in evaluation.matrix")
@@ -100,8 +88,16 @@ def _command(options: argparse.Namespace) -> int:
 def _run(
     options: argparse.Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
 ) -> int:
-    from evaluation.reporting import sensitivity_table  # noqa: PLC0415 - as above
-    from evaluation.verdict.sensitivity import attacks_of, read_verdict, write  # noqa: PLC0415
+    from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
+    from evaluation.reporting import assumption_tables  # noqa: PLC0415
+    from evaluation.results import run  # noqa: PLC0415
+    from evaluation.runs.execute import borrow  # noqa: PLC0415
+    from evaluation.verdict.sensitivity import (  # noqa: PLC0415
+        attacks_of,
+        folder_of,
+        read_verdict,
+        write,
+    )
 
     attacks = attacks_of(read_verdict(options.out)["items"])
     if manifest.get("state") != "finished":
@@ -109,10 +105,20 @@ def _run(
     outcomes = []
     for place, variant in enumerate(variants, start=1):
         print(f"{place} of {len(variants)}: {variant.name}", file=sys.stderr)
-        started, why = time.monotonic(), ""
-        left_out: list[str] = []
+        started, why, left_out = time.monotonic(), "", ()
         try:
-            _compute(variant, options, manifest, attacks=attacks, left_out=left_out)
+            settings, left_out = settings_of(
+                variant,
+                manifest=manifest,
+                attacks=attacks,
+                out=folder_of(options.out, variant.name),
+                scenes=options.scenes,
+                jobs=options.jobs,
+                trust=options.trust,
+            )
+            ready = plan(settings)
+            borrow(ready, sources=(options.out, folder_of(options.out, BASE)), fresh=options.fresh)
+            run(ready=ready, pictures=False)  # `evaluation.report` draws those that matter
         except IsacTrackError as error:
             if variant.name == BASE:  # without it nothing can be said, every other one may fail
                 raise
@@ -120,56 +126,22 @@ def _run(
         check_interrupt()
         seconds = round(time.monotonic() - started, 1)
         outcomes.append(
-            {
-                "name": variant.name,
-                "state": "failed" if why else "finished",
-                "why": why,
-                "seconds": seconds,
-                "left_out": left_out,
-            }
+            {"name": variant.name, "state": "failed" if why else "finished", "why": why}
+            | {"seconds": seconds, "left_out": list(left_out)}
         )
         for one in left_out:
             print(f"notice: left out: {one}", file=sys.stderr)
         print(f"failed: {why}" if why else f"done in {seconds:.0f} s", file=sys.stderr)
         rows, not_shown = write(options.out)
     if options.json:
-        found = sensitivity_table.to_json(rows, outcomes, out=options.out)
+        found = assumption_tables.to_json(rows, outcomes, out=options.out)
         print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True)
     else:
-        sensitivity_table.show(rows, left_out=not_shown)
+        assumption_tables.show_variants(rows, left_out=not_shown)
     failed = [outcome for outcome in outcomes if outcome["why"]]
     for outcome in failed:
         print(f"failed: {outcome['name']}: {outcome['why']}", file=sys.stderr)
     return FAILED_CELLS if failed else DONE
-
-
-def _compute(
-    variant: Variant,
-    options: argparse.Namespace,
-    manifest: Mapping[str, Any],
-    *,
-    attacks: Mapping[str, frozenset[str]],
-    left_out: list[str],
-) -> None:
-    """Run a variant, or what of it is missing; say what is left out of it."""
-    from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
-    from evaluation.results import run  # noqa: PLC0415
-    from evaluation.runs.execute import borrow  # noqa: PLC0415
-    from evaluation.verdict.sensitivity import folder_of  # noqa: PLC0415
-
-    settings, without = settings_of(
-        variant,
-        manifest=manifest,
-        attacks=attacks,
-        out=folder_of(options.out, variant.name),
-        scenes=options.scenes,
-        jobs=options.jobs,
-        trust=options.trust,
-    )
-    left_out += without
-    ready = plan(settings)
-    borrow(ready, sources=(options.out, folder_of(options.out, BASE)), fresh=options.fresh)
-    run(ready=ready, pictures=False)  # `evaluation.report` draws those that matter
 
 
 if __name__ == "__main__":

@@ -9,20 +9,26 @@ and the memory of a computer can take.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, fields, replace
-from difflib import get_close_matches
 from functools import cache
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_type_hints,
+)
 
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, did_you_mean, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-_MOST_SHOWN = 60
 _types_of = cache(get_type_hints)
+_Stage = TypeVar("_Stage")
 
 
 def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
@@ -34,41 +40,44 @@ def _check_fields(settings: Any) -> None:  # noqa: ANN401 - of any stage
     """Check the type and the range of every field, however the settings were made."""
     stages = _types_of(StageSettings)
     (stage,) = (name for name, kind in stages.items() if type(settings) is kind)
-    types = _types_of(stages[stage])
     for item in fields(settings):
         name, value = f"{stage}.{item.name}", getattr(settings, item.name)
-        annotation = types[item.name]
+        annotation = _types_of(stages[stage])[item.name]
         if choices := get_args(annotation):
             if value not in choices:
-                known = ", ".join(choices)
-                raise SettingsError(f"{name} must be one of {known}, got {_shown(value)}")
+                wanted = f"be one of {', '.join(choices)}"
+                raise SettingsError(f"{name} must {wanted}, got {quoted(value)}")
             continue
         kind, noun = (Integral, "whole number") if annotation is int else (Real, "number")
         fits = isinstance(value, kind) and not isinstance(value, bool)
         if not fits:
-            raise SettingsError(f"{name} must be a {noun}, got {_shown(value)}")
+            raise SettingsError(f"{name} must be a {noun}, got {quoted(value)}")
         (low, high), is_open = item.metadata["range"], item.metadata["open"]
         if not (low < value < high if is_open else low <= value <= high):  # False for NaN
-            bounds = f"{low:g} to {high:g}"
-            wanted = f"lie within {bounds}"
-            if is_open:
-                wanted = f"lie between {low:g} and {high:g}"
-            elif low > 0 >= value:
-                wanted = f"be positive ({bounds})"
-            elif low == 0 > value:
-                wanted = f"not be negative ({bounds})"
-            raise SettingsError(f"{name} must {wanted}, got {_shown(value)}")
+            wanted = f"between {low:g} and {high:g}" if is_open else f"within {low:g} to {high:g}"
+            raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
+    for lower, upper in _ORDERED.get(stage, ()):
+        least, most = getattr(settings, lower), getattr(settings, upper)
+        if most < least:
+            raise SettingsError(f"{stage}.{upper} ({most:g}) is below {stage}.{lower} ({least:g})")
 
 
-def _shown(value: object) -> str:
-    try:
-        text = repr(value)
-    except ValueError:  # Python refuses to write very long whole numbers
-        return "a number with thousands of digits"
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
+_ORDERED = {
+    "resample": [("rate_min_hz", "rate_max_hz")],
+    "scenes": [("ring_min_m", "ring_max_m")],
+    "linkage": [("handover_least_s", "handover_window_s")],
+}
+"""Of either pair the second may not be below the first."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass_transform(frozen_default=True)
+def _stage(cls: type[_Stage]) -> type[_Stage]:
+    """Make a frozen dataclass that checks its fields."""
+    cls.__post_init__ = _check_fields  # type: ignore[attr-defined]  # what dataclass calls
+    return dataclass(frozen=True, slots=True)(cls)
+
+
+@_stage
 class ResampleSettings:
     """Cubic interpolation of the recorded tracks and their adaptive sampling."""
 
@@ -81,16 +90,8 @@ class ResampleSettings:
     min_duration_s: float = _number(21.6, 0.1, 1e6)
     """reading: shorter tracks are left out (gives the paper's 366 history points)"""
 
-    def __post_init__(self) -> None:
-        _check_fields(self)
-        if self.rate_max_hz < self.rate_min_hz:
-            raise SettingsError(
-                f"resample.rate_max_hz ({self.rate_max_hz:g}) is below "
-                f"resample.rate_min_hz ({self.rate_min_hz:g})"
-            )
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class SceneSettings:
     """How a scene is cut and placed."""
 
@@ -115,13 +116,8 @@ class SceneSettings:
     max_redraws: int = _number(100, 1, 10_000)
     """reading: draws of a place before the last one is kept and counted"""
 
-    def __post_init__(self) -> None:
-        _check_fields(self)
-        if self.ring_max_m < self.ring_min_m:
-            raise SettingsError("scenes.ring_max_m is below scenes.ring_min_m")
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class SensingSettings:
     """Link budget of the base station, and the step from the Cramer-Rao bound to an error."""
 
@@ -160,11 +156,8 @@ class SensingSettings:
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
 
-    def __post_init__(self) -> None:
-        _check_fields(self)
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class ConflictSettings:
     """The robot's task."""
 
@@ -182,22 +175,16 @@ class ConflictSettings:
     probability_threshold: float = _number(0.5, 0, 1, is_open=True)
     """with `probability`: a conflict is declared at or above it"""
 
-    def __post_init__(self) -> None:
-        _check_fields(self)
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class PrivacySettings:
     """The leakage rule."""
 
     epsilon_m: float = _number(0.3, 1e-6, 1e4)
     """paper: a sample leaks when it lies closer than this to the truth"""
 
-    def __post_init__(self) -> None:
-        _check_fields(self)
 
-
-@dataclass(frozen=True, slots=True)
+@_stage
 class LinkageSettings:
     """What an adversary is given to link: windows of walks (`attacks.tasks.build`)."""
 
@@ -221,11 +208,6 @@ class LinkageSettings:
     """people who are linked in the other tasks, at most: of more, so many are drawn"""
     trait_strength: float = _number(1.0, 0, 10)
     """spread of the crowd's planted traits; 1 is the bundled one, another is simulated anew"""
-
-    def __post_init__(self) -> None:
-        _check_fields(self)
-        if self.handover_least_s > self.handover_window_s:
-            raise SettingsError("linkage.handover_least_s is above linkage.handover_window_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,12 +243,11 @@ class StageSettings:
         known = list(self.flat())
         for name, value in values.items():
             if name not in known:
-                near = get_close_matches(name, known, n=1)
-                hint = f"; did you mean {near[0]}?" if near else "; `--list` names all settings"
+                hint = did_you_mean(name, known) or "; `--list` names all settings"
                 raise SettingsError(f"unknown setting {name!r}{hint}")
             stage, key = name.split(".")
             annotation = _types_of(_types_of(StageSettings)[stage])[key]
-            per_stage.setdefault(stage, {})[key] = _parse(name, value, annotation)
+            per_stage.setdefault(stage, {})[key] = _parse(value, annotation)
         stages = {
             stage: replace(getattr(self, stage), **changes) for stage, changes in per_stage.items()
         }
@@ -281,20 +262,15 @@ class StageSettings:
         }
 
 
-def _parse(name: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
-    """Return what text or another type of number stands for; `_check_fields` looks at the rest."""
-    if get_args(annotation):
+def _parse(value: Any, annotation: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
+    """Return the number that text or a number of another type stands for.
+
+    What is none is left as it is, for `_check_fields` to refuse.
+    """
+    if get_args(annotation) or isinstance(value, bool):
         return value
     try:
         number = float(value)
-    except OverflowError:
-        number = math.inf
-    except (TypeError, ValueError):
-        raise SettingsError(f"{name} must be a number, got {_shown(value)}") from None
-    if isinstance(value, bool) or not math.isfinite(number):
-        raise SettingsError(f"{name} must be a finite number, got {_shown(value)}")
-    if annotation is int:
-        if number != int(number):
-            raise SettingsError(f"{name} must be a whole number, got {_shown(value)}")
-        return int(number)
-    return number
+    except (TypeError, ValueError, OverflowError):
+        return value
+    return int(number) if annotation is int and number.is_integer() else number

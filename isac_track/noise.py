@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.kalman.batch import floats, ragged_times
+from isac_track.types import check_offsets, check_times
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
@@ -41,8 +41,16 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     ValueError
         If shapes disagree, a number is not finite or times do not increase.
     """
-    t, offsets = ragged_times(t, offsets)
-    xy = floats("xy", xy, (t.size, 2))
+    if offsets.dtype.kind not in "iu":
+        raise ValueError("offsets must be integers")
+    offsets = np.ascontiguousarray(offsets, dtype=np.int64)
+    t, xy = (np.ascontiguousarray(one, dtype=np.float64) for one in (t, xy))
+    check_offsets(offsets, t.size)
+    check_times(t, offsets)
+    if xy.shape != (t.size, 2):
+        raise ValueError(f"xy must have shape {(t.size, 2)}, got {xy.shape}")
+    if not np.isfinite(xy).all():
+        raise ValueError("xy must be finite")
     variance = np.empty(offsets.size - 1)
     import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
     variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2

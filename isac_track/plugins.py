@@ -14,7 +14,7 @@ import math
 import sys
 import types
 from dataclasses import dataclass
-from difflib import get_close_matches
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import (
@@ -29,10 +29,17 @@ from typing import (
 )
 
 from isac_track.command_line import may_be_ctrl_c
-from isac_track.errors import IsacTrackError, PluginError, SettingsError, told
+from isac_track.errors import (
+    IsacTrackError,
+    PluginError,
+    SettingsError,
+    did_you_mean,
+    quoted,
+    told,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
 Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 
@@ -68,19 +75,8 @@ _SINGULAR_AND_METHOD: dict[Kind, tuple[str, str]] = {
     "attacks": ("attack", "fit"),
 }
 _MOST_LEVELS = 1000
-_MOST_SHOWN = 100
-"""Characters of what a user typed."""
-_WHOLE_LIMIT = 10**18
-_LEVEL_LIMIT = 10**12
-"""Of a level that is a whole number: names show 12 digits."""
-
-
-class _FaultError(Exception):
-    """What is wrong with a SPEC; `_naming` says with which."""
-
-    def __init__(self, message: str, told_as: type[IsacTrackError] = SettingsError) -> None:
-        super().__init__(message)
-        self.told_as = told_as
+_WHOLE_LIMIT = 10**12
+"""Names show 12 digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +125,7 @@ def broken(kind: Kind) -> dict[str, str]:
     return wrong
 
 
+@cache
 def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
     return tuple(sorted(entry_points(group=f"isac_track.{kind}"), key=lambda point: point.name))
 
@@ -136,30 +133,25 @@ def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
 def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     """Return the plug-ins that a SPEC names: one, or one per level of a sweep.
 
-    Raises
-    ------
-    SettingsError
-        For a name, parameter or value that does not exist or does not fit.
-    PluginError
-        If the plug-in cannot be imported or is not what its kind must be.
+    It is a SettingsError if a name, parameter or value does not exist or does not fit, and a
+    PluginError if the plug-in cannot be imported or is not what its kind must be.
     """
+    name, value, options = _split(kind, spec)
+    cls, origin = _load(kind, name)
     with _naming(spec):
-        name, value, options = _split(kind, spec)
-        cls, origin = _load(kind, name)
         hints = _hints(cls, origin)
         given: dict[str, Any] = {}
         for key, text in options.items():
             if key not in hints:
-                near = _nearest(key, list(hints))
-                raise _FaultError(f"{name} has no parameter {_shown(key)}{near}")
+                raise SettingsError(f"{name} has no parameter {quoted(key)}{_nearest(key, hints)}")
             given[key] = _read(text, hints[key], key)
         changes = [given]
         if value is not None:
             if not hints:
-                raise _FaultError(f"{name} takes no value")
+                raise SettingsError(f"{name} takes no value")
             first = next(iter(hints))
             if first in given:
-                raise _FaultError(f"{first} is given twice")
+                raise SettingsError(f"{first} is given twice")
             levels = [value]
             if ".." in value:
                 levels = _sweep(value, is_log=getattr(cls, "sweep", "linear") == "log")
@@ -175,16 +167,17 @@ def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
 
 def is_own_class(kind: Kind, spec: str) -> bool:
     """Whether a SPEC names a class by its module, ``package.module:Class``; imports nothing."""
-    with _naming(spec):
-        return ":" in _split(kind, spec)[0]
+    return ":" in _split(kind, spec)[0]
 
 
 @contextlib.contextmanager
 def _naming(spec: str) -> Iterator[None]:
+    """Begin the message of what is wrong with the SPEC that it is about."""
     try:
         yield
-    except _FaultError as fault:
-        raise fault.told_as(f"{_shown(spec)}: {fault}") from fault.__cause__
+    except IsacTrackError as error:
+        kind = PluginError if isinstance(error, PluginError) else SettingsError
+        raise kind(f"{quoted(spec)}: {error}") from error.__cause__
 
 
 def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
@@ -192,25 +185,26 @@ def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
     name, _, rest = spec.strip().partition(":")
     attribute = rest.partition(":")[0]
     may_be_module = name.isidentifier() and attribute.isidentifier() and name not in names(kind)
-    # A module without a package is a file of one's own.
-    if "." in name or (may_be_module and find_spec(name) is not None):
-        name, rest = f"{name}:{attribute}", rest.partition(":")[2]
-        if not attribute.isidentifier():
-            raise _FaultError("expected package.module:Class[:VALUE][,key=value...]")
-    if not name:
-        raise _FaultError("a SPEC begins with a name")
     value: str | None = None
     options: dict[str, str] = {}
-    for position, part in enumerate(rest.split(",") if rest else []):
-        key, equals, text = (one.strip() for one in part.partition("="))
-        if equals and key and text:
-            if key in options:
-                raise _FaultError(f"{key} is given twice")
-            options[key] = text
-        elif not equals and position == 0 and key:
-            value = key
-        else:
-            raise _FaultError(f"{_shown(part)} is not key=value")
+    with _naming(spec):
+        # A module without a package is a file of one's own.
+        if "." in name or (may_be_module and find_spec(name) is not None):
+            name, rest = f"{name}:{attribute}", rest.partition(":")[2]
+            if not attribute.isidentifier():
+                raise SettingsError("expected package.module:Class[:VALUE][,key=value...]")
+        if not name:
+            raise SettingsError("a SPEC begins with a name")
+        for position, part in enumerate(rest.split(",") if rest else []):
+            key, equals, text = (one.strip() for one in part.partition("="))
+            if equals and key and text:
+                if key in options:
+                    raise SettingsError(f"{key} is given twice")
+                options[key] = text
+            elif not equals and position == 0 and key:
+                value = key
+            else:
+                raise SettingsError(f"{quoted(part)} is not key=value")
     return name, value, options
 
 
@@ -220,7 +214,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     origin = name if ":" in name else known.get(name)
     singular, method = _SINGULAR_AND_METHOD[kind]
     if origin is None:
-        raise SettingsError(f"unknown {singular} {_shown(name)}{_nearest(name, list(known))}")
+        raise SettingsError(f"unknown {singular} {quoted(name)}{_nearest(name, known)}")
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
@@ -230,10 +224,9 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
         raise PluginError(
             f"{singular} {name!r} cannot be loaded from {origin}: {told(error)}"
         ) from error
-    if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
+    declared = getattr(cls, "__dataclass_params__", None)
+    if not (isinstance(cls, type) and declared and declared.frozen):
         raise PluginError(f"{singular} {name!r}: {origin} must be a frozen dataclass")
-    if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]  # set by the decorator
-        raise PluginError(f"{singular} {name!r}: the dataclass {origin} must be frozen")
     if not callable(getattr(cls, method, None)):
         raise PluginError(f"{singular} {name!r}: {origin} has no method {method}()")
     return cls, origin
@@ -241,18 +234,15 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
 
 def _hints(cls: type, origin: str) -> dict[str, Any]:
     """Return the type of every parameter; of one that is inherited, as its own module reads it."""
+    known: dict[str, Any] = {}
+    for one in reversed(cls.__mro__):
+        known |= vars(sys.modules[one.__module__])
     hints: dict[str, Any] = {}
     # Only the parameters: a ClassVar may well name a type that is not there at run time.
     for item in _parameters(cls):
-        # An inherited field is the very object of the class that declares it.
-        owner = next(
-            one
-            for one in reversed(cls.__mro__)
-            if vars(one).get("__dataclass_fields__", {}).get(item.name) is item
-        )
         holder = type("Parameter", (), {"__annotations__": {item.name: item.type}})
         try:
-            hints |= get_type_hints(holder, globalns=vars(sys.modules[owner.__module__]))
+            hints |= get_type_hints(holder, globalns=known)
         except NameError as error:
             raise PluginError(
                 f"{origin}: {error}; a parameter's type must be imported at run time, "
@@ -274,7 +264,7 @@ def _read(text: str, annotation: Any, key: str) -> Any:  # noqa: ANN401 - as ann
         if text.lower() == "none" and type(None) in get_args(annotation):
             return None
         for kind in kinds[:-1]:
-            with contextlib.suppress(_FaultError):
+            with contextlib.suppress(IsacTrackError):
                 return _read(text, kind, key)
         return _read(text, kinds[-1], key)
     if annotation is bool or get_origin(annotation) is Literal:
@@ -283,14 +273,12 @@ def _read(text: str, annotation: Any, key: str) -> Any:  # noqa: ANN401 - as ann
             if text.lower() == str(choice).lower():
                 return choice
         known = ", ".join(map(str, choices)).lower()
-        raise _FaultError(f"{key} must be one of {known}, got {_shown(text)}")
+        raise SettingsError(f"{key} must be one of {known}, got {quoted(text)}")
     if annotation is str:
         return text
     if annotation in (int, float):
         return _read_number(text, annotation, key)
-    raise _FaultError(
-        f"{key}: parameters of type {annotation} cannot be given as text", PluginError
-    )
+    raise PluginError(f"{key}: parameters of type {annotation} cannot be given as text")
 
 
 def _read_number(text: str, kind: type[int | float], key: str) -> float:
@@ -298,11 +286,11 @@ def _read_number(text: str, kind: type[int | float], key: str) -> float:
         number = kind(text)
     except ValueError:
         noun = "a whole number" if kind is int else "a number"
-        raise _FaultError(f"{key} must be {noun}, got {_shown(text)}") from None
+        raise SettingsError(f"{key} must be {noun}, got {quoted(text)}") from None
     if kind is int and abs(number) >= _WHOLE_LIMIT:
-        raise _FaultError(f"{key} must have at most 18 digits, got {_shown(text)}")
+        raise SettingsError(f"{key} must have at most 12 digits, got {quoted(text)}")
     if not math.isfinite(number):
-        raise _FaultError(f"{key} must be finite, got {_shown(text)}")
+        raise SettingsError(f"{key} must be finite, got {quoted(text)}")
     # The 12 digits that names show: what two spellings share is one level, not two.
     return number if kind is int else float(f"{number:.12g}")
 
@@ -315,13 +303,13 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
         count = int(count_text)
     except ValueError:
         usage = "a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10"
-        raise _FaultError(f"{usage}, got {_shown(value)}") from None
+        raise SettingsError(f"{usage}, got {quoted(value)}") from None
     if count > _MOST_LEVELS:
-        raise _FaultError(f"a sweep has at most {_MOST_LEVELS} levels, got {count}")
+        raise SettingsError(f"a sweep has at most {_MOST_LEVELS} levels, got {count}")
     if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004
-        raise _FaultError("a sweep needs two finite ends that differ and COUNT >= 2")
+        raise SettingsError("a sweep needs two finite ends that differ and COUNT >= 2")
     if is_log and (low <= 0 or high <= 0):
-        raise _FaultError("this sweep is logarithmic; both ends must be positive")
+        raise SettingsError("this sweep is logarithmic; both ends must be positive")
     levels = [
         low * (high / low) ** share if is_log else low + (high - low) * share
         for share in (step / (count - 1) for step in range(count))
@@ -332,19 +320,15 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
 def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
     """Return the plug-in of a class and its parameters, checked, with the names that it has."""
     instance = _made(name, cls, origin, changes)
-    adding = _check_declared(kind, name, instance, origin)
+    adding = _check_declared(kind, instance, origin)
     level: float | None = None
     parameters: list[str] = []
     for position, item in enumerate(_parameters(cls)):
         value = getattr(instance, item.name)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if position == 0 and kind == "mechanisms" and is_number:
-            if isinstance(value, int) and abs(value) >= _LEVEL_LIMIT:
-                raise _FaultError(f"the level {item.name} must have at most 12 digits")
             level = float(value)
-            if not math.isfinite(level):
-                raise _FaultError(f"the level {item.name} must be finite")
-        elif not _is_default(value, item):
+        elif item.name in changes and value != _default(item):
             parameters.append(f"{item.name}={_text(value)}")
     column = ":".join([name, *([",".join(parameters)] if parameters else [])])
     spec = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
@@ -357,7 +341,7 @@ def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  #
     except IsacTrackError:
         raise
     except ValueError as error:
-        raise _FaultError(told(error).removeprefix("ValueError: ")) from None
+        raise SettingsError(told(error).removeprefix("ValueError: ")) from None
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
@@ -369,23 +353,23 @@ def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  #
         ]
         if needed and isinstance(error, TypeError):
             example = f"as in {name}:VALUE"
-            raise _FaultError(f"{name} needs a value for {', '.join(needed)}, {example}") from None
+            raise SettingsError(
+                f"{name} needs a value for {', '.join(needed)}, {example}"
+            ) from None
         why = f"{told(error)}; a plug-in refuses a value by a ValueError"
-        raise _FaultError(f"{origin} cannot be made: {why}", PluginError) from error
+        raise PluginError(f"{origin} cannot be made: {why}") from error
 
 
-def _check_declared(kind: Kind, name: str, instance: object, origin: str) -> str:
+def _check_declared(kind: Kind, instance: object, origin: str) -> str:
     """Return the adding rule of a mechanism, else nothing; check the rest of what is declared."""
     from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
     from isac_track.types import Adding, Knowledge  # noqa: PLC0415
-
-    who = f"{_SINGULAR_AND_METHOD[kind][0]} {name!r}"
 
     def declared(attribute: str, default: object = None) -> Any:  # noqa: ANN401 - a stranger's
         try:
             return getattr(instance, attribute, default)
         except Exception as error:  # it may be a property
-            raise PluginError(f"{who}: {origin}.{attribute}: {told(error)}") from error
+            raise PluginError(f"{origin}.{attribute}: {told(error)}") from error
 
     if kind == "mechanisms":
         # A rule for an error that is not there is none.
@@ -394,40 +378,27 @@ def _check_declared(kind: Kind, name: str, instance: object, origin: str) -> str
     for attribute in ("requires", "uses") if kind == "attacks" else ("requires",):
         needs = declared(attribute)
         if not isinstance(needs, frozenset) or not all(isinstance(one, Knowledge) for one in needs):
-            raise PluginError(f"{who}: {origin}.{attribute} must be a frozenset of Knowledge")
-        denied = sorted(one.name for one in needs if one is not Knowledge.SIGMA)
+            raise PluginError(f"{origin}.{attribute} must be a frozenset of Knowledge")
+        denied = ", ".join(sorted(one.name for one in needs if one is not Knowledge.SIGMA))
         if kind == "predictors" and denied:
-            which = ", ".join(denied)
-            raise PluginError(f"{who} requires {which}, which a robot is never granted")
+            raise PluginError(f"{origin} requires {denied}, which a robot is never granted")
     if kind == "attacks":
         try:
             kind_of(instance)
         except ValueError as error:
-            raise PluginError(f"{who}: {origin}: {error}") from None
+            raise PluginError(f"{origin}: {error}") from None
     return ""
 
 
-def _is_default(value: object, item: dataclasses.Field[Any]) -> bool:
-    default = item.default
-    if item.default_factory is not dataclasses.MISSING:
-        default = item.default_factory()
-    try:
-        return bool(value == default)
-    except ValueError:  # arrays compare element by element
-        return value is default
-
-
-def _shown(text: str) -> str:
-    """Return what a user typed in quotes, cut to a length."""
-    return repr(text) if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]!r}..."
+def _default(item: dataclasses.Field[Any]) -> Any:  # noqa: ANN401 - of any type
+    made = item.default_factory
+    return item.default if made is dataclasses.MISSING else made()
 
 
 def _text(value: object) -> str:
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
-def _nearest(name: str, known: list[str]) -> str:
-    near = get_close_matches(name, known, n=1)
-    if near:
-        return f"; did you mean {near[0]!r}?"
-    return f"; known: {', '.join(sorted(known))}" if known else "; it has none"
+def _nearest(name: str, known: Collection[str]) -> str:
+    listed = f"; known: {', '.join(sorted(known))}" if known else "; it has none"
+    return did_you_mean(name, known, quote="'") or listed

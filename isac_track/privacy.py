@@ -32,21 +32,8 @@ class Exposure:
 def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -> Bools:
     """Return which samples leak: the shared position lies closer than epsilon to the truth.
 
-    Eq. leakage_indicator. The inequality is strict.
-
-    Parameters
-    ----------
-    shared_xy, true_xy : (M, 2) m
-    epsilon_m : float
-
-    Returns
-    -------
-    (M,) bool
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ or epsilon is not positive.
+    Eq. leakage_indicator, of (M, 2) m each. The inequality is strict. ValueError if the shapes
+    differ or epsilon is not positive.
     """
     if shared_xy.shape != true_xy.shape or shared_xy.ndim != 2 or shared_xy.shape[1] != 2:  # noqa: PLR2004
         raise ValueError(
@@ -78,19 +65,9 @@ def exposure(*, leaked: Bools, t: Floats, offsets: Ints) -> Exposure:
     trajectory's segments, MEL its longest; both are 0 without a leaked sample. A trajectory of
     one sample has no interval: if that sample leaks, AEL and MEL are NaN (unknown, not zero).
 
-    Parameters
-    ----------
-    leaked : (M,) bool
-        Leakage indicator z_i(k).
-    t : (M,) s
-        Sampling times, strictly increasing within a trajectory.
-    offsets : (N + 1,) int
-        Trajectory i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty.
-
-    Raises
-    ------
-    ValueError
-        If lengths disagree or a trajectory is empty.
+    `leaked` is the indicator z_i(k), (M,) bool, and `t` are the sampling times, (M,) s; trajectory
+    i owns the samples ``offsets[i]:offsets[i + 1]``. It is a ValueError if lengths disagree or a
+    trajectory is empty.
     """
     if leaked.shape != t.shape or leaked.ndim != 1:
         raise ValueError(f"leaked and t must have one shape (M,), got {leaked.shape}, {t.shape}")

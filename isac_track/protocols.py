@@ -112,7 +112,7 @@ def kind_of(attack: object) -> Literal["reconstruction", "linkage"]:
     raise ValueError(f'kind must be "reconstruction" or "linkage", got {said!r}')
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class TrainingSet:
     """A release of other people, perturbed by the same mechanism, and where they truly were."""
 
@@ -163,29 +163,13 @@ class AttackContext:
         train: TrainingSet | LinkageTrainingSet | None = None,
         repeats: tuple[Release, ...] | None = None,
     ) -> None:
-        """Keep what was granted.
+        """Keep what was granted; ValueError if something of it is not there.
 
-        Parameters
-        ----------
-        rng : Generator
-            The attack's own stream.
-        epsilon_m : float
-            Distance below which a sample counts as leaked, m.
-        granted : frozenset of Knowledge
-            SIGMA and SCENE show in the release itself: declared standard deviations, and the true
-            frame and clock.
-        mechanism : Mechanism, optional
-            The frozen object, for MECHANISM.
-        train : TrainingSet or LinkageTrainingSet, optional
-            For TRAIN; which of the two goes by the kind of the attack.
-        repeats : tuple of Release, optional
-            Further releases of the same walks, sample by sample at the same instants, for
-            REPEATS.
-
-        Raises
-        ------
-        ValueError
-            If something was granted and is not there.
+        `rng` is the attack's own stream, and a sample leaks closer than `epsilon_m`, m. SIGMA and
+        SCENE show in the release itself: declared standard deviations, and the true frame and
+        clock. `mechanism`, the frozen object, `train`, which of the two goes by the kind of the
+        attack, and `repeats`, further releases of the same walks, sample by sample at the same
+        instants, are for the knowledge of those names.
         """
         self.rng = rng
         self.epsilon_m = epsilon_m

@@ -27,12 +27,7 @@ def walk(track: Tracks) -> Callable[[Floats], Floats]:
     """
     if len(track) != 1 or track.t.size < 2:  # noqa: PLR2004 - a walk needs two points
         raise ValueError("a walk needs one track of at least two samples")
-    spline = CubicSpline(track.t, track.xy)  # scipy lowers the degree below four points
-
-    def position(t: Floats) -> Floats:
-        return np.asarray(spline(t), dtype=np.float64)
-
-    return position
+    return CubicSpline(track.t, track.xy)  # scipy lowers the degree below four points
 
 
 def sampling_times(
@@ -61,8 +56,7 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
     Every track draws from its own stream, so that leaving one out changes no other. ValueError if
     no track is long enough.
     """
-    t_parts: list[Floats] = []
-    xy_parts: list[Floats] = []
+    parts: list[tuple[Floats, Floats]] = []
     kept: list[int] = []
     for row, track in enumerate(tracks):
         start_s, end_s = float(track.t[0]), float(track.t[-1])
@@ -71,11 +65,11 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
             continue
         rng = stream(seed, "resample", track.source[0])
         t = sampling_times(start_s=start_s, end_s=end_s, settings=settings, rng=rng)
-        t_parts.append(t)
-        xy_parts.append(walk(track)(t))
+        parts.append((t, walk(track)(t)))
         kept.append(row)
     if not kept:
         raise ValueError(f"no track lasts {settings.min_duration_s:g} s")
+    t_parts, xy_parts = zip(*parts, strict=True)
     return Tracks(
         t=np.concatenate(t_parts),
         xy=np.concatenate(xy_parts),

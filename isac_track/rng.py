@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import struct
 
 import numpy as np
 
@@ -29,11 +30,11 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
         raise ValueError(f"the seed must not be negative, got {seed}")
     if not names:
         raise ValueError("a stream needs a name: stream(seed, stage, ...)")
-    digest = hashlib.sha256()
+    parts: list[bytes] = []
     for name in names:
         # int() folds numpy integers; a bool would silently be 0 or 1 and is not a name.
         text = f"s{name}" if isinstance(name, str) else f"i{int(name)}"
         encoded = text.encode()
-        digest.update(len(encoded).to_bytes(8, "little") + encoded)
-    key = tuple(int(word) for word in np.frombuffer(digest.digest()[:16], dtype="<u4"))
+        parts += len(encoded).to_bytes(8, "little"), encoded
+    key = struct.unpack("<4I", hashlib.sha256(b"".join(parts)).digest()[:16])
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))

@@ -55,12 +55,8 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     """Resample the recorded tracks and split each at `history_ratio` of its samples.
 
     The future is taken from the continuous walk at the very timestamps of the prediction
-    grid, so that the label has no interpolation of its own.
-
-    Raises
-    ------
-    DataError
-        If fewer tracks remain than a scene has agents.
+    grid, so that the label has no interpolation of its own. It is a DataError if fewer tracks
+    remain than a scene has agents.
     """
     try:
         sampled = resample(recorded, settings=settings.resample, seed=seed)

@@ -89,15 +89,8 @@ def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floa
     Eqs. fid_ratio and fid_error_control: nothing up to the threshold, then
     alpha * (beta - exp(-(rho - 1))), from alpha * (beta - 1) just above it to alpha * beta.
 
-    Parameters
-    ----------
-    fid : (M,) 1/(m^2 s)
-    eta : float
-        Threshold, 1/(m^2 s), positive.
-    alpha_m : float
-        alpha of the paper, m.
-    beta : float
-        beta of the paper, at least 1 (less would give a negative standard deviation).
+    `fid` and the threshold `eta`, positive, are in 1/(m^2 s); `alpha_m` and `beta` are the paper's,
+    beta at least 1 (less would give a negative standard deviation).
     """
     rho = fid / eta
     above = rho > 1.0

@@ -36,20 +36,8 @@ def correlated_errors(
     `fixed_direction`: one of time constant tau_s times a direction that is drawn once a track.
     All are exact at any instants and use the same draws, three a sample.
 
-    Parameters
-    ----------
-    t : (M,) s
-        Strictly increasing within a track.
-    offsets : (N + 1,) int
-    law : {"radial", "isotropic", "fixed_direction"}
-    tau_s : float
-        Time constant, s, positive.
-    rng : Generator
-
-    Raises
-    ------
-    ValueError
-        For an unknown law.
+    `t` are (M,) s, strictly increasing within a track, `offsets` (N + 1,), and `tau_s` is
+    positive. An unknown law is a ValueError.
     """
     if law not in get_args(ErrorLaw):
         raise ValueError(f"unknown error law {law!r}; known: {', '.join(get_args(ErrorLaw))}")
@@ -141,7 +129,6 @@ class Offset:
     sweep: ClassVar[str] = "linear"
     adds_error: ClassVar[bool] = False
     errors_are_independent: ClassVar[bool] = False
-    """From sample to sample: without that the linear benchmark does not hold."""
 
     def __post_init__(self) -> None:
         check_at_least("distance", self.distance, 0, " m")

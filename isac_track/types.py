@@ -18,7 +18,10 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from _typeshed import DataclassInstance
+
 Floats: TypeAlias = NDArray[np.float64]
+Complexes: TypeAlias = NDArray[np.complex128]
 Ints: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
 ErrorLaw: TypeAlias = Literal["radial", "isotropic", "fixed_direction"]
@@ -189,7 +192,7 @@ class Sensed:
     __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class Release:
     """All that a robot or an adversary ever receives. N tracks, M samples in all."""
 
@@ -213,7 +216,8 @@ class Release:
         """Return some of the tracks, in the order of `rows`."""
         rows = np.asarray(rows, dtype=np.int64)
         samples, offsets = stretches(self.offsets[rows], np.diff(self.offsets)[rows])
-        return Release(
+        return derived(
+            self,
             t=self.t[samples],
             xy=self.xy.take(samples, axis=0),
             sigma=None if self.sigma is None else self.sigma[samples],
@@ -223,7 +227,7 @@ class Release:
 
     def without_sigma(self) -> Release:
         """Return the same release as a receiver without `Knowledge.SIGMA` gets it."""
-        return replace(self, sigma=None)
+        return derived(self, sigma=None)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -260,6 +264,29 @@ class Reconstruction:
             if not within(self.std, 0.0, ESTIMATE_LIMIT_M):
                 limit = f"at most {ESTIMATE_LIMIT_M:g} m"
                 raise ValueError(f"std must be finite and not negative, and {limit}")
+
+
+_Container = TypeVar("_Container", bound="DataclassInstance")
+
+
+def derived(container: _Container, **changes: object) -> _Container:
+    """Return a container with other values that are sound because those it had are.
+
+    As `dataclasses.replace`, but nothing is checked: not again what was looked at when the
+    container was made.
+    """
+    new: _Container = object.__new__(type(container))
+    for item in fields(container):
+        value = changes.get(item.name, _KEPT)
+        if value is _KEPT:
+            value = getattr(container, item.name)
+        elif isinstance(value, np.ndarray):
+            value = read_only(value)
+        object.__setattr__(new, item.name, value)
+    return new
+
+
+_KEPT = object()
 
 
 def _check_batch(batch: _Batch) -> None:

@@ -164,9 +164,16 @@ def _ahead(mean: Floats, cov: Floats, *, q: Floats, elapsed_s: Floats) -> tuple[
     """Return the forecasts, (..., H), of states (..., 2, d) with covariance (..., 2, d, 2, d)."""
     d = mean.shape[-1]
     # Taylor terms of the motion: position after tau is sum_k tau^k / k! times derivative k.
-    h = elapsed_s[..., None] ** np.arange(d) / np.array([1.0, 1.0, 2.0])[:d]
-    position = np.einsum("...hd,...ad->...ha", h, mean)
-    spread = np.einsum("...hd,...adbe,...he->...hab", h, cov, h)
+    factorial, tau = np.array([1.0, 1.0, 2.0])[:d], elapsed_s[..., None]
+    terms = mean / factorial
+    position = terms[..., None, :, d - 1]
+    for k in reversed(range(d - 1)):
+        position = terms[..., None, :, k] + tau * position
+    both, tau = cov / (factorial[:, None, None] * factorial), tau[..., None]
+    spread = np.zeros(())
+    for power in reversed(range(2 * d - 1)):
+        pairs = range(max(power - d + 1, 0), min(power, d - 1) + 1)
+        spread = tau * spread + sum(both[..., None, :, k, :, power - k] for k in pairs)
     # White noise on derivative d: its (d - 1)-fold integral has the variance below.
     grown = q * elapsed_s ** (2 * d - 1) / (3.0 if d == 2 else 20.0)  # noqa: PLR2004
     return position, spread + grown[..., None, None] * np.eye(2)

@@ -1,11 +1,11 @@
 """Compiled loops of the linkage attacks: what they do walk by walk or pair by pair.
 
-Of every pair a loop makes the same, whoever else is there: no result hangs on its neighbours.
+A pair's result does not hang on who else is there, but for the rounding of matrix products.
 """
 
 from __future__ import annotations
 
-from math import log
+from math import log, log1p
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -133,41 +133,20 @@ def warp(
 
 
 @part_of_loop
-def _add(weights: Floats, cells: Floats, row: Floats) -> None:
-    """Add cells (K, N), times K weights, to a row of N."""
-    last = weights.size
-    # Walk by walk in the innermost loop: it becomes vector code. By fours, since it is the loads
-    # and stores of the row that take the time.
-    for j in range(0, last - 3, 4):
-        w0, w1, w2, w3 = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
-        c0, c1, c2, c3 = cells[j], cells[j + 1], cells[j + 2], cells[j + 3]
-        for i in range(row.size):
-            row[i] += (w0 * c0[i] + w1 * c1[i]) + (w2 * c2[i] + w3 * c3[i])
-    for j in range(last - last % 4, last - 1, 2):
-        for i in range(row.size):
-            row[i] += weights[j] * cells[j, i] + weights[j + 1] * cells[j + 1, i]
-    if last % 2:
-        for i in range(row.size):
-            row[i] += weights[last - 1] * cells[last - 1, i]
-
-
-@part_of_loop
-def _project(
-    signal: Floats, start: int, m: int, basis: Floats, rank: int, parts: Floats, norm: Floats
-) -> None:
-    """Project cells ``start:start + m`` of (C, K, N) signals on the basis: (C * rank, N), (N,)."""
-    norm[:] = 0.0
-    for c in range(signal.shape[0]):
-        for k in range(rank):
-            row = parts[c * rank + k]
-            row[:] = 0.0
-            _add(basis[k * m : (k + 1) * m], signal[c, start : start + m], row)
-            for i in range(norm.size):
-                norm[i] += row[i] * row[i]
+def _projected(signals: Floats, start: int, basis: Floats) -> tuple[Floats, Floats]:
+    """Project cells from `start` on of (C, K, N) signals on a basis (R, m): (C R, N), squares."""
+    rank, m = basis.shape
+    parts, square = np.empty((len(signals) * rank, signals.shape[2])), np.zeros(signals.shape[2])
+    for c in range(len(signals)):
+        np.dot(basis, signals[c, start : start + m], parts[c * rank : (c + 1) * rank])
+    for part in parts:
+        for i in range(part.size):
+            square[i] += part[i] * part[i]
+    return parts, square
 
 
 @compiled(FLOATS3, FLOATS3, FLOATS1, INTS1, FLOATS1, FLOATS1, INT, INT, BOOL, OUT_FLOATS3)
-def least_costs(  # noqa: C901 - one loop, for speed
+def least_costs(
     probe: Floats,
     gallery: Floats,
     basis: Floats,
@@ -179,47 +158,77 @@ def least_costs(  # noqa: C901 - one loop, for speed
     rotated: bool,  # noqa: FBT001 - numba passes by position
     out: Floats,
 ) -> None:
-    """Fill `out` (E, P, G) with the least cost over all lags; see `alignment.aligned_costs`.
+    """Fill `out` (E, P, G) with the least cost over all lags; see `signals.aligned_costs`.
 
     `weight` is the factor of an overlap of 1 cell, 2 cells and so on.
     """
-    channels, long_p, n_probe = probe.shape
-    _, long_g, n_gallery = gallery.shape
+    long_p, long_g, n_gallery = probe.shape[1], gallery.shape[1], gallery.shape[2]
     longest = min(long_p, long_g)
-    most = channels * max((begin[longest + 1] - begin[longest]) // longest, 1)
-    p_parts, g_parts = np.empty((most, n_probe)), np.empty((most, n_gallery))
-    p_norm, g_norm = np.empty(n_probe), np.empty(n_gallery)
-    dot, cross, gap = np.empty(n_gallery), np.empty(n_gallery), np.empty(n_gallery)
-    along = np.empty(most)
+    gap = np.empty(n_gallery)
     out[:] = np.inf
     for lag in range(-reach - max(long_g - long_p, 0), reach + max(long_p - long_g, 0) + 1):
         start_p, start_g = max(lag, 0), max(-lag, 0)
         m = min(long_p - start_p, long_g - start_g)
         if m < min(least, longest):
             continue
-        here = basis[begin[m] : begin[m + 1]]
-        rank = here.size // m
-        _project(probe, start_p, m, here, rank, p_parts, p_norm)
-        _project(gallery, start_g, m, here, rank, g_parts, g_norm)
-        for i in range(n_probe):
-            dot[:] = 0.0
-            for k in range(channels * rank):
-                along[k] = p_parts[k, i]
-            _add(along[: channels * rank], g_parts, dot)
-            if rotated:
-                # The modulus of a b*: the rotation that fits best, which no reflection can enter.
-                cross[:] = 0.0
-                for k in range(rank):
-                    along[k], along[rank + k] = p_parts[rank + k, i], -p_parts[k, i]
-                _add(along[: 2 * rank], g_parts, cross)
+        here = basis[begin[m] : begin[m + 1]].reshape(-1, m)
+        p_parts, p_square = _projected(probe, start_p, here)
+        g_parts, g_square = _projected(gallery, start_g, here)
+        dot = np.dot(p_parts.T, g_parts)
+        if rotated:
+            # The modulus of a b*: the rotation that fits best, which no reflection can enter.
+            turned, rank = np.empty_like(p_parts), len(here)
+            turned[:rank], turned[rank:] = p_parts[rank:], -p_parts[:rank]
+            cross = np.dot(turned.T, g_parts)
+            for i in range(len(dot)):
                 for j in range(n_gallery):
-                    dot[j] = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
-            own, scale = p_norm[i], weight[m - 1] / m
+                    dot[i, j] = np.sqrt(dot[i, j] * dot[i, j] + cross[i, j] * cross[i, j])
+        for i in range(p_square.size):
+            own, scale = p_square[i], weight[m - 1] / m
             for j in range(n_gallery):
-                left = own + g_norm[j] - 2.0 * dot[j]
-                gap[j] = max(left, 0.0) * scale
+                gap[j] = max(own + g_square[j] - 2.0 * dot[i, j], 0.0) * scale
             for e in range(floors.size):
                 best, more = out[e, i], floors[e] * weight[m - 1]
                 for j in range(n_gallery):
-                    cost = gap[j] + more
-                    best[j] = min(best[j], cost)
+                    best[j] = min(best[j], gap[j] + more)
+
+
+@compiled(FLOATS1, FLOATS3, FLOATS3, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, OUT_FLOATS2)
+def continued(
+    until_s: Floats,
+    mean: Floats,
+    cov: Floats,
+    q: float,
+    least_s: float,
+    most_s: float,
+    longest_s: float,
+    tail: float,
+    out: Floats,
+) -> None:
+    """Fill `out` (P, G) with the log density of continuations; see `kinematic.continuations`.
+
+    The states are those of P probes and then, back in time, of G gallery walks.
+    """
+    n_probe = len(out)
+    for i, j in np.ndindex(out.shape):
+        other = n_probe + j
+        # Backwards in time, clock and velocity have the other sign.
+        gap_s = -until_s[other] - until_s[i]
+        if not least_s <= gap_s <= most_s:
+            out[i, j] = -np.inf
+            continue
+        gap_s = min(max(gap_s, -longest_s), longest_s)
+        grown = q * abs(gap_s)
+        p00, p01, p11 = cov[i, 0, 0], cov[i, 0, 1], cov[i, 1, 1]
+        place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s * gap_s / 3.0
+        place += cov[other, 0, 0]
+        both = p01 + gap_s * p11 + grown * gap_s / 2.0 - cov[other, 0, 1]
+        pace = p11 + grown + cov[other, 1, 1]
+        determinant = place * pace - both * both
+        square = 0.0
+        for axis in range(2):
+            off = mean[i, axis, 0] + gap_s * mean[i, axis, 1] - mean[other, axis, 0]
+            drift = mean[i, axis, 1] + mean[other, axis, 1]
+            square += (pace * off - 2.0 * both * drift) * off + place * drift * drift
+        # Of four dimensions.
+        out[i, j] = -log(determinant) - (tail + 4.0) / 2.0 * log1p(square / determinant / tail)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.linkage.learning import mated, teaches
-from attacks.linkage.signals import STEP_S, motion, on_grid, product, widths_s
-from isac_track.noise import innovation_variance_m2
+from attacks.linkage.signals import STEP_S, motion_of, on_grid
+from attacks.remembered import noise_m2, remembered
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
@@ -88,9 +88,8 @@ class Behaviour:
 
 def _score(probe: Release, gallery: Release, *, metric: Floats) -> Floats:
     a, b = features(probe), features(gallery)
-    through = product(a, metric)
-    own_a, own_b = (through * a).sum(axis=1), (product(b, metric) * b).sum(axis=1)
-    score: Floats = 2.0 * product(through, b.T) - own_a[:, None] - own_b[None, :]
+    own_a, own_b = (((each @ metric) * each).sum(axis=1) for each in (a, b))
+    score: Floats = 2.0 * (a @ metric @ b.T) - own_a[:, None] - own_b
     return score
 
 
@@ -122,10 +121,11 @@ def _second_moments(x: Floats) -> Floats:
     return moments
 
 
+@remembered
 def features(release: Release) -> Floats:
     """Return what describes each walk, (N, F) in the order of `FEATURES`."""
     walks = on_grid(release)
-    (speed, turn), count = motion(walks, width_s=widths_s(release))
+    (speed, turn), count = motion_of(release, 1.0)
     live = np.arange(speed.shape[1]) < count[:, None]
 
     def mean(values: Floats) -> Floats:
@@ -167,9 +167,7 @@ def sway(release: Release, walks: Signals) -> Floats:
     error variance of a cell's mean is taken off. The logarithm is shrunk to 0 where that variance
     is above `_SWAY_M2`.
     """
-    variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    in_cell = np.maximum(np.diff(release.offsets) / walks.sizes, 1.0)
-    noise_m2 = variance_m2 / in_cell
+    error_m2 = noise_m2(release) / np.maximum(np.diff(release.offsets) / walks.sizes, 1.0)
     power_m2 = np.zeros((walks.sizes.size, len(_BANDS_HZ)))
     for cells in np.unique(walks.sizes[walks.sizes >= _LEAST_CELLS]):
         rows = np.flatnonzero(walks.sizes == cells)
@@ -189,7 +187,7 @@ def sway(release: Release, walks: Signals) -> Floats:
                 part = spectrum[:, inside]
                 square = (part.real**2 + part.imag**2) / gain[inside]
                 power_m2[rows, band] = square.mean(axis=1) / (window**2).sum()
-    clear = 1.0 / (1.0 + noise_m2 / _SWAY_M2)
-    left_m2 = np.maximum(power_m2 - noise_m2[:, None], 0.0) + _LEAST_SWAY_M2
+    clear = 1.0 / (1.0 + error_m2 / _SWAY_M2)
+    left_m2 = np.maximum(power_m2 - error_m2[:, None], 0.0) + _LEAST_SWAY_M2
     log_power: Floats = np.log(left_m2 / _SWAY_M2) * clear[:, None]
     return log_power

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, tried
-from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motion_of
+from attacks.linkage.learning import EVERYBODY, learn, linker, tried
+from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motions
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
+    from attacks.linkage.learning import Few
     from isac_track.protocols import AttackContext, Linker
     from isac_track.types import Floats, Release
 
@@ -71,15 +72,24 @@ class DTW:
             context,
             (tried(self.factor, FACTORS), tried(self.penalty, (self.DEFAULT_PENALTY, 0.02, 0.5))),
             most=_TAUGHT_BY,
-            scores=lambda train: partial(self._score, train.probe, train.gallery),
+            scores=lambda train, few: partial(_score, train.probe, train.gallery, self, few=few),
         )
-        return partial(self._score, factor=factor, penalty=penalty)
+        return linker(_score, self, factor, penalty)
 
-    def _score(self, probe: Release, gallery: Release, factor: float, penalty: float) -> Floats:
-        p, g = (motion_of(release, factor, self.turn_m) for release in (probe, gallery))
-        costs = warped_costs(p, g, band=self.band, penalty=penalty, floor=self.floor)
-        score: Floats = -np.log(costs)
-        return score
+
+def _score(
+    probe: Release,
+    gallery: Release,
+    attack: DTW,
+    factor: float,
+    penalty: float,
+    few: Few = EVERYBODY,
+) -> Floats:
+    p, g = motions(probe, gallery, factor, attack.turn_m, few)
+    score: Floats = -np.log(
+        warped_costs(p, g, band=attack.band, penalty=penalty, floor=attack.floor)
+    )
+    return score
 
 
 def warped_costs(

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, tried
-from attacks.linkage.signals import FACTORS, loops, motion_of
+from attacks.linkage.learning import EVERYBODY, learn, linker, tried
+from attacks.linkage.signals import FACTORS, loops, motions
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
+    from attacks.linkage.learning import Few
     from attacks.linkage.signals import Signals
     from isac_track.protocols import AttackContext, Linker
     from isac_track.types import Floats, Ints, Release
@@ -68,13 +69,15 @@ class Histogram:
             context,
             (tried(self.factor, FACTORS), tried(self.speeds, (self.DEFAULT_SPEEDS, 24))),
             most=_TAUGHT_BY,
-            scores=lambda train: partial(_score, train.probe, train.gallery),
+            scores=lambda train, few: partial(_score, train.probe, train.gallery, few=few),
         )
-        return partial(_score, factor=factor, speeds=speeds)
+        return linker(_score, factor, speeds)
 
 
-def _score(probe: Release, gallery: Release, factor: float, speeds: int) -> Floats:
-    a, b = (counts_of(motion_of(one, factor), speeds=speeds) for one in (probe, gallery))
+def _score(
+    probe: Release, gallery: Release, factor: float, speeds: int, few: Few = EVERYBODY
+) -> Floats:
+    a, b = (counts_of(one, speeds=speeds) for one in motions(probe, gallery, factor, few=few))
     return one_source(a, b)
 
 

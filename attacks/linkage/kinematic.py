@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, mated, tried
+from attacks.linkage.learning import learn, linker, mated, tried
+from attacks.linkage.signals import loops
 from attacks.parameters import positive
+from attacks.remembered import remembered
 from isac_track.kalman import Batch, kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
@@ -17,8 +19,9 @@ from isac_track.types import Knowledge
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from attacks.linkage.learning import Few
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-    from isac_track.types import Bools, Floats, Release
+    from isac_track.types import Floats, Release
 
 _PRIOR_STD = (100.0, 1.4)
 """m around the first sample and m/s around rest: people walk, they do not run."""
@@ -74,67 +77,55 @@ class Kinematic:
             tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 0.001, 0.1)),
         )
 
-        def scores(train: LinkageTrainingSet) -> Callable[[float, float], Floats]:
-            near = rivals(train)
-            return lambda q, floor_m2: np.where(
-                near, continuations(train.probe, train.gallery, q, floor_m2), -np.inf
-            )
+        def scores(train: LinkageTrainingSet, _: Few) -> Callable[[float, float], Floats]:
+            return partial(continuations, train.probe, train.gallery, gap_s=rivals(train))
 
-        q, floor_m2 = learn(context, options, scores=scores)
-        return partial(continuations, q=q, floor_m2=floor_m2)
+        return linker(continuations, *learn(context, options, scores=scores))
 
 
-def rivals(train: LinkageTrainingSet) -> Bools:
-    """Return which pairs of a training set are as far apart in time as mates are, (P, G).
+def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
+    """Return the least and the longest gap, s, of a pair of a training set that may be mates.
 
     Of a recording whose pseudonyms rotated more than once, only those pairs compete for whom the
     gap is that of one rotation.
     """
-    begun_s = train.gallery.t[train.gallery.offsets[:-1]]
-    ended_s = train.probe.t[train.probe.offsets[1:] - 1]
-    gap_s = begun_s[None, :] - ended_s[:, None]
     rows = mated(train)
-    known_s = gap_s[rows, train.mate[rows]]
-    near: Bools = (gap_s >= known_s.min() - _SLACK_S) & (gap_s <= known_s.max() + _SLACK_S)
-    return near
+    begun_s = train.gallery.t[train.gallery.offsets[train.mate[rows]]]
+    known_s = begun_s - train.probe.t[train.probe.offsets[rows + 1] - 1]
+    return float(known_s.min()) - _SLACK_S, float(known_s.max()) + _SLACK_S
 
 
-def continuations(probe: Release, gallery: Release, q: float, floor_m2: float) -> Floats:
+def continuations(
+    probe: Release,
+    gallery: Release,
+    q: float,
+    floor_m2: float,
+    gap_s: tuple[float, float] = (-np.inf, np.inf),
+) -> Floats:
     """Return the log density of each gallery walk as the continuation of each probe, (P, G).
 
-    Up to a constant; `q` in m^2/s^3, `floor_m2` the least error variance per axis. P probes and,
-    back in time, G gallery walks are tracks of one batch: one call of the filter, whose checks take
-    longer than its loop.
+    Up to a constant; `q` in m^2/s^3, `floor_m2` the least error variance per axis. There is no
+    density where the gap is not within `gap_s`.
     """
-    n = len(probe)
+    batch = _both_ways(probe, gallery)
+    batch = replace(batch, variance=np.maximum(batch.variance, floor_m2))
+    state, until_s = kalman_last(batch, q=q), batch.t[batch.offsets[1:] - 1]
+    density = np.empty((len(probe), len(gallery)))
+    loops().continued(until_s, state.mean, state.cov, q, *gap_s, _LONGEST_S, _TAIL, density)
+    return density
+
+
+@remembered
+def _both_ways(probe: Release, gallery: Release) -> Batch:
+    """Return P probes and, back in time, G gallery walks, as noisy as their innovations say.
+
+    Tracks of one batch: one call of the filter, whose checks take longer than its loop.
+    """
     # From its last sample to its first.
     ends = gallery.offsets[:-1] + gallery.offsets[1:] - 1
     turned = np.repeat(ends, np.diff(gallery.offsets)) - np.arange(gallery.t.size)
     t = np.concatenate([probe.t, -gallery.t[turned]])
     xy = np.concatenate([probe.xy, gallery.xy[turned]])
     offsets = np.concatenate([probe.offsets, gallery.offsets[1:] + probe.offsets[-1]])
-    variance_m2 = np.maximum(innovation_variance_m2(t=t, xy=xy, offsets=offsets), floor_m2)
-    batch = Batch(t, xy, np.repeat(variance_m2, np.diff(offsets)), offsets, _PRIOR_STD)
-    state = kalman_last(batch, q=q)
-    until_s = t[offsets[1:] - 1]
-    # Backwards in time, clock and velocity have the other sign.
-    gap_s = np.clip(-until_s[None, n:] - until_s[:n, None], -_LONGEST_S, _LONGEST_S)
-    grown = q * np.abs(gap_s)
-    (p00, g00), (p01, g01), (p11, g11) = (
-        (state.cov[:n, i, j][:, None], state.cov[n:, i, j][None, :])
-        for i, j in ((0, 0), (0, 1), (1, 1))
-    )
-    place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s**2 / 3.0 + g00
-    both = p01 + gap_s * p11 + grown * gap_s / 2.0 - g01
-    pace = p11 + grown + g11
-    determinant = place * pace - both**2
-    square = np.zeros_like(gap_s)
-    for axis in range(2):
-        position, velocity = (state.mean[:n, axis, k][:, None] for k in range(2))
-        off = position + gap_s * velocity - state.mean[n:, axis, 0][None, :]
-        drift = velocity + state.mean[n:, axis, 1][None, :]
-        square += (pace * off - 2.0 * both * drift) * off + place * drift**2
-    square /= determinant
-    # Of four dimensions.
-    density: Floats = -np.log(determinant) - (_TAIL + 4.0) / 2.0 * np.log1p(square / _TAIL)
-    return density
+    variance_m2 = innovation_variance_m2(t=t, xy=xy, offsets=offsets)
+    return Batch(t, xy, np.repeat(variance_m2, np.diff(offsets)), offsets, _PRIOR_STD)

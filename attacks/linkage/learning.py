@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from isac_track.protocols import LinkageTrainingSet
-from isac_track.types import Knowledge
+from attacks.remembered import remembered
+from isac_track.types import Ints, Knowledge, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isac_track.protocols import AttackContext
-    from isac_track.types import Floats, Ints
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
+    from isac_track.types import Floats, Release
 
+Rows: TypeAlias = Ints | slice
+Few: TypeAlias = tuple[Rows, Rows]
+"""Which walks of the probe and of the gallery are compared."""
+EVERYBODY: Few = (slice(None), slice(None))
 _Value = TypeVar("_Value")
 
 LEAST_MATES = 8
 """Fewer mated pairs teach nothing that could be trusted: defaults are kept."""
 MARGIN = 0.02
 """Of the mean log rank: with 90 pairs a smaller gain is as likely chance."""
+
+
+def linker(score: Callable[..., Floats], *chosen: object) -> Linker:
+    """Return what scores two releases by ``score(probe, gallery, *chosen)``.
+
+    Where two adversaries choose alike the same releases are scored once.
+    """
+    return lambda probe, gallery: _scored(probe, gallery, score, *chosen)
+
+
+@remembered
+def _scored(
+    probe: Release, gallery: Release, score: Callable[..., Floats], *chosen: object
+) -> Floats:
+    return read_only(score(probe, gallery, *chosen))
 
 
 def mated(train: LinkageTrainingSet) -> Ints:
@@ -42,7 +61,7 @@ def learn(
     context: AttackContext,
     options: Sequence[Sequence[Any]],
     *,
-    scores: Callable[[LinkageTrainingSet], Callable[..., Floats]],
+    scores: Callable[[LinkageTrainingSet, Few], Callable[..., Floats]],
     most: int | None = None,
 ) -> tuple[Any, ...]:
     """Return a value for each of some parameters, chosen one after the other by `log_rank`.
@@ -56,7 +75,8 @@ def learn(
         Where it teaches nothing the defaults are returned.
     options : a sequence for each parameter, the default first
     scores : callable
-        From a training set to what turns a value for each parameter into scores, (P, G).
+        From the training set, and who of either side counts, to what turns a value for each
+        parameter into their scores, (P, G).
     most : int, optional
         Mated pairs to learn from, and nobody else: many candidates on all would cost more than
         the attack.
@@ -64,16 +84,15 @@ def learn(
     best = tuple(values[0] for values in options)
     if not teaches(context) or all(len(values) == 1 for values in options):
         return best
-    train = context.train
+    few, mate = EVERYBODY, context.train.mate
     if most is not None:
-        rows = mated(train)[:most]
-        gallery = train.gallery.tracks(train.mate[rows])
-        train = LinkageTrainingSet(train.probe.tracks(rows), gallery, np.arange(rows.size))
-    score = scores(train)
-    least = log_rank(score(*best), mate=train.mate)
+        rows = mated(context.train)[:most]
+        few, mate = (rows, mate[rows]), np.arange(rows.size)
+    score = scores(context.train, few)
+    least = log_rank(score(*best), mate=mate)
     for which, values in enumerate(options):
         choices = [best, *((*best[:which], value, *best[which + 1 :]) for value in values[1:])]
-        losses = [least, *(log_rank(score(*choice), mate=train.mate) for choice in choices[1:])]
+        losses = [least, *(log_rank(score(*choice), mate=mate) for choice in choices[1:])]
         winner = int(np.argmin(losses))
         if losses[winner] < least - MARGIN:
             best, least = choices[winner], losses[winner]

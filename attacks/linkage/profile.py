@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, tried
-from attacks.linkage.signals import FACTORS, aligned_costs, motion_of
+from attacks.linkage.learning import EVERYBODY, learn, linker, tried
+from attacks.linkage.signals import FACTORS, aligned_costs, motions
 from attacks.parameters import positive
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from attacks.linkage.learning import Few
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
     from isac_track.types import Floats, Release
 
@@ -58,20 +59,31 @@ class Profile:
         floors = tried(self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2))
         pairs = list(product(factors, floors))
 
-        def scores(train: LinkageTrainingSet) -> Callable[[int], Floats]:
-            each = [self._scores(train.probe, train.gallery, one, floors) for one in factors]
+        def scores(train: LinkageTrainingSet, few: Few) -> Callable[[int], Floats]:
+            sides = train.probe, train.gallery
+            each = [_scores(*sides, self, factor, floors, few) for factor in factors]
             return np.concatenate(each).__getitem__
 
         (best,) = learn(context, (range(len(pairs)),), most=_TAUGHT_BY, scores=scores)
-        factor, floor = pairs[best]
-        return lambda probe, gallery: self._scores(probe, gallery, factor, (floor,))[0]
+        return linker(_score, self, *pairs[best])
 
-    def _scores(
-        self, probe: Release, gallery: Release, factor: float, floors: Sequence[float]
-    ) -> Floats:
-        """Return the score of every pair, (E, P, G), one per floor."""
-        p, g = (motion_of(release, factor, self.turn_m) for release in (probe, gallery))
-        score: Floats = -np.log(
-            aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=self.reach_s)
-        )
-        return score
+
+def _score(
+    probe: Release, gallery: Release, attack: Profile, factor: float, floor: float
+) -> Floats:
+    score: Floats = _scores(probe, gallery, attack, factor, (floor,))[0]
+    return score
+
+
+def _scores(
+    probe: Release,
+    gallery: Release,
+    attack: Profile,
+    factor: float,
+    floors: Sequence[float],
+    few: Few = EVERYBODY,
+) -> Floats:
+    """Return the score of every pair, (E, P, G), one per floor."""
+    p, g = motions(probe, gallery, factor, attack.turn_m, few)
+    score: Floats = -np.log(aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=attack.reach_s))
+    return score

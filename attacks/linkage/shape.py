@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, tried
+from attacks.linkage.learning import learn, linker, tried
 from attacks.linkage.signals import aligned_costs, on_grid
 from attacks.parameters import positive
 from isac_track.types import Knowledge
@@ -64,15 +64,25 @@ class Shape:
         (best,) = learn(
             context,
             (range(len(floors)),),
-            scores=lambda train: self._scores(train.probe, train.gallery, floors).__getitem__,
+            scores=lambda train, _: _scores(train.probe, train.gallery, self, floors).__getitem__,
         )
-        return lambda probe, gallery: self._scores(probe, gallery, (floors[best],))[0]
+        return linker(_score, self, floors[best])
 
-    def _scores(self, probe: Release, gallery: Release, floors: Sequence[float]) -> Floats:
-        """Return the score of every pair, (E, P, G), one per floor."""
-        p, g = (on_grid(release) for release in (probe, gallery))
-        costs = aligned_costs(
-            p, g, floors=floors, rank=self.rank, reach_s=self.reach_s, rotated=True
-        )
-        score: Floats = -np.log(costs)
-        return score
+
+def _score(probe: Release, gallery: Release, attack: Shape, floor: float) -> Floats:
+    score: Floats = _scores(probe, gallery, attack, (floor,))[0]
+    return score
+
+
+def _scores(probe: Release, gallery: Release, attack: Shape, floors: Sequence[float]) -> Floats:
+    """Return the score of every pair, (E, P, G), one per floor."""
+    costs = aligned_costs(
+        on_grid(probe),
+        on_grid(gallery),
+        floors=floors,
+        rank=attack.rank,
+        reach_s=attack.reach_s,
+        rotated=True,
+    )
+    score: Floats = -np.log(costs)
+    return score

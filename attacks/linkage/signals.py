@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from isac_track.noise import innovation_variance_m2
+from attacks.linkage.learning import EVERYBODY
+from attacks.remembered import noise_m2, remembered
 from isac_track.types import Floats, Ints, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from types import ModuleType
 
+    from attacks.linkage.learning import Few, Rows
     from isac_track.types import Release
 
 STEP_S = 0.25
 """Of the grid: 4 Hz, above what is left of a walk behind the noise of any network."""
 LONGEST_S = 60.0
 """What comes later in a walk is left out: it bounds the work, and no task shows more than 12 s."""
-_ALONE = 2**18
-"""Multiplications: OpenBLAS's SMP_THRESHOLD_MIN times its GEMM_MULTITHREAD_THRESHOLD."""
 _CLOCK_S = 1e-6
 SLOW_M_S = 0.4
 """Below it a walk hardly has a direction; its turning rate is damped."""
@@ -52,7 +52,12 @@ class Signals(NamedTuple):
     sizes: Ints
     """(N,) 1 to K, how many cells of each walk count, the first ones."""
 
+    def walks(self, rows: Rows) -> Signals:
+        """Return some of the walks."""
+        return Signals(self.values[:, rows], self.sizes[rows])
 
+
+@remembered
 def on_grid(release: Release) -> Signals:
     """Return x and y of the walks of a release less their first samples, in m.
 
@@ -103,14 +108,11 @@ def motion(walks: Signals, *, width_s: Floats) -> Signals:
     and acceleration a. Nothing of it depends on the frame.
     """
     going = np.zeros(walks.values.shape)
-    kinds = np.column_stack([walks.sizes, width_s])
-    for kind in np.unique(kinds, axis=0):
-        rows, cells = np.flatnonzero((kinds == kind).all(axis=1)), int(kind[0])
-        xy = walks.values[:, rows, :cells].reshape(-1, cells)
-        (vx, vy), (ax, ay) = (
-            product(xy, derivative).reshape(2, -1, cells)
-            for derivative in _local_lines(cells, float(kind[1]))
-        )
+    kinds = walks.sizes + 1j * width_s
+    for kind in np.unique(kinds):
+        rows, cells = np.flatnonzero(kinds == kind), int(kind.real)
+        xy = walks.values[:, rows, :cells]
+        (vx, vy), (ax, ay) = (xy @ each for each in _local_lines(cells, float(kind.imag)))
         square = vx**2 + vy**2
         going[0, rows, :cells] = np.sqrt(square)
         going[1, rows, :cells] = (vx * ay - vy * ax) / (square + SLOW_M_S**2)
@@ -123,12 +125,12 @@ def widths_s(release: Release, factor: float = 1.0) -> Floats:
     ``factor * 3 s * v^(1/4)`` of the error variance per axis v in m^2, as the innovations have it,
     rounded to `WIDTHS_S`. Behind a smoother there is nothing left to smooth and v is next to 0.
     """
-    variance_m2 = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    wanted = factor * (_WIDTH_S * variance_m2**0.25)
+    wanted = factor * (_WIDTH_S * noise_m2(release) ** 0.25)
     rounded: Floats = WIDTHS_S[np.searchsorted(np.sqrt(WIDTHS_S[1:] * WIDTHS_S[:-1]), wanted)]
     return rounded
 
 
+@remembered
 def motion_of(release: Release, factor: float, turn_m: float = 1.0) -> Signals:
     """Return how the walks of a release go, smoothed over `widths_s`; turning times `turn_m`."""
     values, count = motion(on_grid(release), width_s=widths_s(release, factor))
@@ -136,17 +138,12 @@ def motion_of(release: Release, factor: float, turn_m: float = 1.0) -> Signals:
     return Signals(values, count)
 
 
-def product(a: Floats, b: Floats) -> Floats:
-    """Return ``a @ b`` in pieces of a size for which OpenBLAS starts no threads.
-
-    A linker's products take a tenth of a millisecond. Threads, waiting for each other on cores
-    that other processes use, have made that sixteen.
-    """
-    rows = max(_ALONE // max(b.size, 1), 1)
-    out = np.empty((a.shape[0], b.shape[1]))
-    for first in range(0, a.shape[0], rows):
-        np.matmul(a[first : first + rows], b, out=out[first : first + rows])
-    return out
+def motions(
+    probe: Release, gallery: Release, factor: float, turn_m: float = 1.0, few: Few = EVERYBODY
+) -> Iterator[Signals]:
+    """Yield how some walks of two releases go; see `motion_of`."""
+    for release, rows in zip((probe, gallery), few, strict=True):
+        yield motion_of(release, factor, turn_m).walks(rows)
 
 
 def aligned_costs(

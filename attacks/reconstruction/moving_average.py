@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -85,15 +86,7 @@ def centred_means(*, xy: Floats, offsets: Ints, half: Ints) -> Floats:
     Near the ends of a track both sides are as short as the shorter one, down to the sample
     itself: a lopsided mean would lag behind the walk.
     """
-    sizes = np.diff(offsets)
-    # x + iy: one array to sum and to look up in place of two.
-    z = np.ascontiguousarray(xy).view(np.complex128)[:, 0]
-    # Sums of small numbers lose less: every track is summed up from its own first position.
-    origin = np.repeat(z[offsets[:-1]], sizes)
-    total = np.concatenate([[0.0], np.cumsum(z - origin)])
-    row = np.arange(z.size)
-    side = np.minimum(row - np.repeat(offsets[:-1], sizes), np.repeat(offsets[1:] - 1, sizes) - row)
-    side = np.minimum(side, np.repeat(half, sizes))
-    mean = (total[row + side + 1] - total[row - side]) / (2 * side + 1) + origin
-    planar: Floats = mean.view(np.float64).reshape(-1, 2)
-    return planar
+    means = np.empty_like(xy)
+    arrays = (np.ascontiguousarray(each) for each in (xy, offsets, half))
+    import_module("attacks.reconstruction._window_loops").centred_means(*arrays, means)
+    return means

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from attacks.parameters import positive
@@ -13,6 +12,7 @@ from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
+    from isac_track.types import Floats, Reconstruction, Release
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +40,8 @@ class RadialRTS:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the smoother of releases like those in the training set."""
-        reweighted = partial(smooth, passes=self.passes, anneal=self.anneal)
         candidates = around(self.DEFAULT_Q, factor=4.0)
-        return smoother(context, reweighted, given=self.q, candidates=candidates)
+        return smoother(context, self._smooth, given=self.q, candidates=candidates)
+
+    def _smooth(self, release: Release, variance: Floats, q: float) -> Reconstruction:
+        return smooth(release, variance, q, passes=self.passes, anneal=self.anneal)

@@ -70,5 +70,5 @@ def parabolas(*, t: Floats, xy: Floats, offsets: Ints, half: Ints) -> Floats:
     """
     out = np.empty_like(xy)
     arrays = (np.ascontiguousarray(each) for each in (t, xy, offsets, half))
-    import_module("attacks.reconstruction._parabola_loop").fit_parabolas(*arrays, out)
+    import_module("attacks.reconstruction._window_loops").fit_parabolas(*arrays, out)
     return out

@@ -16,8 +16,7 @@ import numpy as np
 
 from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, roles
 from attacks.tasks.task_list import task_named
-from isac_track.datasets import load
-from isac_track.datasets.summary import summarise
+from isac_track.datasets import load, summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
@@ -191,8 +190,7 @@ def _crowd(trait_strength: float) -> tuple[Tracks, Tracks]:
     """Return the two sessions of the crowd: the bundled ones, or simulated anew."""
     if trait_strength == 1.0:
         return load("plaza").tracks, load("plaza-session2").tracks
-    from isac_track.datasets.crowd import BUNDLED_SEED, generate  # noqa: PLC0415 - seldom needed
-    from isac_track.datasets.crowd.plan import CrowdSettings  # noqa: PLC0415 - as above
+    from isac_track.datasets.crowd import BUNDLED_SEED, CrowdSettings, generate  # noqa: PLC0415 - seldom needed
 
     crowd = CrowdSettings(trait_strength=trait_strength)
     first, second = (generate(crowd, seed=BUNDLED_SEED, session=number) for number in (1, 2))

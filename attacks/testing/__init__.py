@@ -69,8 +69,7 @@ def _rows(attack: Attack) -> Iterator[Row]:
     An attack that touches what it was not granted fails the check about that. In all others it
     is given everything, or that one mistake would fail them all and hide the next one.
     """
-    is_linkage = kind_of(attack) == "linkage"
-    kind = _linkage_checks if is_linkage else _reconstruction_checks
+    kind = _linkage_checks if kind_of(attack) == "linkage" else _reconstruction_checks
     for granted, adversary in _granted(attack).items():
         row = Row(attack, adversary, granted, granted, *kind.ordinary_and_another(granted))
         try:
@@ -86,24 +85,21 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
     What a linkage attack is granted depends on the task: some show the scene to everyone, the
     others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once.
     """
-    nothing: frozenset[Knowledge] = frozenset()
-    tasks = [(nothing, nothing)]
+    tasks = [grants(attack)]
     if kind_of(attack) == "linkage":
         scene, repeats = frozenset({Knowledge.SCENE}), frozenset({Knowledge.REPEATS})
-        tasks = [(nothing, repeats | scene), (scene, repeats)]
+        shown = grants(attack, everyone=scene, nobody=repeats)
+        tasks = [grants(attack, nobody=repeats | scene), shown]
     made: dict[frozenset[Knowledge], str] = {}
-    for everyone, nobody in tasks:
-        for adversary, granted in grants(attack, everyone=everyone, nobody=nobody).items():
-            made.setdefault(granted, adversary)
+    for rows in tasks:
+        made |= {granted: name for name, granted in rows.items() if granted not in made}
     return made
 
 
 def _kit(bodies: Iterable[Callable[[Row], None]]) -> dict[str, Check]:
     return {
         body.__name__: Check(
-            name=body.__name__,
-            statement=engine.statement_of(body),
-            body=partial(_in_every_row, body),
+            body.__name__, engine.statement_of(body), body=partial(_in_every_row, body)
         )
         for body in bodies
     }
@@ -132,12 +128,7 @@ def adversaries_of(attack: Attack) -> tuple[str, ...]:
     """Return the names of the adversaries whose rows an attack makes, weakest first.
 
     Those of a linkage attack are the adversaries of a task that shows what it requires: SCENE is
-    then granted to everyone.
-
-    Raises
-    ------
-    PluginError
-        If it is no attack at all.
+    then granted to everyone. Raises as `checks_for`.
     """
     _reject_what_is_no_attack(attack)
     named = _granted(attack).values()
@@ -147,46 +138,32 @@ def adversaries_of(attack: Attack) -> tuple[str, ...]:
 def run_checks(attack: Attack, *, names: Sequence[str] | None = None) -> tuple[CheckResult, ...]:
     """Run all checks on an attack, or those called `names`; one that fails ends nothing.
 
-    Raises
-    ------
-    PluginError
-        If it is no attack at all.
-    SettingsError
-        For a check that does not exist.
+    Raises as `checks_for`, and SettingsError for a check that does not exist.
     """
     checks = checks_for(attack)
     kit, known = f" of a {kind_of(attack)} attack", f"known: {', '.join(checks)}"
     return tuple(engine.outcomes(engine.select(checks, names, kit=kit, known=known), attack))
 
 
-def parametrize_attack_checks(
-    attacks: Iterable[Attack],
-) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
+def parametrize_attack_checks(attacks: Iterable[Attack]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     """Return a pytest decorator that runs a test once per attack and check.
 
     The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not
     apply to an attack is skipped, with the reason. `attacks` are instances; one attack may come
-    several times, with different parameters.
-
-    Raises
-    ------
-    PluginError
-        If one of them is no attack, with what to write instead.
-    SettingsError
-        Without any attack.
+    several times, with different parameters. Raises as `checks_for`, and SettingsError without
+    any attack.
     """
     if not isinstance(attacks, Iterable):
         raise PluginError(
             f"expected a list of attacks, got {attacks!r}: write parametrize_attack_checks([...])"
         )
-    given = list(attacks)
-    if not given:
-        raise SettingsError("no attack to check: the list is empty")
-    cases = (
+    cases = [
         (f"{_label(attack)}-{name}", (attack, check))
-        for attack in given
+        for attack in attacks
         for name, check in checks_for(attack).items()
-    )
+    ]
+    if not cases:
+        raise SettingsError("no attack to check: the list is empty")
     return engine.parametrize("attack,check", cases)
 
 
@@ -206,25 +183,19 @@ def _reject_what_is_no_attack(attack: Any) -> None:  # noqa: ANN401 - anything a
     if isinstance(attack, type):
         raise PluginError(f"expected an attack, got its class: write {attack.__name__}()")
     name = f"attack {type(attack).__name__}"
-    parameters = getattr(type(attack), "__dataclass_params__", None)
-    if parameters is None or not parameters.frozen:
+    if not getattr(getattr(attack, "__dataclass_params__", None), "frozen", False):
         raise PluginError(f"{name} must be a frozen dataclass: @dataclass(frozen=True)")
     if not callable(getattr(attack, "fit", None)):
         raise PluginError(f"{name} has no method fit(context)")
     for attribute in ("requires", "uses"):
         declared = getattr(attack, attribute, None)
-        known = isinstance(declared, frozenset) and declared <= frozenset(Knowledge)
-        if not known:
-            raise PluginError(
-                f"{name} needs a class attribute {attribute}: a frozenset of Knowledge, "
-                f"got {declared!r}"
-            )
+        if not (isinstance(declared, frozenset) and declared <= frozenset(Knowledge)):
+            wanted = f"a class attribute {attribute}: a frozenset of Knowledge"
+            raise PluginError(f"{name} needs {wanted}, got {declared!r}")
     try:
         kind_of(attack)
     except ValueError as error:
         raise PluginError(f"{name}: {error}") from None
     if not _granted(attack):
-        raise PluginError(
-            f"{name} requires REPEATS, which nobody who links is granted: the repeats of a "
-            "walk would be linked already"
-        )
+        why = "the repeats of a walk would be linked already"
+        raise PluginError(f"{name} requires REPEATS, which nobody who links is granted: {why}")

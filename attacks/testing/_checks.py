@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 import traceback
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
@@ -17,20 +18,18 @@ from attacks.testing._releases import EPSILON_M, arrays_of, copied, of_each, ren
 from isac_track.errors import told
 from isac_track.protocols import AttackContext
 from isac_track.rng import stream
-from isac_track.testing.engine import attempt
 from isac_track.types import Knowledge, Release
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from isac_track.protocols import LinkageAttack, ReconstructionAttack
     from isac_track.types import Floats
 
 Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"
 Case: TypeAlias = Any
-"""`_reconstruction_checks.Case` or `_linkage_checks.LinkageCase`, by the kind of the attack."""
-Answer: TypeAlias = Any
-"""What `Case.read` makes of a result: `_reconstruction_checks.Estimate`, or scores (P, G)."""
+"""`_reconstruction_checks.Case` or `_linkage_checks.LinkageCase`, by the kind of the attack.
+
+Its answers are arrays, as its `read` makes them: positions and std, or scores.
+"""
 
 SAME = 1e-6
 """Room for rounding: m, or a share of the spread of the scores."""
@@ -70,25 +69,26 @@ class Row:
         """Return the row given all that there is in its cases."""
         return replace(self, given=self.ordinary.everything)
 
-    def fail(self, case: Case, what: str) -> NoReturn:
-        """Fail a check, with the row and the case."""
-        raise AssertionError(f"{self}, {case.about}: {what}")
+    def fail(self, about: str, what: str) -> NoReturn:
+        """Fail a check, with the row and what the case is about."""
+        raise AssertionError(f"{self}, {about}: {what}")
 
-    def answer(self, case: Case, *, seed: int = 0) -> Answer:
+    def answer(self, case: Case, *, seed: int = 0) -> Floats:
         """Return what the attack makes of a case, given copies of all arrays."""
         return self.answers(case, seed=seed)[0]
 
-    def answers(self, *cases: Case, seed: int = 0) -> list[Answer]:
+    def answers(self, *cases: Case, seed: int = 0) -> list[Floats]:
         """Return what one call of `fit`, which is for the first case, makes of several in turn."""
         results = self.raw(*map(copied, cases), seed=seed)
         return [self.read(case, result) for case, result in zip(cases, results, strict=True)]
 
-    def read(self, case: Case, result: object) -> Answer:
-        """Return a result as arrays, or fail the check."""
+    def read(self, case: Case, result: object) -> Floats:
+        """Return a result as an array, or fail the check."""
         try:
-            return case.read(result)
+            answer: Floats = case.read(result)
         except ValueError as error:
-            raise AssertionError(f"{self}, {case.about}: {error}") from None
+            self.fail(case.about, str(error))
+        return answer
 
     def raw(self, *cases: Case, seed: int = 0) -> list[object]:
         """Return whatever the attack returns for each case, given what it is and no more.
@@ -96,42 +96,29 @@ class Row:
         The context is that of the first case. Whatever the attack raises becomes an
         AssertionError with the line that did.
         """
-        first = cases[0]
-        asked: Sequence[Case] = cases
         if Knowledge.SIGMA not in self.given:
-            asked = [of_each(case, Release.without_sigma) for case in cases]
+            cases = tuple(of_each(case, Release.without_sigma) for case in cases)
+        first = cases[0]
         context = AttackContext(
             rng=stream(seed, "attacks", "testing", "attack"),
             epsilon_m=EPSILON_M,
             granted=self.given,
-            mechanism=asked[0].mechanism,
-            train=asked[0].train,
-            repeats=asked[0].repeats,
+            mechanism=first.mechanism,
+            train=first.train,
+            repeats=first.repeats,
         )
-        doing, fitted = "fit(context)", None
-
-        def run() -> list[object]:
-            nonlocal doing, fitted
-            fitted = self.attack.fit(context)
-            if not callable(fitted):
-                raise TypeError(f"fit must return a function {first.gives}, got {fitted!r}")
-            doing = "the function from fit"
-            return [fitted(*(getattr(case, name) for name in case.asked)) for case in asked]
-
-        def failing(error: BaseException) -> str:
-            hint = ""
-            # One release is asked about by reconstruction, two by linkage.
-            n_releases = len(first.asked)
-            if not _takes(fitted, n_releases) and _takes(fitted, 3 - n_releases):
-                hint = f"; it takes a function {first.gives}: which `kind` is the attack?"
+        doing, hint = "fit(context)", ""
+        try:
+            fitted: Any = self.attack.fit(context)
+            doing, hint = "the function from fit", _which_kind(fitted, first)
+            return [fitted(*(getattr(case, name) for name in case.asked)) for case in cases]
+        except (Exception, SystemExit) as error:
             where = _place(error, self.attack)
-            return f"{self}, {first.about}: {doing} raised {told(error)}{where}{hint}"
-
-        found: list[object] = attempt(run, failing=failing)
-        return found
+            wrong = f"{self}, {first.about}: {doing} raised {told(error)}{where}{hint}"
+            raise AssertionError(wrong) from error
 
     def expect_same(
-        self, got: Answer, expected: Answer, *, what: str, hint: str, tolerance: float = SAME
+        self, got: Floats, expected: Floats, *, what: str, hint: str, tolerance: float = SAME
     ) -> None:
         """Fail if two answers differ by more than rounding, or than chance if the attack draws.
 
@@ -141,35 +128,34 @@ class Row:
         case = self.ordinary
         plain = self.answer(case)
         spread = case.spread(plain)
-        chance = max(map(rms, case.gaps(plain, self.answer(case, seed=1)))) / spread
-        size: Callable[[Floats], float] = rms if chance > 0 else np.max
-        gap = max(float(size(one)) for one in case.gaps(got, expected)) / spread
+        chance = _rms(case.gaps(plain, self.answer(case, seed=1)) / spread)
+        gaps = case.gaps(got, expected) / spread
+        gap = _rms(gaps) if chance > 0 else float(gaps.max())
         if gap > tolerance + SPREADS * chance:
-            unit = case.unit
-            drawn = f" (two seeds differ by {chance:.3g}{unit})" if chance > 0 else ""
+            drawn = f" (two seeds differ by {chance:.3g}{case.unit})" if chance > 0 else ""
+            relative = "" if case.unit else " of their spread"
             self.fail(
-                case,
-                f"{what}: {case.compared} differ by {gap:.3g}{unit}{case.relative}, expected "
-                f"at most {tolerance:g}{unit}{drawn}; {hint}",
+                case.about,
+                f"{what}: {case.compared} differ by {gap:.3g}{case.unit}{relative}, expected "
+                f"at most {tolerance:g}{case.unit}{drawn}; {hint}",
             )
 
 
-def rms(gaps: Floats) -> float:
-    """Return the root of the mean square, whatever the scale."""
-    # Scaled by the largest, lest the squares of tiny gaps vanish.
-    largest = float(np.max(gaps, initial=0.0))
-    if largest == 0 or not np.isfinite(largest):
-        return largest
-    return largest * float(np.sqrt(np.mean((gaps / largest) ** 2)))
+def _rms(gaps: Floats) -> float:
+    """Return the root of the mean square of the gaps of one sort, the largest of all sorts."""
+    return float(np.sqrt(np.mean(gaps**2, axis=-1)).max())
 
 
-def _takes(fitted: Any, n_releases: int) -> bool:  # noqa: ANN401 - whatever came from fit
-    """Whether a function can be called with so many releases, as far as it says."""
-    try:
-        inspect.signature(fitted).bind(*range(n_releases))
-    except (TypeError, ValueError):
-        return False
-    return True
+def _which_kind(fitted: Any, case: Case) -> str:  # noqa: ANN401 - whatever came from fit
+    """Return a hint if what came from fit takes another number of releases than its kind says."""
+    if not callable(fitted):
+        raise TypeError(f"fit must return a function {case.gives}, got {fitted!r}")
+    with suppress(ValueError):  # not every function tells what it takes
+        try:
+            inspect.signature(fitted).bind(*case.asked)
+        except TypeError:
+            return f"; it takes a function {case.gives}: which `kind` is the attack?"
+    return ""
 
 
 def _place(error: BaseException, attack: object) -> str:
@@ -187,12 +173,12 @@ def same_seed_same_result(row: Row) -> None:
     """Two runs with the same context.rng agree to the last bit."""
     case = row.ordinary
     first, second = row.answer(case), row.answer(case)
-    if not same_bits(first, second):
+    if first.tobytes() != second.tobytes():
         changed = case.gaps(first, second)[0] > 0
         row.fail(
-            case,
+            case.about,
             f"two runs with one seed differ in {np.count_nonzero(changed)} of {changed.size} "
-            f"{case.answers}; draw from context.rng alone, and keep nothing between two calls of "
+            f"{case.compared}; draw from context.rng alone, and keep nothing between two calls of "
             "fit",
         )
 
@@ -210,7 +196,7 @@ def inputs_are_not_mutated(row: Row) -> None:
     ]
     if changed:
         row.fail(
-            case,
+            case.about,
             f"changed {', '.join(changed)}; others read the same arrays: "
             f"work on a copy, as in xy = {case.asked[0]}.xy.copy()",
         )
@@ -267,7 +253,7 @@ def calls_do_not_remember(row: Row) -> None:
         (again, first, f"asked once more, after {releases}"),
         (after, row.answer(other), f"{releases}, asked after the first"),
     ):
-        if not same_bits(got, expected):
+        if got.tobytes() != expected.tobytes():
             row.expect_same(got, expected, what=what, hint=hint, tolerance=0.0)
 
 
@@ -290,21 +276,16 @@ def frames_do_not_matter(row: Row, *, what: str, hint: str, tolerance: float) ->
     row.expect_same(row.answer(changed), expected, what=what, hint=hint, tolerance=tolerance)
 
 
-def is_surprising(found: float, *, tries: int, chance: float) -> bool:
-    """Whether chance alone brings as many successes or more with a probability below `SURPRISE`."""
+def expect_chance(
+    row: Row, about: str, found: float, *, of: int, chance: float, what: str, hint: str
+) -> None:
+    """Fail if chance alone brings as many successes or more with less than `SURPRISE`."""
     # The survival function counts what exceeds its argument.
-    return found >= 1 and bool(bdtrc(int(found) - 1, tries, chance) < SURPRISE)
+    if found >= 1 and bdtrc(int(found) - 1, of, chance) < SURPRISE:
+        shown = f"{found:.4g} of {of} {what}, expected about {chance * of:.3g} by chance"
+        row.fail(about, f"{shown}; {hint}")
 
 
 def least_rise(changes: Floats) -> float:
     """Return what a mean change of people must exceed, each compared with themselves."""
     return STANDARD_ERRORS * float(changes.std(ddof=1) / np.sqrt(changes.size))
-
-
-def same_bits(one: Answer, other: Answer) -> bool:
-    """Whether two answers agree to the last bit."""
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return one.shape == other.shape and one.tobytes() == other.tobytes()
-    if isinstance(one, tuple):
-        return all(map(same_bits, one, other))
-    return one is other

@@ -7,21 +7,12 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 from scipy.special import bdtrc
 
 from attacks.testing import _checks as common
-from attacks.testing._releases import (
-    BOX_M,
-    RAW_SIGMA_M,
-    Motion,
-    copied,
-    draws,
-    in_order,
-    of_each,
-    shared,
-    steps,
-)
+from attacks.testing import _releases as made
+from attacks.testing._releases import RAW_SIGMA_M, draws
+from isac_track.linkability import log_rank, rank1
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.sharing import Fixed
 from isac_track.types import Knowledge
@@ -30,26 +21,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from attacks.testing._checks import Row
-    from attacks.testing._releases import Sampling
     from isac_track.types import ErrorLaw, Floats, Ints, Release
 
-    Person = Callable[[Floats], Floats]
-
-SPEEDS_MPS = (0.6, 2.0)
-"""Slowest and fastest of the people in a release; the others lie between, evenly spaced."""
-SWAY, SWAY_S = (0.05, 0.3), (2.0, 6.0)
-"""By what share of itself a person's speed rises and falls, and how often."""
-TURN_RADPS = (-0.25, 0.25)
-"""How fast a person turns on the whole."""
-WIND_RADPS, WIND_S = (0.1, 0.8), (3.0, 8.0)
-"""By how much more or less on the way, to either side, and how often."""
 GAP_S = 1.0
 """Silence before the gallery goes on, where the scene is shown."""
 N_PEOPLE = 24
 PEOPLE, OTHERS = (128,) * N_PEOPLE, (128,) * 20
 """Samples of each: 12 s at 8 to 16 Hz."""
-_ROUND = (0.0, 2.0 * np.pi)
-_GRID_S = 0.02
 _FARTHEST_M = 100.0
 _LATEST_S = 1000.0
 
@@ -80,10 +58,8 @@ class LinkageCase:
     gives: ClassVar[str] = "from two releases, probe and gallery, to a matrix of scores"
     repeats: ClassVar[None] = None
     """Nobody who links is granted any: the repeats of a walk would be linked already."""
-    answers: ClassVar[str] = "scores"
     compared: ClassVar[str] = "scores"
     unit: ClassVar[str] = ""
-    relative: ClassVar[str] = " of their spread"
 
     about: str
     probe: Release
@@ -92,14 +68,8 @@ class LinkageCase:
     """(P,) gallery track of the same person, or -1. No attack is given it."""
     mechanism: Fixed
     train: LinkageTrainingSet
-    scene: bool
-    """Whether the true frame and clock are shown."""
-
-    @property
-    def everything(self) -> frozenset[Knowledge]:
-        """All that there is to grant."""
-        hidden = {Knowledge.REPEATS} if self.scene else {Knowledge.REPEATS, Knowledge.SCENE}
-        return frozenset(Knowledge) - hidden
+    everything: frozenset[Knowledge]
+    """All that there is to grant; SCENE where the true frame and clock are shown."""
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
         """Return a result as an array, or raise ValueError if it is not one of scores.
@@ -128,9 +98,9 @@ class LinkageCase:
             )
         return scores
 
-    def gaps(self, one: Floats, other: Floats) -> list[Floats]:
-        """Return how far apart scores are."""
-        return [np.abs(one - other)]
+    def gaps(self, one: Floats, other: Floats) -> Floats:
+        """Return how far apart scores are, (1, P G)."""
+        return np.abs(one - other).reshape(1, -1)
 
     def spread(self, scores: Floats) -> float:
         """Return what gaps are measured in: scores have no unit, but a lowest and a highest."""
@@ -142,8 +112,8 @@ class LinkageCase:
         rows, columns = (5, 2, 0, 3, 6, 1, 4), (4, 8, 0, 6, 2, 7, 1, 5, 3)
         changed = replace(
             self,
-            probe=in_order(self.probe, rows),
-            gallery=in_order(self.gallery, columns),
+            probe=self.probe.tracks(rows),
+            gallery=self.gallery.tracks(columns),
             mate=np.argsort(columns)[self.mate[list(rows)]],
         )
         return changed, lambda scores: scores[np.ix_(rows, columns)]
@@ -151,7 +121,7 @@ class LinkageCase:
     def in_other_frames(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
         """Return the case with every walk of all four releases in yet another frame and clock."""
         rng = draws("linkage", "other frames")
-        changed = of_each(self, lambda release: _moved(release, rng, together=False))
+        changed = made.of_each(self, lambda release: _moved(release, rng, together=False))
         return changed, lambda scores: scores
 
 
@@ -181,12 +151,6 @@ def noisy(sigma_m: float, law: ErrorLaw, *, scene: bool) -> LinkageCase:
     return made_up("noisy", about=about, sigma_m=sigma_m, law=law, scene=scene)
 
 
-def irregular(*, scene: bool) -> LinkageCase:
-    """Return walks whose steps last from a millisecond to half a minute."""
-    about, sizes = "steps from 1 ms to 30 s", ((60,) * 6, (60,) * 8, (60,) * 12)
-    return made_up("irregular", about=about, sizes=sizes, scene=scene, sampling="irregular")
-
-
 @cache
 def made_up(
     name: str,
@@ -196,7 +160,7 @@ def made_up(
     sigma_m: float = 0.3,
     scene: bool,
     law: ErrorLaw = "radial",
-    sampling: Sampling = "steady",
+    steps_s: tuple[float, float] = made.STEADY_S,
 ) -> LinkageCase:
     """Return people who differ in speed, in how evenly they walk and in how they turn.
 
@@ -208,31 +172,32 @@ def made_up(
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 
-    def release(name: tuple[str, ...], people: list[Person], sizes: tuple[int, ...]) -> Release:
+    def release(
+        name: tuple[str, ...], people: list[made.Person], sizes: tuple[int, ...]
+    ) -> Release:
         walks = []
         for row, size in enumerate(sizes):
-            elapsed = np.cumsum(steps(draws(*name, row), size, sampling=sampling))
+            elapsed = made.instants(draws(*name, row), size, steps_s)
             t = GAP_S + elapsed if scene and name[-1] == "gallery" else elapsed - elapsed[-1]
             walks.append((t, people[row](t)))
         # One motion for all that is in one frame, or one for every walk.
         frames = draws(*(name[:-1] if scene else name), "frames")
-        return _moved(shared(walks, name, mechanism=mechanism), frames, together=scene)
+        return _moved(made.shared(walks, name, mechanism=mechanism), frames, together=scene)
 
     def pair(who: str, *sizes: tuple[int, ...]) -> LinkageTrainingSet:
         name_of = ("linkage", name, who)
         rng = draws(*name_of, "people")
-        speeds = rng.permutation(np.linspace(*SPEEDS_MPS, max(map(len, sizes))))
-        people = [_person(float(speed_mps), rng) for speed_mps in speeds]
-        probe, gallery = (
-            release((*name_of, side), people, of_side)
-            for side, of_side in zip(("probe", "gallery"), sizes, strict=True)
-        )
+        speeds = rng.permutation(np.linspace(*made.SPEEDS_MPS, max(map(len, sizes))))
+        people = [made.person(float(speed_mps), rng) for speed_mps in speeds]
+        probe = release((*name_of, "probe"), people, sizes[0])
+        gallery = release((*name_of, "gallery"), people, sizes[1])
         # In an order of its own, lest a place in the list tell who is who.
         order = draws(*name_of, "order").permutation(len(gallery))
         mate = np.concatenate([np.argsort(order), np.full(len(probe), -1)])[: len(probe)]
-        return LinkageTrainingSet(probe, in_order(gallery, order.tolist()), mate)
+        return LinkageTrainingSet(probe, gallery.tracks(order), mate)
 
     victims = pair("victims", *sizes[:2])
+    hidden = {Knowledge.REPEATS} if scene else {Knowledge.REPEATS, Knowledge.SCENE}
     return LinkageCase(
         about=about + (", in one frame" if scene else ""),
         probe=victims.probe,
@@ -240,35 +205,8 @@ def made_up(
         mate=victims.mate,
         mechanism=mechanism,
         train=pair("others", sizes[2], sizes[2]),
-        scene=scene,
+        everything=frozenset(Knowledge) - hidden,
     )
-
-
-def _person(speed_mps: float, rng: np.random.Generator) -> Person:
-    """Return where somebody is at times before and after 0, (M,) s -> (M, 2) m.
-
-    Speed and turning rate each sway about a mean of their own.
-    """
-    sway, sway_s, sway_phase = rng.uniform(*SWAY), rng.uniform(*SWAY_S), rng.uniform(*_ROUND)
-    turn_radps = rng.uniform(*TURN_RADPS)
-    wind_radps, wind_s = rng.uniform(*WIND_RADPS), rng.uniform(*WIND_S)
-    wind_phase, heading_rad = rng.uniform(*_ROUND), rng.uniform(*_ROUND)
-    start_m = rng.uniform(-BOX_M / 2, BOX_M / 2, 2)
-
-    def positions(t: Floats) -> Floats:
-        first, last = min(float(t[0]), 0.0) - _GRID_S, max(float(t[-1]), 0.0) + _GRID_S
-        grid = np.linspace(first, last, 2 + int((last - first) / _GRID_S))
-        cycle = 2.0 * np.pi / np.array([sway_s, wind_s])
-        speed = speed_mps * (1.0 + sway * np.sin(cycle[0] * grid + sway_phase))
-        wind = wind_radps / cycle[1] * -np.cos(cycle[1] * grid + wind_phase)
-        heading = heading_rad + turn_radps * grid + wind
-        velocity = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
-        way = cumulative_trapezoid(velocity, grid, axis=0, initial=0)
-        xy = np.column_stack([np.interp([0.0, *t], grid, axis) for axis in way.T])
-        placed: Floats = xy[1:] - xy[0] + start_m
-        return placed
-
-    return positions
 
 
 def _moved(release: Release, rng: np.random.Generator, *, together: bool) -> Release:
@@ -277,42 +215,14 @@ def _moved(release: Release, rng: np.random.Generator, *, together: bool) -> Rel
     high = 2.0 * np.pi, _FARTHEST_M, _FARTHEST_M, _LATEST_S
     n_samples = [release.t.size] if together else np.diff(release.offsets)
     drawn = np.repeat(rng.uniform(low, high, (len(n_samples), 4)), n_samples, axis=0)
-    return Motion(drawn[:, 0], drawn[:, 1:3], drawn[:, 3]).of_release(release)
-
-
-@cache
-def unrelated(*, scene: bool) -> LinkageCase:
-    """Return people who are not in the gallery, each with a mate drawn from it all the same.
-
-    Mates are drawn one by one, apart from both releases. Whatever the scores, each probe's mate
-    comes first with probability 1 / G, independently of all others.
-    """
-    strangers = made_up("strangers", about="", sigma_m=RAW_SIGMA_M, scene=scene)
-    return replace(
-        noisy(RAW_SIGMA_M, "radial", scene=scene),
-        about=f"{N_PEOPLE} probes of people who are not among the {N_PEOPLE} of the gallery",
-        gallery=strangers.gallery,
-        mate=draws("linkage", "strangers", "mate").integers(0, N_PEOPLE, N_PEOPLE),
-    )
-
-
-def without_mates(case: LinkageCase) -> LinkageCase:
-    """Return the case with a training set in which every third probe has no mate.
-
-    Of every other such probe the gallery track is gone, of the rest it stays as a stranger's.
-    """
-    mate = case.train.mate.copy()
-    mate[::3] = -1
-    stays = np.setdiff1d(np.arange(len(case.train.gallery)), case.train.mate[::6])
-    about = f"{case.about}, {np.count_nonzero(mate < 0)} of {mate.size} others without a mate"
-    return replace(case, about=about, train=_with_gallery(case.train, mate, stays))
+    return made.moved(release, (drawn[:, 0], drawn[:, 1:3], drawn[:, 3]))
 
 
 def _with_gallery(train: LinkageTrainingSet, mate: Ints, rows: Ints) -> LinkageTrainingSet:
     """Return a training set with these rows of its gallery; mates are given as they were."""
     place = np.full(len(train.gallery) + 1, -1)  # the last is that of nobody, -1
     place[rows] = np.arange(rows.size)
-    return LinkageTrainingSet(train.probe, in_order(train.gallery, rows.tolist()), place[mate])
+    return LinkageTrainingSet(train.probe, train.gallery.tracks(rows), place[mate])
 
 
 # The checks
@@ -321,12 +231,14 @@ def _with_gallery(train: LinkageTrainingSet, mate: Ints, rows: Ints) -> LinkageT
 def result_is_a_score_matrix(row: Row) -> None:
     """An array (P, G) of finite floats comes back, with fewer probes than candidates or more."""
     for case in (row.ordinary, sized(9, 7, scene=row.scene)):
-        (result,) = row.raw(copied(case))
+        (result,) = row.raw(made.copied(case))
         row.read(case, result)
         if not (isinstance(result, np.ndarray) and result.dtype.kind == "f"):
             dtype = getattr(result, "dtype", None)
             of = "" if dtype is None else f" of {dtype}"
-            row.fail(case, f"expected a numpy array of floats, got {type(result).__name__}{of}")
+            row.fail(
+                case.about, f"expected a numpy array of floats, got {type(result).__name__}{of}"
+            )
 
 
 def frames_and_clocks_do_not_matter(row: Row) -> None:
@@ -359,18 +271,25 @@ def short_tracks_are_handled(row: Row) -> None:
 
 def irregular_sampling_is_handled(row: Row) -> None:
     """With steps from 1 ms to 30 s scores are finite."""
-    row.answer(irregular(scene=row.scene))
+    about, sizes = "steps from 1 ms to 30 s", ((60,) * 6, (60,) * 8, (60,) * 12)
+    steps_s = made.IRREGULAR_S
+    row.answer(made_up("irregular", about=about, sizes=sizes, scene=row.scene, steps_s=steps_s))
 
 
 def training_without_mates_is_handled(row: Row) -> None:
     """Where a third of the training probes has no mate (-1), nobody is taken for theirs.
 
-    The training gallery is then turned back to front: who takes -1 for the last track learns
-    something else. Who learns may differ by 1 % of the spread.
+    Of every other such probe the gallery track is gone, of the rest it stays as a stranger's. The
+    training gallery is then turned back to front: who takes -1 for the last track learns something
+    else. Who learns may differ by 1 % of the spread.
     """
-    case = without_mates(row.ordinary)
-    train = case.train
-    turned = _with_gallery(train, train.mate, np.arange(len(train.gallery))[::-1])
+    case, train = row.ordinary, row.ordinary.train
+    mate = train.mate.copy()
+    mate[::3] = -1
+    stays = np.setdiff1d(np.arange(len(train.gallery)), train.mate[::6])
+    about = f"{case.about}, {np.count_nonzero(mate < 0)} of {mate.size} others without a mate"
+    case = replace(case, about=about, train=_with_gallery(train, mate, stays))
+    turned = _with_gallery(case.train, case.train.mate, np.arange(stays.size)[::-1])
     replace(row, ordinary=case).expect_same(
         row.answer(replace(case, train=turned)),
         row.answer(case),
@@ -381,33 +300,45 @@ def training_without_mates_is_handled(row: Row) -> None:
 
 
 def null_stays_at_chance(row: Row) -> None:
-    """Where no probe is in the gallery, drawn mates come first no more often than by chance."""
-    case = unrelated(scene=row.scene)
-    mate, chance = case.mate, 1 / len(case.gallery)
-    found = hits(row.answer(case), mate)
-    if common.is_surprising(found, tries=len(mate), chance=chance):
-        row.fail(
-            case,
-            f"{found:.3g} of {len(mate)} drawn mates come first, expected about "
-            f"{chance * len(mate):.3g} by chance; does it reach the attack by a way other than "
-            "its context who the mates are?",
-        )
+    """Where no probe is in the gallery, drawn mates come first no more often than by chance.
+
+    Mates are drawn one by one, apart from both releases. Whatever the scores, each probe's mate
+    comes first with probability 1 / G, independently of all others.
+    """
+    mate = draws("linkage", "strangers", "mate").integers(0, N_PEOPLE, N_PEOPLE)
+    strangers = made_up("strangers", about="", sigma_m=RAW_SIGMA_M, scene=row.scene)
+    case = replace(
+        noisy(RAW_SIGMA_M, "radial", scene=row.scene),
+        about=f"{N_PEOPLE} probes of people who are not among the {N_PEOPLE} of the gallery",
+        gallery=strangers.gallery,
+        mate=mate,
+    )
+    scores = row.answer(case)
+    # One by one, since two may have drawn one mate.
+    hits = [rank1(scores=scores[[one]], mate=mate[[one]])[0] for one in range(N_PEOPLE)]
+    common.expect_chance(
+        row,
+        case.about,
+        float(np.sum(hits)),
+        of=N_PEOPLE,
+        chance=1 / N_PEOPLE,
+        what="drawn mates come first",
+        hint="does it reach the attack by a way other than its context who the mates are?",
+    )
 
 
 def easy_case_beats_chance(row: Row) -> None:
     """With errors of 5 cm so many mates come first as chance brings once in 1000 at most."""
     case = noisy(RAW_SIGMA_M, "radial", scene=row.scene)
-    n_probes, chance = len(case.mate), 1 / len(case.gallery)
-    found = hits(row.answer(case), case.mate)
+    found = rank1(scores=row.answer(case), mate=case.mate).sum()
     # P(as many or more) for every count from one.
-    tail = bdtrc(np.arange(n_probes), n_probes, chance)
+    tail = bdtrc(np.arange(N_PEOPLE), N_PEOPLE, 1 / N_PEOPLE)
     needed = 1 + int(np.argmax(tail < EASY_SURPRISE))
     if found < needed:
         row.fail(
-            case,
-            f"{found:.3g} of {n_probes} mates come first, expected at least {needed}; chance "
-            f"brings {chance * n_probes:.3g} (is the sign right? a higher score means the same "
-            "person)",
+            case.about,
+            f"{found:.3g} of {N_PEOPLE} mates come first, expected at least {needed}; chance "
+            "brings 1 (is the sign right? a higher score means the same person)",
         )
 
 
@@ -418,14 +349,17 @@ def success_falls_with_noise(row: Row) -> None:
     mean rise of the logarithm of its mate's rank must exceed 2.5 of its standard errors.
     """
     levels = [noisy(sigma_m, "isotropic", scene=row.scene) for sigma_m in SIGMAS_M]
-    low, high = (log_ranks(row.answer(case), case.mate) for case in levels)
+    low, high = (
+        np.log(N_PEOPLE) - log_rank(scores=row.answer(case), mate=case.mate) for case in levels
+    )
     needed = common.least_rise(high - low)
     if not (high - low).mean() > needed:
-        raise AssertionError(
-            f"{row}, {low.size} people: mates have the rank {np.exp(low.mean()):.3g} at "
-            f"{SIGMAS_M[0]:g} m of noise and {np.exp(high.mean()):.3g} at {SIGMAS_M[1]:g} m "
-            f"(geometric mean of 1 to {len(levels[0].gallery)}), expected a rise by a factor "
-            f"of more than {np.exp(needed):.3g}; what does the attack take the noise for?"
+        row.fail(
+            f"{N_PEOPLE} people",
+            f"mates have the rank {np.exp(low.mean()):.3g} at {SIGMAS_M[0]:g} m of noise and "
+            f"{np.exp(high.mean()):.3g} at {SIGMAS_M[1]:g} m (geometric mean of 1 to {N_PEOPLE}), "
+            f"expected a rise by a factor of more than {np.exp(needed):.3g}; what does the attack "
+            "take the noise for?",
         )
 
 
@@ -444,24 +378,3 @@ ALL = (
     success_falls_with_noise,
 )
 """In the order in which they run."""
-
-
-def hits(scores: Floats, mate: Ints) -> float:
-    """Return how many probes have their mate first, as expected if equals are drawn from."""
-    better, equal = _places(scores, mate)
-    return float(np.sum((better == 0) / equal))
-
-
-def log_ranks(scores: Floats, mate: Ints) -> Floats:
-    """Return the logarithm of the rank of each probe's mate, (P,): 0 is first.
-
-    Among equals a mate is in the middle.
-    """
-    better, equal = _places(scores, mate)
-    ranks: Floats = np.log(better + (equal + 1) / 2)
-    return ranks
-
-
-def _places(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
-    own = scores[np.arange(len(mate)), mate][:, None]
-    return (scores > own).sum(axis=1), (scores == own).sum(axis=1)

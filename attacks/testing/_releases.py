@@ -1,13 +1,13 @@
-"""Made-up walks under pseudonyms, and the same release seen otherwise: shared by all cases."""
+"""Made-up people under pseudonyms, and the same release seen otherwise: shared by all cases."""
 
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass, fields, is_dataclass, replace
-from math import log
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from dataclasses import fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from isac_track.protocols import LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
@@ -20,11 +20,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from isac_track.sharing import Fixed
-    from isac_track.types import Floats, Ints
+    from isac_track.types import Floats
 
-Sampling: TypeAlias = Literal["steady", "irregular"]
+    Person = Callable[[Floats], Floats]
+
 Walk: TypeAlias = "tuple[Floats, Floats]"
 """Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
+Frame: TypeAlias = "tuple[float | Floats, tuple[float, float] | Floats, float | Floats]"
+"""Turned by so many rad, then shifted, m, and by how much later, s: all samples, or each."""
 Holder = TypeVar("Holder", bound=Any)
 """A case, or a training set."""
 
@@ -33,8 +36,18 @@ RAW_SIGMA_M = 0.05
 """Of the sensing; all else is added by the mechanism."""
 BOX_M = 20.0
 """Side of the square in which walks start."""
-STEADY_STEP_S = (1 / 16, 1 / 8)
-IRREGULAR_STEP_S = (1e-3, 30.0)
+STEADY_S, IRREGULAR_S = (1 / 16, 1 / 8), (1e-3, 30.0)
+"""Shortest and longest step between two samples, of a recording and of an odd one."""
+SPEEDS_MPS = (0.6, 2.0)
+"""Slowest and fastest of the people."""
+SWAY, SWAY_S = (0.05, 0.3), (2.0, 6.0)
+"""By what share of itself a person's speed rises and falls, and how often."""
+TURN_RADPS = (-0.25, 0.25)
+"""How fast a person turns on the whole."""
+WIND_RADPS, WIND_S = (0.1, 0.8), (3.0, 8.0)
+"""By how much more or less on the way, to either side, and how often."""
+_ROUND = (0.0, 2.0 * np.pi)
+_GRID_S = 0.02
 
 
 def draws(*name: str | int) -> np.random.Generator:
@@ -42,19 +55,42 @@ def draws(*name: str | int) -> np.random.Generator:
     return stream(0, "attacks", "testing", *name)
 
 
-def steps(rng: np.random.Generator, size: int, *, sampling: Sampling) -> Floats:
-    """Return so many steps, s: at 8 to 16 Hz, or from a millisecond to half a minute."""
-    if sampling == "steady":
-        return rng.uniform(*STEADY_STEP_S, size)
-    low, high = map(log, IRREGULAR_STEP_S)
-    step_s: Floats = np.exp(rng.uniform(low, high, size))
-    return step_s
+def instants(rng: np.random.Generator, size: int, steps_s: tuple[float, float]) -> Floats:
+    """Return so many instants after 0, s, whose steps are drawn evenly in their logarithm."""
+    shortest, longest = np.log(steps_s)
+    return np.cumsum(np.exp(rng.uniform(shortest, longest, size)))
+
+
+def person(speed_mps: float, rng: np.random.Generator) -> Person:
+    """Return where somebody is at times before and after 0, (M,) s -> (M, 2) m.
+
+    Speed and turning rate each sway about a mean of their own.
+    """
+    sway, sway_s, sway_phase = rng.uniform(*SWAY), rng.uniform(*SWAY_S), rng.uniform(*_ROUND)
+    turn_radps = rng.uniform(*TURN_RADPS)
+    wind_radps, wind_s = rng.uniform(*WIND_RADPS), rng.uniform(*WIND_S)
+    wind_phase, heading_rad = rng.uniform(*_ROUND), rng.uniform(*_ROUND)
+    start_m = rng.uniform(-BOX_M / 2, BOX_M / 2, 2)
+
+    def positions(t: Floats) -> Floats:
+        first, last = min(float(t[0]), 0.0) - _GRID_S, max(float(t[-1]), 0.0) + _GRID_S
+        grid = np.linspace(first, last, 2 + int((last - first) / _GRID_S))
+        cycle = 2.0 * np.pi / np.array([sway_s, wind_s])
+        speed = speed_mps * (1.0 + sway * np.sin(cycle[0] * grid + sway_phase))
+        wind = wind_radps / cycle[1] * -np.cos(cycle[1] * grid + wind_phase)
+        heading = heading_rad + turn_radps * grid + wind
+        velocity = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+        way = cumulative_trapezoid(velocity, grid, axis=0, initial=0)
+        xy = np.column_stack([np.interp([0.0, *t], grid, axis) for axis in way.T])
+        placed: Floats = xy[1:] - xy[0] + start_m
+        return placed
+
+    return positions
 
 
 def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fixed) -> Release:
     """Return walks as the mechanism shares them, under new pseudonyms."""
     t, xy = (np.concatenate(arrays) for arrays in zip(*walks, strict=True))
-    offsets = np.concatenate([[0], np.cumsum([times.size for times, _ in walks])])
     law = mechanism.law or "radial"
     unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
     nothing = np.zeros(t.size)
@@ -65,45 +101,22 @@ def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fix
         sigma_raw=np.full(t.size, RAW_SIGMA_M),
         information=nothing,  # Fixed looks at neither
         fid=nothing,
-        offsets=offsets,
+        offsets=np.cumsum([0, *(times.size for times, _ in walks)]),
         law=law,
     )
     return mechanism.share(sensed, draws("share", *name))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Motion:
-    """A frame and a clock: turned, then shifted. One for all samples, or one for each."""
-
-    angle_rad: float | Floats
-    shift_m: tuple[float, float] | Floats
-    clock_s: float | Floats
-
-    def of_points(self, xy: Floats) -> Floats:
-        """Return points, (M, 2) m, in this frame."""
-        cos, sin, (x, y) = np.cos(self.angle_rad), np.sin(self.angle_rad), xy.T
-        return np.column_stack([cos * x - sin * y, sin * x + cos * y]) + self.shift_m
-
-    def of_release(self, release: Release) -> Release:
-        """Return a release in this frame and on this clock."""
-        return replace(release, t=release.t + self.clock_s, xy=self.of_points(release.xy))
+def turned(xy: Floats, frame: Frame) -> Floats:
+    """Return points, (M, 2) m, in another frame."""
+    angle_rad, shift_m, _ = frame
+    cos, sin, (x, y) = np.cos(angle_rad), np.sin(angle_rad), xy.T
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y]) + shift_m
 
 
-def origins(offsets: Ints, order: Sequence[int]) -> Ints:
-    """Return where each sample came from, (M,), if tracks come in another order."""
-    return np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in order])
-
-
-def in_order(release: Release, order: Sequence[int]) -> Release:
-    """Return a release with its tracks in another order."""
-    origin = origins(release.offsets, order)
-    return Release(
-        t=release.t[origin],
-        xy=release.xy[origin],
-        sigma=None if release.sigma is None else release.sigma[origin],
-        offsets=np.concatenate([[0], np.cumsum(np.diff(release.offsets)[list(order)])]),
-        pseudonym=tuple(release.pseudonym[row] for row in order),
-    )
+def moved(release: Release, frame: Frame) -> Release:
+    """Return a release in another frame and on another clock."""
+    return replace(release, t=release.t + frame[2], xy=turned(release.xy, frame))
 
 
 # The same case, seen otherwise; what is said of cases holds for the training sets in them

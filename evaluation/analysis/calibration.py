@@ -13,8 +13,8 @@ the predictions with them, when what was fixed beforehand is fixed elsewhere.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.optimize import brentq
@@ -31,7 +31,7 @@ from isac_track.errors import DataError
 from isac_track.scenes import cut, make_scenes, track_order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from evaluation.cells.work import Levels
     from isac_track.scenes import Cut
@@ -46,8 +46,7 @@ _FID_ETA = 1000.0
 _LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Link:
+class Link(NamedTuple):
     """A block of scenes, reduced to what the constants act on."""
 
     gain: Floats
@@ -58,16 +57,6 @@ class Link:
     """(M,) norm of the standardised raw error"""
     t: Floats
     offsets: Ints
-
-
-@dataclass(frozen=True, slots=True)
-class Targets:
-    """The numbers that the constants are fitted to."""
-
-    raw_plr: float
-    raw_mel_s: float
-    fid_plr: float
-    """At eta = 1000, linear adding."""
 
 
 Calibration: TypeAlias = "tuple[SensingSettings, Mapping[tuple[str, str], float]]"
@@ -90,10 +79,7 @@ def calibrate(
 
     `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed.
 
-    Raises
-    ------
-    DataError
-        If no constants in the searched ranges do.
+    Raises DataError if no constants in the searched ranges do.
     """
     stages = StageSettings().changed(changes)
     tracks = cut(recorded, settings=stages, seed=seed)
@@ -102,7 +88,7 @@ def calibrate(
     found = fit(
         links(tracks, stages=stages, n_scenes=n_scenes, seed=seed),
         stages=stages,
-        targets=Targets(*(paper[one] for one in wanted)),
+        targets=[paper[one] for one in wanted],
     )
     fitted = replace(stages, sensing=found)
     return found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed)
@@ -162,42 +148,42 @@ def descriptors(
     return float(np.concatenate(plr).mean()), float(np.concatenate(mel_s).mean())
 
 
-def fit(blocks: tuple[Link, ...], *, stages: StageSettings, targets: Targets) -> SensingSettings:
+def fit(
+    blocks: tuple[Link, ...], *, stages: StageSettings, targets: Sequence[float]
+) -> SensingSettings:
     """Return the settings whose `FITTED` constants, to 0.01 dB, reproduce the targets.
 
-    Raises
-    ------
-    DataError
-        If no constants in the searched ranges do.
-    """
+    Those are raw PLR, raw MEL in s, and PLR under FID at eta = 1000 with linear adding.
 
-    def settings(net_db: float, spread_db: float, gap_db: float) -> SensingSettings:
-        fitted: Any = zip(FITTED, (net_db + gap_db, spread_db, gap_db), strict=True)
-        return replace(stages.sensing, **dict(fitted))
+    Raises DataError if no constants in the searched ranges do.
+    """
+    raw_plr, raw_mel_s, fid_plr = targets
 
     def trial(
         net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
     ) -> tuple[float, float]:
-        tried, epsilon_m = settings(net_db, spread_db, gap_db), stages.privacy.epsilon_m
-        return descriptors(blocks, settings=tried, epsilon_m=epsilon_m, eta=eta)
+        tried = _fitted(stages.sensing, net_db + gap_db, spread_db, gap_db)
+        return descriptors(blocks, settings=tried, epsilon_m=stages.privacy.epsilon_m, eta=eta)
 
     def net_for(spread: float) -> float:
-        return _root(lambda net: trial(net, spread)[0] - targets.raw_plr, _GAINS, what="raw PLR")
+        return _root(lambda net: trial(net, spread)[0] - raw_plr, _GAINS, what="raw PLR")
 
     spread_db = _root(
-        lambda spread: trial(net_for(spread), spread)[1] - targets.raw_mel_s,
-        _SPREADS,
-        what="raw MEL",
+        lambda spread: trial(net_for(spread), spread)[1] - raw_mel_s, _SPREADS, what="raw MEL"
     )
     net_db = net_for(spread_db)
     gap_db = _root(
-        lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - targets.fid_plr,
+        lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - fid_plr,
         _GAPS,
         what=f"PLR at eta = {_FID_ETA:g}",
     )
-    found = settings(net_db, spread_db, gap_db)
-    rounded: Any = {name: round(getattr(found, name), 2) for name in FITTED}
-    return replace(found, **rounded)
+    constants = (net_db + gap_db, spread_db, gap_db)
+    return _fitted(stages.sensing, *(round(one, 2) for one in constants))
+
+
+def _fitted(sensing: SensingSettings, *constants: float) -> SensingSettings:
+    known: Any = dict(zip(FITTED, constants, strict=True))
+    return replace(sensing, **known)
 
 
 def predictions(

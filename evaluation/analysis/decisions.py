@@ -8,7 +8,9 @@ bootstrap needs, so that its cost does not grow with the scenes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,10 +88,7 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
     A higher `score`, (S,), means that a `conflict`, (S,), is likelier; `cluster`, (S,), is the
     column of a scene's cluster in `weights`, (B, C), from `intervals.cluster_weights`.
 
-    Raises
-    ------
-    ValueError
-        If a score is NaN.
+    Raises ValueError if a score is NaN.
     """
     if np.isnan(score).any():
         raise ValueError("a score is NaN")
@@ -101,8 +100,9 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
     # Bin 0 holds the highest scores; a scene counts as soon as the threshold reaches its bin.
     bins = distinct.size - np.searchsorted(distinct, score, side="right")
     n_clusters = weights.shape[1]
-    counts = np.zeros((2, n_clusters, distinct.size))
-    np.add.at(counts, (conflict.astype(int), cluster, bins), 1.0)
+    shape = (2, n_clusters, distinct.size)
+    cells = np.ravel_multi_index((conflict.astype(int), cluster, bins), shape)
+    counts = np.bincount(cells, minlength=math.prod(shape)).reshape(shape).astype(np.float64)
     everyone = np.concatenate([np.ones((1, n_clusters)), weights])
     alarms, hits = (np.cumsum(everyone @ part, axis=1) for part in counts)
     start = np.zeros((everyone.shape[0], 1))
@@ -142,9 +142,8 @@ def decisions(
         if not np.isnan(columns["probability"]).any():
             scores["probability"] = columns["probability"]
         for name, score in scores.items():
-            drawn = curve(
-                score=score, conflict=columns["conflict"], cluster=cluster, weights=weights
-            )
+            conflict = columns["conflict"]
+            drawn = curve(score=score, conflict=conflict, cluster=cluster, weights=weights)
             if drawn is None:
                 continue
             if consumer == reference and name == _SEPARATION:
@@ -155,35 +154,29 @@ def decisions(
                 at_raw_alarms[Measure(consumer, EQUAL_ALARMS).at(*where)] = estimate_of(
                     drawn.missed_at(_drawn(raw_alarm)), n=raw_alarm.n
                 )
-            about = {
-                "dataset": manifest["dataset"]["name"],
-                "mechanism": where[0],
-                "level": np.nan if where[1] is None else where[1],
-                "consumer": consumer,
-                "score": name,
-            }
+            level = np.nan if where[1] is None else where[1]
+            whose = (manifest["dataset"]["name"], where[0], level, consumer, name)
+            about = dict(zip(_ABOUT, whose, strict=True))
             curves.append(pd.DataFrame({**about, **drawn.points()}))
-            areas = drawn.areas()
-            row = about | {"area": areas[0]}
-            row["area_low"], row["area_high"] = percentile_interval(areas[1:])
+            row = about | _with_ends("area", "area", drawn.areas())
             if where in at_reference:
                 false_alarm, reference_missed = at_reference[where]
                 missed = drawn.missed_at(false_alarm)
-                row |= {
-                    "reference": reference,
-                    "false_alarm_rate": false_alarm[0],
-                    "missed_conflict_rate": missed[0],
-                    "difference": missed[0] - reference_missed[0],
-                }
-                row["missed_low"], row["missed_high"] = percentile_interval(missed[1:])
-                row["ci_low"], row["ci_high"] = percentile_interval((missed - reference_missed)[1:])
+                row |= {"reference": reference, "false_alarm_rate": false_alarm[0]}
+                row |= _with_ends("missed_conflict_rate", "missed", missed)
+                row |= _with_ends("difference", "ci", missed - reference_missed)
             rows.append((place, row))
-    in_order = [row for _, row in sorted(rows, key=lambda one: one[0])]
     return (
         pd.concat(curves)[CURVE_COLUMNS] if curves else pd.DataFrame(columns=CURVE_COLUMNS),
-        pd.DataFrame(in_order, columns=DECISION_COLUMNS),
+        pd.DataFrame([row for _, row in sorted(rows, key=itemgetter(0))], columns=DECISION_COLUMNS),
         at_raw_alarms,
     )
+
+
+def _with_ends(name: str, ends: str, values: Floats) -> dict[str, float]:
+    """Return the columns of a number and of the ends of its interval, from (1 + B,)."""
+    low, high = percentile_interval(values[1:])
+    return {name: values[0], f"{ends}_low": low, f"{ends}_high": high}
 
 
 def _drawn(one: Estimate) -> Floats:

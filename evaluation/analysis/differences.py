@@ -6,8 +6,8 @@ Nothing is computed anew: the estimates and their replicates come from the finis
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,8 +43,7 @@ COLUMNS = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
+class Difference(NamedTuple):
     """B - A of one number."""
 
     difference: float
@@ -82,10 +81,7 @@ class Comparison:
     def has_changed(self) -> bool:
         """Return whether a headline number differs.
 
-        Raises
-        ------
-        DataError
-            If nothing could tell: no number that changed has an interval.
+        Raises DataError if nothing could tell: no number that changed has an interval.
         """
         findings = set(self.headline["finding"])
         if UNTESTED in findings and findings <= {UNTESTED, IDENTICAL}:
@@ -95,28 +91,15 @@ class Comparison:
 
 
 def compare(
-    out_a: Path,
-    out_b: Path,
-    *,
-    mechanism_a: str | None = None,
-    mechanism_b: str | None = None,
+    out_a: Path, out_b: Path, *, mechanism_a: str | None = None, mechanism_b: str | None = None
 ) -> Comparison:
-    """Return two runs side by side.
+    """Return two runs side by side; their folders may be the same.
 
-    Parameters
-    ----------
-    out_a, out_b : Path
-        Run folders; they may be the same.
-    mechanism_a, mechanism_b : str, optional
-        Both or neither: compare this mechanism of A with that of B instead of each with itself;
-        either as in `summary.csv`, then at every level that both have, or one level as a SPEC.
+    Both mechanisms or neither are named: then that of A is compared with that of B instead of each
+    with itself; either as in `summary.csv`, at every level that both have, or one level as a SPEC.
 
-    Raises
-    ------
-    DataError
-        If a folder holds no run, a cell is missing or broken, or the runs share no number.
-    SettingsError
-        If only one mechanism is named, or a run does not have it.
+    Raises DataError if a folder holds no run, a cell is missing or broken, or the runs share no
+    number, and SettingsError if only one mechanism is named, or a run does not have it.
     """
     if (mechanism_a is None) != (mechanism_b is None):
         raise SettingsError("--mechanism-a and --mechanism-b are named together")
@@ -126,21 +109,21 @@ def compare(
     of_a, of_b = list(found_a), list(found_b)
     if mechanism_a is None or mechanism_b is None:
         pairs = [(key, key) for key in of_a if key in found_b]
-    else:
-        of_a = _of_mechanism(of_a, mechanism_a, first, "--mechanism-a", out_a)
-        of_b = _of_mechanism(of_b, mechanism_b, second, "--mechanism-b", out_b)
-        pairs = _matched_levels(of_a, of_b, cells=[*first["cells"], *second["cells"]])
-        if not pairs:
-            raise DataError(
-                f"{mechanism_a} of A and {mechanism_b} of B have no level and consumer in common; "
-                "name one level of each, such as fid:1000"
-            )
-    if not pairs:
-        raise DataError(
+        lacks = (
             f"{out_a} and {out_b} share no number: A has {short_list(mechanisms(first))}, "
             f"B has {short_list(mechanisms(second))}; compare runs with a common mechanism, "
             "level and consumer, or name --mechanism-a and --mechanism-b"
         )
+    else:
+        of_a = _of_mechanism(of_a, mechanism_a, first, "--mechanism-a", out_a)
+        of_b = _of_mechanism(of_b, mechanism_b, second, "--mechanism-b", out_b)
+        pairs = _matched_levels(of_a, of_b, cells=[*first["cells"], *second["cells"]])
+        lacks = (
+            f"{mechanism_a} of A and {mechanism_b} of B have no level and consumer in common; "
+            "name one level of each, such as fid:1000"
+        )
+    if not pairs:
+        raise DataError(lacks)
     return Comparison(
         a=run_changes.about(out_a, first, mechanism=mechanism_a),
         b=run_changes.about(out_b, second, mechanism=mechanism_b),
@@ -247,9 +230,10 @@ def _matched_levels(
             f"levels of {of_a[0].mechanism} and {of_b[0].mechanism} are not the same quantity; "
             "name one level of each, such as fid:1000"
         )
-    theirs = {(key.measure, None if single else key.level): key for key in of_b}
-    wanted = [(key, (key.measure, None if single else key.level)) for key in of_a]
-    return [(key, theirs[what]) for key, what in wanted if what in theirs]
+    theirs = {(key.measure, single or key.level): key for key in of_b}
+    return [
+        (key, theirs[at]) for key in of_a if (at := (key.measure, single or key.level)) in theirs
+    ]
 
 
 def _rows(
@@ -267,22 +251,20 @@ def _rows(
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )
-        if same and paired:
-            found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
-        else:
+        found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
+        if not (same and paired):
             found = difference(a, b, paired=paired, metric=metric.name)
+        where = {"mechanism_a": key_a.mechanism, "level_a": key_a.level}
+        where |= {"mechanism_b": key_b.mechanism, "level_b": key_b.level}
         rows.append(
             {
-                "mechanism_a": key_a.mechanism,
-                "level_a": math.nan if key_a.level is None else key_a.level,
-                "mechanism_b": key_b.mechanism,
-                "level_b": math.nan if key_b.level is None else key_b.level,
+                **{name: math.nan if one is None else one for name, one in where.items()},
                 **{name: getattr(key_a, name) for name in ("consumer", "knowledge", "metric")},
                 # A control says nothing of an adversary.
                 "headline": metric.is_headline and "/control-" not in key_a.consumer,
                 "a": a.value,
                 "b": b.value,
-                **asdict(found),
+                **found._asdict(),
                 "unit": metric.summary_unit,
                 "n": min(a.n, b.n),
                 "pairing": paired_by[key_a.consumer],
@@ -295,13 +277,12 @@ def _rows(
 def _judged(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the rows with what Holm says of either family, the surest difference first."""
     rows["headline"] = rows["headline"].astype(bool)
-    rows["p_holm"] = rows["p_holm"].astype(float)
-    for family in (True, False):
-        of = rows["headline"] == family
-        rows.loc[of, "p_holm"] = holm(rows.loc[of, "p_value"].to_numpy(dtype=np.float64))
+    rows["p_holm"] = rows.groupby("headline")["p_value"].transform(
+        lambda family: holm(family.to_numpy(dtype=np.float64))
+    )
     tested = (rows["finding"] != IDENTICAL) & rows["p_holm"].notna()
-    differs = rows["p_holm"] <= SIGNIFICANCE
-    rows.loc[tested, "finding"] = np.where(differs[tested], DIFFERS, UNDECIDED)
+    differs = np.where(rows["p_holm"] <= SIGNIFICANCE, DIFFERS, UNDECIDED)
+    rows["finding"] = rows["finding"].where(~tested, differs)
     # Of p-values too small to tell apart, the larger t is the surer.
     order = pd.DataFrame({"p": rows["p_value"], "t": -rows["t"].abs()})
     return rows.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(drop=True)

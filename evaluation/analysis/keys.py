@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from evaluation.experiment.presets import SHARED
 from isac_track.protocols import ADVERSARIES
@@ -20,8 +19,7 @@ Where: TypeAlias = "tuple[str, float | None]"
 _MOST_WRITTEN_OUT = 1e7
 
 
-@dataclass(frozen=True, order=True, slots=True)
-class Source:
+class Source(NamedTuple):
     """Whose positions a descriptor is of: those shared, or an attack's under an adversary."""
 
     consumer: str
@@ -51,8 +49,7 @@ class Source:
 AS_SHARED: Final = Source(SHARED)
 
 
-@dataclass(frozen=True, slots=True)
-class Measure:
+class Measure(NamedTuple):
     """One thing that is measured at every mechanism level."""
 
     consumer: str
@@ -66,11 +63,10 @@ class Measure:
 
     def at(self, mechanism: str, level: float | None) -> Key:
         """Return what a row of the summary about it at one level is about."""
-        return Key(mechanism, level, self.consumer, self.metric, self.knowledge)
+        return Key(mechanism, level, *self)
 
 
-@dataclass(frozen=True, slots=True)
-class Key:
+class Key(NamedTuple):
     """What a row of the summary is about."""
 
     mechanism: str

@@ -25,7 +25,7 @@ from evaluation.runs.cell_files import read_outcome
 from isac_track.linkability import LEVEL, outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
     from evaluation.analysis.keys import Where
@@ -68,18 +68,18 @@ def dataset_of(consumer: str, *, dataset: str) -> str:
 Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
 
 
-def cards(out: Path, manifest: Mapping[str, Any]) -> Cards:
+def cards(out: Path, manifest: Mapping[str, Any], *, drawn: Collection[str] | None = None) -> Cards:
     """Return the card of every linkage cell with its entry in the manifest.
 
-    Raises
-    ------
-    DataError
-        If a cell cannot be read.
+    `drawn` are the metrics of attacks that need replicates; without it all have them, and controls.
+
+    Raises DataError if a cell cannot be read.
     """
+    of_kind = {"linkage": drawn, "control": None if drawn is None else ()}
     return [
-        (entry, read_outcome(out, entry))
+        (entry, read_outcome(out, entry, drawn=of_kind[entry["kind"]]))
         for entry in manifest["cells"]
-        if entry["kind"] in {"linkage", "control"}
+        if entry["kind"] in of_kind
     ]
 
 
@@ -163,11 +163,9 @@ class LinkedTask:
 
 def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
     """Return the tasks in which somebody links, in the order of the run, levels rising."""
-    texts = {name: linkability[name].astype(object) for name in ("knowledge", "outcome", "invalid")}
     # Of texts read from a file, those that are empty are missing.
-    tidy = linkability.assign(
-        **{name: text.where(text.notna(), "") for name, text in texts.items()}
-    )
+    texts = ["knowledge", "outcome", "invalid"]
+    tidy = linkability.assign(**linkability[texts].astype(object).fillna(""))
     # Mechanisms in the order of the run, not of their levels.
     order = {name: place for place, name in enumerate(linkability["mechanism"].unique())}
     tidy = tidy.sort_values("level", kind="stable", na_position="first")

@@ -7,7 +7,8 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,14 +17,8 @@ import pandas as pd
 from evaluation.analysis.families import ADDING_RULES, FIXED
 from evaluation.analysis.keys import AS_SHARED, Measure
 from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.metrics import (
-    ACHIEVED,
-    DESCRIPTORS,
-    EQUAL_ALARMS,
-    EXPOSURE,
-    MISSED_RATE,
-)
-from evaluation.analysis.sweeps import interpolated
+from evaluation.analysis.metrics import ACHIEVED, DESCRIPTORS, EQUAL_ALARMS, EXPOSURE, MISSED_RATE
+from evaluation.analysis.sweeps import interpolated, places
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import CONFIDENCE
 
@@ -47,10 +42,10 @@ _INTERVALS = (
     ("difference", "ci_low", "ci_high"),
 )
 """Columns: what is compared, fixed noise, and the one less the other."""
+_POINTS = ("at", "missed_conflict_rate", *chain(*_INTERVALS), "defined")
 COLUMNS = [
     *("dataset", "criterion", "adding", "predictor", "consumer", "knowledge", "metric"),
-    *("at", "missed_conflict_rate", *_INTERVALS[0], *_INTERVALS[1], *_INTERVALS[2], "defined"),
-    *("n", "mechanism", "family"),
+    *(*_POINTS, "n", "mechanism", "family"),
 ]
 
 
@@ -126,22 +121,26 @@ def matched(
     replicates that are left would all lie on one side. `known` are the mechanisms of the run, from
     `families`.
     """
-    frames = [
-        pd.DataFrame(
+    compared = list(compared)
+    about = pd.DataFrame(
+        [
             {
                 "dataset": dataset_of(one.measure.consumer, dataset=dataset),
                 **{name: getattr(one, name) for name in ("criterion", "adding", "predictor")},
-                **asdict(one.measure),
-                **one.points,
+                **one.measure._asdict(),
                 "n": one.n,
                 "mechanism": one.mechanism,
                 "family": known[one.mechanism].family,
+                "points": one.points["at"].size,
             }
-        )
-        for one in compared
-    ]
-    rows = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=COLUMNS)
-    return rows[COLUMNS]
+            for one in compared
+        ],
+        columns=[*(name for name in COLUMNS if name not in _POINTS), "points"],
+    )
+    rows = about.loc[about.index.repeat(about.pop("points").astype(int))].reset_index(drop=True)
+    for name in _POINTS if compared else ():
+        rows[name] = np.concatenate([one.points[name] for one in compared])
+    return rows.reindex(columns=COLUMNS)
 
 
 def compare(
@@ -161,16 +160,18 @@ def compare(
     raw = float(scales[0][0, -1])
     is_plr = by.source == AS_SHARED
     order = slice(None, None, -1 if is_plr else 1)  # at ascends, in PLR as well
+    # No change is raw itself, the end of both curves: nothing is compared there.
+    at_of = {n: np.linspace(0.0, reach, n + 1)[1:][order] for n in (N_POINTS, N_ATTACK_POINTS)}
+    where_of = {n: [places(at, scale) for scale in change] for n, at in at_of.items()}
     for measure in measures:
         curves = [curve for arm in arms if (curve := sweeps.curve(arm, measure)) is not None]
         if len(curves) < len(arms):
             continue
         n_points = N_POINTS if measure.consumer == SHARED else N_ATTACK_POINTS
-        # No change is raw itself, the end of both curves: nothing is compared there.
-        at = np.linspace(0.0, reach, n_points + 1)[1:][order]
+        at = at_of[n_points]
         compared, fixed = (
-            interpolated(at, scale, curve, log=measure.metric in DESCRIPTORS)
-            for scale, curve in zip(change, curves, strict=True)
+            interpolated(where, curve, log=measure.metric in DESCRIPTORS)
+            for where, curve in zip(where_of[n_points], curves, strict=True)
         )
         difference = compared - fixed
         defined = np.isfinite(difference[1:]).mean(axis=0)

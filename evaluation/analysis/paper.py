@@ -76,14 +76,9 @@ def paper_table(sweeps: Sweeps, *, dataset: str) -> pd.DataFrame:
             # What is raw is under no rule.
             if ours is None or (family == RAW and adding != ADDING_RULES[0]):
                 continue
-            within = bool(ours.ci_low <= published <= ours.ci_high)
-            rows.append(
-                (
-                    *(name, np.nan if level is None else level, metric, published),
-                    *(ours.value, ours.ci_low, ours.ci_high),
-                    within if dataset == DATASET else None,
-                )
-            )
+            within = bool(ours.ci_low <= published <= ours.ci_high) if dataset == DATASET else None
+            where = name, np.nan if level is None else level, metric, published
+            rows.append((*where, ours.value, ours.ci_low, ours.ci_high, within))
     return pd.DataFrame(rows, columns=PAPER_COLUMNS)
 
 
@@ -112,27 +107,24 @@ def claims(
     rows: list[tuple[object, ...]] = []
     for adding in ADDING_RULES:
         fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
-        wanted = {"adding": adding, "mechanism": fid, "criterion": MISSED}
-        wanted |= {"consumer": SHARED, "predictor": PREDICTOR}
-        of_fid = matched[matched[[*wanted]].eq(pd.Series(wanted)).all(axis=1)]
-        found = [
-            *_close_to_raw(sweeps, fixed),
-            *_monotone_in_eta(sweeps, fid),
-            *_better_at_every_rate(of_fid, n=n_clusters),
+        of = {"adding": adding, "mechanism": fid, "criterion": MISSED}
+        of |= {"consumer": SHARED, "predictor": PREDICTOR}
+        of_fid = matched[(matched[[*of]] == [*of.values()]).all(axis=1)]
+        rows += [
+            (adding, *row)
+            for row in (
+                *_close_to_raw(sweeps, fixed),
+                *_monotone_in_eta(sweeps, fid),
+                *_better_at_every_rate(of_fid, n=n_clusters),
+            )
         ]
-        rows += [(adding, *row) for row in found]
     if dataset == DATASET:
         points, interval_s = history["points"], history["interval_s"]
-        is_long = abs(points - 366) <= 4  # noqa: PLR2004 - stated with the rules
-        is_even = 0.083 <= round(interval_s, 4) <= 0.084  # noqa: PLR2004 - as above
-        rows.append(
-            (
-                *("", "history of about 366 points at 0.083 s"),
-                "holds" if is_long and is_even else "does not hold",
-                *(points, np.nan, np.nan, "points"),
-                f"{points:.1f} points at {interval_s:.4f} s",
-            )
-        )
+        # Within 4 of 366, and 0.083 to 0.084 s: stated with the rules.
+        is_so = abs(points - 366) <= 4 and 0.083 <= round(interval_s, 4) <= 0.084  # noqa: PLR2004
+        claim = "history of about 366 points at 0.083 s", "holds" if is_so else "does not hold"
+        evidence = f"{points:.1f} points at {interval_s:.4f} s"
+        rows.append(("", *claim, points, np.nan, np.nan, "points", evidence))
     return pd.DataFrame(rows, columns=CLAIM_COLUMNS)
 
 
@@ -201,26 +193,26 @@ def _better_at_every_rate(matched: pd.DataFrame, *, n: int) -> Iterator[_Claim]:
     for name, every in matched.groupby("metric", sort=False):
         metric = METRICS[str(name)]
         claim = f"at every matched missed-conflict rate: FID has lower {metric.text}"
-        unit = metric.summary_unit
         reached = every[every["defined"] >= MIN_DEFINED]
         left_out = len(every) - len(reached)
         if reached.empty:
             why = f"none of {left_out} rates is reached by enough replicates"
-            yield claim, "undecided", np.nan, np.nan, np.nan, unit, why
+            yield claim, "undecided", np.nan, np.nan, np.nan, metric.summary_unit, why
             continue
-        better = int((reached["ci_high"] < 0).sum())
-        worse = int((reached["ci_low"] > 0).sum())
+        better, worse = int((reached["ci_high"] < 0).sum()), int((reached["ci_low"] > 0).sum())
         # The rate shown is the one that speaks most against the claim.
-        worst = reached.iloc[int(reached["ci_low" if worse else "ci_high"].to_numpy().argmax())]
-        effect, low, high = (float(worst[one]) for one in ("difference", "ci_low", "ci_high"))
-        answer = _answer(holds=better == len(reached), fails=worse > 0, n=n)
+        worst = reached.loc[reached["ci_low" if worse else "ci_high"].idxmax()]
         evidence = (
             "FID minus fixed where it speaks most against, at a rate of "
             f"{worst['missed_conflict_rate']:.3f}; of {len(reached)} rates {better} better, "
             f"{worse} worse beyond the interval; {left_out} more are not reached by enough "
             "replicates"
         )
-        yield claim, answer, effect, low, high, unit, evidence
+        yield (
+            *(claim, _answer(holds=better == len(reached), fails=worse > 0, n=n)),
+            *(float(worst[one]) for one in ("difference", "ci_low", "ci_high")),
+            *(metric.summary_unit, evidence),
+        )
 
 
 def _answer(*, holds: bool, fails: bool, n: int) -> str:

@@ -31,10 +31,7 @@ _CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
 def manifest_of(out: Path) -> dict[str, Any]:
     """Return the manifest of a run.
 
-    Raises
-    ------
-    DataError
-        If the folder holds no run, or one of another version.
+    Raises DataError if the folder holds no run, or one of another version.
     """
     manifest = read_manifest(out)
     if "groups" not in manifest or "sha256" not in manifest["identity"]:
@@ -56,19 +53,16 @@ def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
     """
     moved = _unequal(first["identity"], second["identity"])
     task, is_linked, _ = consumer.partition("/")
+    aside: tuple[str, ...] = ("linkage.", "crowd")
+    is_apart = "sha256" in moved
     if is_linked:
         known = [one.get("linkage", {}).get("tasks", {}).get(task) for one in (first, second)]
         same_people = known[0] is not None and known[0] == known[1]
-        is_apart = {"sha256", "seed", "crowd"} & moved.keys() or any(
-            name.startswith("linkage.") for name in moved
-        )
-        aside: tuple[str, ...] = ("scenes", "conflict.")
-        if is_apart or not same_people or first["groups"] != second["groups"]:
-            return NONE
-    elif "sha256" in moved:
+        of_others = [name for name in moved if name.startswith(("sha256", "seed", *aside))]
+        is_apart = bool(of_others) or not same_people or first["groups"] != second["groups"]
+        aside = ("scenes", "conflict.")
+    if is_apart:
         return NONE
-    else:
-        aside = ("linkage.", "crowd")
     # Whether the same people's random numbers are the same, too.
     keep = (*_KEEP_DRAWS, *aside)
     other = any(name.startswith(_CHANGE_DRAWS) or not name.startswith(keep) for name in moved)
@@ -128,16 +122,14 @@ def _beside(names: Iterable[str], others: Iterable[str]) -> list[str]:
 
 def _axes(manifest: Manifest) -> dict[str, list[str]]:
     """Return what a run has cells of, in its order."""
-
-    def of(*kinds: str) -> list[str]:
-        cells = manifest["cells"]
-        return [cell["consumer"] for kind in kinds for cell in cells if cell["kind"] == kind]
-
+    of: dict[str, list[str]] = {"predictor": [], "attack": [], "linkage": [], "control": []}
+    for cell in manifest["cells"]:
+        of.setdefault(cell["kind"], []).append(cell["consumer"])
     return {
         "mechanisms": [cell["spec"] for cell in manifest["cells"]],
-        "predictors": of("predictor"),
-        "attacks": of("attack") + [name.partition("/")[2] for name in of("linkage")],
-        "tasks": [name.partition("/")[0] for name in of("linkage", "control")],
+        "predictors": of["predictor"],
+        "attacks": of["attack"] + [name.partition("/")[2] for name in of["linkage"]],
+        "tasks": [name.partition("/")[0] for name in of["linkage"] + of["control"]],
     }
 
 
@@ -168,10 +160,7 @@ def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
 def verdict_of(out: Path) -> dict[str, Any]:
     """Return the verdict of a run folder; each of its items has an id and a decision.
 
-    Raises
-    ------
-    DataError
-        If there is none or it cannot be read.
+    Raises DataError if there is none or it cannot be read.
     """
     path, again = out / _VERDICT, f"run python -m evaluation.report {out}"
     try:

@@ -55,10 +55,7 @@ def estimates(
 ) -> tuple[dict[Key, Estimate], tuple[Scored, ...]]:
     """Return every metric of the scenes with its interval and replicates, and the scores.
 
-    Raises
-    ------
-    DataError
-        If a cell cannot be read.
+    Raises DataError if a cell cannot be read.
     """
     weights = weights_of(manifest)
     found: dict[Key, Estimate] = {}
@@ -68,14 +65,15 @@ def estimates(
             continue
         table = read_rows(out, entry, columns=_COLUMNS_OF[entry["kind"]])
         cluster = clusters(table, manifest)
-        ratios = _descriptor_ratios
         if entry["kind"] == "predictor":
-            ratios = _predictor_ratios
+            ratios = _predictor_ratios(table)
             columns = {name: table[name].to_numpy() for name in _COLUMNS_OF["predictor"][1:]}
             scored.append((entry, cluster, columns))
-        for metric, (numerator, denominator) in ratios(table).items():
+        else:
+            ratios = _descriptor_ratios(table)
+        for metric, ratio in ratios.items():
             found[key_of(entry, metric)] = estimate(
-                metric, numerator, denominator, cluster=cluster, weights=weights
+                metric, *ratio, cluster=cluster, weights=weights
             )
     return found, tuple(scored)
 

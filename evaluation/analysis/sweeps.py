@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from evaluation.analysis.families import Family
     from evaluation.analysis.keys import Key, Measure
     from isac_track.intervals import Estimate
-    from isac_track.types import Floats
+    from isac_track.types import Floats, Ints
 
 FEWEST_LEVELS: Final = 2
 """Of a curve, beside raw."""
@@ -119,26 +119,45 @@ def monotone(values: Floats, *, increasing: bool) -> Floats:
     return best
 
 
-def interpolated(at: Floats, change: Floats, values: Floats, *, log: bool) -> Floats:
-    """Return each row's value where it has changed by `at` from raw, (R, P); NaN out of reach.
+class Places(NamedTuple):
+    """Where rows of a curve are read, (R, P) each."""
 
-    `at` is (P,) for all rows, or (R, P); `change`, (>= R, L), falls from left to right, to 0 at
-    raw; `values` are (R, L). With `log` the logarithm is interpolated: a descriptor falls about
-    exponentially with the rate, so that a chord over a wide step lies close to the curve.
+    right: Ints
+    """Level to the right; left of it is raw."""
+    share: Floats
+    """How far from the level to the left, 0..1; NaN out of reach."""
+
+
+def places(at: Floats, change: Floats) -> Places:
+    """Return where each row has changed by `at` from raw.
+
+    `at` is (P,) for all rows, or (R, P); `change`, (R, L), falls from left to right, to 0 at raw.
     """
-    n_rows = min(change.shape[0], values.shape[0])
-    x, y = change[:n_rows, ::-1], values[:n_rows, ::-1]
-    y = np.log(np.maximum(y, _SMALLEST)) if log else y
-    wanted = np.broadcast_to(np.atleast_2d(at), (n_rows, at.shape[-1]))
+    x = change[:, ::-1]
     # Rounding must not put the end of a curve out of its own reach.
-    wanted = np.maximum(wanted - _ROUNDING, 0.0)
-    right = (x[:, :, None] < wanted[:, None, :]).sum(axis=1)
+    wanted = np.maximum(np.broadcast_to(at, (x.shape[0], at.shape[-1])) - _ROUNDING, 0.0)
+    right = np.zeros(wanted.shape, dtype=np.int64)
+    for level in x.T:
+        right += level[:, None] < wanted
     in_reach = right < x.shape[1]
     right = np.clip(right, 1, x.shape[1] - 1)
-    x_low, x_high = (np.take_along_axis(x, place, axis=1) for place in (right - 1, right))
-    y_low, y_high = (np.take_along_axis(y, place, axis=1) for place in (right - 1, right))
-    share = np.zeros_like(x_low)
-    np.divide(wanted - x_low, x_high - x_low, out=share, where=x_high > x_low)
-    between = y_low + np.clip(share, 0.0, 1.0) * (y_high - y_low)
-    found: Floats = np.where(in_reach, np.exp(between) if log else between, np.nan)
-    return found
+    low, high = (np.take_along_axis(x, place, axis=1) for place in (right - 1, right))
+    share = np.zeros_like(low)
+    np.divide(wanted - low, high - low, out=share, where=high > low)
+    return Places(right, np.where(in_reach, np.clip(share, 0.0, 1.0), np.nan))
+
+
+def interpolated(where: Places, values: Floats, *, log: bool) -> Floats:
+    """Return the values, (R, L), of each row at its places, (R, P); NaN out of reach.
+
+    Of unequal numbers of rows the first are read. With `log` the logarithm is interpolated: a
+    descriptor falls about exponentially with the rate, so that a chord over a wide step lies close
+    to the curve.
+    """
+    n_rows = min(where.right.shape[0], values.shape[0])
+    right, share = (one[:n_rows] for one in where)
+    y = values[:n_rows, ::-1]
+    y = np.log(np.maximum(y, _SMALLEST)) if log else y
+    low, high = (np.take_along_axis(y, place, axis=1) for place in (right - 1, right))
+    between: Floats = low + share * (high - low)
+    return np.exp(between) if log else between

@@ -23,8 +23,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -91,9 +91,8 @@ class Flags:
 _NOBODY = Source("")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Pair:
-    """Two estimates to compare, and what a flag would say."""
+class _Pair(NamedTuple):
+    """Two estimates to compare: an attack's, and what should not be above it."""
 
     kind: str
     where: Where
@@ -104,21 +103,6 @@ class _Pair:
     """What beats it, if anything does."""
     least: Where = ("", None)
     """The least noisy level of a mechanism."""
-
-    def row(self, gap: Estimate, *, compared: int) -> tuple[object, ...]:
-        """Return the flag, as in `COLUMNS`."""
-        before, after = (f"{100 * one.value:.1f} %" for one in (self.minus, self.plus))
-        change = _points(gap.value, gap.ci_low, gap.ci_high, sign="+")
-        who, where = self.attack.label, _place(self.where)
-        if self.kind == BEATEN:
-            said = f"is beaten by {self.by.label} at {where}: PLR {before} against {after}"
-        else:
-            least = _place(self.least)
-            said = f"does not fall with the noise: PLR {before} at {least}, {after} at {where}"
-        level = np.nan if self.where[1] is None else self.where[1]
-        about = (self.kind, self.where[0], level, *astuple(self.attack), *astuple(self.by))
-        numbers = (gap.value, gap.ci_low, gap.ci_high, compared)
-        return *about, EXPOSURE, *numbers, f"{who} {said}, {change} points"
 
 
 def flags(
@@ -142,12 +126,23 @@ def flags(
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
     compared = Counter((pair.kind, pair.attack, pair.by) for pair in enough)
-    gaps = [(pair, difference(pair.plus, pair.minus)) for pair in enough]
-    rows = [
-        pair.row(gap, compared=compared[pair.kind, pair.attack, pair.by])
-        for pair, gap in gaps
-        if (gap.ci_low > _ROUNDING if pair.kind == BEATEN else gap.ci_high > -_ROUNDING)
-    ]
+    rows = []
+    for pair in enough:
+        kind, where, attack, minus, plus, by, least = pair
+        gap = difference(plus, minus)
+        if not (gap.ci_low > _ROUNDING if kind == BEATEN else gap.ci_high > -_ROUNDING):
+            continue
+        before, after = (f"{100 * one.value:.1f} %" for one in (minus, plus))
+        if kind == BEATEN:
+            said = f"is beaten by {by.label} at {_place(where)}: PLR {before} against {after}"
+        else:
+            ends = f"{before} at {_place(least)}, {after} at {_place(where)}"
+            said = f"does not fall with the noise: PLR {ends}"
+        interval = gap.value, gap.ci_low, gap.ci_high
+        about = kind, where[0], np.nan if where[1] is None else where[1]
+        whose = attack.consumer, attack.knowledge, by.consumer, by.knowledge
+        sentence = f"{attack.label} {said}, {_points(*interval, sign='+')} points"
+        rows.append((*about, *whose, EXPOSURE, *interval, compared[kind, attack, by], sentence))
     looked = Counter(pair.kind for pair in enough)
     return Flags(
         rows=pd.DataFrame(rows, columns=COLUMNS),
@@ -164,10 +159,7 @@ def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
 def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estimate]:
     """Return PLR of the attacks on the releases that the slow ones saw; empty without slow ones.
 
-    Raises
-    ------
-    DataError
-        If a cell cannot be read.
+    DataError if a cell cannot be read.
     """
     seen = {
         entry["spec"]: _names(read_rows(out, entry, columns=["scene", "agent"]))
@@ -191,7 +183,8 @@ def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estim
 
 def to_json(found: Flags) -> bytes:
     """Return the content of `flags.json`."""
-    rows = found.rows.to_dict("records")
+    level = found.rows["level"].astype(object)
+    rows = found.rows.assign(level=level.where(level.notna(), None))
     content = {
         "about": "Attacks that may be too weak for their numbers to mean privacy.",
         "kinds": _ABOUT,
@@ -199,9 +192,7 @@ def to_json(found: Flags) -> bytes:
         "intervals": _INTERVALS,
         "comparisons": found.comparisons,
         "left_out": found.left_out,
-        "flags": [
-            row | {"level": None if np.isnan(row["level"]) else row["level"]} for row in rows
-        ],
+        "flags": rows.to_dict("records"),
     }
     return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evaluation.cells.adversary import showing
-from evaluation.cells.sharing import copied, guarded
+from evaluation.cells.sharing import guarded, handed
 from evaluation.cells.tables import descriptors, track_columns
 from isac_track.conflict import conflict_probability, is_conflict
 from isac_track.errors import PluginError, SettingsError
@@ -48,7 +48,7 @@ def sharing_rows(
             ),
         }
     who = f"predictor {predictor.spec!r}"
-    granted = copied(showing(release, predictor.instance.requires))
+    granted = handed(showing(release, predictor.instance.requires), predictor)
     prediction = guarded(who, lambda: predictor.instance.predict(granted, scenes.t_future.copy()))
     expected = scenes.xy_future.shape
     if not isinstance(prediction, Prediction) or prediction.mean.shape != expected:

@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from evaluation.cells.tables import ROWS, names_column
 from isac_track import linkability
-from isac_track.intervals import Estimate, cluster_sums, ratio_estimate
+from isac_track.intervals import Estimate, cluster_sums, ratio_estimates
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -118,11 +118,10 @@ def read_off(
         }
         scored = replace(scored, estimates=scored.estimates | unknown)
     cohorts = {}
-    who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
-    for name, among in who.items():
-        left = [(among[one], among[other]) for one, other in zip(probes, galleries, strict=True)]
-        if control is None:
-            cohorts[name] = _cohort(searches, left, weights=known.weights)
+    if control is None:
+        who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
+        people = [*zip(searches, probes, galleries, strict=True)]
+        cohorts = _cohorts(people, who, weights=known.weights)
     return Linked(
         searches=tuple(searches),
         probe_person=tuple(probes),
@@ -135,38 +134,50 @@ def read_off(
     )
 
 
-def _cohort(
-    searches: Sequence[linkability.Search], left: Sequence[tuple[Bools, Bools]], *, weights: Floats
-) -> dict[str, float]:
-    """Return rank 1 where only some people are probes and candidates."""
-    hits, chances, clusters = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
-    for search, (probe, gallery) in zip(searches, left, strict=True):
-        has = np.flatnonzero(probe & (search.mate >= 0) & gallery[search.mate])
-        if not has.size:
-            continue
-        place = np.cumsum(gallery) - 1
-        columns = np.flatnonzero(gallery)
-        scores = search.scores[has[:, None], columns]
-        hits.append(linkability.rank1(scores=scores, mate=place[search.mate[has]]))
-        chances.append(np.full(has.size, 1.0 / columns.size))
-        clusters.append(search.probe_cluster[has])
-    hit, chance, cluster = np.concatenate(hits), np.concatenate(chances), np.concatenate(clusters)
-    numerator, denominator = (
-        cluster_sums(values=values, cluster=cluster, n_clusters=weights.shape[1])
-        for values in (hit, np.ones_like(hit))
+def _cohorts(
+    people: Sequence[tuple[linkability.Search, Ints, Ints]],
+    who: Mapping[str, Bools],
+    *,
+    weights: Floats,
+) -> dict[str, dict[str, float]]:
+    """Return rank 1 where only some people are probes and candidates, by who they are.
+
+    `people` are searches with the person of each probe and candidate.
+    """
+    found, sums = {}, []
+    for name, among in who.items():
+        hits, chances, clusters = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+        for search, of_probe, of_candidate in people:
+            probe, gallery = among[of_probe], among[of_candidate]
+            has = np.flatnonzero(probe & (search.mate >= 0) & gallery[search.mate])
+            if not has.size:
+                continue
+            place = np.cumsum(gallery) - 1
+            columns = np.flatnonzero(gallery)
+            scores = search.scores[has[:, None], columns]
+            hits.append(linkability.rank1(scores=scores, mate=place[search.mate[has]]))
+            chances.append(np.full(has.size, 1.0 / columns.size))
+            clusters.append(search.probe_cluster[has])
+        hit, chance = np.concatenate(hits), np.concatenate(chances)
+        cluster = np.concatenate(clusters)
+        for values in (hit, np.ones_like(hit)):
+            n_clusters = weights.shape[1]
+            sums.append(cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters))
+        found[name] = {
+            "chance": float(chance.mean()) if chance.size else np.nan,
+            "p_rank1": linkability.rank1_p(hits=hit, chance=chance) if chance.size else np.nan,
+            "n_mated": hit.size,
+        }
+    estimates = ratio_estimates(
+        numerator=np.stack(sums[::2]),
+        denominator=np.stack(sums[1::2]),
+        weights=weights,
+        is_share=[True] * len(who),
     )
-    found = ratio_estimate(
-        numerator=numerator, denominator=denominator, weights=weights, is_share=True
-    )
-    return {
-        "rank1": found.value,
-        "ci_low": found.ci_low,
-        "ci_high": found.ci_high,
-        "n_clusters": found.n,
-        "chance": float(chance.mean()) if chance.size else np.nan,
-        "p_rank1": linkability.rank1_p(hits=hit, chance=chance) if chance.size else np.nan,
-        "n_mated": hit.size,
-    }
+    for name, one in zip(who, estimates, strict=True):
+        ends = {"rank1": one.value, "ci_low": one.ci_low, "ci_high": one.ci_high}
+        found[name] = {**ends, "n_clusters": one.n, **found[name]}
+    return found
 
 
 def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibration | None:
@@ -252,13 +263,12 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         ]
     found = scored.estimates
     fields = ("value", "ci_low", "ci_high", "n")
-    estimates = [
-        {"metric": name, **{field: getattr(one, field) for field in fields}}
-        for name, one in found.items()
-    ]
+    estimates = {"metric": [*found]} | {
+        field: [getattr(one, field) for one in found.values()] for field in fields
+    }
     tables = {
         ROWS: pa.table(rows),
-        ESTIMATES: pa.Table.from_pylist(estimates),
+        ESTIMATES: pa.table(estimates),
         ABOUT: pa.table({"about": [json.dumps(about, default=lambda number: number.item())]}),
     }
     if not linked.is_control:

@@ -15,6 +15,7 @@ from evaluation.cells.adversary import FAR_M, LONG_S, Frame
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense
+from isac_track.types import read_only
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -144,7 +145,7 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
         rng = stream(seed, "bootstrap", "linkage", task)
         share = np.full(further.size, 1.0 / further.size)
         weights[:, further] = rng.multinomial(further.size, share, N_REPLICATES)
-    return weights
+    return read_only(weights)
 
 
 def _sensed(sessions: Sessions, side: str, *, stages: StageSettings, seed: int) -> Sensed:
@@ -174,8 +175,7 @@ def _frames(sessions: Sessions, side: str, *, seed: int) -> Frame:
         drawn[row] = rng.random(4)
     angle = 2.0 * np.pi * drawn[:, 0]
     return Frame(
-        cos=np.cos(angle),
-        sin=np.sin(angle),
+        turn=np.cos(angle) + 1j * np.sin(angle),
         shift_m=FAR_M * (2.0 * drawn[:, 1:3] - 1.0),
         # From the start of each window: a recording may last longer than the draw reaches.
         clock_s=LONG_S * drawn[:, 3] - windows.t[windows.offsets[:-1]],

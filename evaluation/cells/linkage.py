@@ -21,7 +21,7 @@ from evaluation.cells.link_setup import SIDES
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
-from isac_track.types import Knowledge, Release
+from isac_track.types import Knowledge, Release, derived
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -133,15 +133,16 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
     task = known.sessions.task
     score = control.scorer(task)
     scores: dict[int, Floats] = {}
+    bare = _Sides(level.seen.probe.without_sigma(), level.seen.gallery.without_sigma())
+    blind = level.sides.setdefault((False,), bare)
     for number, pairing in (one for half in known.halves for one in half.searches):
-        probe, gallery = level.seen.of(pairing)
         if score is not None:
-            scores[number] = score(probe, gallery, rng)
+            scores[number] = score(*level.seen.of(pairing), rng)
             continue
         attack = Kinematic() if task.shows_scene else Shape()
         granted = attack.requires & task.everyone
         context = AttackContext(rng=rng, epsilon_m=known.epsilon_m, granted=granted)
-        real = attack.fit(context)(probe.without_sigma(), gallery.without_sigma())
+        real = attack.fit(context)(*blind.of(pairing))
         scores[number] = real[:, rng.permutation(real.shape[1])]
     return read_off(scores, known=known, calibration={}, no_match={}, rng=rng, control=control)
 
@@ -177,7 +178,7 @@ def _smoothed(
         truth = windows.xy[samples.rows]
         if known.frames:
             truth = known.frames[0].of(np.repeat(rows, np.diff(samples.offsets))).points(truth)
-        train = TrainingSet(sharing.copied(shown[0].tracks(rows)), truth)
+        train = TrainingSet(sharing.handed(shown[0].tracks(rows), behind), truth)
     context = AttackContext(
         rng=stream(known.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
         epsilon_m=known.epsilon_m,
@@ -187,7 +188,7 @@ def _smoothed(
     )
     attack = sharing.guarded(who, lambda: behind.instance.fit(context))
     first, second = (
-        replace(one, xy=reconstructed(attack, sharing.copied(view), who=who))
+        derived(one, xy=reconstructed(attack, sharing.handed(view, behind), who=who))
         for one, view in zip(releases, shown, strict=True)
     )
     return first, second
@@ -212,7 +213,7 @@ def _fitted(
             )
         probe, gallery = sides.of(learns)
         train = LinkageTrainingSet(
-            sharing.copied(probe), sharing.copied(gallery), learns.mate.copy()
+            sharing.handed(probe, plugin), sharing.handed(gallery, plugin), learns.mate.copy()
         )
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
     context = AttackContext(
@@ -234,8 +235,8 @@ def _scored(
     """Return what a linker makes of a search, (p, g), in single precision."""
     who = f"attack {consumer.label}"
     probe, gallery = sides.of(pairing)
-    if not consumer.is_built_in:  # a stranger may unlock arrays: what it writes to is its own
-        probe, gallery = sharing.copied(probe), sharing.copied(gallery)
+    assert consumer.plugin is not None
+    probe, gallery = (sharing.handed(one, consumer.plugin) for one in (probe, gallery))
     scores = np.asarray(sharing.guarded(who, lambda: attack(probe, gallery)))
     expected = (pairing.probe.size, pairing.gallery.size)
     if scores.shape != expected or scores.dtype.kind not in "fiu":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -75,9 +76,9 @@ class AttackedLevel:
     scenes: Scenes
     """Without the samples that the release left out."""
     release: Release
-    views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Release, Frame]]
-    """Each half of the release in the true frame; as it shows to who is granted SIGMA, SCENE, both
-    or neither; and in which frame."""
+    views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Floats, Release, Frame]]
+    """Each half of the release in the true frame, and the truth, (m, 2) m; the half as it shows to
+    who is granted SIGMA, SCENE, both or neither; and in which frame."""
     training: Mapping[tuple[int, frozenset[Knowledge]], TrainingSet]
     """People to learn from for each half, in a frame of theirs; none where there are none."""
     again: tuple[Release, ...]
@@ -167,6 +168,7 @@ def attacked_level(
     first_scene = int(block.scenes.index[0])
     key = (mechanism.spec, "scene", first_scene, "part")
     views, training = {}, {}
+    scenes = sharing.restricted(block.scenes, left)
     for fold, others in enumerate(block.training):
         shared = None
         if others is not None and Knowledge.TRAIN in granted:
@@ -174,11 +176,10 @@ def attacked_level(
             shared = sharing.share(mechanism, sensed, "training", fold, seed=seed)
             truth_m = sharing.restricted(walks, sharing.samples_shared(shared, sensed)).xy
         rows = np.flatnonzero(block.half == fold)
-        own = release.tracks(rows) if rows.size else None
+        own, truth = release.tracks(rows), _truth(scenes, rows)
         for what in {consumer.granted & SHOWS for consumer in consumers}:
-            if own is not None:
-                rng = stream(seed, "frames", *key, fold)
-                views[fold, what] = own, *view_of(own, granted=what, rng=rng)
+            rng = stream(seed, "frames", *key, fold)
+            views[fold, what] = own, truth, *view_of(own, granted=what, rng=rng)
             if shared is not None:
                 rng = stream(seed, "frames", *key, fold, "training")
                 shown, frame = view_of(shared, granted=what, rng=rng)
@@ -206,7 +207,7 @@ def attacked_level(
         mechanism=mechanism,
         block=block,
         key=key,
-        scenes=sharing.restricted(block.scenes, left),
+        scenes=scenes,
         release=release,
         views=views,
         training=training,
@@ -215,34 +216,41 @@ def attacked_level(
     )
 
 
+def _truth(scenes: Scenes, rows: Ints) -> Floats:
+    """Return where some tracks truly were, (m, 2) m."""
+    xy: Floats = scenes.xy.take(sharing.samples_of(scenes.offsets, rows).rows, axis=0)
+    return xy
+
+
 def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
     """Return the descriptors of every attacked track, in the order of the block."""
-    scenes = level.scenes
-    xy, attacked = np.empty_like(scenes.xy), np.zeros(scenes.track.size, dtype=bool)
-    for victims, found in _attacked(consumer, level):
-        xy[sharing.samples_of(scenes.offsets, victims).rows] = found
-        attacked[victims] = True
-    rows = np.flatnonzero(attacked)
-    which: Ints | slice = slice(None)
-    offsets = scenes.offsets
-    if rows.size < attacked.size:
-        samples = sharing.samples_of(scenes.offsets, rows)
-        which, offsets = samples.rows, samples.offsets
+    nobody = np.zeros(0, dtype=np.int64)
+    victims, parts = [], []
+    nothing = nobody, level.release.tracks(nobody), np.zeros((0, 2)), np.zeros((0, 2))
+    for some, own, truth, found in chain([nothing], _attacked(consumer, level)):
+        victims.append(some)
+        parts.append(
+            descriptors(
+                xy=found,
+                truth=truth,
+                t=own.t,
+                offsets=own.offsets,
+                epsilon_m=level.block.stages.privacy.epsilon_m,
+            )
+        )
+    rows = np.concatenate(victims)
+    order = np.argsort(rows)
     return {
-        **track_columns(scenes, rows),
-        **descriptors(
-            xy=xy[which],
-            truth=scenes.xy[which],
-            t=scenes.t[which],
-            offsets=offsets,
-            epsilon_m=level.block.stages.privacy.epsilon_m,
-        ),
-        **{name: values[rows] for name, values in level.benchmark.items()},
+        **track_columns(level.scenes, rows[order]),
+        **{name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]},
+        **{name: values[rows[order]] for name, values in level.benchmark.items()},
     }
 
 
-def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, Floats]]:
-    """Yield tracks and their reconstructed positions in the true frame, (m, 2) m.
+def _attacked(
+    consumer: Consumer, level: AttackedLevel
+) -> Iterator[tuple[Ints, Release, Floats, Floats]]:
+    """Yield tracks, what was shared of them, the truth and what is rebuilt, (m, 2) m each.
 
     A release holds every walk once: of two copies an adversary could make one better one. The
     built-in attacks work track by track (tested) and take all passes in one call.
@@ -267,10 +275,10 @@ def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, 
             if not victims.size:
                 continue
             if at_once:
-                own, shown, frame = level.views[fold, consumer.granted & SHOWS]
+                own, truth, shown, frame = level.views[fold, consumer.granted & SHOWS]
                 given = shown
             else:
-                own = level.release.tracks(victims)
+                own, truth = level.release.tracks(victims), _truth(level.scenes, victims)
                 rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
                 shown, frame = view_of(own, granted=granted, rng=rng)
                 # A stranger may unlock arrays: what it writes to is its own.
@@ -280,7 +288,7 @@ def _attacked(consumer: Consumer, level: AttackedLevel) -> Iterator[tuple[Ints, 
                 attack = sharing.guarded(who, partial(consumer.plugin.instance.fit, context))
             found = reconstructed(attack, given, who=who)
             # Only the correction is turned back: what is left alone stays as it was, bit by bit.
-            yield victims, own.xy + frame.back(found - shown.xy)
+            yield victims, own, truth, own.xy + frame.back(found - shown.xy)
 
 
 def _context(

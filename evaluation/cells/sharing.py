@@ -7,7 +7,7 @@ What a stranger wrote is called here as everywhere by `guarded`: their mistakes 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -16,7 +16,16 @@ from attacks.tasks.sessions import Windows
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
 from isac_track.errors import PluginError, told
 from isac_track.rng import stream
-from isac_track.types import SHARED_LIMIT_M, Knowledge, Release, Scenes, Sensed, stretches, within
+from isac_track.types import (
+    SHARED_LIMIT_M,
+    Knowledge,
+    Release,
+    Scenes,
+    Sensed,
+    derived,
+    stretches,
+    within,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +35,8 @@ if TYPE_CHECKING:
     from isac_track.types import Ints
 
 _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
+OURS = ("isac_track.", "attacks.", "predictors.")
+"""Where plug-ins come from that are no stranger's."""
 _PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid")
 
 
@@ -58,13 +69,18 @@ def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whateve
         raise PluginError(f"{who} failed: {told(error)}") from error
 
 
+def handed(batch: _Batch, to: Plugin) -> _Batch:
+    """Return a batch as a plug-in gets it: a stranger's is a copy, ours write to nothing."""
+    return batch if to.origin.startswith(OURS) else copied(batch)
+
+
 def copied(batch: _Batch) -> _Batch:
     """Return a batch in arrays of its own: a stranger may unlock them and write."""
     values = {one.name: getattr(batch, one.name) for one in fields(batch)}
     own: dict[str, Any] = {
         name: value.copy() for name, value in values.items() if isinstance(value, np.ndarray)
     }
-    return replace(batch, **own)
+    return derived(batch, **own)
 
 
 def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Release:
@@ -79,7 +95,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     """
     who = f"mechanism {mechanism.spec!r}"
     rng = stream(seed, "sharing", *key)
-    release = guarded(who, lambda: mechanism.instance.share(copied(sensed), rng))
+    release = guarded(who, lambda: mechanism.instance.share(handed(sensed, mechanism), rng))
     if not isinstance(release, Release):
         raise PluginError(f"{who} must return a Release, got {type(release).__name__}")
     try:
@@ -97,7 +113,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     # Fresh for every release: the common stream gives every mechanism the same ones.
     names = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
     fresh = tuple(names[8 * row : 8 * row + 8].hex() for row in range(len(release)))
-    return replace(release, pseudonym=fresh)
+    return derived(release, pseudonym=fresh)
 
 
 def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
@@ -108,7 +124,11 @@ def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
     ValueError
         If it holds other tracks, or a sample at an instant at which nothing was sensed.
     """
-    if np.array_equal(release.offsets, sensed.offsets) and np.array_equal(release.t, sensed.t):
+    same = all(
+        ours is theirs or np.array_equal(ours, theirs)
+        for ours, theirs in ((sensed.offsets, release.offsets), (sensed.t, release.t))
+    )
+    if same:
         return None
     if len(release) != len(sensed):
         raise ValueError(f"of {len(sensed)} tracks it returned {len(release)}")
@@ -141,7 +161,7 @@ def restricted(batch: _Batch, to: Samples | None) -> _Batch:
         for name in _PER_SAMPLE
         if (values := getattr(batch, name, None)) is not None
     }
-    return replace(batch, offsets=to.offsets, **samples)
+    return derived(batch, offsets=to.offsets, **samples)
 
 
 def release_digest(*releases: Release) -> bytes:
@@ -163,6 +183,6 @@ def sees_release_alone(consumer: Consumer) -> bool:
         return True
     return (
         consumer.kind in {"predictor", "linkage"}
-        and all(one.origin.startswith(("predictors.", "attacks.")) for one in consumer.plugins)
+        and all(one.origin.startswith(OURS) for one in consumer.plugins)
         and Knowledge.MECHANISM not in consumer.granted
     )

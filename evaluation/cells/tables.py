@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
@@ -36,7 +37,12 @@ def rows_table(rows: Rows, *, tracks: Cut) -> pa.Table:
 
 def names_column(rows: Ints, names: Sequence[str]) -> pa.Array:
     """Return a column of names, (N,), given by their places in `names`."""
-    return pa.array(names, type=pa.string()).take(pa.array(rows))
+    return _names(tuple(names)).take(pa.array(rows))
+
+
+@lru_cache(maxsize=16)
+def _names(names: tuple[str, ...]) -> pa.Array:
+    return pa.array(names, type=pa.string())  # once for all cells of a task
 
 
 def track_columns(scenes: Scenes, rows: Ints) -> Rows:

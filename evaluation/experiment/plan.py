@@ -151,7 +151,7 @@ def plan(settings: Settings) -> Plan:
 def _crowd_hash() -> str:
     """Return a digest of the bundled crowd, which one task always uses."""
     whole = hashlib.sha256()
-    for session in crowd.SESSIONS:
+    for session in crowd.FILES:
         whole.update(crowd.bundled_path(session).read_bytes())
     return whole.hexdigest()[:16]
 

@@ -82,13 +82,12 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     for spec in dict.fromkeys(one.spec for one in ready.axes.consumers if one.is_slow):
         rows = [one for one in ready.axes.consumers if one.is_slow and one.spec == spec]
         cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)
-        about = (
-            f"about {cost_s:.0f} s" if cost_s < _MOST_SECONDS else f"about {cost_s / 60:.0f} min"
-        )
+        is_short = cost_s < _MOST_SECONDS
+        about = f"about {cost_s:.0f} s" if is_short else f"about {cost_s / 60:.0f} min"
+        about = "it does not say how" if math.isnan(cost_s) else about
         yield (
-            f"notice: attack {spec} is slow: "
-            f"{'it does not say how' if math.isnan(cost_s) else about} for {len(rows)} adversaries "
-            f"at {n_levels} levels in one process; it runs on one release of each source track"
+            f"notice: attack {spec} is slow: {about} for {len(rows)} adversaries at {n_levels} "
+            "levels in one process; it runs on one release of each source track"
         )
 
 
@@ -112,22 +111,21 @@ def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
 
 
 def command(manifest: Mapping[str, Any]) -> str:
-    """Return the command that makes the run again.
+    """Return the command that makes the run again, data set and seed named in any case.
 
-    The one that was given, with the data set and the seed named in any case; of a run that was
-    started from Python one that names all that is not usual.
+    It is the one that was given; of a run started from Python one that names what is not usual.
     """
     given = [str(word) for word in manifest["environment"].get("command", ())]
     if given and Path(given[0]).name in _COMMANDS:
         options = [word for word in given[1:] if word != "matrix"]
     else:
         options = same_run(manifest, axes=("mechanism", *CONSUMERS))
+    named = {word.partition("=")[0] for word in options}
     for name, value in (
         ("--dataset", manifest["dataset"]["name"]),
         ("--seed", manifest["settings"]["seed"]),
     ):
-        if not any(word == name or word.startswith(f"{name}=") for word in options):
-            options += [name, str(value)]
+        options += [] if name in named else [name, str(value)]
     return shlex.join(["python", "-m", "evaluation.matrix", *options])
 
 
@@ -139,13 +137,14 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
     name, usual_stages = settings["preset"], StageSettings().flat()
     usual = PRESETS.get(name, PRESETS["paper"])
     words = ["--preset", name] if name in PRESETS and name != "paper" else []
-    if dataset["name"] in KNOWN:
-        words += ["--dataset", dataset["name"]]
-    else:
-        words += ["--dataset", dataset["path"]]
-        words += ["--format", dataset["format"]] if dataset["format"] else []
-        words += [] if identity.get("fps") is None else ["--fps", str(identity["fps"])]
-    words += [] if identity["scenes"] == usual.scenes else ["--scenes", str(identity["scenes"])]
+    known = dataset["name"] in KNOWN
+    words += ["--dataset", dataset["name"] if known else dataset["path"]]
+    if not known and dataset["format"]:
+        words += ["--format", dataset["format"]]
+    if not known and identity.get("fps") is not None:
+        words += ["--fps", str(identity["fps"])]
+    if identity["scenes"] != usual.scenes:
+        words += ["--scenes", str(identity["scenes"])]
     words += ["--seed", str(identity["seed"])] if identity["seed"] else []
     for option in axes:
         used = settings.get(f"{option}s", [])

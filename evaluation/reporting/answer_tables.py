@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,19 +17,17 @@ from evaluation.reporting.rows import by_level, compared_levels, mechanism_colum
 from evaluation.reporting.table import (
     Cell,
     Column,
-    Table,
     amount,
     built,
     counted,
     decided,
-    decision,
+    held,
     level,
     measured,
     number,
     points,
     said,
     word,
-    words,
 )
 from evaluation.verdict import rules
 
@@ -36,16 +35,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from evaluation.reporting.rows import Results
-    from evaluation.reporting.table import Columns
+    from evaluation.reporting.table import Table
 
 CRITERIA = {
-    "missed": "equal rise of missed conflicts",
-    "missed_at_equal_false_alarms": "the same, at equal false alarms",
+    MISSED: "equal rise of missed conflicts",
+    AT_EQUAL_ALARMS: "the same, at equal false alarms",
     "plr": "equal PLR as shared",
 }
 """By what operating points are matched."""
-_POINT = ("criterion", "adding", "predictor", "consumer", "knowledge", "metric")
-_AS_SHARED = {SHARED: "as shared"}
+_POINT = ["criterion", "adding", "predictor", "consumer", "knowledge", "metric", "mechanism"]
 _EFFECTS = {
     "fraction": (100.0, 1, "points"),
     "s": (1.0, 3, "s"),
@@ -96,7 +94,7 @@ def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
 
 def paper_table(run: Results) -> Table:
     """Return the paper's numbers beside ours; judged only on the paper's own recording."""
-    columns: Columns = [
+    columns = [
         *mechanism_columns(run.families),
         said("metric", lambda row: METRICS[row["metric"]].title),
         measured("paper", "paper"),
@@ -106,31 +104,30 @@ def paper_table(run: Results) -> Table:
     notes = [f"The paper used {DATASET}; ours are of {run.dataset}, so they need not agree."]
     if run.dataset == DATASET:
         notes = []
-        columns += [(Column("paper in our interval"), _within)]
-        columns += [(Column("tolerance at 5,000 scenes"), _tolerated)]
+        judged = ("paper in our interval", "tolerance at 5,000 scenes")
+        columns += [replace(decided(name), align="right") for name in judged]
     frame = run.paper_table
     records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
+    for row in records:
+        is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
+        row["paper in our interval"] = ("yes" if row["within"] else "no") if is_judged else ""
+        allowed = tolerance(row["mechanism"], row["metric"], row["paper"])
+        # A hair more: the difference of two rounded fractions may miss the limit itself.
+        met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
+        text = f"{met} ({amount(row['metric'], allowed).text})"
+        row["tolerance at 5,000 scenes"] = text if np.isfinite(row["ours"]) else ""
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
     return built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
 
 
-def _within(row: Mapping[str, Any]) -> Cell:
-    is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
-    return decision("yes" if row["within"] else "no") if is_judged else Cell()
-
-
-def _tolerated(row: Mapping[str, Any]) -> Cell:
-    allowed = tolerance(row["mechanism"], row["metric"], row["paper"])
-    # A hair more: the difference of two rounded fractions may miss the limit itself.
-    met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
-    text = f"{met} ({amount(row['metric'], allowed).text})"
-    return Cell(text if np.isfinite(row["ours"]) else "")
-
-
 def claims_table(run: Results) -> Table:
     """Return the paper's claims, and whether they hold."""
-    evidence = Column("evidence", align="left", is_long=True), lambda row: word(row["evidence"])
-    columns: Columns = ["adding", "claim", decided("answer"), (Column("effect"), effect), evidence]
+    columns = [
+        *map(said, ("adding", "claim")),
+        decided("answer"),
+        Column("effect", effect),
+        replace(said("evidence"), is_long=True),
+    ]
     title, notes = "The paper's claims; 95 % intervals", ["Evidence: paper_claims.csv."]
     records = run.claims.to_dict("records")
     return built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
@@ -141,23 +138,22 @@ def matched_table(run: Results) -> Table:
     sources = {AS_SHARED}
     for task, one in run.strongest.items():
         sources.add(Source(f"{task}/{one.consumer}" if task else one.consumer, one.knowledge))
-    keys = [*_POINT, "mechanism"]
-    texts = run.matched.assign(**run.matched[keys].astype(object).fillna(""))
+    texts = run.matched.assign(**run.matched[_POINT].astype(object).fillna(""))
     rows = []
-    for _, part in texts.groupby(keys, sort=False):
+    for _, part in texts.groupby(_POINT, sort=False):
         known = part[part["ci_low"].notna()]
         ordered = (part if known.empty else known).sort_values("at")
         row = ordered.iloc[max(0, len(known) - 1) // 2].to_dict()
         if Source(row["consumer"], row["knowledge"]) in sources:
-            rows.append(row)
-    columns: Columns = [
+            whose = "as shared" if row["consumer"] == SHARED else row["consumer"]
+            rows.append(row | {"positions or attack": whose})
+    columns = [
         said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
-        "adding",
-        "predictor",
-        said("positions or attack", lambda row: _AS_SHARED.get(row["consumer"], row["consumer"])),
+        *map(said, ("adding", "predictor")),
+        said("positions or attack"),
         said("adversary", "knowledge"),
         said("metric", lambda row: METRICS[row["metric"]].title),
-        "mechanism",
+        said("mechanism"),
         counted("at", "%", "at", scale=100.0),
         measured("of the mechanism", "fid", "fid_low", "fid_high"),
         measured("of fixed noise", "fixed", "fixed_low", "fixed_high"),
@@ -171,10 +167,10 @@ def matched_table(run: Results) -> Table:
 def decision_table(run: Results) -> Table:
     """Return misses at equal false alarms, at levels that cost alike."""
     told = by_level(run.decisions)
-    columns: Columns = [
+    columns = [
         *mechanism_columns(run.families),
         said("predictor", "consumer"),
-        "score",
+        said("score"),
         counted("area (0 perfect, 0.5 chance)", "", "area", "area_low", "area_high", digits=3),
         counted("at false alarms", "%", "false_alarm_rate", scale=100.0),
         measured("missed", MISSED_RATE, "missed_low", "missed_high", metric=MISSED_RATE),
@@ -188,7 +184,7 @@ def decision_table(run: Results) -> Table:
 def flag_table(run: Results) -> Table:
     """Return the flags of weak attacks."""
     texts = run.flags.assign(**run.flags[["by", "by_knowledge"]].astype(object).fillna(""))
-    columns: Columns = [
+    columns = [
         said("flag", lambda row: row["kind"].replace("_", " ")),
         said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
         said("beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label),
@@ -198,34 +194,27 @@ def flag_table(run: Results) -> Table:
     return built("flags", "All flags", texts.to_dict("records"), columns, n_keys=6)
 
 
-_EFFECT: Final = Column("effect"), partial(effect, signed=True)
-
-
-def section_of(name: str) -> tuple[str, str]:
-    """Return question and explanation of a section; of one that is not known its name."""
-    return SECTIONS.get(name, (name, ""))
+_EFFECT: Final = Column("effect", partial(effect, signed=True))
 
 
 def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
     """Return a table for each section that has items: decisions by what they are about."""
     found = []
     for name, items in _by_section(verdict["items"]).items():
-        placed = [(*_place(one), one) for one in items]
-        heads = list(dict.fromkeys(column for _, column, _ in placed))
-        cells: dict[tuple[str, str], dict[str, Cell]] = {row: {} for row, _, _ in placed}
-        for row, column, one in placed:
-            is_number = one["decision"] in (rules.INFLATED, rules.DEFLATED)
-            text = Cell(SHORT.get(one["decision"], one["decision"]))
-            cells[row][column] = number(one["effect"]) if is_number else text
-        question, about = section_of(name)
         first = "positions" if name == "claim" else "adding"
-        columns = [*words(first, "of"), *map(Column, heads)]
-        rows = [
-            [*map(word, row), *(known.get(head, Cell()) for head in heads)]
-            for row, known in cells.items()
-        ]
-        question, about = section_of(name)
-        found.append(Table(f"short-{name}", question, columns, rows, notes=[about], n_keys=2))
+        records: dict[tuple[str, str], dict[str, Cell]] = {}
+        heads: dict[str, None] = {}
+        for one in items:
+            row, head = _place(one)
+            is_number = one["decision"] in (rules.INFLATED, rules.DEFLATED)
+            text = word(SHORT.get(one["decision"], one["decision"]))
+            start = {first: word(row[0]), "of": word(row[1])}
+            records.setdefault(row, start)[head] = number(one["effect"]) if is_number else text
+            heads[head] = None
+        question, about = SECTIONS.get(name, (name, ""))
+        columns = [held(first, align="left"), held("of", align="left"), *map(held, heads)]
+        options = {"notes": [about], "n_keys": 2}
+        found.append(built(f"short-{name}", question, records.values(), columns, **options))
     return found
 
 
@@ -234,11 +223,11 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     found = {}
     for section, of in _by_section(items).items():
         aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
-        columns: Columns = [
+        columns = [
             decided("decision"),
             said("what it says", _sentence),
             _EFFECT,
-            "adding",
+            said("adding"),
             *(said(key, partial(_aspect, key)) for key in aspects),
             said("about", "subject"),
             counted("people", "", "n", digits=0),
@@ -254,13 +243,13 @@ def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
         for item in items
         for contrast in item.get("contrasts") or ()
     ]
-    columns: Columns = [
-        "adding",
+    columns = [
+        said("adding"),
         said("descriptor", partial(_aspect, "descriptor")),
-        "task",
+        said("task"),
         said("attack", "subject"),
         said("against", "mechanism"),
-        (Column("level"), lambda row: level(row["level"])),
+        Column("level", lambda row: level(row["level"])),
         decided("reading"),
         _EFFECT,
     ]
@@ -271,9 +260,10 @@ def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
 
 def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Return the items by section: those that are known first, in their order."""
-    names = dict.fromkeys([*SECTIONS, *(str(item["section"]) for item in items)])
-    sections = {name: [one for one in items if one["section"] == name] for name in names}
-    return {name: of for name, of in sections.items() if of}
+    found: dict[str, list[Mapping[str, Any]]] = {name: [] for name in SECTIONS}
+    for item in items:
+        found.setdefault(str(item["section"]), []).append(item)
+    return {name: of for name, of in found.items() if of}
 
 
 def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:

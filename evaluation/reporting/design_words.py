@@ -1,26 +1,47 @@
-"""The answer of `evaluation.design` in words and as JSON, and the command that looks closer."""
+"""The answer of `evaluation.design`: words, tables, JSON, and the command that looks closer."""
 
 from __future__ import annotations
 
 import math
 import shlex
+import textwrap
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from operator import attrgetter, itemgetter
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from evaluation.analysis.families import FID, FIXED
-from evaluation.analysis.keys import level_text
+from rich.text import Text
+
+from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
+from evaluation.analysis.keys import Source, level_text
+from evaluation.analysis.linkability import remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.reporting.announcements import same_run
-from evaluation.reporting.table import estimated
-from evaluation.verdict.choose_level import ASKED, METRIC_OF, TARGETS
+from evaluation.reporting.result_tables import MARKS, MEANING
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    amount,
+    built,
+    estimated,
+    metric_column,
+    said,
+    word,
+)
+from evaluation.reporting.terminal import literal, say, show_table, standard_output
+from evaluation.verdict.choose_level import ASKED, METRIC_OF, TARGETS, UNKNOWN
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
-    from evaluation.analysis.families import Family
-    from evaluation.verdict.choose_level import Check, Choice, Level, Scheme
+    from rich.console import Console
 
+    from evaluation.reporting.table import Table
+    from evaluation.verdict.choose_level import Attacked, Check, Choice, Level, Linked, Scheme
+
+_Row: TypeAlias = "tuple[str, str, str, Level | None]"
+"""Adding rule, mechanism, level, and what it comes to."""
 _ANSWERED = ("met", "chosen", "stricter", "also_meets", "is_saturated")
 _CHECKED = ("name", "limit", "measured", "status")
 _UNMET = {"not met": "exceeds the limits of", "cannot say": "cannot be judged by"}
@@ -31,42 +52,45 @@ def to_json(choice: Choice) -> dict[str, Any]:
     """Return the answer as plain values; what is unknown is None."""
     identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
     limits: dict[str, Any] = {name: choice.limits.given.get(name) for name in ASKED}
-    return {
-        "met": choice.met,
-        "answer": sentence(choice),
-        "out": str(choice.out),
-        "dataset": dataset["name"],
-        "simulated": bool(dataset["simulated"]),
-        "scenes": identity["scenes"],
-        "seed": identity["seed"],
-        "predictor": choice.predictor,
-        "adding": list(choice.adding),
-        "limits": limits | {"after_attack": choice.limits.after_attack},
-        "raw": _plain(choice.raw),
-        "schemes": [
-            {
-                "adding": one.adding,
-                "family": one.name,
-                **{name: _plain(getattr(one, name)) for name in _ANSWERED},
-                "checks": [
-                    _plain({name: getattr(check, name) for name in _CHECKED})
-                    | {"reason": reason(check)}
-                    for check in one.checks
-                ],
-                "reasons": reasons(one),
-            }
-            for one in choice.schemes
-        ],
-        "refine": closer(choice),
-        "notes": notes(choice),
-    }
+    schemes = [
+        {
+            "adding": one.adding,
+            "family": one.name,
+            **{name: getattr(one, name) for name in _ANSWERED},
+            "checks": [
+                {name: getattr(check, name) for name in _CHECKED} | {"reason": reason(check)}
+                for check in one.checks
+            ],
+            "reasons": reasons(one),
+        }
+        for one in choice.schemes
+    ]
+    found: dict[str, Any] = _plain(
+        {
+            "met": choice.met,
+            "answer": sentence(choice),
+            "out": str(choice.out),
+            "dataset": dataset["name"],
+            "simulated": bool(dataset["simulated"]),
+            "scenes": identity["scenes"],
+            "seed": identity["seed"],
+            "predictor": choice.predictor,
+            "adding": choice.adding,
+            "limits": limits | {"after_attack": choice.limits.after_attack},
+            "raw": choice.raw,
+            "schemes": schemes,
+            "refine": closer(choice),
+            "notes": notes(choice),
+        }
+    )
+    return found
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - what JSON has
     """Return a level, or what it holds, as plain values; what is unknown is None."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         return [_plain(one) for one in value]
     if isinstance(value, Estimate):
         value = {name: getattr(value, name) for name in ("value", "ci_low", "ci_high")}
@@ -98,7 +122,8 @@ def reason(check: Check) -> str:
 def reasons(scheme: Scheme) -> list[str]:
     """Return how the level was chosen, why not a stricter one, and which limits do not hold."""
     extreme, opposite = ("smallest", "largest") if scheme.falls else ("largest", "smallest")
-    symbol, chosen, failed = _symbol(scheme), _at(scheme, scheme.chosen), ""
+    symbol = _LEVEL_NAMES.get(scheme.family.family, "level")
+    chosen, failed = _at(scheme, scheme.chosen), ""
     if scheme.stricter is not None:
         failed = f"{_at(scheme, scheme.stricter)} does not ({'; '.join(_reasons(scheme.missed))})"
     if scheme.chosen is None:
@@ -120,13 +145,9 @@ def _reasons(checks: Iterable[Check]) -> list[str]:
     return [reason(check) for check in checks if check.status != "met"]
 
 
-def _symbol(scheme: Scheme) -> str:
-    """Return what the level of a mechanism is called."""
-    return _LEVEL_NAMES.get(scheme.family.family, "level")
-
-
 def _at(scheme: Scheme, level: Level | None) -> str:
-    return f"{_symbol(scheme)} = {level_text(level.level) or 'none'}" if level else ""
+    symbol = _LEVEL_NAMES.get(scheme.family.family, "level")
+    return f"{symbol} = {level_text(level.level) or 'none'}" if level else ""
 
 
 def sentence(choice: Choice) -> str:
@@ -151,19 +172,14 @@ def _said(scheme: Scheme) -> str:
         return f"no {name} of the run meets the targets with {scheme.adding} adding"
     if scheme.met:
         return f"{_name(scheme)} meets everything"
-    what = [
-        f"{text} {_listed(names)}"
-        for status, text in _UNMET.items()
-        if (names := [check.name for check in scheme.checks if check.status == status])
-    ]
+    what = []
+    for status, text in _UNMET.items():
+        names = [check.name for check in scheme.checks if check.status == status]
+        heads = ", ".join(METRICS[METRIC_OF[name]].head for name in names if "/" not in name)
+        tasks = ", ".join(name.partition("/")[2] for name in names if "/" in name)
+        listed = " and ".join(filter(None, [heads, tasks and f"rank 1 in {tasks}"]))
+        what += [f"{text} {listed}"] if names else []
     return f"{_name(scheme)} meets the targets but {' and '.join(what)}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return limits by name, in words: PLR, MEL and rank 1 in split, rerelease."""
-    heads = ", ".join(METRICS[METRIC_OF[name]].head for name in names if "/" not in name)
-    tasks = ", ".join(name.partition("/")[2] for name in names if "/" in name)
-    return " and ".join(filter(None, [heads, tasks and f"rank 1 in {tasks}"]))
 
 
 def _name(scheme: Scheme) -> str:
@@ -206,21 +222,15 @@ def closer(choice: Choice) -> str | None:
     words = ["python", "-m", "evaluation.matrix", *same_run(choice.manifest)]
     words += [] if choice.is_current else ["--mechanism", "raw"]
     for scheme, at in zip(choice.schemes, ends, strict=True):
-        one = scheme.chosen or scheme.stricter
+        one, family = scheme.chosen or scheme.stricter, scheme.family
         if at or not (choice.is_current or one is None):
-            alone = "" if one is None or one.level is None else f"{one.level:.12g}"
-            words += ["--mechanism", _spec(scheme.family, at or alone)]
+            levels = at or ("" if one is None or one.level is None else f"{one.level:.12g}")
+            parameters = family.mechanism.removeprefix(family.family).removeprefix(":")
+            spec = f"{family.family}:{levels}" + f",{parameters}" * bool(parameters)
+            words += ["--mechanism", spec if levels else family.mechanism]
     out = choice.out
     folder = out if choice.is_current else out.with_name(f"{out.resolve().name}-closer")
     return shlex.join([*words, "--out", str(folder)])
-
-
-def _spec(family: Family, levels: str) -> str:
-    """Return a mechanism at some levels as the matrix takes it."""
-    if not levels:
-        return family.mechanism
-    parameters = family.mechanism.removeprefix(family.family).removeprefix(":")
-    return f"{family.family}:{levels}" + f",{parameters}" * bool(parameters)
 
 
 def _ends(scheme: Scheme, *, hopeless: bool) -> str:
@@ -238,3 +248,111 @@ def _ends(scheme: Scheme, *, hopeless: bool) -> str:
     else:
         return ""
     return f"{low:.12g}..{high:.12g}/10"
+
+
+def show(choice: Choice, *, console: Console | None = None) -> None:
+    """Print the answer in one sentence, the levels behind it, and why."""
+    console = standard_output() if console is None else console
+    _say(sentence(choice), "bold green" if choice.met else "bold red", console=console)
+    console.print()
+    identity = choice.manifest["identity"]
+    about = (
+        f"{choice.manifest['dataset']['name']}: {identity['scenes']} scenes, seed "
+        f"{identity['seed']}; predictor {choice.predictor}; 95 % intervals, whose upper ends must "
+        "meet the limits"
+    )
+    _say(about, console=console)
+    units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
+    _say(f"(level: {units})", console=console)
+    for one in answer_tables(choice):
+        show_table(one, console=console, whole=True)
+    for scheme in choice.schemes:
+        console.print()
+        _say(f"{scheme.name}, {scheme.adding} adding", "bold cyan", console=console)
+        for reason in [*reasons(scheme), *["meets everything that was asked"] * scheme.met]:
+            _say(f"- {reason}", console=console)
+    for place, note in enumerate(notes(choice)):
+        if place == 0:
+            console.print()
+        _say(f"NOTICE: {note}", "yellow", console=console)
+    command = closer(choice)
+    if command:
+        console.print()
+        _say("To look closer where the answer turns:", "bold", console=console)
+        # As one line, whatever the width: it is there to be copied.
+        console.print(Text(literal(console, command)), soft_wrap=True)
+
+
+def _say(text: str, style: str = "", *, console: Console) -> None:
+    """Print a paragraph; the further lines of an item stand below its first word."""
+    indent = "  " * text.startswith("- ")
+    for line in textwrap.wrap(
+        text, console.width, subsequent_indent=indent, break_on_hyphens=False
+    ):
+        say(console, line, style)
+
+
+def answer_tables(choice: Choice) -> list[Table]:
+    """Return the chosen levels beside raw: as shared, after a reconstruction, and linked."""
+    rows: list[_Row] = [("", "raw", "", choice.raw)] if choice.raw else []
+    for scheme in choice.schemes:
+        at = "none" if scheme.chosen is None else level_text(scheme.chosen.level)
+        rows.append((scheme.adding, scheme.name, at, scheme.chosen))
+    keys = [said("adding", itemgetter(0)), said("", itemgetter(1))]
+    keys.append(Column("level", lambda row: word(row[2])))
+    options: dict[str, Any] = {"marks": MEANING, "n_headings": 1, "n_keys": 3}
+    limits = choice.limits.of(*METRIC_OF)
+    after = choice.limits.of(*DESCRIPTORS) if choice.limits.after_attack else {}
+    shared = {name: limit for name, limit in limits.items() if name not in after}
+    columns = [_number(name, lambda level: level, shared) for name in METRIC_OF]
+    title = "Utility, and privacy as shared"
+    found = [built("shared", title, rows, [*keys, *columns], **options)]
+    attacked = [None if level is None else level.after_attack for *_, level in rows]
+    if any(attacked):
+        columns = [_number(name, attrgetter("after_attack"), after) for name in DESCRIPTORS]
+        title = f"After the best reconstruction: {_attacks(attacked)}"
+        found.append(built("attacked", title, rows, [*keys, *columns], **options))
+    columns, about = [], []
+    for place, task in enumerate(choice.tasks):
+        limit = choice.limits.given.get(SUCCESS) if task.limited else None
+        above, cell = _limit(SUCCESS, limit), partial(_rank1, place)
+        columns.append(metric_column(SUCCESS, cell, name=task.task, above=above))
+        ran = [one for *_, row in rows if row and (one := row.tasks[place]).attack]
+        chances = ", ".join(dict.fromkeys(amount(SUCCESS, one.chance).text for one in ran))
+        where = "" if task.limited else f", {task.dataset}"
+        about += [f"{task.task}{where}: {_attacks(ran)}; chance {chances} %"] if ran else []
+    if columns:
+        title = "Rank 1 of the strongest attack"
+        found.append(built("linked", title, rows, [*keys, *columns], notes=about, **options))
+    return found
+
+
+def _number(
+    name: str, take: Callable[[Level], Level | Attacked | None], limits: Mapping[str, float]
+) -> Column:
+    """Return the column of a number of what is taken from a level."""
+    metric = METRIC_OF[name]
+
+    def cell(row: _Row) -> Cell:
+        one = take(row[3]) if row[3] else None
+        return estimated(metric, one.numbers[name] if one else UNKNOWN)
+
+    return metric_column(metric, cell, above=_limit(metric, limits.get(name)))
+
+
+def _limit(metric: str, limit: float | None) -> str:
+    return "" if limit is None else f"<= {limit * METRICS[metric].scale:.4g}"
+
+
+def _rank1(place: int, row: _Row) -> Cell:
+    if row[3] is None:
+        return Cell()
+    one = row[3].tasks[place]
+    marks = (MARKS[name] for name in remarks({"outcome": one.outcome, "invalid": one.invalid}))
+    return estimated(SUCCESS, one.rank1, mark="".join(marks))
+
+
+def _attacks(found: Iterable[Attacked | Linked | None]) -> str:
+    """Return the attacks of some levels, each once."""
+    labels = [Source(one.attack, one.knowledge).label for one in found if one]
+    return ", ".join(dict.fromkeys(labels))

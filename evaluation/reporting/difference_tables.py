@@ -18,16 +18,7 @@ from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
 from evaluation.reporting import terminal
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    Table,
-    amount,
-    built,
-    level,
-    said,
-    shortened,
-)
+from evaluation.reporting.table import Cell, Column, amount, built, level, measured, said, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -36,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from evaluation.analysis.differences import Comparison
-    from evaluation.reporting.table import Made
+    from evaluation.reporting.table import Table
     from evaluation.reporting.terminal import Part
 
 _MOST_SHOWN = 20
@@ -97,9 +88,9 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         yield f"{name}: {text}", "bold"
     yield ""
     changed = [
-        [f"{kind}:", name, f"{_value(a)} -> {_value(b)}"]
+        [f"{kind}:", name, " -> ".join(map(_value, pair))]
         for kind, values in comparison.changed.items()
-        for name, (a, b) in values.items()
+        for name, pair in values.items()
     ]
     nothing = "Nothing changed in data, settings, code and libraries."
     yield "What changed, A -> B" if changed else nothing, "bold"
@@ -108,29 +99,11 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         for side, names in zip("AB", sides, strict=True):
             if names:
                 yield f"{axis} only in {side}: {short_list(names)}"
-    yield from ("", *_counted(comparison))
-    rows = comparison.rows if every else comparison.headline
-    other = rows[rows["finding"] != IDENTICAL]
-    shown = other if every else other.head(_MOST_SHOWN)
-    yield differences(shown, of=len(other), room=room)
-    if len(shown) < len(other):
-        yield "(all of them: --all, or --csv FILE)"
-    verdicts = comparison.verdicts
-    if verdicts is not None and any(verdicts.values()):
-        text = f"Verdict: {len(verdicts['changed'])} of {verdicts['in_both']} decisions changed"
-        only = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
-        yield from ("", (f"{text} ({', '.join(only)})", "bold"))
-        for item in verdicts["changed"]:
-            yield f"{item['id']}: {item['a']} -> {item['b']}"
-
-
-def _counted(comparison: Comparison) -> Iterator[Part]:
-    """Yield how many numbers are identical, differ, or cannot be told."""
-    rows, only = comparison.rows, comparison.only_numbers
+    rows, headline, only = comparison.rows, comparison.headline, comparison.only_numbers
     text = f"{counts(rows)[IDENTICAL]} of {len(rows)} numbers are identical"
+    yield ""
     yield f"{text} ({only[0]} more are only in A, {only[1]} only in B)", "bold"
-    others = rows[~rows["headline"]]
-    for name, of in (("headline", comparison.headline), ("others", others)):
+    for name, of in (("headline", headline), ("others", rows[~rows["headline"]])):
         found = counts(of)
         if len(of):
             untested = f", {found[UNTESTED]} without an interval" * bool(found[UNTESTED])
@@ -141,15 +114,25 @@ def _counted(comparison: Comparison) -> Iterator[Part]:
     kinds = rows["pairing"].value_counts()
     text = "; ".join(f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds)
     yield f"({text})"
+    rows = rows if every else headline
+    other = rows[rows["finding"] != IDENTICAL]
+    shown = other if every else other.head(_MOST_SHOWN)
+    yield differences(shown, of=len(other), room=room)
+    if len(shown) < len(other):
+        yield "(all of them: --all, or --csv FILE)"
+    verdicts = comparison.verdicts
+    if verdicts is not None and any(verdicts.values()):
+        text = f"Verdict: {len(verdicts['changed'])} of {verdicts['in_both']} decisions changed"
+        alone = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
+        yield from ("", (f"{text} ({', '.join(alone)})", "bold"))
+        for item in verdicts["changed"]:
+            yield f"{item['id']}: {item['a']} -> {item['b']}"
 
 
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
     """Return the table of some differences out of many, for so many characters."""
     which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
     marks = _MARKS if len(set(shown["pairing"])) > 1 else {}
-
-    def side(name: str) -> Made:
-        return Column(name.upper()), lambda row: amount(row["metric"], row[name])
 
     def change(row: Mapping[Any, Any]) -> Cell:
         ends = (row[name] for name in ("difference", "ci_low", "ci_high"))
@@ -159,23 +142,19 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
         p = row["p_holm"]
         return Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p)
 
-    return built(
-        "differences",
-        f"{which} differences, B - A with 95 % intervals, p after Holm",
-        shown.to_dict("records"),
-        [
-            said("", lambda row: _heading(row, room=room)),
-            (Column("level"), lambda row: Cell() if _apart(row) else level(row["level_a"])),
-            said("metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()),
-            side("a"),
-            side("b"),
-            (Column("B - A"), change),
-            (Column("p"), p_value),
-        ],
-        marks={mark: _PAIRED[kind] for kind, mark in _MARKS.items()},
-        n_headings=1,
-        n_keys=3,
-    )
+    columns = [
+        said("", lambda row: _heading(row, room=room)),
+        Column("level", lambda row: Cell() if _apart(row) else level(row["level_a"])),
+        said("metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()),
+        measured("A", "a"),
+        measured("B", "b"),
+        Column("B - A", change),
+        Column("p", p_value),
+    ]
+    options = {"marks": {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}}
+    title = f"{which} differences, B - A with 95 % intervals, p after Holm"
+    records = shown.to_dict("records")
+    return built("differences", title, records, columns, n_headings=1, n_keys=3, **options)
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:

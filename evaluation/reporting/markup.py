@@ -41,21 +41,10 @@ _MOST_COLUMNS = 10
 """Beside the keys: what a page has room for."""
 _MOST_BESIDE = 6
 """With more columns of intervals, these stand below their values."""
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "$": r"\$",
-    "&": r"\&",
-    "%": r"\%",
-    "#": r"\#",
-    "_": r"\_",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-}
+_WORDS = {"\\": "textbackslash", "~": "textasciitilde", "^": "textasciicircum"}
+_WORDS |= {"<": "textless", ">": "textgreater", "|": "textbar"}
+_SPECIAL = {one: f"\\{one}" for one in "{}$&%#_"}
+_SPECIAL |= {one: f"\\{word}{{}}" for one, word in _WORDS.items()}
 
 
 def html(table: Table) -> Markup:
@@ -125,11 +114,9 @@ def markdown(table: Table) -> str:
     rules = [":--" if column.align == "left" else "--:" for column in table.columns]
     rows = [[column.head for column in table.columns], rules]
     rows += [[cell.full for cell in row] for row in table.rows]
-    return "".join("| " + " | ".join(map(_plain, row)) + " |\n" for row in rows)
-
-
-def _plain(text: str) -> str:
-    return printable(text).replace("&", "&amp;").replace("<", "&lt;").replace("|", r"\|")
+    text = str.maketrans({"&": "&amp;", "<": "&lt;", "|": r"\|"})
+    plain = [[printable(cell).translate(text) for cell in row] for row in rows]
+    return "".join(f"| {' | '.join(row)} |\n" for row in plain)
 
 
 def to_csv(table: Table) -> str:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command
-from evaluation.reporting.answer_tables import section_of
+from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
 from evaluation.reporting.figures.drawing import figures_of
 from evaluation.reporting.markup import HTML, TEMPLATES
 from evaluation.reporting.table import decision
@@ -59,6 +59,7 @@ DARK = {
     "#009e73": "#2bc299",
 }
 """Colours of the figures that change in the dark: the others can be read on either ground."""
+DARK_CSS: Final = "".join(f"--f-{old[1:]}:{new};" for old, new in DARK.items())
 _HEAD = re.compile(r"^.*?<svg\b([^>]*)>", re.DOTALL)
 _VIEW_BOX = re.compile(r'viewBox="([\d. +-]+)"')
 _DROPPED = re.compile(
@@ -73,23 +74,13 @@ _PLACE = re.compile(r'\s(x|y)="(-?\d+\.\d+)"')
 _MOVE = re.compile(r"translate\([^)]*\)")
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _EMPTY = re.compile(r"<g(?:\s[^<>]*)?/>|<g(?:\s[^<>]*)?>\s*</g>")
-_COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _DIGITS = 2
 
 
 def write(run: Results, *, drawn: Iterable[Path]) -> Path:
-    """Write `report.html` into the run folder and return its path.
+    """Write `report.html` into the run folder with the figures that were drawn; return its path.
 
-    Parameters
-    ----------
-    run : Results
-    drawn : iterable of Path
-        What `draw_all` returned.
-
-    Raises
-    ------
-    DataError
-        If the page cannot be written, or a figure not be read.
+    Raises DataError if the page cannot be written, or a figure not be read.
     """
     svgs = {path.stem: path.read_bytes() for path in drawn if path.suffix == ".svg"}
     path = run.out / PAGE
@@ -98,14 +89,7 @@ def write(run: Results, *, drawn: Iterable[Path]) -> Path:
 
 
 def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    run : Results
-    svgs : mapping of str to bytes
-        Name of a figure to its SVG.
-    """
+    """Return the page; `svgs` is the SVG of each figure by its name."""
     styles: dict[str, str] = {}
     figures: list[dict[str, Any]] = []
     for one in figures_of(run):
@@ -113,62 +97,41 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
             content, box = inline(svgs[one.name], name=f"f{len(figures)}", styles=styles)
             width_px = round(float(box.split()[2]) * _PER_POINT)  # at the size of print
             figures.append({"of": one, "box": box, "width": width_px, "content": content})
+    flags = weak_attacks.lines(run.flags)
     return HTML.get_template("report.html.j2").render(
         contents=SECTIONS,
         run=run,
         manifest=run.manifest,
         dataset=run.dataset,
         verdict=run.verdict or {},
-        section_of=section_of,
+        questions=QUESTIONS,
         decision=decision,
         figures=figures,
         tables=page_tables(run),
         tasks=run.tasks,
         known_tasks=TASKS,
-        flag_lines=[
-            one.removeprefix("flag: ").removesuffix(": flags.json")
-            for one in weak_attacks.lines(run.flags)
-        ],
+        flag_lines=[one.removeprefix("flag: ").removesuffix(": flags.json") for one in flags],
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
         css=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
         figure_css=style_css(styles),
-        dark_css=dark_css(),
+        dark_css=DARK_CSS,
         js=(TEMPLATES / "report.js").read_text(encoding="utf-8"),
     )
 
 
 def style_css(styles: Mapping[str, str]) -> str:
     """Return the rules of all styles, of which each has a class; colours may change in the dark."""
-
-    def variable(found: re.Match[str]) -> str:
-        colour = found[0]
-        return f"var(--f-{colour[1:]},{colour})" if colour in DARK else colour
-
-    return "\n".join(f".{name}{{{_COLOUR.sub(variable, style)}}}" for style, name in styles.items())
+    rules = "\n".join(f".{name}{{{style}}}" for style, name in styles.items())
+    return re.sub("|".join(DARK), lambda found: f"var(--f-{found[0][1:]},{found[0]})", rules)
 
 
 def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
-    """Return what stands inside the svg element of a page, and the view box.
+    """Return what stands inside the svg element of a page, and its view box: `x y width height`.
 
-    Parameters
-    ----------
-    svg : bytes
-        As matplotlib writes it.
-    name : str
-        Unique on the page; in front of every id.
-    styles : dict
-        Of the whole page, a class by style; gets those of the figure.
-
-    Returns
-    -------
-    (content, view box)
-        The view box as `x y width height`.
-
-    Raises
-    ------
-    DataError
-        If it is no SVG with a view box.
+    `name` is unique on the page and goes in front of every id; `styles` are those of the whole
+    page, a class by style, and get those of the figure. Raises DataError if it is no SVG with a
+    view box.
     """
     text = svg.decode()
     head = _HEAD.match(text)
@@ -184,8 +147,7 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
         return f'href="#{short[by_href]}"' if by_href else f"url(#{short[by_url]})"
 
     def path(found: re.Match[str]) -> str:
-        text = _NUMBER.sub(lambda one: _rounded(one[0]), " ".join(found[1].split()))
-        text = re.sub(r"\s*([MLQCzZ])\s*", r"\1", text)
+        text = re.sub(r" *([MLQCzZ]) *", r"\1", _rounded(" ".join(found[1].split())))
         return f' d="{text}"'
 
     def style(found: re.Match[str]) -> str:
@@ -196,8 +158,8 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
     body = _ID.sub(lambda one: f' id="{short[one[1]]}"' if one[1] in short else "", body)
     body = _REFERENCE.sub(reference, body)
     body = _PATH.sub(path, body)
-    body = _PLACE.sub(lambda one: f' {one[1]}="{_rounded(one[2])}"', body)
-    body = _MOVE.sub(lambda one: _NUMBER.sub(lambda at: _rounded(at[0]), one[0]), body)
+    for kind in (_PLACE, _MOVE):
+        body = kind.sub(lambda one: _rounded(one[0]), body)
     body = _STYLE.sub(style, body)
     body = re.sub(r">\s+<", "><", body)
     before = ""
@@ -206,11 +168,11 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
     return body.strip(), box.group(1)
 
 
-def dark_css() -> str:
-    """Return the colours of the dark page."""
-    return "".join(f"--f-{old[1:]}:{new};" for old, new in DARK.items())
+def _rounded(text: str) -> str:
+    """Return a text in which every number is short."""
+    return _NUMBER.sub(lambda one: _short(float(one[0])), text)
 
 
-def _rounded(number: str) -> str:
-    text = f"{float(number):.{_DIGITS}f}".rstrip("0").rstrip(".")
+def _short(number: float) -> str:
+    text = f"{number:.{_DIGITS}f}".rstrip("0").rstrip(".")
     return "0" if text in {"-0", ""} else text

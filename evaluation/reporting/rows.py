@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import (
-    ADDING_RULES,
-    FID,
-    FIXED,
-    Family,
-    families_in,
-)
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import dataset_of, linked_tasks, remarks
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
@@ -29,7 +23,6 @@ if TYPE_CHECKING:
 
     from evaluation.analysis.keys import Where
     from evaluation.analysis.linkability import LinkedTask
-    from evaluation.reporting.table import Made
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
@@ -114,23 +107,24 @@ def parameters_text(one: Family) -> str:
     return text.replace("d_sigma=", "Δσ=").replace("tau_s=", "τ=")
 
 
-def mechanism_columns(known: Mapping[str, Family]) -> list[Made]:
+def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
     """Return the columns mechanism, adding rule and level of records that have them."""
     return [
         said("mechanism", lambda record: family_of(known, record["mechanism"]).name),
         said("adding", lambda record: family_of(known, record["mechanism"]).adding),
-        (Column("level"), lambda record: level(record["level"])),
+        Column("level", lambda record: level(record["level"])),
     ]
 
 
 def by_level(frame: pd.DataFrame) -> dict[Where, list[dict[Any, Any]]]:
     """Return the rows of each mechanism level, levels rising, mechanisms as in the run."""
-    order = {name: place for place, name in enumerate(frame["mechanism"].unique())}
     found: dict[Where, list[dict[Any, Any]]] = {}
-    for row in frame.sort_values("level", kind="stable", na_position="first").to_dict("records"):
-        at = None if math.isnan(row["level"]) else float(row["level"])
-        found.setdefault((row["mechanism"], at), []).append(row)
-    return {where: found[where] for where in sorted(found, key=lambda where: order[where[0]])}
+    ordered = frame.sort_values("level", kind="stable", na_position="first")
+    for name in frame["mechanism"].unique():
+        for row in ordered[ordered["mechanism"] == name].to_dict("records"):
+            at = None if math.isnan(row["level"]) else float(row["level"])
+            found.setdefault((name, at), []).append(row)
+    return found
 
 
 def sources_at(rows: Iterable[Mapping[Any, Any]]) -> dict[Source, dict[str, Mapping[Any, Any]]]:
@@ -174,24 +168,21 @@ def telling(
     levels: dict[str, list[float | None]] = {}
     for mechanism, at in wheres:
         levels.setdefault(mechanism, []).append(at)
-    wanted = {name: [at for of, at in HEADLINE if of == name] for name, _ in HEADLINE}
+    of = {mechanism: family_of(known, mechanism) for mechanism in levels}
+    named = {name for name, _ in HEADLINE}
     told: dict[str, list[float | None]] = {}
-    has_any = False
     for mechanism, ats in levels.items():
-        one = family_of(known, mechanism)
         told[mechanism] = ats if len(ats) == 1 else [ats[0], ats[-1]]
-        if one.name in wanted:
-            told[mechanism] = [at for at in ats if at in wanted[one.name]]
-            has_any |= told[mechanism] not in ([], [None])
-        elif is_control(one):
-            told[mechanism] = ats if controls else [at for at in ats if at is None]
-    told = told if has_any else levels
-    order = list(levels)
+        if of[mechanism].name in named:
+            told[mechanism] = [at for at in ats if (of[mechanism].name, at) in HEADLINE]
+        elif is_control(of[mechanism]):
+            told[mechanism] = [at for at in ats if controls or at is None]
+    if not any(set(told[name]) - {None} for name in told if of[name].name in named):
+        told = levels
 
-    def place(mechanism: str) -> tuple[bool, int, int]:
-        one = family_of(known, mechanism)
-        rule = (*ADDING_RULES, one.adding).index(one.adding)
-        return one.is_added, rule * one.is_added, order.index(mechanism)
+    def place(mechanism: str) -> tuple[bool, int]:
+        one = of[mechanism]
+        return one.is_added, one.is_added * [*ADDING_RULES, one.adding].index(one.adding)
 
     return [(name, at) for name in sorted(told, key=place) for at in told[name]]
 
@@ -257,19 +248,18 @@ def schemes(summary: pd.DataFrame) -> list[Scheme]:
     one scheme.
     """
     found: dict[str, dict[str, str]] = {name: {} for name in _KNOWN}
-    levels = summary[["mechanism", "level"]].drop_duplicates().dropna()
+    levels = summary[["mechanism", "level"]].dropna().groupby("mechanism")["level"]
     for mechanism, one in families_in(summary).items():
-        if one.is_added and not is_control(one) and (levels["mechanism"] == mechanism).any():
-            rules = found.setdefault(one.name, {})
-            rules.update(dict.fromkeys(one.rules, mechanism))
+        if one.is_added and not is_control(one) and mechanism in levels.groups:
+            found.setdefault(one.name, {}).update(dict.fromkeys(one.rules, mechanism))
     result = []
     for place, (name, rules) in enumerate(found.items()):
-        own = levels.loc[levels["mechanism"].isin(list(rules.values())), "level"]
-        spans = bool((own > 0).all() and own.max() >= _LOG_SPAN * own.min())
-        title, label, log = _KNOWN.get(name, (name, f"level of {name}", spans))
         ordered = {rule: rules[rule] for rule in ADDING_RULES if rule in rules}
-        result.append(Scheme(name, title, label, log, ordered, place))
-    return [one for one in result if one.mechanisms]
+        own = [at for one in set(rules.values()) for at in levels.get_group(one)]
+        spans = bool(own) and min(own) > 0 and max(own) >= _LOG_SPAN * min(own)
+        title, label, log = _KNOWN.get(name, (name, f"level of {name}", spans))
+        result += [Scheme(name, title, label, log, ordered, place)] if rules else []
+    return result
 
 
 def rules_of(of: list[Scheme]) -> list[str]:

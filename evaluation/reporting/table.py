@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
@@ -18,45 +18,17 @@ if TYPE_CHECKING:
 
     from isac_track.intervals import Estimate
 
-SYMBOLS: Final = {
-    "tracks": ("✓", "good"),
-    "tracks weakly": ("~", "middle"),
-    "does not track": ("✗", "bad"),
-    "holds": ("✓", "good"),
-    "yes": ("✓", "good"),
-    "reversed": ("⇄", "bad"),
-    "does not hold": ("✗", "bad"),
-    "no": ("✗", "bad"),
-    "inflated": ("▲", "bad"),
-    "not inflated": ("✓", "good"),
-    "deflated": ("▼", "good"),
-    "undecided": ("?", "open"),
-    "differs": ("✗", "bad"),
-    "equal": ("✓", "good"),
-    "unclear": ("?", "open"),
-}
+_SIGNS = (
+    ("✓", "good", ("tracks", "holds", "yes", "not inflated", "equal")),
+    ("▼", "good", ("deflated",)),
+    ("~", "middle", ("tracks weakly",)),
+    ("✗", "bad", ("does not track", "does not hold", "no", "differs")),
+    ("⇄", "bad", ("reversed",)),
+    ("▲", "bad", ("inflated",)),
+    ("?", "open", ("undecided", "unclear")),
+)
+SYMBOLS: Final = {text: (sign, tone) for sign, tone, texts in _SIGNS for text in texts}
 """Of a decision: the sign that says the same without colour, and its tone."""
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A column: what its numbers are, in which unit."""
-
-    name: str
-    unit: str = ""
-    align: Literal["left", "right"] = "right"
-    above: str = ""
-    """What stands above the name, such as an adding rule."""
-    weight: float = 0.0
-    """Where there is no room, intervals of little weight go first."""
-    is_long: bool = False
-    """Sentences: left out of terminals and of LaTeX."""
-
-    @property
-    def head(self) -> str:
-        """In one line."""
-        unit = f" ({self.unit})" if self.unit else ""
-        return f"{self.above} {self.name}{unit}".strip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +63,32 @@ class Cell:
         return f"{sign} {self.full}".strip()
 
 
+Makes: TypeAlias = "Callable[[Any], Cell]"
+"""The cell of a record."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column: what its numbers are, in which unit, and what makes the cell of a record."""
+
+    name: str
+    of: Makes = lambda _: Cell()
+    unit: str = ""
+    align: Literal["left", "right"] = "right"
+    above: str = ""
+    """What stands above the name, such as an adding rule."""
+    weight: float = 0.0
+    """Where there is no room, intervals of little weight go first."""
+    is_long: bool = False
+    """Sentences: left out of terminals and of LaTeX."""
+
+    @property
+    def head(self) -> str:
+        """In one line."""
+        unit = f" ({self.unit})" if self.unit else ""
+        return f"{self.above} {self.name}{unit}".strip()
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Table:
     """Rows of cells below named columns.
@@ -122,8 +120,8 @@ class Table:
     @property
     def numeric(self) -> list[bool]:
         """Which columns hold numbers."""
-        places = range(len(self.columns))
-        return [any(row[place].value is not None for row in self.rows) for place in places]
+        of = zip(*self.rows, strict=True)
+        return [any(cell.value is not None for cell in cells) for cells in of]
 
     @property
     def legend(self) -> str:
@@ -133,60 +131,56 @@ class Table:
         return "; ".join(f"{mark} {text}" for mark, text in known if mark in used)
 
 
-Made: TypeAlias = "tuple[Column, Callable[[Any], Cell]]"
-"""A column, and what makes the cell of a record."""
-Columns: TypeAlias = "list[Made | str]"
-"""Those of words may be named alone."""
-
-
 def built(
     name: str,
     title: str,
     records: Iterable[Any],
-    columns: Iterable[Made | str],
+    columns: Sequence[Column],
     **options: Any,  # noqa: ANN401 - the other fields of `Table`
 ) -> Table:
-    """Return a table with a row for each record.
-
-    Its columns are given with what makes their cells, or by the name of what they say.
-    """
-    made = [said(one) if isinstance(one, str) else one for one in columns]
-    rows = [[cell(record) for _, cell in made] for record in records]
-    return Table(name, title, [column for column, _ in made], rows, **options)
+    """Return a table with a row for each record; `options` are the other fields of a table."""
+    rows = [[one.of(record) for one in columns] for record in records]
+    return Table(name, title, columns, rows, **options)
 
 
-def said(name: str, of: str | Callable[[Any], object] = "") -> Made:
+def said(name: str, of: str | Callable[[Any], object] = "") -> Column:
     """Return a column of words: what a record has under its name, under a key, or by a function."""
     take = of if callable(of) else itemgetter(of or name)
-    return Column(name, align="left"), lambda record: word(take(record))
+    return Column(name, lambda record: word(take(record)), align="left")
 
 
-def decided(name: str) -> Made:
+def held(name: str, key: str = "", **more: Any) -> Column:  # noqa: ANN401 - see `Column`
+    """Return a column of cells that records have ready; empty where one has none."""
+    return Column(name, lambda record: record.get(key or name, Cell()), **more)
+
+
+def decided(name: str) -> Column:
     """Return a column of decisions."""
-    return Column(name, align="left"), lambda record: decision(record[name])
+    return Column(name, lambda record: decision(record[name]), align="left")
 
 
-def counted(name: str, unit: str, *keys: str, **shown: Any) -> Made:  # noqa: ANN401 - see `number`
+def counted(name: str, unit: str, *keys: str, **shown: Any) -> Column:  # noqa: ANN401 - see `number`
     """Return a column of numbers: keys of value and, if there is one, both ends of the interval."""
-    return Column(name, unit), lambda record: number(*(record[key] for key in keys), **shown)
+    return Column(name, lambda record: number(*(record[key] for key in keys), **shown), unit)
 
 
-def points(name: str, *keys: str) -> Made:
+def points(name: str, *keys: str) -> Column:
     """Return a column of differences of shares."""
     return counted(name, "points", *keys, scale=100.0, sign="+")
 
 
-def measured(name: str, *keys: str, metric: str = "", sign: str = "-") -> Made:
+def measured(name: str, *keys: str, metric: str = "", sign: str = "-") -> Column:
     """Return a column of a metric, or of the one that each record names, as it is shown."""
-    unit = METRICS[metric].unit if metric else ""
-    return Column(name, unit), lambda record: amount(
-        metric or record["metric"], *(record[key] for key in keys), sign=sign
-    )
+
+    def cell(record: Any) -> Cell:  # noqa: ANN401 - a mapping
+        return amount(metric or record["metric"], *(record[key] for key in keys), sign=sign)
+
+    return Column(name, cell, METRICS[metric].unit if metric else "")
 
 
-def words(*names: str) -> list[Column]:
-    """Return columns of words."""
-    return [Column(name, align="left") for name in names]
+def metric_column(metric: str, of: Makes, name: str = "", **more: Any) -> Column:  # noqa: ANN401 - see `Column`
+    """Return the column of a metric, under its own name or another."""
+    return Column(name or METRICS[metric].head, of, METRICS[metric].unit, **more)
 
 
 def word(text: object) -> Cell:
@@ -213,7 +207,7 @@ def number(
     `sign` is "+" for a difference.
     """
     if value is None or not math.isfinite(value):
-        return Cell("")
+        return Cell()
     known = [scale * one for one in (value, *interval) if one is not None and math.isfinite(one)]
     text, *ends = (f"{one:{sign}.{digits}f}" for one in known)
     low, high = ends if len(ends) > 1 else ("", "")
@@ -231,15 +225,9 @@ def estimated(metric: str, one: Estimate, *, mark: str = "") -> Cell:
     return amount(metric, one.value, one.ci_low, one.ci_high, mark=mark)
 
 
-def metric_column(metric: str, name: str = "", **more: Any) -> Column:  # noqa: ANN401 - see `Column`
-    """Return the column of a metric, under its own name or another."""
-    return Column(name or METRICS[metric].head, METRICS[metric].unit, **more)
-
-
 def level(value: float | None) -> Cell:
     """Return a level; empty for a mechanism without one."""
-    known = value is not None and math.isfinite(value)
-    return Cell(level_text(value), value=value if known else None)
+    return replace(word(level_text(value)), value=number(value).value)
 
 
 def shortened(name: str, *, room: int) -> str:

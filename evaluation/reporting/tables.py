@@ -1,21 +1,37 @@
-"""Which tables of a run are shown where: terminal, page and LaTeX files."""
+"""Which tables of a run are shown where: terminal, page, LaTeX files, README and docs.
+
+In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table NAME of
+`docs/results/RUN.csv`, which holds the rows of a run's `summary.csv` that these tables show, and
+of the smoke run all.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
+import math
+import re
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import pandas as pd
 
 from evaluation.analysis import weak_attacks
+from evaluation.analysis.families import families_in
+from evaluation.analysis.keys import AS_SHARED, INFORMED, ORACLE, Source
+from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, RECONSTRUCTION, SUCCESS, UTILITY
 from evaluation.reporting import answer_tables as answers
-from evaluation.reporting import linkage_tables as linkage
-from evaluation.reporting import summary_tables as levels
+from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
-from evaluation.reporting.markup import latex
+from evaluation.reporting.markup import latex, markdown
+from evaluation.reporting.rows import ENDS, by_level, telling
+from evaluation.reporting.table import amount, built, held, said
 from evaluation.runs.files import write_whole
 from evaluation.runs.pieces import failed_lines
+from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from rich.console import Console
@@ -24,16 +40,15 @@ if TYPE_CHECKING:
     from evaluation.reporting.table import Table
     from evaluation.reporting.terminal import Part
 
+_BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_REFERENCE: Final = "smoke"
+"""The preset whose numbers the tests hold a fresh run against."""
+_SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, "chance")
+_SMOOTHED: Final = tuple(Source(name, INFORMED) for name in ("kalman_rts", "radial_rts"))
+
 
 def show(run: Results, *, console: Console | None = None) -> None:
-    """Print what was run, its tables, its doubts and its verdict.
-
-    Parameters
-    ----------
-    run : Results
-    console : Console, optional
-        By default standard output, as wide as the terminal or 116 columns where there is none.
-    """
+    """Print what was run, its tables, its doubts and its verdict, by default on standard output."""
     terminal.show(_printed(run), console=console)
 
 
@@ -45,10 +60,10 @@ def _printed(run: Results) -> Iterator[Part]:
     notice = dataset.get("notice")
     if notice or dataset.get("simulated"):
         yield f"NOTICE: {notice or 'the tracks are simulated'}", "yellow"
-    yield from levels.sweep_tables(run.ours)
-    yield _exposure(run)
-    yield levels.attack_table(run.ours)
-    yield from (linkage.rank_table(run, task) for task in run.tasks)
+    yield from measured.sweep_tables(run.ours)
+    yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
+    yield measured.attack_table(run.ours)
+    yield from (measured.rank_table(run, task) for task in run.tasks)
     yield answers.paper_table(run)
     yield answers.claims_table(run)
     for name, why in run.manifest.get("linkage", {}).get("skipped", {}).items():
@@ -74,15 +89,15 @@ def page_tables(run: Results) -> dict[str, Table]:
     found = [
         answers.paper_table(run),
         answers.claims_table(run),
-        *levels.sweep_tables(run.ours),
+        *measured.sweep_tables(run.ours),
         answers.matched_table(run),
-        _exposure(run),
-        levels.attack_table(run.ours),
-        *(linkage.rank_table(run, task) for task in run.tasks),
-        *(linkage.cells_table(run, task) for task in run.tasks),
+        measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
+        measured.attack_table(run.ours),
+        *(measured.rank_table(run, task) for task in run.tasks),
+        *(measured.cells_table(run, task) for task in run.tasks),
         answers.decision_table(run),
         answers.flag_table(run),
-        linkage.doubt_table(run),
+        measured.doubt_table(run),
         answers.contrast_table(items),
         *answers.item_tables(items).values(),
     ]
@@ -92,25 +107,111 @@ def page_tables(run: Results) -> dict[str, Table]:
 def write_tex(run: Results, *, folder: Path) -> None:
     """Write sweep, attacks, paper, linkability and verdict as `.tex`: booktabs tabulars.
 
-    Raises
-    ------
-    DataError
-        If the folder cannot be written.
+    Raises DataError if the folder cannot be written.
     """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
-    sources = levels.sources_of(levels.after_attack(run.ours))
-    attacks = [levels.attack_table(run.ours, only=source) for source in sources]
+    sources = measured.sources_of(measured.after_attack(run.ours))
     files = {
-        "sweep": levels.sweep_tables(run.ours),
-        "attacks": attacks,
+        "sweep": measured.sweep_tables(run.ours),
+        "attacks": [measured.attack_table(run.ours, only=source) for source in sources],
         "paper": [answers.paper_table(run)],
-        "linkability": [linkage.rank_table(run, task) for task in run.tasks],
+        "linkability": [measured.rank_table(run, task) for task in run.tasks],
         "verdict": answers.short_tables(run.verdict) if run.verdict else [],
     }
     for name, tables in files.items():
         write_whole(folder / f"{name}.tex", latex(tables).encode())
 
 
-def _exposure(run: Results) -> Table:
-    return levels.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
+def _linkage(summary: pd.DataFrame) -> Table:
+    """Return rank 1 of every informed linker, a column for each level."""
+    rows = summary[summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)]
+    known, found = families_in(rows), by_level(rows)
+    wheres = telling(found, known, controls=False)
+    of = {(where, row["consumer"], row["metric"]): row for where in wheres for row in found[where]}
+    records = []
+    for consumer in dict.fromkeys(consumer for _, consumer, _ in of):
+        task, _, linker = consumer.partition("/")
+        chances = (row["value"] for (_, *one), row in of.items() if one == [consumer, "chance"])
+        ranks = {
+            f"{where}": amount(SUCCESS, *(row[end] for end in ENDS))
+            for where in wheres
+            if (row := of.get((where, consumer, SUCCESS)))
+        }
+        chance = f"{100 * next(chances):.1f}"
+        records.append({"task": task, "chance": chance, "linker": linker, **ranks})
+    columns = [said("task"), replace(said("chance"), unit="%", align="right"), said("linker")]
+    for mechanism, at in wheres:
+        one, level = known[mechanism], "" if at is None else f" {at:g}"
+        heading = f"{one.name}{level}{', ind.' * (one.adding == 'independent')}"
+        columns.append(held(heading, f"{(mechanism, at)}"))
+    return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records, columns)
+
+
+_HEADLINE: Final = (
+    (Source("least_squares"), MISSED_RATE),
+    *((one, EXPOSURE) for one in (AS_SHARED, *_SMOOTHED)),
+)
+_AVERAGES: Final = Source("moving_average", INFORMED), Source("averaging", ORACLE)
+_FILTERING: Final = [(one, EXPOSURE) for one in (AS_SHARED, _AVERAGES[0], *_SMOOTHED, _AVERAGES[1])]
+DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
+    "sweep": lambda summary: measured.sweep_tables(summary)[0],
+    "exposure": measured.exposure_table,
+    "attacks": measured.attack_table,
+    "headline": partial(measured.sources_table, name="headline", of=_HEADLINE),
+    "filtering": partial(measured.sources_table, name="filtering", of=_FILTERING),
+    "linkage": _linkage,
+}
+"""By the name in a block."""
+
+
+def published(run: Results) -> pd.DataFrame:
+    """Return the rows of a run's summary that go into `docs/results`."""
+    summary = run.summary
+    if run.manifest["settings"]["preset"] == _REFERENCE:
+        return summary
+    known = run.families
+    told = telling(by_level(summary), known, controls=False)
+    is_told = pd.MultiIndex.from_frame(summary[["mechanism", "level"]]).isin(
+        [(name, math.nan if at is None else at) for name, at in told]
+    )
+    is_control = summary["consumer"].str.contains("/control-")
+    return summary[summary["metric"].isin(_SHOWN) & ~is_control & is_told]
+
+
+def write_docs(run: Results, *, root: Path) -> list[Path]:
+    """Write what is shown of a run into `docs/results`, and all blocks anew; return what changed.
+
+    `root` has README.md and docs/. Raises DataError if there is no README.md, a block names what is
+    not there, or a file cannot be written.
+    """
+    if not (root / "README.md").is_file():
+        raise DataError(f"{root} has no README.md: run this in the repository")
+    settings, results = run.manifest["settings"], root / "docs" / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    path = results / f"{run.dataset}-{settings['preset']}-{settings['seed']}.csv"
+    write_whole(path, published(run).to_csv(index=False).encode())
+    changed = [path]
+    for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
+        text = page.read_text(encoding="utf-8")
+        new = filled(text, results=results)
+        if new != text:
+            write_whole(page, new.encode())
+            changed.append(page)
+    return changed
+
+
+def filled(text: str, *, results: Path) -> str:
+    """Return a text with all of its blocks written anew.
+
+    Raises DataError if a block names a table or a run that is not there.
+    """
+
+    def block(found: re.Match[str]) -> str:
+        start, name, run, end = found.groups()
+        path = results / f"{run}.csv"
+        if name not in DOCS or not path.is_file():
+            raise DataError(f"no table {name!r} of {path}; known: {', '.join(DOCS)}")
+        return f"{start}{markdown(DOCS[name](pd.read_csv(path, keep_default_na=True)))}{end}"
+
+    return _BLOCK.sub(block, text)

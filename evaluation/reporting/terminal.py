@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from collections.abc import Set as AbstractSet
 
-    from evaluation.reporting.table import Cell
 
 PIPE_WIDTH = 116
 """Columns where there is no terminal: room for every interval of a sweep."""
@@ -27,6 +26,8 @@ _HEAD_WIDTH = 10
 _SHORT = 8
 _LEAST_WORDS = 16
 """Below this words are not wrapped to."""
+Lines: TypeAlias = "list[tuple[str, str]]"
+"""Each with its style."""
 
 
 def standard_output() -> Console:
@@ -78,8 +79,8 @@ def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
     """
     if not table.rows:
         return
-    is_bare = not table.title.endswith("intervals")
-    told = " (intervals where there is room)" if is_bare else " where there is room"
+    told = "" if table.title.endswith("intervals") else " (intervals"
+    told += " where there is room" + ")" * bool(told)
     for part in _parts(table, width=console.width, whole=whole):
         # The last of the light ones go first.
         order = sorted(
@@ -102,20 +103,16 @@ def _intervals(table: Table, columns: Iterable[int]) -> set[int]:
     return {place for place in columns if any(row[place].low for row in table.rows)}
 
 
-def _width(lines: Iterable[tuple[str, str]]) -> int:
+def _width(lines: Lines) -> int:
     return max(len(line) for line, _ in lines)
 
 
 def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
     """Return the columns in parts that fit, with intervals if `whole`, each beside the keys."""
-    columns = [
-        place
-        for place, column in enumerate(table.columns)
-        if place >= table.n_headings and not column.is_long
-    ]
-    keys = [place for place in columns if place < table.n_keys]
+    shown = [place for place, column in enumerate(table.columns) if not column.is_long]
+    keys = [place for place in shown if table.n_headings <= place < table.n_keys]
     parts = [keys]
-    for place in columns[len(keys) :]:
+    for place in shown[max(table.n_headings, table.n_keys) :]:
         wider = [*parts[-1], place]
         intervals = _intervals(table, wider) if whole else set()
         lines = _lines(table, wider, intervals=intervals, width=width)
@@ -126,29 +123,37 @@ def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
     return parts
 
 
-def _lines(
-    table: Table, columns: list[int], *, intervals: set[int], width: int
-) -> list[tuple[str, str]]:
+def _lines(table: Table, columns: list[int], *, intervals: set[int], width: int) -> Lines:
     """Return the lines with their styles: heads, headings, and rows whose columns line up."""
     shown = [_column(table, place, has_interval=place in intervals) for place in columns]
     depth = max(len(head) for head, _ in shown)
     filled = [[*[""] * (depth - len(head)), *head, *cells] for head, cells in shown]
     grid = [list(cells) for cells in zip(*filled, strict=True)]
-    headings = [_heading(table, row) for row in table.rows]
+    headings = []
+    for row in table.rows:
+        # Leading cells, each with its column's name but the first.
+        parts: list[str] = []
+        for column, cell in zip(table.columns[: table.n_headings], row, strict=False):
+            before = f"{column.name} " * bool(parts)
+            told = f"{cell.text} adding" if column.name == "adding" else f"{before}{cell.text}"
+            parts += [told] * bool(cell.text)
+        headings.append(", ".join(parts))
     for place, (heading, cells) in enumerate(zip(headings, grid[depth:], strict=True)):
         # Short, alone and without a level: it stands where the level would.
         if heading and headings.count(heading) == 1 and not cells[0] and len(heading) <= _SHORT:
             headings[place], cells[0] = "", heading
     left = {n for n, place in enumerate(columns) if table.columns[place].align == "left"}
-    wrapped, owner = _wrapped(grid, left=left, width=width)
-    lines: list[tuple[str, str]] = []
+    lines: Lines = []
     above = ""
-    for line, row in zip(aligned(wrapped, left=left), owner, strict=True):
-        heading = headings[row - depth] if row >= depth else ""
+    wrapped = _wrapped(grid, left=left, width=width)
+    for line, (at, _) in zip(
+        aligned([cells for _, cells in wrapped], left=left), wrapped, strict=True
+    ):
+        heading = headings[at - depth] if at >= depth else ""
         if heading and heading != above:
             lines.append((heading, "bold cyan"))
         above = heading
-        lines.append((line, "bold" if row < depth else ""))
+        lines.append((line, "bold" if at < depth else ""))
     return lines
 
 
@@ -157,11 +162,11 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
     column, cells = table.columns[place], [row[place] for row in table.rows]
     missing = "-" if column.align == "right" and place >= table.n_keys else ""
     room = max(len(cell.mark) for cell in cells)
-    values = [f"{cell.text or missing}{cell.mark.ljust(room)}" for cell in cells]
     values = [
-        " ".join(filter(None, [text, cell.unit])) for text, cell in zip(values, cells, strict=True)
+        f"{cell.text or missing}{cell.mark.ljust(room)}" + f" {cell.unit}" * bool(cell.unit)
+        for cell in cells
     ]
-    head = [*([column.above] if column.above else []), *_broken(column.name)]
+    head = [column.above] * bool(column.above) + _broken(column.name)
     if column.unit and len(head[-1]) + len(column.unit) < _HEAD_WIDTH:
         head[-1] = f"{head[-1]} {column.unit}".strip()
     elif column.unit:
@@ -181,35 +186,22 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
     return [line.rjust(width).ljust(width + 1 + room) for line in head], rows
 
 
-def _heading(table: Table, row: Sequence[Cell]) -> str:
-    """Return what stands above a row: its leading cells, each with its column's name but one."""
-    parts: list[str] = []
-    for column, cell in zip(table.columns[: table.n_headings], row, strict=False):
-        if cell.text and column.name == "adding":
-            parts.append(f"{cell.text} adding")
-        elif cell.text:
-            parts.append(f"{column.name} {cell.text}" if parts else cell.text)
-    return ", ".join(parts)
-
-
 def _wrapped(
     grid: Sequence[Sequence[str]], *, left: AbstractSet[int], width: int
-) -> tuple[list[list[str]], list[int]]:
-    """Return the rows with the widest words wrapped to fit, and which row each line is of."""
+) -> list[tuple[int, list[str]]]:
+    """Return the lines of rows whose widest words are wrapped to fit, each with its row."""
     widths = [max(map(len, column)) for column in zip(*grid, strict=True)]
-    total = sum(widths) + 2 * (len(widths) - 1)
+    excess = sum(widths) + 2 * (len(widths) - 1) - width
     widest = max(left, key=lambda place: widths[place], default=None)
-    if total <= width or widest is None or widths[widest] - (total - width) < _LEAST_WORDS:
-        return [list(cells) for cells in grid], list(range(len(grid)))
-    room = widths[widest] - (total - width)
-    wrapped, owner = [], []
+    if excess <= 0 or widest is None or widths[widest] - excess < _LEAST_WORDS:
+        return [(place, list(cells)) for place, cells in enumerate(grid)]
+    wrapped = []
     for place, cells in enumerate(grid):
-        pieces = textwrap.wrap(cells[widest], room) or [""]
-        for n, piece in enumerate(pieces):
-            rest = cells if n == 0 else [""] * len(cells)
-            wrapped.append([*rest[:widest], piece, *rest[widest + 1 :]])
-            owner.append(place)
-    return wrapped, owner
+        rest = cells
+        for piece in textwrap.wrap(cells[widest], widths[widest] - excess) or [""]:
+            wrapped.append((place, [*rest[:widest], piece, *rest[widest + 1 :]]))
+            rest = [""] * len(cells)
+    return wrapped
 
 
 def _broken(name: str) -> list[str]:

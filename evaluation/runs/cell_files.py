@@ -22,14 +22,13 @@ from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, RE
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import ROWS
-from evaluation.cells.windows import COLUMNS as WINDOW_COLUMNS
 from evaluation.runs.files import FOLDER, GALLERY, checked, write_whole, written_down
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 from isac_track.linkability import ProbeRanks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from evaluation.cells.tables import Tables
@@ -38,16 +37,17 @@ if TYPE_CHECKING:
 
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
-_NAMES: Final = ("source", "group", "search", "side")
+_NAMES: Final = ("source", "group", "search", "side", "assigned")
+_OUTCOME: Final = (
+    *("group", "above", "tied", "chance", "assigned", "about"),
+    *("metric", "value", "ci_low", "ci_high", "n"),
+)
+"""Columns of a linkage cell beside its replicates."""
 _NONE: Final = np.zeros(0, dtype=np.float32)
 _ALIKE: Final = frozenset(
     ("plr", "mel_s", "benchmark_mse_m2", "benchmark_plr", "chance", "duration_s")
 )
 """Numbers that occur again and again, in other rows or for other consumers."""
-_PROBE_COLUMNS: Final = (
-    *("search", "source", "group", "above", "tied"),
-    *("mate_score", "best_other_score", "chance"),
-)
 
 
 class Held(NamedTuple):
@@ -179,47 +179,52 @@ def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) ->
 
     Raises DataError if a cell is missing or broken, or has no such column; the message names it.
     """
-    tables = []
-    for name in entry["files"]:
-        path = out / FOLDER / name
-        found = _tables(path, label_of(entry), with_scores=_SCORES in columns)[ROWS]
+    found = []
+    for path, tables in _tables(out, entry, columns):
+        rows = tables[ROWS]
         for column in columns:
-            is_there = column in found.column_names
-            if not is_there or found[column].null_count == max(found.num_rows, 1):
+            is_there = column in rows.column_names
+            if not is_there or rows[column].null_count == max(rows.num_rows, 1):
                 raise DataError(
                     f"{path} has no column {column}: it is no cell of the kind that the manifest "
                     "says; run the matrix again with --fresh"
                 )
-        tables.append(found.select(list(columns)))
-    return pa.concat_tables(tables).unify_dictionaries()
+        found.append(rows.select(list(columns)))
+    return pa.concat_tables(found).unify_dictionaries()
 
 
-def read_outcome(out: Path, entry: Mapping[str, Any]) -> LinkageOutcome:
+def read_outcome(
+    out: Path, entry: Mapping[str, Any], *, drawn: Collection[str] | None = None
+) -> LinkageOutcome:
     """Return what one linkage attack, or control, achieves at one level.
 
-    Replicates are in single precision: those of a run would take half a gigabyte in double.
+    Replicates are in single precision: those of a run would take half a gigabyte in double. Only
+    metrics in `drawn` have them; without it all have that can.
 
     Raises DataError if the cell is missing or broken; the message names it.
     """
-    (file,) = entry["files"]
-    path = out / FOLDER / file
-    tables = _tables(path, label_of(entry))
+    ((path, tables),) = _tables(out, entry, drawn if drawn is None else (*_OUTCOME, *drawn))
     with _readable(path):
         about = json.loads(tables[ABOUT]["about"][0].as_py())
-        drawn = _rank_replicates(tables[ROWS], about, task=entry["consumer"].partition("/")[0])
+        replicates = {}
+        if drawn is None or drawn:
+            task = entry["consumer"].partition("/")[0]
+            replicates = _rank_replicates(tables[ROWS], about, task=task, drawn=drawn)
         others = tables.get(REPLICATES, pa.table({}))
-        for metric, column in zip(others.column_names, others.columns, strict=True):
-            if column.null_count == 0:
-                drawn[metric] = column.to_numpy()
-        columns = ["metric", "value", "ci_low", "ci_high", "n"]
-        estimates = {}
-        for row in tables[ESTIMATES].select(columns).to_pylist():
-            name = row.pop("metric")
-            estimates[name] = Estimate(**row, replicates=drawn.get(name, _NONE))
+        for metric in others.column_names:
+            if (drawn is None or metric in drawn) and others[metric].null_count == 0:
+                replicates[metric] = others[metric].to_numpy()
+        columns = tables[ESTIMATES].select(["metric", "value", "ci_low", "ci_high", "n"])
+        estimates = {
+            name: Estimate(*numbers, replicates.get(name, _NONE))
+            for name, *numbers in zip(*columns.to_pydict().values(), strict=True)
+        }
         return LinkageOutcome(estimates, about["numbers"], about["cohorts"])
 
 
-def _rank_replicates(rows: pa.Table, about: Mapping[str, Any], *, task: str) -> dict[str, Any]:
+def _rank_replicates(
+    rows: pa.Table, about: Mapping[str, Any], *, task: str, drawn: Collection[str] | None
+) -> dict[str, Any]:
     """Return the replicates of the rank metrics, which follow from the probes."""
     place = {name: column for column, name in enumerate(about["clusters"])}
     assigned = _each(rows["assigned"], lambda name: ASSIGNED.index(name) - 1)
@@ -232,20 +237,20 @@ def _rank_replicates(rows: pa.Table, about: Mapping[str, Any], *, task: str) -> 
         n_gallery=about["numbers"]["gallery_sizes"][1],
     )
     weights = _weights(tuple(about["drawn_as"]), about["n_groups"], task, about["seed"])
-    drawn = {
+    found = {
         name: replicates.astype(np.float32)
-        for name, replicates in probes.replicates(weights).items()
+        for name, replicates in probes.replicates(weights, drawn).items()
         if name not in DERIVED
     }
-    for name in drawn.keys() & {"rank1_assigned", "false_link_rate"}:
+    for name in found.keys() & {"rank1_assigned", "false_link_rate"}:
         if ASSIGNED[assigned[0] + 1] == "unknown":
-            drawn[name] = np.full_like(drawn[name], np.nan)
-    return drawn
+            found[name] = np.full_like(found[name], np.nan)
+    return found
 
 
 def _each(names: pa.ChunkedArray, number: Callable[[str], int]) -> Ints:
     """Return the number of each name, (n,), asked for once a name."""
-    encoded = names.combine_chunks().dictionary_encode()
+    encoded = names.combine_chunks()
     numbers = np.array([number(name) for name in encoded.dictionary.to_pylist()], dtype=np.int64)
     found: Ints = numbers[encoded.indices.to_numpy()]
     return found
@@ -257,52 +262,46 @@ def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> 
     return linkage_weights(places, n_groups=n_groups, task=task, seed=seed)
 
 
-def read_windows(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the windows of a linkage task at one level; DataError if its cell is broken.
-
-    The columns are those of `evaluation.cells.windows`, names as plain strings.
-    """
-    windows: pd.DataFrame = read_rows(out, entry, columns=WINDOW_COLUMNS).to_pandas()
-    return windows.astype(dict.fromkeys(_NAMES, "object"))
-
-
-def read_probes(out: Path, entry: Mapping[str, Any]) -> pd.DataFrame:
-    """Return how each probe of a linkage attack at one level fared; DataError if it is broken.
-
-    Returns
-    -------
-    DataFrame
-        A row for each probe: `search`, `source`, `group`; `above` and `tied`, how many candidates
-        score above its mate and how many as high, the mate included (-1 and 0 without a mate);
-        `mate_score`, `best_other_score` (NaN where there is none); `chance` of rank 1.
-    """
-    probes: pd.DataFrame = read_rows(out, entry, columns=_PROBE_COLUMNS).to_pandas()
-    return probes.astype(dict.fromkeys(("search", "source", "group"), "object"))
-
-
-def _tables(path: Path, label: str, *, with_scores: bool = False) -> dict[str, pa.Table]:
-    """Return the tables of a consumer, each with the columns of the whole file."""
-    with _readable(path):
-        stat = path.stat()
-        whole, index = _opened(path, (stat.st_mtime_ns, stat.st_size), with_scores)
-    held = index.consumers.get(label)
-    if held is None:
-        raise DataError(
-            f"{path} has no rows of {label}; delete it and run the matrix again to compute it"
-        )
-    return {name: whole.slice(start, size) for name, (start, size) in held.tables.items()}
+def _tables(
+    out: Path, entry: Mapping[str, Any], columns: Collection[str] | None = None
+) -> list[tuple[Path, dict[str, pa.Table]]]:
+    """Return the tables of a consumer by file, each with some columns, or all but raw scores."""
+    stamped = []
+    for name in entry["files"]:
+        path = out / FOLDER / name
+        with _readable(path):
+            stat = path.stat()
+        stamped.append((path, stat.st_mtime_ns, stat.st_size))
+    found, label = [], label_of(entry)
+    opened = _opened(tuple(stamped), None if columns is None else frozenset(columns))
+    for (path, *_), (whole, index) in zip(stamped, opened, strict=True):
+        held = index.consumers.get(label)
+        if held is None:
+            raise DataError(
+                f"{path} has no rows of {label}; delete it and run the matrix again to compute it"
+            )
+        tables = {name: whole.slice(*place) for name, place in held.tables.items()}
+        found.append((path, tables))
+    return found
 
 
-@lru_cache(maxsize=1)  # a file is read once for all of its consumers, who come one after another
-def _opened(path: Path, _stamp: tuple[int, int], with_scores: bool) -> tuple[pa.Table, Index]:  # noqa: FBT001 - as lru_cache wants it
-    # Not pq.read_table: its data set machinery costs more than reading such a file.
-    with pq.ParquetFile(path) as file:
-        names = [name for name in file.schema_arrow.names if with_scores or name != _SCORES]
-        whole, index = file.read(columns=names, use_threads=False), _index(file.metadata.metadata)
-    for place, name in enumerate(whole.column_names):
-        if name in _NAMES:
-            whole = whole.set_column(place, name, whole[name].dictionary_encode())
-    return whole, index
+@lru_cache(maxsize=1)  # files are read once for all of their consumers, who come one after another
+def _opened(
+    stamped: tuple[tuple[Path, int, int], ...], columns: frozenset[str] | None
+) -> list[tuple[pa.Table, Index]]:
+    """Return the content of some files, which is as old and as large as `stamped` says."""
+    found = []
+    for path, *_ in stamped:
+        # Not pq.read_table: its data set machinery costs more than reading such a file.
+        with _readable(path), pq.ParquetFile(path) as file:
+            every = file.schema_arrow.names
+            names = [name for name in every if name in (columns or {*every} - {_SCORES})]
+            whole, index = file.read(columns=names, use_threads=False), file.metadata.metadata
+            for place, name in enumerate(whole.column_names):
+                if name in _NAMES:
+                    whole = whole.set_column(place, name, whole[name].dictionary_encode())
+            found.append((whole, _index(index)))
+    return found
 
 
 @contextlib.contextmanager

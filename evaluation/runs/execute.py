@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 _LOOPS = (
-    *("attacks.reconstruction._parabola_loop", "attacks.linkage._lag_loop"),
+    *("attacks.reconstruction._window_loops", "attacks.linkage._lag_loop"),
     "isac_track.linkability._loops",
 )
 """Loaded before workers start: each would compile for itself."""

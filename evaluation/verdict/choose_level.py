@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import shlex
+import sys
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
@@ -45,10 +45,8 @@ ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}
 UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
 _WHERE = ("mechanism", "level", "consumer", "knowledge")
-_SUMMARY = (*_WHERE, "metric", "family", "adding", "value", "ci_low", "ci_high")
-_LINKED = (*_WHERE, "cohort", "outcome", "invalid", "rank1", "ci_low", "ci_high", "chance")
-_interval = attrgetter("value", "ci_low", "ci_high")
-_NUMBERS = frozenset(("level", "value", "rank1", "ci_low", "ci_high", "chance"))
+_ENDS = ("ci_low", "ci_high")
+_NUMBERS = frozenset(("level", "value", "rank1", "chance", *_ENDS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +92,8 @@ class Level:
 class Limits:
     """What is asked for.
 
-    Raises
-    ------
-    SettingsError
-        For a fraction beyond 0..1, a time that is negative or not finite, or `after_attack`
-        without a limit that it is about.
+    SettingsError for a fraction beyond 0..1, a time that is negative or not finite, or
+    `after_attack` without a limit that it is about.
     """
 
     given: Mapping[str, float]
@@ -109,20 +104,14 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, limit in self.given.items():
-            option = f"--max-{name.replace('_', '-')}"
-            if not METRICS[ASKED[name]].is_share:
-                if not 0.0 <= limit < math.inf:
-                    raise SettingsError(f"{option} is a time in s, 0 or more, got {limit:g}")
-            elif not 0.0 <= limit <= 1.0:
-                raise SettingsError(
-                    f"{option} is a fraction from 0 to 1 (0.2 for 20 %), got {limit:g}"
-                )
+            is_share = METRICS[ASKED[name]].is_share
+            if not 0.0 <= limit <= (1.0 if is_share else sys.float_info.max):
+                what = "fraction from 0 to 1 (0.2 for 20 %)" if is_share else "time in s, 0 or more"
+                option = f"--max-{name.replace('_', '-')}"
+                raise SettingsError(f"{option} is a {what}, got {limit:g}")
         if self.after_attack and not self.of(*DESCRIPTORS):
-            options = [f"--max-{name}" for name in DESCRIPTORS]
-            raise SettingsError(
-                f"--after-attack says where {', '.join(options[:-1])} and {options[-1]} hold; "
-                "give one"
-            )
+            options = " or ".join(f"--max-{name}" for name in DESCRIPTORS)
+            raise SettingsError(f"--after-attack says where they hold; give {options}")
 
     def of(self, *names: str) -> dict[str, float]:
         """Return those of some limits that are given."""
@@ -220,11 +209,7 @@ class Choice:
 
 
 def choose(
-    out: Path,
-    *,
-    limits: Limits,
-    adding: Sequence[str] = ADDING_RULES,
-    predictor: str | None = None,
+    out: Path, *, limits: Limits, adding: Sequence[str] = ADDING_RULES, predictor: str | None = None
 ) -> Choice:
     """Return the strictest levels of a run that meet the targets, and whether the limits hold.
 
@@ -238,23 +223,36 @@ def choose(
         If the run lacks what is asked for; the message names the option and the way out.
     """
     manifest = read_manifest(out)
-    name = _predictor(out, manifest, predictor)
     dataset = manifest["dataset"]["name"]
-    summary = _table(out, "summary.csv", _SUMMARY)
-    is_linked = (out / "linkability.csv").exists()
-    linked = linked_tasks(_table(out, "linkability.csv", _LINKED)) if is_linked else []
+    cells = [one["consumer"] for one in manifest["cells"] if one["kind"] == "predictor"]
+    robots = list(dict.fromkeys([*manifest["settings"]["predictors"], *cells]))
+    if not robots:
+        raise SettingsError(
+            f"{out} has no predictor, so that nothing is known of --max-missed; add one with "
+            "the command of the run and --predictor least_squares"
+        )
+    robot = robots[0] if predictor is None else predictor
+    if robot not in robots:
+        raise SettingsError(
+            f"--predictor {robot}: {out} has {', '.join(robots)}; name one of these or add it "
+            "with the command of the run"
+        )
+    summary = _table(out, "summary.csv", (*_WHERE, "metric", "family", "adding", "value", *_ENDS))
+    linked = []
+    if (out / "linkability.csv").exists():
+        said = ("cohort", "outcome", "invalid", "rank1", "chance")
+        linked = linked_tasks(_table(out, "linkability.csv", (*_WHERE, *said, *_ENDS)))
     of_metrics = summary[summary["metric"].isin(METRIC_OF.values())]
     levels = [
         level
         for where, rows in of_metrics.groupby(["mechanism", "level"], dropna=False, sort=False)
-        if (level := _level(where, rows, linked, name, dataset)) is not None
+        if (level := _level(where, rows, linked, Source(robot), dataset)) is not None
     ]
-    known = families_in(summary).values()
     raw = next((one for one in levels if one.mechanism == RAW), None)
     choice = Choice(
         out=out,
         manifest=manifest,
-        predictor=name,
+        predictor=robot,
         adding=tuple(adding),
         limits=limits,
         raw=raw,
@@ -263,7 +261,10 @@ def choose(
             _scheme(found, family, rule, limits)
             for rule in ADDING_RULES
             # FID is shown first, then fixed noise, all others as they were run.
-            for family in sorted(known, key=lambda one: [FID, FIXED, one.name].index(one.name))
+            for family in sorted(
+                families_in(summary).values(),
+                key=lambda one: [FID, FIXED, one.name].index(one.name),
+            )
             if family.is_added and rule in family.rules
             if (found := [one for one in levels if one.mechanism == family.mechanism])
         ),
@@ -271,37 +272,24 @@ def choose(
         is_current=manifest.get("code") == code_hash(),
     )
     _refuse_missing(choice, is_attacked=any(one.after_attack for one in levels))
-    schemes = tuple(one for rule in adding for one in choice.schemes if one.adding == rule)
-    return replace(choice, schemes=schemes)
-
-
-def _predictor(out: Path, manifest: Mapping[str, Any], asked: str | None) -> str:
-    cells = [one["consumer"] for one in manifest["cells"] if one["kind"] == "predictor"]
-    known = list(dict.fromkeys([*manifest["settings"]["predictors"], *cells]))
-    if not known:
-        raise SettingsError(
-            f"{out} has no predictor, so that nothing is known of --max-missed; add one with "
-            "the command of the run and --predictor least_squares"
-        )
-    if asked is not None and asked not in known:
-        raise SettingsError(
-            f"--predictor {asked}: {out} has {', '.join(known)}; name one of these or add it "
-            "with the command of the run"
-        )
-    return known[0] if asked is None else asked
+    return replace(
+        choice,
+        schemes=tuple(one for rule in adding for one in choice.schemes if one.adding == rule),
+    )
 
 
 def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
     """Return some columns of a table of a run."""
     again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
+    numbers = _NUMBERS.intersection(columns)
     try:
         # A name may be "NA": only an empty number is unknown.
         return pd.read_csv(
             out / name,
             usecols=list(columns),
-            dtype={column: float if column in _NUMBERS else str for column in columns},
+            dtype=dict.fromkeys(columns, str) | dict.fromkeys(numbers, float),
             keep_default_na=False,
-            na_values={column: [""] for column in columns if column in _NUMBERS},
+            na_values={column: [""] for column in numbers},
         )
     except FileNotFoundError:
         raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
@@ -311,18 +299,18 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _level(
-    where: tuple[Any, ...],
+    at: tuple[Any, ...],
     rows: pd.DataFrame,
     tasks: Sequence[LinkedTask],
-    predictor: str,
+    robot: Source,
     dataset: str,
 ) -> Level | None:
-    """Return what a level comes to; None if it was not shared, or not to the predictor.
+    """Return what a level comes to; None if it was not shared, or not to the robot.
 
     It has all tasks of the run; raw needs no predictor.
     """
-    mechanism, level = where[0], None if math.isnan(where[1]) else where[1]
-    columns = ["consumer", "knowledge", "metric", "value", "ci_low", "ci_high"]
+    where = at[0], None if math.isnan(at[1]) else at[1]
+    columns = ["consumer", "knowledge", "metric", "value", *_ENDS]
     found = {
         (Source(consumer, knowledge), metric): Estimate(*numbers)
         for consumer, knowledge, metric, *numbers in rows[columns].itertuples(index=False)
@@ -332,39 +320,37 @@ def _level(
         return {name: found.get((source, METRIC_OF[name]), UNKNOWN) for name in names}
 
     sources = {source for source, _ in found}
-    robot = Source(predictor)
-    if AS_SHARED not in sources or not (mechanism == RAW or robot in sources):
+    if AS_SHARED not in sources or not (where[0] == RAW or robot in sources):
         return None
-    exposed = {source: one.value for (source, metric), one in found.items() if metric == EXPOSURE}
-    best = strongest_of([exposed])
-    attacked = None
-    if best is not None:
-        attacked = Attacked(best.consumer, best.knowledge, numbers(best, DESCRIPTORS))
+    best = strongest_of(
+        [{source: one.value for (source, metric), one in found.items() if metric == EXPOSURE}]
+    )
     return Level(
-        mechanism=mechanism,
-        level=level,
+        *where,
         numbers=numbers(robot, TARGETS) | numbers(AS_SHARED, DESCRIPTORS),
-        after_attack=attacked,
-        tasks=tuple(_strongest(task, (mechanism, level), dataset) for task in tasks),
+        after_attack=best and Attacked(best.consumer, best.knowledge, numbers(best, DESCRIPTORS)),
+        tasks=tuple(_strongest(task, where, dataset) for task in tasks),
     )
 
 
 def _strongest(task: LinkedTask, where: Where, dataset: str) -> Linked:
     """Return the strongest linker at a level, of the valid ones if there are any."""
     own, rows = dataset_of(task.name, dataset=dataset), task.cells.get(where, {})
-    rank1 = {source: row[SUCCESS] for source, row in rows.items()}
-    valid = {
-        source: rank1[source]
-        for source, row in rows.items()
-        if row["outcome"] != WEAK and not row["invalid"]
+    is_valid = {
+        source: row["outcome"] != WEAK and not row["invalid"] for source, row in rows.items()
     }
+    rank1 = {source: row[SUCCESS] for source, row in rows.items()}
+    valid = {source: value for source, value in rank1.items() if is_valid[source]}
     best = strongest_of([valid]) or strongest_of([rank1])
+    found = Linked(task.name, own, own == dataset)
     if best is None:
-        return Linked(task.name, own, own == dataset)
+        return found
     row = rows[best]
-    return Linked(
-        *(task.name, own, own == dataset, best.consumer, best.knowledge),
-        rank1=Estimate(row[SUCCESS], row["ci_low"], row["ci_high"]),
+    return replace(
+        found,
+        attack=best.consumer,
+        knowledge=best.knowledge,
+        rank1=Estimate(*(row[name] for name in (SUCCESS, *_ENDS))),
         **{name: row[name] for name in ("chance", "outcome", "invalid")},
     )
 
@@ -401,25 +387,25 @@ def _targets(level: Level, limits: Limits) -> list[Check]:
 def _privacy(level: Level, limits: Limits) -> list[Check]:
     """Return the checks at the chosen level."""
     numbers, whose, missing = level.numbers, "as shared", ""
-    if limits.after_attack:
-        attacked = level.after_attack
-        if attacked is None:
-            numbers, whose, missing = {}, "", "no reconstruction attack was run at this level"
-        else:
-            numbers, whose = attacked.numbers, f"after {attacked.attack} ({attacked.knowledge})"
+    if limits.after_attack and level.after_attack is not None:
+        numbers = level.after_attack.numbers
+        whose = f"after {level.after_attack.attack} ({level.after_attack.knowledge})"
+    elif limits.after_attack:
+        numbers, whose, missing = {}, "", "no reconstruction attack was run at this level"
     checks = [
         Check(name, limit, numbers.get(name, UNKNOWN), whose, missing)
         for name, limit in limits.of(*DESCRIPTORS).items()
     ]
     for one in level.tasks if SUCCESS in limits.given else ():
-        whose, missing = f"in {one.task} by {one.attack} ({one.knowledge})", ""
+        missing = ""
         if not one.attack:
-            whose, missing = one.task, "no attack was run at this level"
+            missing = "no attack was run at this level"
         elif one.invalid:
             missing = f"a shortcut ({one.invalid}) gives people away: no measure of the attack"
         elif one.outcome == WEAK:
             missing = "every attack is too weak: it fails without any error, too"
         if one.limited:
+            whose = f"in {one.task} by {one.attack} ({one.knowledge})" if one.attack else one.task
             limit = limits.given[SUCCESS]
             checks.append(Check(f"{SUCCESS}/{one.task}", limit, one.rank1, whose, missing))
     return checks
@@ -439,15 +425,18 @@ def _scheme(found: Sequence[Level], family: Family, adding: str, limits: Limits)
     n_met = meets.index(False) if False in meets else len(meets)
     chosen = levels[n_met - 1] if n_met else None
     stricter = levels[n_met] if n_met < len(levels) else None
-    beyond = zip(levels[n_met:], meets[n_met:], strict=True)
-    shown = [[_interval(level.numbers[name]) for name in DESCRIPTORS] for level in levels[-2:]]
+    beyond = [one.level for one, fine in zip(levels, meets, strict=True) if fine][n_met:]
+    shown = [
+        [(one.value, one.ci_low, one.ci_high) for one in map(level.numbers.get, DESCRIPTORS) if one]
+        for level in levels[-2:]
+    ]
     return Scheme(
         adding=adding,
         family=family,
         falls=falls,
         chosen=chosen,
         stricter=stricter,
-        also_meets=tuple(one.level for one, fine in beyond if fine and one.level is not None),
+        also_meets=tuple(level for level in beyond if level is not None),
         is_saturated=len(shown) > 1 and shown[0] == shown[1],
         checks=() if chosen is None else (*_targets(chosen, limits), *_privacy(chosen, limits)),
         missed=() if stricter is None else tuple(_targets(stricter, limits)),

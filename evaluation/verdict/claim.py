@@ -21,7 +21,7 @@ from isac_track.intervals import estimate_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from evaluation.analysis.keys import Source
+    from evaluation.analysis.keys import Measure, Source
     from evaluation.analysis.matching import Comparison
     from evaluation.analysis.sweeps import Sweeps
 
@@ -73,10 +73,9 @@ def _claim(one: Comparison, *, of: str, mechanism: str) -> Draft:
     relative = found.value / one.mean_fixed if one.mean_fixed else np.nan
     share = f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
     reached = one.points["at"][np.isfinite(one.points["ci_low"])]
-    if rules.is_known(found):
-        undecided = f"{where}, {who} less fixed noise in {what} is {gap}."
-        why = "the interval, adjusted, holds zero"
-    else:
+    undecided = f"{where}, {who} less fixed noise in {what} is {gap}."
+    why = "the interval, adjusted, holds zero"
+    if not rules.is_known(found):
         undecided = f"{where}, {what} cannot be compared."
         why = "the two mechanisms have no range in common that enough replicates reach"
     return Draft(
@@ -89,10 +88,13 @@ def _claim(one: Comparison, *, of: str, mechanism: str) -> Draft:
         unit=unit,
         options={rules.HOLDS: rules.p_below(found, 0.0), rules.REVERSED: rules.p_above(found, 0.0)},
         sentences={
-            decision: f"{where}, {what} is {word} under {who} than under fixed noise: {gap}{share}."
-            for decision, word in ((rules.HOLDS, "lower"), (rules.REVERSED, "higher"))
-        }
-        | {UNDECIDED: undecided},
+            UNDECIDED: undecided,
+            **{
+                decision: f"{where}, {what} is {word} under {who} than under fixed noise: "
+                f"{gap}{share}."
+                for decision, word in ((rules.HOLDS, "lower"), (rules.REVERSED, "higher"))
+            },
+        },
         why_undecided=why,
         details={
             "of": of,
@@ -113,13 +115,12 @@ def inflation(sweeps: Sweeps, *, attack: Source | None) -> Iterator[Draft]:
     for adding in ADDING_RULES:
         for mechanism in sweeps.swept(adding):
             for descriptor in DESCRIPTORS:
-                yield from _inflated(sweeps, mechanism, adding, descriptor, attack)
+                yield from _inflated(sweeps, mechanism, adding, attack.measure(descriptor))
 
 
-def _inflated(
-    sweeps: Sweeps, mechanism: str, adding: str, descriptor: str, attack: Source
-) -> Iterator[Draft]:
-    measures = attack.measure(descriptor), AS_SHARED.measure(descriptor)
+def _inflated(sweeps: Sweeps, mechanism: str, adding: str, attacked: Measure) -> Iterator[Draft]:
+    attack, descriptor = attacked.source, attacked.metric
+    measures = attacked, AS_SHARED.measure(descriptor)
     ratios = []
     for level in sweeps.levels(mechanism):
         after, before = (sweeps.point(mechanism, level, one) for one in measures)

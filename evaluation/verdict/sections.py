@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, FID
@@ -67,7 +68,8 @@ def verdict(
         rules.INFLATION: inflation(sweeps, attack=attack),
     }
     items: list[dict[str, Any]] = []
-    for section, mine in ((section, list(drafts[section])) for section in rules.SECTIONS):
+    for section in rules.SECTIONS:
+        mine = list(drafts[section])
         decided = rules.decide([draft.options for draft in mine])
         for draft, (decision, p_value, p_adjusted) in zip(mine, decided, strict=True):
             about = ("adding", "descriptor", "task", "subject", "criterion")
@@ -131,19 +133,29 @@ def answer(items: Items, *, dataset: str, fid: Collection[str]) -> list[str]:
 
     `items` are those of `verdict.json`, `fid` the names of the paper's mechanism under either rule.
     """
-    return [_tracking(items, dataset=dataset, fid=fid), _claim(items), _inflation(items)]
+    of = {name: [one for one in items if one["section"] == name] for name in rules.SECTIONS}
+    return [
+        _tracking(of[rules.VALIDITY], dataset=dataset, fid=fid),
+        _claim(
+            [
+                one
+                for one in of[rules.CLAIM]
+                if one["criterion"] == MISSED and "mechanism" not in one
+            ]
+        ),
+        _inflation(of[rules.INFLATION]),
+    ]
 
 
 def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
-    mine = [one for one in items if one["section"] == rules.VALIDITY]
-    if not mine:
+    if not items:
         return (
             f"Whether PLR, AEL and MEL track linkability in {dataset} was not tested: the run "
             "has no sweep of fixed noise, or nobody links."
         )
     named: dict[str, list[str]] = {decision: [] for decision in (*_ORDER, UNDECIDED)}
     for descriptor in DESCRIPTORS:
-        decided = {one["decision"] for one in mine if one["descriptor"] == descriptor}
+        decided = {one["decision"] for one in items if one["descriptor"] == descriptor}
         worst = next((decision for decision in _ORDER if decision in decided), UNDECIDED)
         named[worst].append(NAME[descriptor])
     open_ones = named.pop(UNDECIDED)
@@ -156,25 +168,24 @@ def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
         parts.append(f"for {_listed(open_ones)} that is undecided")
     elif open_ones:
         parts = [f"whether {_listed(open_ones)} track how linkable people are is undecided"]
-    said = f"In {dataset}, " + "; ".join(parts)
-    against = [one for one in mine if one["decision"] == DOES_NOT]
-    if against:
-        said += f": {_evidence(against, fid=fid)}"
-    return said + "."
+    against = [one for one in items if one["decision"] == DOES_NOT]
+    why = f": {_evidence(against, fid=fid)}" if against else ""
+    return f"In {dataset}, {'; '.join(parts)}{why}."
 
 
 def _evidence(against: Items, *, fid: Collection[str]) -> str:
     """Return what speaks most against a descriptor: the largest differences either way."""
     differing = [
-        (abs(gap["effect"]), gap, one)
+        (abs(gap["effect"]), one)
         for one in against
         for gap in one["contrasts"]
         if gap["reading"] == "differs"
     ]
     if not differing:
         return f"they fall with the noise, success in {against[0]['task']} hardly does"
-    surest = max(differing, key=lambda one: one[0])[2]
-    effects = {gap["effect"]: gap for _, gap, one in reversed(differing) if one is surest}
+    surest = max(differing, key=itemgetter(0))[1]
+    differ = [gap for gap in surest["contrasts"] if gap["reading"] == "differs"]
+    effects = {gap["effect"]: gap for gap in reversed(differ)}
     words = []
     for effect, word in ((max(effects), "more"), (min(effects), "fewer")):
         if (effect > 0) == (word == "more"):
@@ -193,24 +204,16 @@ def _evidence(against: Items, *, fid: Collection[str]) -> str:
 
 
 def _claim(items: Items) -> str:
-    mine = [
-        one
-        for one in items
-        if one["section"] == rules.CLAIM and one["criterion"] == MISSED and "mechanism" not in one
-    ]
-    if not mine:
+    if not items:
         return "The run does not compare FID with fixed noise."
+    compared = {AS_IS: "as shared", AFTER: "after the strongest smoother", LINKED: "in linkage"}
     parts = []
     for adding in ADDING_RULES:
-        words = []
-        for of, where in (
-            (AS_IS, "as shared"),
-            (AFTER, "after the strongest smoother"),
-            (LINKED, "in linkage"),
-        ):
-            one_rule = [one for one in mine if one["adding"] == adding and one["of"] == of]
-            if one_rule:
-                words.append(f"{where} {_fares(one_rule)}")
+        words = [
+            f"{where} {_fares(one_rule)}"
+            for of, where in compared.items()
+            if (one_rule := [one for one in items if (one["adding"], one["of"]) == (adding, of)])
+        ]
         if words and all(word.endswith(UNDECIDED) for word in words):
             parts.append(f"under {adding} adding it is undecided throughout")
         elif words:
@@ -219,23 +222,22 @@ def _claim(items: Items) -> str:
 
 
 def _fares(items: Items) -> str:
-    better = [one for one in items if one["decision"] == rules.HOLDS]
-    worse = [one for one in items if one["decision"] == rules.REVERSED]
-    if not better and not worse:
-        return "undecided"
     parts = []
-    for ones, word in ((better, "better"), (worse, "worse")):
-        if ones:
-            names = [str(NAME.get(one["descriptor"], one["task"])) for one in ones]
-            all_of = "" if len(ones) < len(items) or len(ones) == 1 else "all of "
+    for decision, word in ((rules.HOLDS, "better"), (rules.REVERSED, "worse")):
+        names = [
+            str(NAME.get(one["descriptor"], one["task"]))
+            for one in items
+            if one["decision"] == decision
+        ]
+        if names:
+            all_of = "" if len(names) < len(items) or len(names) == 1 else "all of "
             parts.append(f"{word} in {all_of}{_listed(names)}")
-    return " but ".join(parts)
+    return " but ".join(parts) or UNDECIDED
 
 
 def _inflation(items: Items) -> str:
-    every = [one for one in items if one["section"] == rules.INFLATION]
-    mine = [one for one in every if one["decision"] == rules.INFLATED]
-    if not every:
+    mine = [one for one in items if one["decision"] == rules.INFLATED]
+    if not items:
         return "What an attack makes of the descriptors was not tested: no attack was run."
     if not mine:
         return "That an attack raises the descriptors is undecided."
@@ -254,6 +256,4 @@ def _inflation(items: Items) -> str:
 
 
 def _listed(words: Sequence[str]) -> str:
-    if len(words) == 1:
-        return words[0]
-    return ", ".join(words[:-1]) + " and " + words[-1]
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote_plus, unquote_plus
 
@@ -27,6 +27,8 @@ COLUMNS: Final = (
     *("decision_base", "decision", "effect_base", "effect", "ci_low", "ci_high", "unit", "n"),
     *("sign_base", "sign", "changed"),
 )
+_THEIRS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
+"""Columns of the variant's own item; unknown without one."""
 
 
 def attacks_of(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
@@ -35,12 +37,11 @@ def attacks_of(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
     Those are the subjects of its items, and of the contrasts in which a mechanism differs from
     fixed noise. A reconstruction has the task "". `items` are as in `verdict.json`.
     """
-    found: dict[str, set[str]] = {}
+    found: defaultdict[str, set[str]] = defaultdict(set)
     for one in items:
         contrasts = [pair for pair in one.get("contrasts", ()) if pair["reading"] == "differs"]
-        for subject in (one["subject"], *(pair.get("subject", "") for pair in contrasts)):
-            if subject:
-                found.setdefault(subject.rpartition(" (")[0], set()).add(one["task"])
+        for subject in filter(None, [one["subject"], *(pair.get("subject") for pair in contrasts)]):
+            found[subject.rpartition(" (")[0]].add(one["task"])
     return {spec: frozenset(tasks) for spec, tasks in found.items()}
 
 
@@ -53,23 +54,16 @@ def changes(
     for one in base["items"]:
         other = found.get(one["id"])
         before, after = one["sign"], other["sign"] if other else None
-        if after is None:
-            changed = MISSING
-        elif after == before:
-            changed = SAME
-        elif before == 0:
-            changed = GAINED
-        else:
-            changed = LOST if after == 0 else TURNED
-        shared = ("id", "section", "adding", "descriptor", "task", "unit")
-        theirs = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
+        is_other = TURNED if before else GAINED
+        changed = {0: LOST, before: SAME, None: MISSING}.get(after, is_other)
+        theirs = other or dict.fromkeys(_THEIRS)
         rows.append(
             {
-                "variant": variant,
-                "subject": (other or one)["subject"],
-                **{name: one[name] for name in shared},
+                **{name: one[name] for name in COLUMNS if name in one},
+                **{name: theirs[name] for name in _THEIRS},
                 **{f"{name}_base": one[name] for name in ("decision", "effect", "sign")},
-                **{name: other[name] if other else None for name in theirs},
+                "subject": (other or one)["subject"],
+                "variant": variant,
                 "changed": changed,
             }
         )
@@ -82,13 +76,7 @@ def folder_of(out: Path, name: str) -> Path:
 
 
 def read_verdict(out: Path) -> dict[str, Any]:
-    """Return the verdict of a run folder, which has items.
-
-    Raises
-    ------
-    DataError
-        If there is none, it cannot be read, or it has no items.
-    """
+    """Return the verdict of a run folder; DataError if there is none, or it has no items."""
     said = verdict_of(out)
     if not said["items"]:
         raise DataError(
@@ -100,12 +88,8 @@ def read_verdict(out: Path) -> dict[str, Any]:
 def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
     """Return all finished variants of a run as one table, and which ones are left out, and why.
 
-    The base is held against the verdict of OUT, every other variant against the base.
-
-    Raises
-    ------
-    DataError
-        If the run or the base has no verdict.
+    The base is held against the verdict of OUT, every other variant against the base. DataError if
+    the run or the base has no verdict.
     """
     base = read_verdict(folder_of(out, BASE))
     reference = read_manifest(folder_of(out, BASE))
@@ -118,11 +102,10 @@ def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
             manifest, said = read_manifest(folder), read_verdict(folder)
         except DataError:
             manifest, said = {}, {}
+        same = {name: manifest.get("identity", {}).get(name) for name in ("seed", "scenes")}
         if manifest.get("state") != "finished":
             left_out[name] = "it is not finished"
-        elif any(
-            manifest["identity"][key] != reference["identity"][key] for key in ("seed", "scenes")
-        ):
+        elif not same.items() <= reference["identity"].items():
             left_out[name] = "it has another seed or number of scenes"
         elif manifest["code"] != reference["code"]:
             left_out[name] = "it is of another version of the code"
@@ -134,10 +117,10 @@ def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
 def counts(rows: pd.DataFrame) -> dict[str, dict[str, dict[str, int]]]:
     """Return how many items of a section changed in which way: variant, section, change."""
     found: dict[str, dict[str, dict[str, int]]] = {}
-    for (variant, section), part in rows.groupby(["variant", "section"], sort=False):
-        number = Counter(part["changed"])
+    for (variant, section), changed in rows.groupby(["variant", "section"], sort=False)["changed"]:
+        number = changed.value_counts()
         found.setdefault(str(variant), {})[str(section)] = {
-            change: number[change] for change in CHANGES if number[change]
+            change: int(number[change]) for change in CHANGES if change in number
         }
     return found
 

@@ -8,8 +8,7 @@ the mechanism: at one value of it, fixed noise, FID and the dissociation control
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.matching import MIN_DEFINED, compare
 from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
 from evaluation.analysis.strongest import by_task, strongest_of
-from evaluation.analysis.sweeps import interpolated
+from evaluation.analysis.sweeps import interpolated, places
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import estimate_of
@@ -36,8 +35,7 @@ _UNADJUSTED: Final = 0.05
 _FEWEST_FOR_TAU: Final = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Contrast:
+class Contrast(NamedTuple):
     """Success under another mechanism less that under fixed noise of the same descriptor value."""
 
     mechanism: str
@@ -61,15 +59,13 @@ class Contrast:
 
     def to_json(self) -> dict[str, Any]:
         """Return the contrast for `verdict.json`; its reading is not adjusted."""
-        differs = self.p_beyond <= _UNADJUSTED
-        equal = rules.p_within(self.effect, rules.SUCCESS_MARGIN) <= _UNADJUSTED
+        is_equal = rules.p_within(self.effect, rules.SUCCESS_MARGIN) <= _UNADJUSTED
+        reading = "equal" if is_equal else "unclear"
         return {
-            "mechanism": self.mechanism,
-            "level": self.level,
-            "subject": self.subject,
+            **{name: getattr(self, name) for name in ("mechanism", "level", "subject")},
             **rules.numbers(self.effect),
             "n": self.effect.n,
-            "reading": "differs" if differs else "equal" if equal else "unclear",
+            "reading": "differs" if self.p_beyond <= _UNADJUSTED else reading,
         }
 
 
@@ -78,15 +74,17 @@ def validity(sweeps: Sweeps, *, success: Mapping[str, Source]) -> Iterator[Draft
 
     `success` is by task its strongest linker; against a control the strongest there counts.
     """
-    levels = by_task(sweeps.found, metric=SUCCESS)
+    levels, guesses = (by_task(sweeps.found, metric=metric) for metric in (SUCCESS, "chance"))
     for adding in ADDING_RULES:
         for descriptor in DESCRIPTORS:
             for task, linker in success.items():
-                yield from _item(sweeps, levels[task], adding, descriptor, linker)
+                guessed = (of.get(linker, 0.0) for of in guesses.get(task, {}).values())
+                chance = max(guessed, default=0.0)
+                yield from _item(sweeps, levels[task], adding, descriptor, linker, chance)
 
 
 def _item(
-    sweeps: Sweeps, levels: Levels, adding: str, descriptor: str, linker: Source
+    sweeps: Sweeps, levels: Levels, adding: str, descriptor: str, linker: Source, chance: float
 ) -> Iterator[Draft]:
     """Yield an item, if there is a sweep of fixed noise to compare with."""
     fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
@@ -94,21 +92,20 @@ def _item(
     if sweeps.curve(fixed, value) is None or sweeps.curve(fixed, success) is None:
         return
     n = sweeps.n(fixed, success)
-    guessed = (
-        one.value
-        for key, one in sweeps.found.items()
-        if key.metric == "chance" and key.source == linker
-    )
-    chance = max([0.0, *guessed])
-    (links, shows), (links_least, shows_least) = (
-        [sweeps.drawn(one.at(mechanism, level)) for one in (success, value)]
-        for mechanism, level in ((RAW, None), (fixed, sweeps.levels(fixed)[0]))
+    strongest = fixed, sweeps.levels(fixed)[0]
+    (links, links_least), (shows, shows_least) = (
+        [sweeps.drawn(one.at(*where)) for where in ((RAW, None), strongest)]
+        for one in (success, value)
     )
     works, drop = estimate_of(links - chance, n=n), estimate_of(links - links_least, n=n)
     with np.errstate(divide="ignore", invalid="ignore"):
         span = estimate_of(np.log(shows / shows_least), n=n)
     contrasts = [
-        *_of_sweep(sweeps, (fid, fixed), value=value, success=success),
+        *(  # FID over all values of the descriptor that both reach
+            Contrast(fid, None, linker.attack.label, mean, is_test=False)
+            for one in compare(sweeps, (fid, fixed), value, [success])
+            if np.isfinite((mean := estimate_of(one.mean_difference, n=one.n)).value)
+        ),
         *_of_levels(sweeps, levels, adding, value=value, linker=linker),
     ]
     has_test = any(one.is_test for one in contrasts)
@@ -161,16 +158,6 @@ def _item(
     )
 
 
-def _of_sweep(
-    sweeps: Sweeps, arms: tuple[str, str], *, value: Measure, success: Measure
-) -> Iterator[Contrast]:
-    """Yield FID against fixed noise over all values of a descriptor that both reach."""
-    for one in compare(sweeps, arms, value, [success]):
-        found = estimate_of(one.mean_difference, n=one.n)
-        if np.isfinite(found.value):
-            yield Contrast(arms[0], None, success.source.attack.label, found, is_test=False)
-
-
 def _of_levels(
     sweeps: Sweeps, levels: Levels, adding: str, *, value: Measure, linker: Source
 ) -> Iterator[Contrast]:
@@ -195,10 +182,8 @@ def _of_levels(
             inside = (below_raw >= -rules.REACH * span) & (below_raw <= span + rules.REACH * span)
             held = np.where(inside, np.clip(below_raw, 0.0, span), np.nan)
             n_rows = min(reached.size, achieved.shape[0])
-            expected = interpolated(
-                held[:n_rows, None], change[:n_rows], achieved[:n_rows], log=False
-            )
-            gap = reached[:n_rows] - expected[:, 0]
+            read = places(held[:n_rows, None], change[:n_rows])
+            gap = reached[:n_rows] - interpolated(read, achieved, log=False)[:, 0]
             if np.isfinite(gap[1:]).mean() >= MIN_DEFINED and np.isfinite(gap[0]):
                 n = min(sweeps.n(fixed, success), sweeps.n(mechanism, theirs))
                 yield Contrast(mechanism, level, rival.attack.label, estimate_of(gap, n=n))
@@ -218,8 +203,8 @@ def _taus(
         ]
         pairs = [(at[0], got[0]) for at, got in points if at is not None and got is not None]
         if len(pairs) >= _FEWEST_FOR_TAU:
-            tau = known(float(kendalltau(*zip(*pairs, strict=True)).statistic))
-            taus[sweeps.known[mechanism].name] = tau
+            tau = kendalltau(*zip(*pairs, strict=True)).statistic
+            taus[sweeps.known[mechanism].name] = known(tau)
     return taus
 
 
@@ -235,13 +220,12 @@ def _sentences(name: str, *, task: str, worst: Contrast | None, drop: Estimate) 
     more = "more" if worst.effect.value > 0 else "fewer"
     gap = f"{worst.label} lets {with_interval(worst.effect, 'share', absolute=True)} {more}"
     close, far = (f"{100 * one:.0f}" for one in (rules.SUCCESS_MARGIN, rules.WEAK_MARGIN))
+    none = f"{where}, no mechanism lets {{}} of 100 people more or fewer be linked than fixed noise"
     return {
         rules.DOES_NOT: f"{where}, {gap} of 100 people be linked than fixed noise: {name} does not "
         "track.",
-        rules.TRACKS: f"{where}, no mechanism lets {close} of 100 people more or fewer be linked "
-        f"than fixed noise: {name} tracks.",
-        rules.WEAKLY: f"{where}, no mechanism lets {far} of 100 people more or fewer be linked "
-        f"than fixed noise, but {close} cannot be ruled out: {name} tracks weakly.",
+        rules.TRACKS: f"{none.format(close)}: {name} tracks.",
+        rules.WEAKLY: f"{none.format(far)}, but {close} cannot be ruled out: {name} tracks weakly.",
         rules.UNDECIDED: f"{where}, the surest difference from fixed noise is that {gap} of 100 "
         "people be linked.",
     }

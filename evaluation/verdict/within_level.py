@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
 from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, RAW
-from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
-from evaluation.runs.cell_files import read_probes, read_windows
+from evaluation.cells.link_setup import SIDES
+from evaluation.experiment.constants import WINDOWS
+from evaluation.runs.cell_files import read_rows
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import CONFIDENCE, Estimate
@@ -26,11 +29,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from evaluation.analysis.keys import Source
     from evaluation.analysis.sweeps import Sweeps
     from isac_track.types import Floats, Ints
 
 COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
 """Of either release: length, speed and mean noise."""
+_WHOSE: Final = ("search", "source")
 _FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
 
 
@@ -58,10 +63,7 @@ def read_levels(
 
     `strongest` is by task its strongest linker.
 
-    Raises
-    ------
-    DataError
-        If a cell cannot be read.
+    Raises DataError if a cell cannot be read.
     """
     entries = {
         (entry["spec"], entry["consumer"], entry["knowledge"]): entry for entry in manifest["cells"]
@@ -69,33 +71,43 @@ def read_levels(
     wanted = {RAW}.union(*(sweeps.swept(adding) for adding in ADDING_RULES))
     found: dict[str, list[LevelTracks]] = {}
     for task, linker in strongest.items():
-        for (spec, consumer, _), windows in entries.items():
-            linked = entries.get((spec, linker.consumer, linker.knowledge))
-            is_of_task = windows["kind"] == "windows" and Source(consumer).task == task
-            if is_of_task and linked is not None and windows["mechanism"] in wanted:
+        for (spec, *whose), linked in entries.items():
+            is_linker = whose == [linker.consumer, linker.knowledge]
+            windows = entries.get((spec, f"{task}/{WINDOWS}", ""))
+            if is_linker and windows is not None and linked["mechanism"] in wanted:
                 found.setdefault(task, []).append(_level(out, linked, windows))
     return found
 
 
 def _level(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LevelTracks:
-    probes = read_probes(out, linked)
-    probes = probes[probes["above"] >= 0]
-    tracks = read_windows(out, windows)
-    tracks = tracks.set_index(tracks["search"] + "\n" + tracks["source"])
-    wanted = probes["search"] + "\n" + probes["source"]
-    sides = [tracks[tracks["side"] == side].reindex(wanted) for side in ("probe", "gallery")]
+    probes = read_rows(out, linked, columns=[*_WHOSE, "group", "above", "tied", "chance"])
+    probes = probes.filter(pc.greater_equal(probes["above"], 0))
+    descriptors = {name: METRICS[name].column for name in DESCRIPTORS}
+    columns = [*COVARIATES, *descriptors.values()]
+    tracks = read_rows(out, windows, columns=["side", *_WHOSE, *columns])
+    sides = []
+    for side in SIDES:
+        mine = tracks.filter(pc.equal(tracks["side"], side))
+        sides.append(mine.take(pc.index_in(_names(probes), value_set=_names(mine))))
 
     def both(column: str) -> Floats:
-        return np.column_stack([side[column].to_numpy(np.float64) for side in sides])
+        return np.column_stack([side[column].to_numpy().astype(np.float64) for side in sides])
 
+    above, tied = (probes[name].to_numpy() for name in ("above", "tied"))
     return LevelTracks(
         mechanism=windows["mechanism"],
-        hit=np.where(probes["above"] == 0, 1.0 / probes["tied"], 0.0),
+        hit=np.where(above == 0, 1.0 / tied, 0.0),
         chance=probes["chance"].to_numpy(),
-        cluster=np.unique(probes["group"].to_numpy(str), return_inverse=True)[1].astype(np.int64),
-        descriptors={name: both(METRICS[name].column) for name in DESCRIPTORS},
+        cluster=np.unique(probes["group"].to_numpy().astype(str), return_inverse=True)[1],
+        descriptors={name: both(column) for name, column in descriptors.items()},
         covariates=np.column_stack([both(column) for column in COVARIATES]),
     )
+
+
+def _names(rows: pa.Table) -> pa.ChunkedArray:
+    """Return what a track is called in its search and among all."""
+    search, source = (rows[name].cast(pa.string()) for name in _WHOSE)
+    return pc.binary_join_element_wise(search, source, "\n")
 
 
 def within(
@@ -103,14 +115,8 @@ def within(
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
 
-    Parameters
-    ----------
-    levels : mapping
-        By task. Clusters are numbered alike at all levels of a task.
-    sweeps : Sweeps
-        Of the run: it says under which rule a mechanism is judged.
-    success : mapping
-        By task: the linker that it is about.
+    `levels` are by task; clusters are numbered alike at all levels of a task. `sweeps` are of the
+    run and say under which rule a mechanism is judged; `success` is the linker of each task.
     """
     for adding in ADDING_RULES:
         wanted = (RAW, *sweeps.swept(adding))
@@ -141,12 +147,11 @@ def _item(levels: Sequence[LevelTracks], adding: str, descriptor: str, linker: S
         f"and whether it is linked go together by "
         f"{with_interval(found, 'correlation')} (rank correlation)"
     )
+    why = "the interval reaches on both sides of the bound"
     if condition > 0.05:  # noqa: PLR2004
         why = "the strongest attack hardly links anybody: nothing could be seen"
     elif not rules.is_known(found):
         why = f"{name} hardly varies beyond length, speed and noise, or there are too few people"
-    else:
-        why = "the interval reaches on both sides of the bound"
     return Draft(
         adding=adding,
         descriptor=descriptor,
@@ -176,9 +181,7 @@ def clustered_mean(values: Floats, cluster: Ints) -> Estimate:
     return _with_error(mean, (values - mean) / values.size, cluster)
 
 
-def partial_correlation(
-    levels: Sequence[tuple[Floats, Floats, Floats, Ints]],
-) -> Estimate:
+def partial_correlation(levels: Sequence[tuple[Floats, Floats, Floats, Ints]]) -> Estimate:
     """Return the rank correlation of descriptor and hit within levels, beyond the covariates.
 
     At each level all are put in ranks; the mean rank of the descriptor in both releases, and the
@@ -187,10 +190,8 @@ def partial_correlation(
     of the correlation (its influence function), so that a person who occurs at every level counts
     once.
 
-    Parameters
-    ----------
-    levels : sequence of (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,))
-        Rows in which anything is unknown are left out.
+    `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each; rows in
+    which anything is unknown are left out.
     """
     rests: list[Floats] = []
     clusters: list[Ints] = []

@@ -2,8 +2,7 @@
 
 ``load("students03")``, ``load("plaza")``, ``load("walk.csv")``, and ``load()`` for the best
 that is here. A format is told, or named by the file's extension, never guessed. `registry` knows
-the names and places, `repair` what is mended on reading, `summary` the statistics;
-``docs/data.md`` describes it all.
+the names and places, `repair` what is mended on reading; ``docs/data.md`` describes it all.
 """
 
 from __future__ import annotations
@@ -15,35 +14,41 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from isac_track.datasets import crowd, read_frames, read_table, registry
-from isac_track.datasets.recording import Repair, checked_fps
-from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, Known, shown
+from isac_track.datasets.recording import Repair, checked_fps, steps_within
+from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, MAIN_FILE, shown
 from isac_track.datasets.repair import to_tracks
-from isac_track.errors import DataError
+from isac_track.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
+
+    from pandas import DataFrame
 
     from isac_track.datasets.recording import Rows
-    from isac_track.types import Tracks
+    from isac_track.types import Bools, Floats, Tracks
 
-__all__ = ["FORMATS", "Dataset", "Repair", "load", "read"]
-
+__all__ = ["FORMATS", "Dataset", "Repair", "load", "read", "summarise"]
 
 _WITH_CLOCK: Mapping[str, Callable[..., Rows]] = {
     "csv": read_table.read_csv,
     "parquet": read_table.read_parquet,
 }
 FORMATS: Mapping[str, Callable[..., Rows]] = {
-    **{
-        layout.name: partial(read_frames.read_columns, layout=layout)
-        for layout in read_frames.LAYOUTS
-    },
+    **{name: partial(read_frames.read_columns, name) for name in read_frames.COLUMNS},
     "trajnet": read_frames.read_trajnet,
     **_WITH_CLOCK,
 }
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
+SLOW_MPS = 0.2
+"""Slower steps than this are not walking."""
+FROZEN_SHARE = 0.9
+"""A track with at least this share of exactly-zero steps is nearly frozen: an annotation
+that was left standing rather than a person, whose last position tells the whole walk."""
+_CLOCK_S = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -93,75 +98,74 @@ def load(
     Returns
     -------
     Dataset
-        Times in s from the first sample of the recording, positions in m.
-
-    Raises
-    ------
-    DataError
-        If there is no such data set, it cannot be had, or it cannot be read; the message
-        names file and line, or the way out.
+        Times in s from the first sample of the recording, positions in m. What cannot be had or
+        read is a DataError that names file and line, or the way out.
     """
+    notice = None
     if name is not None and _is_path(name):
         path = Path(name)
-        data = registry.read_bytes(path)  # a missing file is told before a missing --format
-        format_name = format_of(path, format=format)
         # Rows of another recording must never pass for those of a known one.
-        title = path.name if path.stem in KNOWN else path.stem
-        return _read(Known(shown(title), format=format_name, fps=fps), data, path)
-    if name is None:
-        source = KNOWN[DEFAULT if registry.locate(KNOWN[DEFAULT]) else FALLBACK]
+        title = shown(path.name if path.stem in KNOWN else path.stem)
+        source = registry.Known(title, format=format or "", fps=fps)
+        files = {MAIN_FILE: path}
     else:
-        source = registry.known(str(name))
-    if format is not None or fps is not None:
-        raise DataError(
-            f"{'the default data set' if name is None else source.name} is known by name: "
-            "leave --format and --fps out (they describe a file of your own)"
-        )
-    if source.session is not None:
-        path = crowd.bundled_path(source.session)
-        notice = (
-            f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated crowd "
-            f"{FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
-        )
-        return _dataset(
-            source,
-            registry.read_bytes(path),
-            f"isac_track/datasets/{path.name}",
-            crowd.bundled(source.session),
-            notice=notice if name is None else None,
-        )
-    files = registry.locate(source)
-    if absent := registry.missing(source, files):
-        if name is None or not download:
-            here = "".join(f"; {shown(path)} is" for path in files.values())
+        if name is None:
+            source = KNOWN[DEFAULT if registry.locate(KNOWN[DEFAULT])[0] else FALLBACK]
+        else:
+            source = registry.known(str(name))
+        if format is not None or fps is not None:
             raise DataError(
-                f"{source.name}: {' and '.join(absent)} not found{here} ({registry.searched()}). "
-                f"To get it: python -m isac_track.datasets fetch {source.name}"
+                f"{'the default data set' if name is None else source.name} is known by name: "
+                "leave --format and --fps out (they describe a file of your own)"
             )
-        from isac_track.datasets.download import fetch  # noqa: PLC0415 - seldom needed
+        if source.session is None:
+            files = registry.files_of(source, download=download and name is not None)
+        else:
+            files = {MAIN_FILE: crowd.bundled_path(source.session)}
+            if name is None:
+                notice = (
+                    f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated "
+                    f"crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
+                )
+    path = files[MAIN_FILE]
+    data = registry.read_bytes(path, data_set=source)
+    repairs: tuple[Repair, ...] = ()
+    if source.session is not None:
+        where, format_name = f"isac_track/datasets/{path.name}", "npz"
+        tracks = crowd.read_npz(path)
+    else:
+        where, format_name = shown(path), _format_of(path, source.format)
+        groups = []
+        if GROUPS_FILE in files:
+            lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
+            groups = [(member, line.split()[0]) for line in lines for member in line.split()]
+        tracks, repairs = read(
+            data=data, path=where, format=format_name, fps=source.fps, groups=groups
+        )
+    return Dataset(
+        name=source.name,
+        tracks=tracks,
+        path=where,
+        sha256=hashlib.sha256(data).hexdigest(),
+        format=format_name,
+        simulated=source.session is not None,
+        repairs=repairs,
+        notice=notice,
+        citation=source.citation,
+        licence=source.licence,
+    )
 
-        files, _ = fetch(source)
-    data = registry.read_bytes(files[registry.MAIN_FILE], data_set=source)
-    groups = []
-    if GROUPS_FILE in files:
-        for line in registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines():
-            groups += [(member, line.split()[0]) for member in line.split()]
-    return _read(source, data, files[registry.MAIN_FILE], groups)
 
-
-def format_of(path: Path, *, format: str | None) -> str:  # noqa: A002 - the name of the option
-    """Return the name of the format: `format`, or what the extension of `path` names.
-
-    It is a DataError if the format is unknown, or neither given nor named by the extension.
-    """
-    name = _EXTENSIONS.get(path.suffix.lower()) if format is None else format
+def _format_of(path: Path, name: str) -> str:
+    """Return the format that was named, or else the one that the extension names."""
+    name = name or _EXTENSIONS.get(path.suffix.lower(), "")
     known = ", ".join(FORMATS)
-    if name is None:
+    if not name:
         raise DataError(
             f"{shown(path)}: the format is not known from the name; give --format ({known})"
         )
     if name not in FORMATS:
-        hint = registry.did_you_mean(name, FORMATS)
+        hint = did_you_mean(name, FORMATS)
         raise DataError(f"unknown format {name!r}{hint} (known: {known})")
     return name
 
@@ -199,33 +203,48 @@ def _is_path(name: str | Path) -> bool:
     return is_path and name not in KNOWN
 
 
-def _read(
-    source: Known, data: bytes, path: Path, groups: Sequence[tuple[str, str]] = ()
-) -> Dataset:
-    tracks, repairs = read(
-        data=data, path=shown(path), format=source.format, fps=source.fps, groups=groups
-    )
-    return _dataset(source, data, shown(path), tracks, repairs=repairs)
+def summarise(tracks: Tracks) -> DataFrame:
+    """Return the statistics of every track; a step is from one sample to the next.
+
+    The N rows have `steps`, their number; `duration_s`; `speed_mean_mps`, the length of the path
+    over the duration; `speed_sd_mps`, the standard deviation over time of the step speed;
+    `slow_share` and `still_share`, the shares of steps slower than `SLOW_MPS` and of exactly no
+    length (all four NaN for a single sample); and `frozen`, nearly frozen tracks.
+    """
+    import pandas as pd  # noqa: PLC0415 - `--help` stays quick
+
+    first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
+    steps = last - first
+    owner = np.repeat(np.arange(len(tracks)), steps)
+    within = steps_within(tracks.offsets)
+    length = np.linalg.norm(np.diff(tracks.xy, axis=0), axis=1)[within]
+    lasting = np.diff(tracks.t)[within]
+    speed = length / lasting
+
+    def per_track(values: Floats | Bools) -> Floats:
+        return np.bincount(owner, weights=values, minlength=len(tracks)).astype(np.float64)
+
+    duration = tracks.t[last] - tracks.t[first]
+    with np.errstate(invalid="ignore"):  # 0 / 0 of a single sample is NaN, as promised
+        mean = per_track(length) / duration
+        summary = {
+            "steps": steps,
+            "duration_s": duration,
+            "speed_mean_mps": mean,
+            "speed_sd_mps": np.sqrt(per_track((speed - mean[owner]) ** 2 * lasting) / duration),
+            "slow_share": per_track(speed < SLOW_MPS) / steps,
+            "still_share": per_track(length == 0) / steps,
+        }
+    return pd.DataFrame(summary | {"frozen": summary["still_share"] >= FROZEN_SHARE})
 
 
-def _dataset(
-    source: Known,
-    data: bytes,
-    path: str,
-    tracks: Tracks,
-    *,
-    repairs: tuple[Repair, ...] = (),
-    notice: str | None = None,
-) -> Dataset:
-    return Dataset(
-        name=source.name,
-        tracks=tracks,
-        path=path,
-        sha256=hashlib.sha256(data).hexdigest(),
-        format=source.format,
-        simulated=source.simulated,
-        repairs=repairs,
-        notice=notice,
-        citation=source.citation,
-        licence=source.licence,
-    )
+def still_share(summary: DataFrame) -> float:
+    """Return the share of exactly-zero steps among all steps; NaN without steps."""
+    n_steps = summary["steps"].sum()
+    return float((summary["still_share"] * summary["steps"]).sum() / n_steps) if n_steps else np.nan
+
+
+def n_lasting(summary: DataFrame, duration_s: float) -> int:
+    """Return how many tracks last at least this long."""
+    # The clock rounds: 21.6 s at 25 frames a second is 540 frames.
+    return int((summary["duration_s"] >= duration_s - _CLOCK_S).sum())

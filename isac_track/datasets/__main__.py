@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.command_line import DONE, WRONG, Parser, exit_code
-from isac_track.datasets import load
-from isac_track.datasets.recording import listed
-from isac_track.datasets.registry import KNOWN, known, locate, missing, searched, shown
-from isac_track.datasets.summary import (
+from isac_track.datasets import (
     FROZEN_SHARE,
     SLOW_MPS,
+    load,
     n_lasting,
+    registry,
+    still_share,
     summarise,
-    total_still_share,
 )
+from isac_track.datasets.recording import listed
+from isac_track.datasets.registry import KNOWN, shown
 from isac_track.errors import IsacTrackError
 
 if TYPE_CHECKING:
@@ -27,26 +28,19 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from isac_track.datasets import Dataset
-
 _LONG_S = (12.0, 21.6)
 """Durations of interest: 21.6 s are the tracks that scenes are made of."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 2 for wrong usage or data, 130 if interrupted."""
-    return exit_code(lambda: _run(_parser().parse_args(argv)))
 
+    def run() -> int:
+        arguments = _parser().parse_args(argv)
+        command = {"show": _show, "fetch": _fetch}.get(arguments.command, _list)
+        return command(arguments)
 
-def _run(arguments: argparse.Namespace) -> int:
-    if arguments.command == "show":
-        _show(load(arguments.name, format=arguments.format, fps=arguments.fps))
-    elif arguments.command == "fetch":
-        for name in arguments.name:
-            _fetch(name)
-    else:
-        return _list()
-    return DONE
+    return exit_code(run)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -83,7 +77,7 @@ def _table(label: str, *columns: str) -> Table:
     return table
 
 
-def _list() -> int:
+def _list(_: argparse.Namespace) -> int:
     table = _table(
         "data set", "tracks", *(f">={s:g} s" for s in _LONG_S), "median s", "m/s", "zero", "frozen"
     )
@@ -93,7 +87,7 @@ def _list() -> int:
         cells = ["-"] * 7
         where = f"not here; `python -m isac_track.datasets fetch {data_set.name}`"
         try:
-            if not missing(data_set, locate(data_set)):
+            if not registry.locate(data_set)[1]:
                 found = load(data_set.name, download=False)
                 summary = summarise(found.tracks)
                 where = found.path
@@ -102,7 +96,7 @@ def _list() -> int:
                     *(f"{n_lasting(summary, duration_s)}" for duration_s in _LONG_S),
                     f"{summary.duration_s.median():.1f}",
                     f"{summary.speed_mean_mps.median():.2f}",
-                    f"{total_still_share(summary):.1%}",
+                    f"{still_share(summary):.1%}",
                     f"{summary.frozen.sum()}",
                 ]
         except IsacTrackError as error:
@@ -112,7 +106,7 @@ def _list() -> int:
         notes.append(f"{data_set.name}: {data_set.about}; {where}")
     console = _console()
     console.print(table, soft_wrap=False)
-    console.print("", *notes, searched(), sep="\n")
+    console.print("", *notes, registry.searched(), sep="\n")
     console.print(
         f"m/s: median of the tracks' mean speeds. zero: share of steps of exactly no "
         f"length. frozen: tracks with at least {FROZEN_SHARE:.0%} such steps.",
@@ -121,20 +115,19 @@ def _list() -> int:
     return status
 
 
-def _show(found: Dataset) -> None:
+def _show(arguments: argparse.Namespace) -> int:
+    found = load(arguments.name, format=arguments.format, fps=arguments.fps)
     tracks, summary = found.tracks, summarise(found.tracks)
     frozen = [tracks.source[row] for row in np.flatnonzero(summary.frozen)]
+    lasting = (f"{n_lasting(summary, one_s)} of at least {one_s:g} s" for one_s in _LONG_S)
     facts = {
         "name": found.name + (" (simulated)" if found.simulated else ""),
         "path": found.path,
         "format": found.format,
         "sha256": found.sha256,
         "tracks": f"{len(tracks)} in {len(set(tracks.group))} groups, {tracks.t.size} samples",
-        "long tracks": ", ".join(
-            f"{n_lasting(summary, duration_s)} of at least {duration_s:g} s"
-            for duration_s in _LONG_S
-        ),
-        "zero steps": f"{total_still_share(summary):.1%} of all steps have exactly no length",
+        "long tracks": ", ".join(lasting),
+        "zero steps": f"{still_share(summary):.1%} of all steps have exactly no length",
         "frozen": f"{len(frozen)} tracks with at least {FROZEN_SHARE:.0%} steps of no length"
         + (f": {listed(frozen)}" if frozen else ""),
         "repairs": f"{len(found.repairs)} kind(s), see below" if found.repairs else "none",
@@ -161,20 +154,21 @@ def _show(found: Dataset) -> None:
         console.print()
     for repair in found.repairs:
         console.print(f"{repair.count:>6} {repair.kind:<14} {repair.detail}")
+    return DONE
 
 
-def _fetch(name: str) -> None:
-    from isac_track.datasets.download import fetch  # noqa: PLC0415 - `--help` stays quick
-
-    data_set = known(name)
+def _fetch(arguments: argparse.Namespace) -> int:
     console = _console()
-    if data_set.simulated:
-        console.print(f"{name} is bundled: nothing to fetch")
-        return
-    files, downloaded = fetch(data_set)
-    done = "fetched" if downloaded else "already here"
-    for path in files.values():
-        console.print(f"{name}: {done}: {shown(path)}")
+    for name in arguments.name:
+        data_set = registry.known(name)
+        if data_set.session is not None:
+            console.print(f"{name} is bundled: nothing to fetch")
+            continue
+        files, downloaded = registry.fetch(data_set)
+        done = "fetched" if downloaded else "already here"
+        for path in files.values():
+            console.print(f"{name}: {done}: {shown(path)}")
+    return DONE
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import json
 import re
 import warnings
 from array import array
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,29 +18,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from isac_track.datasets.recording import Repair, Rows
-    from isac_track.types import Floats
 
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """The columns of one format."""
-
-    name: str
-    columns: tuple[str, ...]
-    """``frame``, ``id``, ``x`` and ``y`` are used."""
-    may_have_more: bool = False
-    has_header: bool = False
-    """Whether comments may tell frame rate and unit of length."""
-
-
-LAYOUTS = (
+COLUMNS = {
     # Of OpenTraj; height and velocities are not used.
-    Layout("obsmat", ("frame", "id", "x", "z", "y", "vx", "vz", "vy")),
+    "obsmat": ("frame", "id", "x", "z", "y", "vx", "vz", "vy"),
     # Of Social-GAN and its successors.
-    Layout("social-gan", ("frame", "id", "x", "y")),
-    # Of PedPy and JuPedSim: `# framerate: 25` and `x/m` or `x/cm` before the first row.
-    Layout("pedpy", ("id", "frame", "x", "y"), may_have_more=True, has_header=True),
-)
+    "social-gan": ("frame", "id", "x", "y"),
+    # Of PedPy and JuPedSim: `# framerate: 25` and `x/m` or `x/cm` before the first row; there may
+    # be more columns.
+    "pedpy": ("id", "frame", "x", "y"),
+}
+"""Of each format with a row of numbers a line."""
 _HEADER_CHARACTERS = 1000
 _METRES = {"m": 1.0, "cm": 0.01}
 _TRACK_FIELDS = ("f", "p", "x", "y")
@@ -48,26 +36,43 @@ _LONGEST_LINE = 10_000
 """Characters: what a line holds beyond its row is not used, and takes memory."""
 
 
-def read_columns(*, data: bytes, path: str, fps: float | None, layout: Layout) -> Rows:
+def read_columns(format_name: str, *, data: bytes, path: str, fps: float | None) -> Rows:
     """Read rows of numbers with spaces or tabs between them; ``#`` begins a comment.
 
     A DataError names file and line, or says that `fps` is missing or contradicts the file's.
     """
     recording.check_text(data=data, path=path)
-    declared, metres = _header(data=data, path=path) if layout.has_header else (None, 1.0)
-    if fps is not None and declared is not None and fps != declared:
-        raise DataError(f"{path}: --fps {fps:g} contradicts the file's framerate {declared:g}")
+    has_header = format_name == "pedpy"
+    declared, metres = _header(data=data, path=path) if has_header else (None, 1.0)
     rate = declared if fps is None else fps
     if rate is None:
-        header = " and the file's header has no framerate" if layout.has_header else ""
+        header = " and the file's header has no framerate" if has_header else ""
         raise DataError(
-            f"{path}: format {layout.name} counts frames{header}; "
+            f"{path}: format {format_name} counts frames{header}; "
             "give frames per second with --fps (25 for UCY)"
         )
-    table = _table(data=data, path=path, layout=layout)
+    if declared not in {None, rate}:
+        raise DataError(f"{path}: --fps {rate:g} contradicts the file's framerate {declared:g}")
+    columns = COLUMNS[format_name]
+    fault: Exception | None = None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of an empty table: an error below
+            table = np.loadtxt(recording.lines_of(data), dtype=np.float64, ndmin=2)
+    except (ValueError, OverflowError, MemoryError) as error:
+        fault, table = error, np.zeros((1, 0))
+    if not len(table):
+        raise DataError(f"{path}: the file holds no rows")
+    if not _fits(table.shape[1], format_name):
+        n_first = 0
+        for number, fields in _split(data):
+            if message := _fault(fields, format_name, n_first):
+                raise DataError(f"{path}, line {number}: {message}")
+            n_first = len(fields)
+        raise DataError(f"{path}: cannot be read as {format_name}: {fault}")
     place = recording.Place(path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64))
     used = ("frame", "id", "x", "y")
-    rows = recording.framed({name: table[:, layout.columns.index(name)] for name in used}, place)
+    rows = recording.framed({name: table[:, columns.index(name)] for name in used}, place)
     if metres == 1.0:
         return replace(rows, t=rows.t / rate)
     detail = f"{path}: positions in cm, as the header says; converted to m"
@@ -104,29 +109,6 @@ def _header(*, data: bytes, path: str) -> tuple[float | None, float]:
     return fps, _METRES[next(iter(units), "m")]
 
 
-def _table(*, data: bytes, path: str, layout: Layout) -> Floats:
-    """Return (M, columns): in one go if all is well, else the first bad line is looked for."""
-    fault: Exception | None = None
-    table = np.zeros((0, len(layout.columns)))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of an empty table: an error below
-            table = np.loadtxt(recording.lines_of(data), dtype=np.float64, ndmin=2)
-    except (ValueError, OverflowError, MemoryError) as error:
-        fault = error
-    else:
-        if not table.size:
-            raise DataError(f"{path}: the file holds no rows")
-    if fault or not _fits(table.shape[1], layout):
-        n_first = 0
-        for number, fields in _split(data):
-            if message := _fault(fields, layout, n_first):
-                raise DataError(f"{path}, line {number}: {message}") from None
-            n_first = len(fields)
-        raise DataError(f"{path}: cannot be read as {layout.name}: {fault}") from None
-    return table
-
-
 def _split(data: bytes) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and fields of every row, as loadtxt counts rows."""
     for number, line in enumerate(recording.lines_of(data), start=1):
@@ -134,25 +116,24 @@ def _split(data: bytes) -> Iterator[tuple[int, list[str]]]:
             yield number, fields
 
 
-def _fits(n_fields: int, layout: Layout) -> bool:
-    needed = len(layout.columns)
-    return n_fields == needed or (layout.may_have_more and n_fields > needed)
+def _fits(n_fields: int, format_name: str) -> bool:
+    needed = len(COLUMNS[format_name])
+    return n_fields == needed or (format_name == "pedpy" and n_fields > needed)
 
 
-def _fault(fields: list[str], layout: Layout, n_first: int) -> str:
+def _fault(fields: list[str], format_name: str, n_first: int) -> str:
     """Return what is wrong with a row behind rows of `n_first` fields; empty if nothing is."""
     for separator, name in ((";", "semicolons"), (",", "commas")):
         found = [field for field in fields if separator in field]
-        is_decimal = any(re.fullmatch(r"[-+]?\d*,\d+", field) for field in found)
-        if is_decimal and separator == "," and len(fields) > 1:
+        if len(fields) > 1 and any(re.fullmatch(r"[-+]?\d*,\d+", field) for field in found):
             return f"{found[0][:40]!r} has a decimal comma; write a decimal point"
         if found:
             way_out = "this format has spaces or tabs (or use --format csv)"
             return f"{name} between the numbers; {way_out}"
-    if not _fits(len(fields), layout):
-        least = "at least " if layout.may_have_more else ""
-        needed = f"{least}{len(layout.columns)} ({' '.join(layout.columns)})"
-        return f"{len(fields)} column(s) where {layout.name} has {needed}"
+    if not _fits(len(fields), format_name):
+        least, columns = "at least " if format_name == "pedpy" else "", COLUMNS[format_name]
+        needed = f"{least}{len(columns)} ({' '.join(columns)})"
+        return f"{len(fields)} column(s) where {format_name} has {needed}"
     if n_first not in {0, len(fields)}:
         return f"{len(fields)} columns where the rows before have {n_first}"
     for field in fields:
@@ -201,17 +182,44 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     place = recording.Place(path, lambda: np.array(lines, dtype=np.int64))
     table = np.frombuffer(values).reshape(-1, 4).T
     rows = recording.framed(dict(zip(_TRACK_FIELDS, table, strict=True)), place)
+    scenes = recording.Place(path, lambda: np.array(scene_lines, dtype=np.int64))
+    notes = scenes.noted(
+        "scene-lines", np.arange(len(scene_lines)), "scene lines; whole tracks are used"
+    )
+    if row_rates:
+        fps = _frame_rate(rows, row_rates=row_rates, fps=fps, path=path, notes=notes)
+    if fps is None:
+        raise DataError(
+            f"{path}: no scene line gives fps; give frames per second with --fps "
+            '(2.5 only if "f" counts rows, not video frames)'
+        )
+    return replace(rows, t=rows.t / fps, notes=tuple(notes))
+
+
+def _frame_rate(
+    rows: Rows, *, row_rates: dict[float, int], fps: float | None, path: str, notes: list[Repair]
+) -> float:
+    """Return the frame rate that the scene lines give; a note is made if it is not their `fps`."""
+    (row_rate, line), *others = row_rates.items()
+    for other, other_line in others:
+        reason = f"scene fps {other:g} contradicts the {row_rate:g} of line {line}"
+        raise DataError(f"{path}, line {other_line}: {reason}")
     # The commonest step in frames between rows of one person; 1 if there is none.
     order = np.lexsort((rows.t, rows.person))
     steps = np.diff(rows.t[order])[np.diff(rows.person[order]) == 0]
     commonest, counts = np.unique(steps[steps > 0], return_counts=True)
     step = float(commonest[counts.argmax()]) if commonest.size else 1.0
-    fps, clock = _frame_rate(row_rates=row_rates, step=step, fps=fps, path=path)
-    scenes = recording.Place(path, lambda: np.array(scene_lines, dtype=np.int64))
-    ignored = scenes.noted(
-        "scene-lines", np.arange(len(scene_lines)), "scene lines; whole tracks are used"
-    )
-    return replace(rows, t=rows.t / fps, notes=(*ignored, *clock))
+    where, clock = f"{path}, line {line}", f"{row_rate:g} rows a second, {step:g} frames apart"
+    declared = recording.checked_fps(row_rate, where=where) * step
+    if fps is not None and not np.isclose(fps, declared, rtol=1e-6):
+        raise DataError(
+            f"{path}: --fps {fps:g} contradicts the scene lines: {clock}, "
+            f"are {declared:g} frames a second; leave --fps out"
+        )
+    if step != 1.0:
+        detail = f"{path}: line {line}: {clock}; times are frames at {declared:g} a second"
+        notes.append(recording.Repair("frame-clock", 1, detail))
+    return recording.checked_fps(declared, where=where)
 
 
 def _parse(line: str) -> tuple[str, dict[str, Any]]:
@@ -242,30 +250,3 @@ def _number(content: dict[str, Any], name: str) -> float:
         return float(value)
     except OverflowError:
         raise ValueError(f"{name} is out of range") from None
-
-
-def _frame_rate(
-    *, row_rates: dict[float, int], step: float, fps: float | None, path: str
-) -> tuple[float, list[Repair]]:
-    if not row_rates:
-        if fps is None:
-            raise DataError(
-                f"{path}: no scene line gives fps; give frames per second with --fps "
-                '(2.5 only if "f" counts rows, not video frames)'
-            )
-        return fps, []
-    (row_rate, line), *others = row_rates.items()
-    for other, other_line in others:
-        reason = f"scene fps {other:g} contradicts the {row_rate:g} of line {line}"
-        raise DataError(f"{path}, line {other_line}: {reason}")
-    where = f"{path}, line {line}"
-    declared = recording.checked_fps(row_rate, where=where) * step
-    clock = f"{row_rate:g} rows a second, {step:g} frames apart"
-    if fps is not None and not np.isclose(fps, declared, rtol=1e-6):
-        raise DataError(
-            f"{path}: --fps {fps:g} contradicts the scene lines: {clock}, "
-            f"are {declared:g} frames a second; leave --fps out"
-        )
-    recording.checked_fps(declared, where=where)
-    detail = f"{path}: line {line}: {clock}; times are frames at {declared:g} a second"
-    return declared, [] if step == 1.0 else [recording.Repair("frame-clock", 1, detail)]

@@ -110,31 +110,29 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
         del table
         for column in columns.values():
             column.validate(full=True)  # pyarrow reads codes beyond the dictionary as they are
+        for name in used:  # pyarrow passes over what its parts call differently
+            if name not in columns:
+                raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - told below
     except Exception as error:  # noqa: BLE001 - as above
         raise DataError(f"{path}: the parquet file is damaged ({brief(error)})") from None
-    lost = [name for name in used if name not in columns]
-    if lost:  # pyarrow passes over what its parts call differently
-        raise DataError(f"{path}: the parquet file is damaged (column {lost[0]} is not in it)")
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
     return _rows(columns, names=names, place=place)
 
 
 def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
-    message = ""
-    names: tuple[str, ...] = ()
+    where = f"{path}, line 1"
     try:
         names = tuple(name.strip() for name in next(csv.reader([header]), []))
     except csv.Error as error:
-        message = f"the header cannot be read: {error}"
-    if len(names) == 1:
-        for separator, name in ((" ", "spaces"), ("\t", "tabs"), (";", "semicolons")):
-            if separator in header.strip():
-                message = f"{name} between the columns; csv has commas (and decimal points)"
+        raise DataError(f"{where}: the header cannot be read: {error}") from None
+    for separator, name in ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces")):
+        if len(names) == 1 and separator in header.strip():
+            message = f"{name} between the columns; csv has commas (and decimal points)"
+            raise DataError(f"{where}: {message}")
     if len(names) > _MOST_COLUMNS:
         message = f"{len(names)} columns, over {_MOST_COLUMNS}; leave out what is not used"
-    if message:
-        raise DataError(f"{path}, line 1: {message}")
-    _check_header(names=names, where=f"{path}, line 1")
+        raise DataError(f"{where}: {message}")
+    _check_header(names=names, where=where)
     return names
 
 
@@ -221,8 +219,8 @@ def _index(
     import pyarrow as pa  # noqa: PLC0415
 
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
-    known = (pa.types.is_integer, pa.types.is_floating, pa.types.is_string)
-    if not any(check(kind) for check in (*known, pa.types.is_large_string)):
+    is_text = kind in {pa.string(), pa.large_string()}
+    if not (is_text or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         raise DataError(f"{place.path}: ids and groups must be numbers or text, not {kind}")
     try:
         values = column.to_pandas(integer_object_nulls=True)

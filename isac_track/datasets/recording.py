@@ -108,17 +108,16 @@ def check_numbers(columns: Mapping[str, Floats], place: Place) -> None:
 
     The DataError of the first row that offends names its line.
     """
-    names = list(columns)
-    bad = np.zeros((columns[names[0]].size, len(names)), dtype=bool)
-    for index, name in enumerate(names):
-        column = columns[name]
-        bad[:, index] = ~(np.abs(column) < _LIMITS[name])  # True for NaN
+    offending = []
+    for index, (name, column) in enumerate(columns.items()):
+        bad = ~(np.abs(column) < _LIMITS[name])  # True for NaN
         if _LIMITS[name] == WHOLE_LIMIT:
-            bad[:, index] |= column != np.floor(column)
-    if not bad.any():
+            bad |= column != np.floor(column)
+        if bad.any():
+            offending.append((int(bad.argmax()), index, name))
+    if not offending:
         return
-    row, index = divmod(int(bad.argmax()), len(names))
-    name = names[index]
+    row, _, name = min(offending)
     value, limit = float(columns[name][row]), _LIMITS[name]
     reason = f"{name} {value:g} is not a whole number"
     if not np.isfinite(value):

@@ -1,29 +1,40 @@
-"""The data sets known by name, and where on this machine their files are."""
+"""The data sets known by name: where on this machine their files are, and how they get there."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from isac_track.datasets.recording import printable
-from isac_track.errors import DataError
+from isac_track.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 DATA_VARIABLE = "ISAC_TRACK_DATA"
 """Folder of data sets that the user keeps: ``NAME/obsmat.txt``. Only read."""
 CACHE_VARIABLE = "ISAC_TRACK_CACHE"
 """Folder for downloads, instead of the user's cache."""
+MIRROR_VARIABLE = "ISAC_TRACK_MIRROR"
+"""Base URL to download from instead of GitHub; hashes are checked all the same."""
 DEFAULT = "students03"
 FALLBACK = "plaza"
 MAIN_FILE = "obsmat.txt"
 GROUPS_FILE = "groups.txt"
+_OPENTRAJ = (
+    "https://raw.githubusercontent.com/crowdbotp/OpenTraj/"
+    "97ec1d5e1b579f26febeaa9083705952deac338a/datasets/UCY"
+)
+CONNECT_TIMEOUT_S = 5.0
+READ_TIMEOUT_S = 30.0
+_CHUNK_BYTES = 16_384
+_MOST_BYTES = 100_000_000
+"""Far more than any known file: what goes on for longer is not one of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +47,10 @@ class Known:
     licence: str = ""
     session: int | None = None
     """Number of the bundled session, if this is the bundled crowd."""
-    format: str = "npz"
+    format: str = ""
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     """Hash of every file, by file name; empty if bundled or of one's own."""
-
-    @property
-    def simulated(self) -> bool:
-        """True if nobody walked there."""
-        return self.session is not None
 
 
 _UCY = partial(
@@ -90,12 +96,6 @@ def known(name: str) -> Known:
     )
 
 
-def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """Return the end of a message that offers the nearest of `names`; empty if none is near."""
-    near = get_close_matches(name, list(names), n=1)
-    return f"; did you mean {near[0]}?" if near else ""
-
-
 def _folder(variable: str) -> Path | None:
     """Return the folder that an environment variable names, if it is set."""
     value = os.environ.get(variable, "").strip()
@@ -111,23 +111,19 @@ def cache_folder() -> Path:
     return Path(pooch.os_cache("isac-track"))
 
 
-def locate(data_set: Known) -> dict[str, Path]:
-    """Return the path of each file of `data_set` that is here, by file name.
+def locate(data_set: Known) -> tuple[dict[str, Path], list[str]]:
+    """Return the path of each file of `data_set` that is here, by name, and what is missing.
 
     The data folder comes before the cache. Hashes are checked when the files are read.
     """
     folders = [folder for folder in (cache_folder(), _folder(DATA_VARIABLE)) if folder]
-    return {
+    files = {
         file_name: folder / data_set.name / file_name
         for folder in folders
         for file_name in data_set.sha256
         if os.path.isfile(folder / data_set.name / file_name)  # noqa: PTH113 - never raises
     }
-
-
-def missing(data_set: Known, files: Mapping[str, Path]) -> list[str]:
-    """Return the names of the files of `data_set` that are not among `files`."""
-    return [file_name for file_name in data_set.sha256 if file_name not in files]
+    return files, [file_name for file_name in data_set.sha256 if file_name not in files]
 
 
 def searched() -> str:
@@ -157,12 +153,8 @@ def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise DataError(f"{shown(path)}: cannot be read ({error.strerror})") from None
-    except MemoryError:
-        raise DataError(f"{shown(path)}: the file is too large for the memory") from None
-    if data_set is None:
-        return data
-    actual, expected = hashlib.sha256(data).hexdigest(), data_set.sha256[path.name]
-    if actual != expected:
+    expected = data_set.sha256.get(path.name) if data_set else None
+    if data_set and expected and (actual := hashlib.sha256(data).hexdigest()) != expected:
         raise DataError(
             f"{shown(path)} is not the {path.name} of {data_set.name}: sha256 is {actual}, "
             f"expected {expected}. Remove it and run `python -m isac_track.datasets fetch "
@@ -170,3 +162,118 @@ def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
             f"{data_set.format} and --fps"
         )
     return data
+
+
+def url_of(data_set: Known, file_name: str) -> str:
+    """Return where a file of a known data set is downloaded from."""
+    base = os.environ.get(MIRROR_VARIABLE, "").strip() or _OPENTRAJ
+    return f"{base.rstrip('/')}/{data_set.name}/{file_name}"
+
+
+def files_of(data_set: Known, *, download: bool) -> dict[str, Path]:
+    """Return the path of every file of a known data set, downloaded if it is missing and may be."""
+    files, absent = locate(data_set)
+    if absent and download:
+        return fetch(data_set)[0]
+    if absent:
+        here = "".join(f"; {shown(path)} is" for path in files.values())
+        raise DataError(
+            f"{data_set.name}: {' and '.join(absent)} not found{here} ({searched()}). "
+            f"To get it: python -m isac_track.datasets fetch {data_set.name}"
+        )
+    return files
+
+
+def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
+    """Return the path of every file, and whether any was downloaded.
+
+    Files go to the cache whole and checked, or not at all. A damaged file in the cache is ours to
+    replace; one in the user's own folder is not. Progress is shown on stderr. It is a DataError
+    if a file cannot be had, with the way out, or if the user's own is not the right one.
+    """
+    import requests  # noqa: PLC0415 - a plain import of the package stays quick
+
+    folder = cache_folder() / data_set.name
+    files, absent = locate(data_set)
+    for file_name, path in files.items():
+        try:
+            read_bytes(path, data_set=data_set)
+        except DataError:
+            if path != folder / file_name:
+                raise
+            absent.append(file_name)
+    for file_name in absent:
+        url, target = url_of(data_set, file_name), folder / file_name
+        way_out = (
+            f"Way out: get {' and '.join(data_set.sha256)} of that folder by any means, save in "
+            f"DIR/{data_set.name} and set {DATA_VARIABLE}=DIR"
+        )
+        unchecked = folder / f".{file_name}.{os.getpid()}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            actual = _download(url, unchecked, title=f"{data_set.name}/{file_name}")
+            if actual != data_set.sha256[file_name]:
+                raise ValueError(f"sha256 is {actual}, expected {data_set.sha256[file_name]}")  # noqa: TRY301 - told below
+            unchecked.replace(target)
+        except requests.RequestException as error:
+            raise DataError(f"{url}: {_reason(error)}. {way_out}") from None
+        except OSError as error:
+            reason = error.strerror or type(error).__name__
+            raise DataError(f"{shown(target)}: cannot be written ({reason})") from None
+        except ValueError as error:
+            raise DataError(f"{url}: not the expected file: {error}. {way_out}") from None
+        finally:
+            with contextlib.suppress(OSError):
+                unchecked.unlink()
+        files[file_name] = target
+    return files, bool(absent)
+
+
+def _reason(error: Exception) -> str:
+    """Return in words why requests got nothing."""
+    from requests import exceptions  # noqa: PLC0415 - as above
+
+    if isinstance(error, exceptions.HTTPError):
+        return f"the server answered {getattr(error.response, 'status_code', '')}"
+    # A server that falls silent in the middle is no Timeout to requests.
+    silent = "no answer in time"
+    broken = silent if "timed out" in str(error) else "no connection, or it broke off (offline?)"
+    for kind, reason in (
+        (exceptions.ProxyError, "the proxy refuses the connection"),
+        (exceptions.SSLError, "no trusted connection (a proxy that opens TLS?)"),
+        (exceptions.ChunkedEncodingError, "the connection broke off"),
+        (exceptions.Timeout, silent),
+        (exceptions.ConnectionError, broken),
+    ):
+        if isinstance(error, kind):
+            return reason
+    return f"cannot be downloaded ({type(error).__name__})"
+
+
+def _download(url: str, into: Path, *, title: str) -> str:
+    """Write what `url` gives to a file, with a progress bar; return its sha256."""
+    import requests  # noqa: PLC0415 - as above
+    from rich import progress  # noqa: PLC0415
+    from rich.console import Console  # noqa: PLC0415
+
+    bar = progress.Progress(
+        *progress.Progress.get_default_columns()[:2],
+        progress.DownloadColumn(),
+        console=Console(stderr=True),
+    )
+    # Unpacked on the way, a body could not be measured against its announced length.
+    headers = {"Accept-Encoding": "identity"}
+    timeout_s = (CONNECT_TIMEOUT_S, READ_TIMEOUT_S)
+    with requests.get(url, stream=True, timeout=timeout_s, headers=headers) as response:
+        response.raise_for_status()
+        announced = response.headers.get("Content-Length", "")
+        digest = hashlib.sha256()
+        with bar, into.open("wb") as file:
+            task = bar.add_task(title, total=int(announced) if announced.isdigit() else None)
+            for chunk in response.iter_content(_CHUNK_BYTES):
+                file.write(chunk)
+                digest.update(chunk)
+                if file.tell() > _MOST_BYTES:
+                    raise ValueError(f"over {_MOST_BYTES} bytes")
+                bar.advance(task, len(chunk))
+    return digest.hexdigest()

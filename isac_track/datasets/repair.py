@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +15,8 @@ from isac_track.types import Tracks
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from isac_track.datasets.recording import Place, Repair, Rows
-    from isac_track.types import Bools, Floats, Ints
+    from isac_track.datasets.recording import Repair, Rows
+    from isac_track.types import Bools, Ints
 
 SAME_TIME_S = 1e-7
 """Samples of one id closer than this are at one time: no recording has a frame rate above 1 MHz,
@@ -44,42 +45,34 @@ def to_tracks(
     track has two samples, or if steps or speeds show that units, frame rate or columns are wrong.
     """
     place, ids, members = rows.place, rows.ids, (*rows.groups, *groups)
-    # One column after the other, each in the place of the one before: files may be large.
-    person, t, xy = rows.person, rows.t, rows.xy
     notes = [*rows.notes]
-    del rows
-    order = np.argsort(person, kind="stable")
-    late = (np.diff(t[order]) < 0) & (np.diff(person[order]) == 0)
+    order = np.argsort(rows.person, kind="stable")
+    late = (np.diff(rows.t[order]) < 0) & (np.diff(rows.person[order]) == 0)
     text = "earlier than the row before of the same id; sorted"
     notes += place.noted("unsorted", order[1:][late], text)
-    order = np.lexsort((t, person))  # stable
-    person = person[order]
-    t = t[order]
-    xy = xy[order]
-    again = _copies(person=person, t=t, xy=xy, order=order, ids=ids, place=place)
+    order = np.lexsort((rows.t, rows.person))  # stable
+    # Under the one name, here and below, so that the rows before are let go: files may be large.
+    rows = _taken(rows, order)
+    again = _copies(rows, order)
     text = "the same id, time and position again; dropped"
     notes += place.noted("duplicate", order[1:][again], text)
     if again.any():
         keep = np.concatenate([[True], ~again])
-        person, t, xy, order = (column[keep] for column in (person, t, xy, order))
+        rows, order = _taken(rows, keep), order[keep]
 
-    cut, gaps = _cuts(person=person, t=t, order=order, place=place)
+    cut, gaps = _cuts(rows, order)
     notes += gaps
-    offsets = np.concatenate([[0], np.flatnonzero(cut) + 1, [t.size]])
-    lengths = np.diff(offsets)
-    owner = person[offsets[:-1]]
-    del person
-    single = lengths == 1
-    text = f"a single sample (id {listed([ids[index] for index in owner[single]])}); dropped"
-    notes += place.noted("one-point", order[offsets[:-1][single]], text)
+    lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut, [True]])))
+    single = np.repeat(lengths == 1, lengths)
+    text = f"a single sample (id {listed([ids[index] for index in rows.person[single]])}); dropped"
+    notes += place.noted("one-point", order[single], text)
     if single.any():
-        keep = np.repeat(~single, lengths)
-        t, xy, order = (column[keep] for column in (t, xy, order))
-        owner = owner[~single]
-        offsets = np.concatenate([[0], np.cumsum(lengths[~single])])
+        rows, order = _taken(rows, ~single), order[~single]
+    offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
+    t, owner = rows.t, rows.person[offsets[:-1]]
     if not t.size:
         raise DataError(f"{place.path}: no track has two samples")
-    notes += _check_speeds(t=t, xy=xy, offsets=offsets, order=order, place=place)
+    notes += _check_speeds(rows, offsets, order)
     usual_s = float(np.median(np.diff(t)[steps_within(offsets)], overwrite_input=True))
     if usual_s > LONGEST_STEP_S:
         raise DataError(
@@ -95,7 +88,7 @@ def to_tracks(
     first = np.cumsum(pieces) - pieces  # the tracks of a person follow each other
     tracks = Tracks(
         t=t,
-        xy=xy,
+        xy=rows.xy,
         offsets=offsets,
         source=tuple(
             f"{ids[index]}{mark}{track - first[index] + 1}" if pieces[index] > 1 else ids[index]
@@ -132,26 +125,29 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
     return tuple(prefix + root(label_of[name]) if name in label_of else name for name in ids)
 
 
-def _copies(
-    *, person: Ints, t: Floats, xy: Floats, order: Ints, ids: tuple[str, ...], place: Place
-) -> Bools:
+def _taken(rows: Rows, which: Ints | Bools) -> Rows:
+    return replace(rows, person=rows.person[which], t=rows.t[which], xy=rows.xy[which])
+
+
+def _copies(rows: Rows, order: Ints) -> Bools:
     """Return (M - 1,) which of the sorted rows say again what the one before them says."""
-    again: Bools = (np.diff(t) < SAME_TIME_S) & (person[1:] == person[:-1])
+    person, xy, place = rows.person, rows.xy, rows.place
+    again: Bools = (np.diff(rows.t) < SAME_TIME_S) & (person[1:] == person[:-1])
     other = again & (xy[1:] != xy[:-1]).any(axis=1)
     if other.any():
         at = int(other.argmax())
         first, second = sorted((int(order[at]), int(order[at + 1])))
         raise DataError(
-            f"{place.at(second)}: id {ids[person[at]]} is somewhere else at the same "
+            f"{place.at(second)}: id {rows.ids[person[at]]} is somewhere else at the same "
             f"time in {place.unit} {int(place.lines()[first])}"
         )
     return again
 
 
-def _cuts(*, person: Ints, t: Floats, order: Ints, place: Place) -> tuple[Bools, list[Repair]]:
+def _cuts(rows: Rows, order: Ints) -> tuple[Bools, list[Repair]]:
     """Return (M - 1,) where a new track begins: at a new person, or behind a long gap."""
-    steps = np.diff(t)
-    new = person[1:] != person[:-1]
+    steps = np.diff(rows.t)
+    new = rows.person[1:] != rows.person[:-1]
     if new.all():
         return new, []
     nominal = float(np.median(steps[~new], overwrite_input=True))
@@ -164,16 +160,14 @@ def _cuts(*, person: Ints, t: Floats, order: Ints, place: Place) -> tuple[Bools,
     ):
         longest = steps[where].max(initial=0)
         text = f"behind a gap (longest {longest:.3g} s, usual step {nominal:.3g} s); {done}"
-        notes += place.noted(kind, order[1:][where], text)
+        notes += rows.place.noted(kind, order[1:][where], text)
     return new | long, notes
 
 
-def _check_speeds(
-    *, t: Floats, xy: Floats, offsets: Ints, order: Ints, place: Place
-) -> list[Repair]:
+def _check_speeds(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
     within = steps_within(offsets)
-    distance = np.hypot(np.diff(xy[:, 0]), np.diff(xy[:, 1]))[within]
-    duration = np.diff(t)[within]
+    distance = np.hypot(np.diff(rows.xy[:, 0]), np.diff(rows.xy[:, 1]))[within]
+    duration = np.diff(rows.t)[within]
     moving = distance > 0
     if not moving.any():
         return []
@@ -182,7 +176,6 @@ def _check_speeds(
     with np.errstate(over="ignore"):
         speeds /= duration[moving]
     speed = float(np.median(speeds, overwrite_input=True))
-    del speeds, moving
     if not low <= speed <= high:
         guess = (
             "pixels or centimetres for metres, a wrong --fps, or frame and id swapped"
@@ -190,10 +183,10 @@ def _check_speeds(
             else "milliseconds for seconds, kilometres for metres, or a wrong --fps"
         )
         raise DataError(
-            f"{place.path}: the median speed of moving people is {speed:.3g} m/s, not within "
+            f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s, not within "
             f"{low:g} to {high:g}: {guess}?"
         )
     # Multiplied out: a step of a denormal time would overflow the quotient.
     fast = distance > FAST_STEP_MPS * duration
     text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
-    return place.noted("fast-step", order[1:][within][fast], text)
+    return rows.place.noted("fast-step", order[1:][within][fast], text)

@@ -62,14 +62,7 @@ _A = 9 * LANES
 _B = 10 * LANES
 _C = 11 * LANES
 _DET = 12 * LANES
-_G00 = 13 * LANES
-_G01 = 14 * LANES
-_G10 = 15 * LANES
-_G11 = 16 * LANES
-_C00 = 17 * LANES
-_C01 = 18 * LANES
-_C11 = 19 * LANES
-_ROW = 20 * LANES
+_ROW = 13 * LANES
 
 
 @compiled(*_LAST)
@@ -285,24 +278,6 @@ def _forward(buffer: Floats, n: int, q: float) -> None:
             a, b, c = rows[lane + _A], rows[lane + _B], rows[lane + _C]
             det = rows[lane + _DET]
             grown = q * dt
-            det_q = grown * grown * dt * dt / 12
-            inverse = 1 / (det + grown * (a + dt * (b + dt * c / 3)) + det_q)
-            det_share = det * inverse
-            det_q *= inverse
-            share = grown * inverse
-            spread = det_share * grown
-            # det / det is not 1 to the last bit, and what changes nothing must.
-            nothing = rows[at + _VARIANCE] == _NOTHING
-            g00 = det_share + share * (a + dt * b / 2)
-            g11 = det_share - share * dt * (b / 2 + dt * c / 6)
-            rows[at + _G00] = 1.0 if nothing else g00
-            rows[at + _G01] = -dt * (det_share + share * (a / 2 + dt * b / 6))
-            rows[at + _G10] = share * (b + dt * c / 2)
-            rows[at + _G11] = 1.0 if nothing else g11
-            rows[at + _C00] = det_q * a + spread * dt * dt / 3
-            rows[at + _C01] = det_q * b - spread * dt / 2
-            rows[at + _C11] = det_q * c + spread
-
             det += grown * (a + dt * (b + dt * (c / 3 + grown / 12)))
             a += dt * (2 * b + dt * (c + grown / 3))
             b += dt * (c + grown / 2)
@@ -325,7 +300,7 @@ def _forward(buffer: Floats, n: int, q: float) -> None:
 
 
 @part_of_loop
-def _backward(buffer: Floats, n: int) -> None:
+def _backward(buffer: Floats, n: int, q: float) -> None:
     """Smooth: the filtered state of each row gives way to the smoothed one."""
     for step in range(1, n):
         first = (n - step) * _ROW
@@ -333,8 +308,26 @@ def _backward(buffer: Floats, n: int) -> None:
         for lane in range(LANES):
             after = lane + _ROW
             dt = rows[after + _T] - rows[lane + _T]
-            g00, g01 = rows[after + _G00], rows[after + _G01]
-            g10, g11 = rows[after + _G10], rows[after + _G11]
+            pa, pb, pc = rows[lane + _A], rows[lane + _B], rows[lane + _C]
+            det = rows[lane + _DET]
+            grown = q * dt
+            det_q = grown * grown * dt * dt / 12
+            inverse = 1 / (det + grown * (pa + dt * (pb + dt * pc / 3)) + det_q)
+            det_share = det * inverse
+            det_q *= inverse
+            share = grown * inverse
+            spread = det_share * grown
+            # det / det is not 1 to the last bit, and what changes nothing must.
+            nothing = rows[after + _VARIANCE] == _NOTHING
+            g00 = det_share + share * (pa + dt * pb / 2)
+            g11 = det_share - share * dt * (pb / 2 + dt * pc / 6)
+            g00 = 1.0 if nothing else g00
+            g11 = 1.0 if nothing else g11
+            g01 = -dt * (det_share + share * (pa / 2 + dt * pb / 6))
+            g10 = share * (pb + dt * pc / 2)
+            c00 = det_q * pa + spread * dt * dt / 3
+            c01 = det_q * pb - spread * dt / 2
+            c11 = det_q * pc + spread
             a, b, c = rows[after + _A], rows[after + _B], rows[after + _C]
             fx, fvx = rows[lane + _PX], rows[lane + _VX]
             fy, fvy = rows[lane + _PY], rows[lane + _VY]
@@ -346,9 +339,9 @@ def _backward(buffer: Floats, n: int) -> None:
             rows[lane + _VY] = fvy + g10 * ey + g11 * evy
             h00, h01 = g00 * a + g01 * b, g00 * b + g01 * c
             h10, h11 = g10 * a + g11 * b, g10 * b + g11 * c
-            rows[lane + _A] = rows[after + _C00] + h00 * g00 + h01 * g01
-            rows[lane + _B] = rows[after + _C01] + h00 * g10 + h01 * g11
-            rows[lane + _C] = rows[after + _C11] + h10 * g10 + h11 * g11
+            rows[lane + _A] = c00 + h00 * g00 + h01 * g01
+            rows[lane + _B] = c01 + h00 * g10 + h01 * g11
+            rows[lane + _C] = c11 + h10 * g10 + h11 * g11
 
 
 @part_of_loop
@@ -382,36 +375,40 @@ def smooth_positions(
     """Smooth the tracks in `order`, `passes` times; the longest comes last."""
     longest = offsets[order[-1] + 1] - offsets[order[-1]] if order.size > 0 else 0
     buffer = np.zeros((longest + 1) * _ROW)
+    first, size = np.empty(LANES, dtype=np.int64), np.empty(LANES, dtype=np.int64)
     for group in range(0, order.size, LANES):
-        last = order[min(group + LANES, order.size) - 1]
-        n = offsets[last + 1] - offsets[last]
+        used = min(LANES, order.size - group)
         for lane in range(LANES):
-            i = order[min(group + lane, order.size - 1)]  # the last track fills empty lanes
-            first, size = offsets[i], offsets[i + 1] - offsets[i]
-            buffer[lane + _T] = t[first]
-            buffer[lane + _PX], buffer[lane + _PY] = xy[first, 0], xy[first, 1]
+            i = order[group + min(lane, used - 1)]  # the last track fills empty lanes
+            first[lane], size[lane] = offsets[i], offsets[i + 1] - offsets[i]
+            start = first[lane]
+            buffer[lane + _T] = t[start]
+            buffer[lane + _PX], buffer[lane + _PY] = xy[start, 0], xy[start, 1]
             buffer[lane + _VX] = buffer[lane + _VY] = buffer[lane + _B] = 0.0
             buffer[lane + _A], buffer[lane + _C] = prior[0], prior[1]
             buffer[lane + _DET] = prior[0] * prior[1]
-            for k in range(n):
-                at = (k + 1) * _ROW + lane
-                own = first + min(k, size - 1)
-                buffer[at + _T] = t[own]
-                buffer[at + _X], buffer[at + _Y] = xy[own, 0], xy[own, 1]
-                buffer[at + _SQUARE] = square_sigma[own] if k < size else _NOTHING
-                buffer[at + _VARIANCE] = square_sigma[own] / 2 if k < size else _NOTHING
+        n = size[used - 1]
+        # Row by row: lane by lane every store would fetch a line of memory of its own.
+        for k in range(n):
+            row = buffer[(k + 1) * _ROW : (k + 2) * _ROW]
+            for lane in range(LANES):
+                own = first[lane] + min(k, size[lane] - 1)
+                square = square_sigma[own] if k < size[lane] else _NOTHING
+                row[lane + _T] = t[own]
+                row[lane + _X], row[lane + _Y] = xy[own, 0], xy[own, 1]
+                row[lane + _SQUARE] = square
+                row[lane + _VARIANCE] = _NOTHING if square == _NOTHING else square / 2
         blur = 1.0
         for turn in range(passes):
             if turn > 0:
                 _reweigh(buffer, n, blur)
                 blur *= anneal
             _forward(buffer, n, q)
-            _backward(buffer, n)
-        for lane in range(min(LANES, order.size - group)):
-            i = order[group + lane]
-            first = offsets[i]
-            for k in range(offsets[i + 1] - first):
-                at = (k + 1) * _ROW + lane
-                position[first + k, 0] = buffer[at + _PX]
-                position[first + k, 1] = buffer[at + _PY]
-                variance[first + k] = buffer[at + _A]
+            _backward(buffer, n, q)
+        for k in range(n):
+            row = buffer[(k + 1) * _ROW : (k + 2) * _ROW]
+            for lane in range(used):
+                if k < size[lane]:
+                    own = first[lane] + k
+                    position[own, 0], position[own, 1] = row[lane + _PX], row[lane + _PY]
+                    variance[own] = row[lane + _A]

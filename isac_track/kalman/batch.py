@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.types import check_offsets, check_times
+from isac_track.types import check_offsets, within
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
@@ -21,11 +21,12 @@ drop outliers, it may not lose a track."""
 class Batch:
     """N tracks of M noisy positions in all, and how little is known before the first of each.
 
+    That times increase and positions are finite is checked by the release that they come from.
+
     Raises
     ------
     ValueError
-        If shapes disagree, a number is not finite, a track is empty, times do not increase, or a
-        variance or standard deviation is not positive.
+        If shapes disagree, a track is empty, or a variance or standard deviation is not positive.
     """
 
     t: Floats
@@ -41,47 +42,22 @@ class Batch:
     independent: the state at the time of that sample, which is then measured like any other."""
 
     def __post_init__(self) -> None:
-        t, offsets = ragged_times(self.t, self.offsets)
-        checked = {
-            "t": t,
-            "offsets": offsets,
-            "xy": floats("xy", self.xy, (t.size, 2)),
-            "variance": floats("variance", self.variance, t.shape),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-        if not (self.variance > 0).all():
-            raise ValueError("variance must be positive")
+        offsets = np.ascontiguousarray(self.offsets, dtype=np.int64)
+        object.__setattr__(self, "offsets", offsets)
+        check_offsets(offsets, len(self.t))
+        for name, shape in (("t", ()), ("xy", (2,)), ("variance", ())):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array.shape != (len(self.t), *shape):
+                raise ValueError(f"{name} must have shape {(len(self.t), *shape)}")
+            object.__setattr__(self, name, array)
+        if not within(self.variance, np.nextafter(0.0, 1.0), np.finfo(np.float64).max):
+            raise ValueError("variance must be positive and finite")
         for std in self.prior_std:
             positive("prior_std", std)
 
     def __len__(self) -> int:
         """Return the number of tracks."""
         return self.offsets.size - 1
-
-
-def ragged_times(t: Floats, offsets: Ints) -> tuple[Floats, Ints]:
-    """Return times and offsets as contiguous arrays, or raise ValueError."""
-    offsets = np.ascontiguousarray(offsets)
-    if offsets.ndim != 1 or offsets.dtype.kind not in "iu":
-        raise ValueError("offsets must be a one-dimensional array of integers")
-    offsets = offsets.astype(np.int64, copy=False)
-    t = np.ascontiguousarray(t, dtype=np.float64)
-    if t.ndim != 1:
-        raise ValueError(f"t must have shape (M,), got {t.shape}")
-    check_offsets(offsets, t.size)
-    check_times(t, offsets)
-    return t, offsets
-
-
-def floats(name: str, value: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return a contiguous array of finite numbers of that shape, or raise ValueError."""
-    array = np.ascontiguousarray(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite")
-    return array
 
 
 def positive(name: str, value: float, *, finite: bool = True) -> float:

@@ -58,6 +58,7 @@ def rank_rows(
     many as high.
     """
     n_probes, n_gallery = scores.shape
+    log_gallery = np.log(n_gallery)
     for i in range(n_probes):
         start, k = 0, 0
         while start < n_gallery:
@@ -70,7 +71,7 @@ def rank_rows(
             code = 2 * k + (k < breaks.size and breaks[k] == score)
             above = n_gallery - stop
             spread = log_factorial[n_gallery - start] - log_factorial[above]
-            value = np.log(n_gallery) - spread / (stop - start)
+            value = log_gallery - spread / (stop - start)
             for place in range(start, stop):
                 j = order[i, place]
                 log_rank[i, j] = value
@@ -192,30 +193,38 @@ def _x_log2_x(x: float) -> float:
 
 
 @part_of_loop
-def _read_thresholds(own: Floats, other: Floats, levels: Floats, out: Floats) -> None:
+def _read_thresholds(
+    own: Floats, other: Floats, total_own: float, total_other: float, levels: Floats, out: Floats
+) -> None:
     """Write the AUC, and TPR and FPR of the lowest threshold with FPR <= level."""
-    total_own, total_other = own.sum(), other.sum()
-    true, false, area = 0.0, 0.0, 0.0
     out[3:] = 0.0
-    for k in range(own.size - 1, -1, -1):
-        true += own[k]
-        false += other[k]
-        area += own[k] * (total_other - false + other[k] / 2)
-        for number in range(levels.size):
-            # Rounding must not refuse a share that lies exactly at the level.
-            if own[k] > 0 and false <= levels[number] * (1 + 1e-12) * total_other:
+    for number in range(levels.size):
+        # Rounding must not refuse a share that lies exactly at the level.
+        most = levels[number] * (1 + 1e-12) * total_other
+        true, false = 0.0, 0.0
+        for k in range(own.size - 1, -1, -1):
+            true += own[k]
+            false += other[k]
+            if false > most:
+                break
+            if own[k] > 0:
                 out[3 + 2 * number] = true / total_own
                 out[4 + 2 * number] = false / total_other
+    false, area = 0.0, 0.0
+    for k in range(own.size - 1, -1, -1):
+        false += other[k]
+        area += own[k] * (total_other - false + other[k] / 2)
     out[0] = area / (total_own * total_other)
 
 
 @part_of_loop
-def _read_hull(own: Floats, other: Floats, stack: Floats, out: Floats) -> None:
+def _read_hull(
+    own: Floats, other: Floats, total_own: float, total_other: float, stack: Floats, out: Floats
+) -> None:
     """Write EER and Cllr_min from the convex hull of the ROC: pool adjacent violators.
 
     The cells are overwritten.
     """
-    total_own, total_other = own.sum(), other.sum()
     # Without mated scores a cell has the least likelihood ratio, and joins the one below.
     size, waiting = own.size, 0.0
     for k in range(own.size - 1, -1, -1):
@@ -258,5 +267,7 @@ def read_rocs(mated: Floats, non_mated: Floats, levels: Floats, out: Floats) -> 
     """
     stack = np.empty((mated.shape[1] + 1, 2))
     for row in range(mated.shape[0]):
-        _read_thresholds(mated[row], non_mated[row], levels, out[row])
-        _read_hull(mated[row], non_mated[row], stack, out[row])
+        own, other = mated[row], non_mated[row]
+        totals = own.sum(), other.sum()
+        _read_thresholds(own, other, totals[0], totals[1], levels, out[row])
+        _read_hull(own, other, totals[0], totals[1], stack, out[row])

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,8 @@ from isac_track.intervals import (
     Estimate,
     cluster_sums,
     percentile_interval,
-    ratio_estimate,
+    percentile_intervals,
+    ratio_estimates,
     wilson,
 )
 from isac_track.linkability.ranks import (
@@ -46,7 +48,7 @@ from isac_track.linkability.significance import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -69,6 +71,8 @@ _COLUMNS = (
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
 """Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
 _NO_SPREAD = 1e-12
+_PAIRS_KEPT = 2**19
+"""Of one scale; more would take more memory than they save time."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -116,16 +120,22 @@ class ProbeRanks:
             for name, (values, cluster) in self.values().items()
         }
 
-    def replicates(self, weights: Floats) -> dict[str, Floats]:
+    def replicates(
+        self, weights: Floats, names: Collection[str] | None = None
+    ) -> dict[str, Floats]:
         """Return the bootstrap replicates of each metric, (B,), as `scorecard` estimates it.
 
         Parameters
         ----------
         weights : (B, C)
             As there.
+        names : collection of str, optional
+            Of these metrics alone.
         """
         found = {}
         for name, sums in self.sums(weights.shape[1]).items():
+            if names is not None and name not in names:
+                continue
             drawn = weights @ np.stack(sums, axis=1)
             found[name] = np.full(len(weights), np.nan)
             np.divide(drawn[:, 0], drawn[:, 1], out=found[name], where=drawn[:, 1] > 0)
@@ -195,7 +205,10 @@ class _Trial:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Pairs:
-    """All L pairs of a probe and a candidate of one scale, whose clusters are 0..C - 1."""
+    """All L pairs of a probe and a candidate of one scale, whose clusters are 0..C - 1.
+
+    They are those of every attack on the same searches.
+    """
 
     first: Ints
     """(L,) cluster of the probe."""
@@ -203,8 +216,23 @@ class _Pairs:
     """(L,) of the candidate; C, which always weighs 1, where a pair weighs no more than `first`."""
     mates: Ints
     """Which of them are a probe and its mate."""
-    cell: Ints
-    scores: Floats
+    rows: Floats
+    """(C + 1, R) weights; replicate 0 weighs every cluster once: the data."""
+    tables: NDArray[np.float32]
+    """(chunks, C + 1, lanes) the same as the loops want them."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Same:
+    """Weights that nobody can write to, and that are the same only if they are one array."""
+
+    weights: Floats
+
+    def __hash__(self) -> int:
+        return id(self.weights)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.weights is self.weights
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -315,7 +343,7 @@ def scorecard(
         _score_scale(
             [trial for trial in trials if trial.search.scale == scale],
             cut,
-            weights[:SCORE_REPLICATES],
+            weights,
             calibration[scale] if calibration is not None else None,
         )
         for scale, cut in cells.items()
@@ -375,39 +403,27 @@ def _score_scale(
     trials: Sequence[_Trial], cut: _Cells, weights: Floats, calibration: Calibration | None
 ) -> _Scale:
     """Return the score metrics of one scale."""
-    searches = [trial.search for trial in trials]
-    clusters, number = np.unique(
-        np.concatenate([c for s in searches for c in (s.probe_cluster, s.gallery_cluster)]),
-        return_inverse=True,
+    searches = tuple(
+        tuple(
+            each.astype(np.int64).tobytes() for each in (s.mate, s.probe_cluster, s.gallery_cluster)
+        )
+        for s in (trial.search for trial in trials)
     )
-    first, second, is_mate = [], [], []
-    for s in searches:
-        n_probes, n_gallery = s.scores.shape
-        own, other, number = np.split(number, [n_probes, n_probes + n_gallery])
-        mates = s.mate[:, None] == np.arange(n_gallery)
-        first.append(np.repeat(own, n_gallery))
-        second.append(np.where(mates | (own[:, None] == other), clusters.size, other).ravel())
-        is_mate.append(mates.ravel())
-    pairs = _Pairs(
-        np.concatenate(first),
-        np.concatenate(second),
-        mates=np.flatnonzero(np.concatenate(is_mate)),
-        cell=np.concatenate([trial.cell.ravel() for trial in trials]),
-        scores=np.concatenate([s.scores.ravel() for s in searches], dtype=np.float64),
-    )
-    # Replicate 0 weighs every cluster once: the data.
-    rows = np.ones((clusters.size + 1, 1 + len(weights)))
-    rows[:-1, 1:] = weights[:, clusters].T
-    mated, non_mated, bins = _masses(pairs, rows, cut.bins)
+    cell = np.concatenate([trial.cell.ravel() for trial in trials])
+    scores = np.concatenate([trial.search.scores.ravel() for trial in trials], dtype=np.float64)
+    # The next attack on the same people has the same pairs.
+    is_kept = not weights.flags.writeable and cell.size <= _PAIRS_KEPT
+    pairs = (_pairs if is_kept else _pairs.__wrapped__)(searches, _Same(weights))
+    mated, non_mated, bins = _masses(pairs, cell, cut.bins)
     total_mated, total_non_mated = mated.sum(axis=1), non_mated.sum(axis=1)
     is_defined = (total_mated > 0) & (total_non_mated > 0)
 
     n_bins = cut.null_bins.shape[1]
     n_mated = pairs.mates.size
-    n_non_mated = pairs.cell.size - n_mated
+    n_non_mated = cell.size - n_mated
     bias = math.nan
     if n_mated and n_non_mated:
-        counts = np.bincount(pairs.cell, minlength=cut.bins.size)
+        counts = np.bincount(cell, minlength=cut.bins.size)
         total_bins = np.bincount(cut.bins, weights=counts, minlength=n_bins)
         null, others = cut.null_bins / n_mated, (total_bins - cut.null_bins) / n_non_mated
         bias = float(linked_share(null, others).mean())
@@ -418,7 +434,7 @@ def _score_scale(
         p, q = (np.add.reduceat(mass, starts, axis=1) for mass in (mated, non_mated))
         values["d_sys"] = linked_share(p / total_mated[:, None], q / total_non_mated[:, None])
         if calibration is not None:
-            mated_cost, non_mated_cost = _costs(pairs, rows, calibration)
+            mated_cost, non_mated_cost = _costs(pairs, scores, calibration)
             both = mated_cost / total_mated + non_mated_cost / total_non_mated
             values["cllr"] = both / (2.0 * math.log(2.0))
     columns = np.empty((is_defined.size, 7))
@@ -429,26 +445,46 @@ def _score_scale(
     return _Scale(values, mass, bias, n_mated, n_non_mated, n_bins)
 
 
-def _masses(pairs: _Pairs, rows: Floats, bins: NDArray[np.uint8]) -> tuple[Floats, Floats, Ints]:
-    """Return the weight of either class in each cell that holds a score, (R, K), and its bin."""
-    loops = import_loops()
-    n_lanes = -(-rows.shape[1] // loops.LANES) * loops.LANES
-    padded = np.zeros((len(rows), n_lanes), dtype=np.float32)
+@lru_cache(maxsize=8)
+def _pairs(searches: tuple[tuple[bytes, ...], ...], same: _Same) -> _Pairs:
+    """Return the pairs of searches, given mates and clusters of each as bytes: they are hashed."""
+    arrays = [[np.frombuffer(each, dtype=np.int64) for each in search] for search in searches]
+    clusters = np.unique(np.concatenate([each for _, *both in arrays for each in both]))
+    first, second, is_mate = [], [], []
+    for mate, probe_cluster, gallery_cluster in arrays:
+        own, other = (np.searchsorted(clusters, of) for of in (probe_cluster, gallery_cluster))
+        mates = mate[:, None] == np.arange(other.size)
+        first.append(np.repeat(own, other.size))
+        second.append(np.where(mates | (own[:, None] == other), clusters.size, other).ravel())
+        is_mate.append(mates.ravel())
+    rows = np.ones((clusters.size + 1, 1 + SCORE_REPLICATES))
+    rows = rows[:, : 1 + len(same.weights)]
+    rows[:-1, 1:] = same.weights[:SCORE_REPLICATES, clusters].T
+    lanes = import_loops().LANES
+    padded = np.zeros((len(rows), -(-rows.shape[1] // lanes) * lanes), dtype=np.float32)
     padded[:, : rows.shape[1]] = rows  # counts, exact in 32 bits
-    tables = padded.reshape(len(rows), -1, loops.LANES).transpose(1, 0, 2)
-    is_occupied = np.bincount(pairs.cell, minlength=bins.size) > 0
-    key = (2 * np.cumsum(is_occupied) - 2)[pairs.cell]
+    tables = padded.reshape(len(rows), -1, lanes).transpose(1, 0, 2)
+    own, other = np.concatenate(first), np.concatenate(second)
+    mates = np.flatnonzero(np.concatenate(is_mate))
+    return _Pairs(own, other, mates, rows, np.ascontiguousarray(tables))
+
+
+def _masses(pairs: _Pairs, cell: Ints, bins: NDArray[np.uint8]) -> tuple[Floats, Floats, Ints]:
+    """Return the weight of either class in each cell that holds a score, (R, K), and its bin."""
+    loops, n_replicates = import_loops(), pairs.rows.shape[1]
+    is_occupied = np.bincount(cell, minlength=bins.size) > 0
+    key = (2 * np.cumsum(is_occupied) - 2)[cell]
     key[pairs.mates] += 1
-    out = np.empty((2, n_lanes, int(is_occupied.sum())))
-    loops.weigh(np.ascontiguousarray(tables), key, pairs.first, pairs.second, out)
-    non_mated, mated = out[:, : rows.shape[1]]
+    out = np.empty((2, len(pairs.tables) * loops.LANES, int(is_occupied.sum())))
+    loops.weigh(pairs.tables, key, pairs.first, pairs.second, out)
+    non_mated, mated = out[:, :n_replicates]
     return mated, non_mated, bins[is_occupied].astype(np.int64)
 
 
-def _costs(pairs: _Pairs, rows: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
+def _costs(pairs: _Pairs, scores: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
     """Return the summed cost of either class as evidence, (R,) each, in nats."""
-    llr = calibration.slope * pairs.scores + calibration.intercept
-    n, own = len(rows), pairs.first[pairs.mates]
+    llr = calibration.slope * scores + calibration.intercept
+    rows, n, own = pairs.rows, len(pairs.rows), pairs.first[pairs.mates]
     mated = np.bincount(own, weights=np.logaddexp(0.0, -llr[pairs.mates]), minlength=n)
     # log(1 + LR), in a way that does not overflow and that numpy computes several at a time.
     costs = np.log1p(np.exp(-np.abs(llr)))
@@ -478,12 +514,13 @@ def _over_scales(results: Sequence[_Scale]) -> dict[str, Floats]:
 
 def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     """Return the estimates of rank metrics; all are shares but the chance, which is known."""
-    estimates = {
-        name: ratio_estimate(
-            numerator=sums, denominator=counts, weights=weights, is_share=name != "chance"
-        )
-        for name, (sums, counts) in probes.sums(weights.shape[1]).items()
-    }
+    sums = probes.sums(weights.shape[1])
+    numerator, denominator = np.stack([*sums.values()], axis=1)
+    is_share = [name != "chance" for name in sums]
+    found = ratio_estimates(
+        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
+    )
+    estimates = dict(zip(sums, found, strict=True))
     estimates["residual_risk"] = _residual_risk_estimate(estimates["rank1"], estimates["chance"])
     return estimates
 
@@ -515,12 +552,12 @@ def _score_estimates(
     results: Sequence[_Scale], values: dict[str, Floats], n: int
 ) -> dict[str, Estimate]:
     """Return the estimates of score metrics; `n` clusters have a mated probe."""
+    drawn = np.stack([values[name][1:] for name in _METRICS])
     estimates = {}
-    for name in _METRICS:
-        value, replicates = float(values[name][0]), values[name][1:]
-        low, high = math.nan, math.nan
+    for name, replicates, ends in zip(_METRICS, drawn, percentile_intervals(drawn).T, strict=True):
+        value, low, high = float(values[name][0]), math.nan, math.nan
         if n > 1 and not math.isnan(value):
-            low, high = _interval(name, value, replicates, n)
+            low, high = _interval(name, value, replicates, ends.tolist(), n)
         estimates[name] = Estimate(value, low, high, n, replicates)
 
     linked = estimates["d_sys"]
@@ -537,15 +574,16 @@ def _score_estimates(
     return estimates
 
 
-def _interval(name: str, value: float, replicates: Floats, n: int) -> tuple[float, float]:
-    """Return the ends of a score metric's interval."""
-    spread = np.abs(replicates - value)
-    is_constant = not (spread > _NO_SPREAD).any()
+def _interval(
+    name: str, value: float, replicates: Floats, ends: Sequence[float], n: int
+) -> tuple[float, float]:
+    """Return the ends of a score metric's interval, given those of its percentile interval."""
+    is_constant = not (np.abs(replicates - value) > _NO_SPREAD).any()
     is_extreme = name in _LEVELS and value in {0.0, 1.0}
+    low, high = ends
     if name != "cllr" and (is_constant or is_extreme):
         low, high = wilson(hits=min(max(value, 0.0), 1.0) * n, n=n)
-        return low, min(high, _FITTED.get(name, 1.0))
-    low, high = percentile_interval(replicates)
-    if name in _FITTED:
-        return max(0.0, 2 * value - high), min(_FITTED[name], 2 * value - low)
+        high = min(high, _FITTED.get(name, 1.0))
+    elif name in _FITTED:
+        low, high = max(0.0, 2 * value - high), min(_FITTED[name], 2 * value - low)
     return low, high

@@ -20,7 +20,8 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from isac_track.testing import _conflict_checks, _descriptor_checks, _metrics, engine
+# The two modules of checks fill the kit as they are imported.
+from isac_track.testing import _conflict_checks, _descriptor_checks, _metrics, engine  # noqa: F401
 from isac_track.testing._metrics import OWN, Metrics
 from isac_track.testing.engine import Check, Outcome
 
@@ -37,9 +38,6 @@ __all__ = [
     "run_checks",
     "select_checks",
 ]
-
-_DEFINED_IN = (_conflict_checks, _descriptor_checks)
-"""Importing them fills the kit."""
 
 CHECKS: tuple[Check, ...] = tuple(_metrics.CHECKS.values())
 """All checks, in the order in which they run."""
@@ -59,12 +57,7 @@ def select_checks(names: Sequence[str] | None = None) -> tuple[Check, ...]:
 def run_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Iterator[Outcome]:
     """Run all checks, or those called `names`, one by one on the functions of `metrics`.
 
-    A function that raises fails its check and ends nothing.
-
-    Raises
-    ------
-    SettingsError
-        For a check that does not exist.
+    A function that raises fails its check and ends nothing. Raises as `select_checks`.
     """
     return engine.outcomes(select_checks(names), metrics)
 

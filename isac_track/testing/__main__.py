@@ -49,19 +49,16 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _load(target: str) -> Metrics:
-    module_name, _, attribute = target.partition(":")
-    if not module_name or not attribute.isidentifier():
+    module, _, attribute = target.partition(":")
+    if not module or not attribute.isidentifier():
         raise SettingsError(f"{target!r}: expected package.module:OBJECT")
     try:
-        module = importlib.import_module(module_name)
+        metrics = getattr(importlib.import_module(module), attribute, None)
     except (Exception, SystemExit) as error:  # a stranger's import may raise anything at all
-        raise PluginError(f"cannot import {module_name!r}: {told(error)}") from error
-    if not hasattr(module, attribute):
-        raise PluginError(f"{module_name!r} has no {attribute!r}")
-    metrics = getattr(module, attribute)
+        raise PluginError(f"cannot import {module!r}: {told(error)}") from error
     if not isinstance(metrics, Metrics):
-        found = type(metrics).__name__
-        raise PluginError(f"{target} must be an isac_track.testing.Metrics, got {found}")
+        found = f"got {type(metrics).__name__}" if metrics is not None else "there is none"
+        raise PluginError(f"{target} must be an isac_track.testing.Metrics, {found}")
     return metrics
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.rng import stream
 from isac_track.testing._metrics import Function, check, expect, expect_call, expect_that, show
 
 if TYPE_CHECKING:
@@ -33,14 +32,13 @@ def grid_of_a_short_track(prediction_grid: Function) -> None:
 
 
 @check
-def grid_matches_brute_force(prediction_grid: Function) -> None:
+def grid_matches_brute_force(prediction_grid: Function, rng: Generator) -> None:
     """The grid equals its equation on random, irregular times."""
-    for rng in _generators("grid_matches_brute_force"):
-        t = rng.uniform(-9, 9) + np.cumsum(rng.uniform(0.02, 0.5, int(rng.integers(2, 30))))
-        window, steps = int(rng.integers(2, 20)), int(rng.integers(1, 13))
-        gaps = [later - earlier for earlier, later in pairwise(t[-window:])]
-        grid = [t[-1] + h * sum(gaps) / len(gaps) for h in range(steps)]
-        expect_call(prediction_grid, t, window, steps, gives=grid)
+    t = rng.uniform(-9, 9) + np.cumsum(rng.uniform(0.02, 0.5, int(rng.integers(2, 30))))
+    window, steps = int(rng.integers(2, 20)), int(rng.integers(1, 13))
+    gaps = [later - earlier for earlier, later in pairwise(t[-window:])]
+    grid = [t[-1] + h * sum(gaps) / len(gaps) for h in range(steps)]
+    expect_call(prediction_grid, t, window, steps, gives=grid)
 
 
 @check
@@ -53,18 +51,17 @@ def path_walks_then_waits(robot_path: Function) -> None:
 
 
 @check
-def path_matches_brute_force(robot_path: Function) -> None:
+def path_matches_brute_force(robot_path: Function, rng: Generator) -> None:
     """The path equals its equation for random starts, destinations and clocks."""
-    for rng in _generators("path_matches_brute_force"):
-        start, destination = rng.uniform(-5, 5, 2), rng.uniform(-5, 5, 2)
-        speed_mps, step_s = float(rng.uniform(0.2, 3)), float(rng.uniform(0.05, 1))
-        way_m = dist(start, destination)
-        path = []
-        for h in range(12):
-            share = min(speed_mps * h * step_s, way_m) / way_m
-            path.append([a + share * (b - a) for a, b in zip(start, destination, strict=True)])
-        elapsed_s = step_s * np.arange(12.0)
-        expect_call(robot_path, start, destination, speed_mps, elapsed_s, gives=path)
+    start, destination = rng.uniform(-5, 5, 2), rng.uniform(-5, 5, 2)
+    speed_mps, step_s = float(rng.uniform(0.2, 3)), float(rng.uniform(0.05, 1))
+    way_m = dist(start, destination)
+    path = []
+    for h in range(12):
+        share = min(speed_mps * h * step_s, way_m) / way_m
+        path.append([a + share * (b - a) for a, b in zip(start, destination, strict=True)])
+    elapsed_s = step_s * np.arange(12.0)
+    expect_call(robot_path, start, destination, speed_mps, elapsed_s, gives=path)
 
 
 @check
@@ -80,39 +77,33 @@ def separation_hand_examples(minimum_separation: Function) -> None:
 
 
 @check
-def separation_matches_brute_force(minimum_separation: Function) -> None:
+def separation_matches_brute_force(minimum_separation: Function, rng: Generator) -> None:
     """The separation equals the minimum over all agents and steps."""
-    for rng in _generators("separation_matches_brute_force"):
-        robot, agents = _scene(rng)
-        pairs = zip(robot.reshape(-1, 2), agents.reshape(-1, 2), strict=True)
-        expect_call(minimum_separation, robot, agents, gives=min(dist(a, b) for a, b in pairs))
+    robot, agents = _scene(rng)
+    pairs = zip(robot.reshape(-1, 2), agents.reshape(-1, 2), strict=True)
+    expect_call(minimum_separation, robot, agents, gives=min(dist(a, b) for a, b in pairs))
 
 
 @check
-def separation_symmetries(minimum_separation: Function) -> None:
+def separation_symmetries(minimum_separation: Function, rng: Generator) -> None:
     """The separation ignores rigid motion, the order of the agents, and who is the robot."""
     turn = np.array([[0.6, 0.8], [0.8, -0.6]])
-    for rng in _generators("separation_symmetries", count=40):
-        robot, agents = _scene(rng)
-        value, case = minimum_separation(robot, agents), f"robot {show(robot)}, {show(agents)} m"
-        for change, other in (
-            ("after a rigid motion", (robot @ turn + 7.0, agents @ turn + 7.0)),
-            ("with the agents in reverse", (robot[::-1], agents[::-1])),
-            ("with the roles exchanged", (agents, robot)),
-        ):
-            expect(minimum_separation(*other), value, what=f"the separation {change}", case=case)
+    robot, agents = _scene(rng)
+    value, case = minimum_separation(robot, agents), f"robot {show(robot)}, {show(agents)} m"
+    for change, other in (
+        ("after a rigid motion", (robot @ turn + 7.0, agents @ turn + 7.0)),
+        ("with the agents in reverse", (robot[::-1], agents[::-1])),
+        ("with the roles exchanged", (agents, robot)),
+    ):
+        expect(minimum_separation(*other), value, what=f"the separation {change}", case=case)
 
 
 @check
 def conflict_boundary_is_strict(is_conflict: Function) -> None:
     """At exactly the safety radius there is no conflict."""
-    radius_m = 0.9
-    below, above = float(np.nextafter(radius_m, 0.0)), float(np.nextafter(radius_m, 1.0))
-    for separation_m in (0.0, 0.5, below, radius_m, above, 5.0):
-        case = f"separation {separation_m!r} m, safety radius {radius_m} m"
-        made = is_conflict(separation_m, radius_m)
-        holds = made == (separation_m <= below)
-        expect_that(holds, what=f"the decision is {made}", case=case)
+    below, above = float(np.nextafter(0.9, 0.0)), float(np.nextafter(0.9, 1.0))
+    for separation_m in (0.0, 0.5, below, 0.9, above, 5.0):
+        expect_call(is_conflict, separation_m, 0.9, gives=separation_m <= below)
 
 
 @check
@@ -130,15 +121,15 @@ def false_alarm_rate_hand_examples(false_alarm_rate: Function) -> None:
 
 
 @check
-def missed_rate_matches_brute_force(missed_conflict_rate: Function) -> None:
+def missed_rate_matches_brute_force(missed_conflict_rate: Function, rng: Generator) -> None:
     """The missed rate equals the count on random scenes; conflict-free scenes do not matter."""
-    _wrong_among(True, missed_conflict_rate, "missed_rate_matches_brute_force")
+    _wrong_among(missed_conflict_rate, rng, truth=True)
 
 
 @check
-def false_alarm_rate_matches_brute_force(false_alarm_rate: Function) -> None:
+def false_alarm_rate_matches_brute_force(false_alarm_rate: Function, rng: Generator) -> None:
     """The false-alarm rate equals the count on random scenes; true conflicts do not matter."""
-    _wrong_among(False, false_alarm_rate, "false_alarm_rate_matches_brute_force")
+    _wrong_among(false_alarm_rate, rng, truth=False)
 
 
 @check
@@ -150,13 +141,12 @@ def distance_mae_hand_examples(distance_mae_m: Function) -> None:
 
 
 @check
-def distance_mae_matches_brute_force(distance_mae_m: Function) -> None:
+def distance_mae_matches_brute_force(distance_mae_m: Function, rng: Generator) -> None:
     """The distance MAE equals the sum over scenes, and is symmetric."""
-    for rng in _generators("distance_mae_matches_brute_force"):
-        true_m, predicted_m = rng.exponential(1.0, (2, int(rng.integers(1, 12))))
-        mean = sum(abs(a - b) for a, b in zip(true_m, predicted_m, strict=True)) / len(true_m)
-        expect_call(distance_mae_m, true_m, predicted_m, gives=mean)
-        expect_call(distance_mae_m, predicted_m, true_m, gives=mean)
+    true_m, predicted_m = rng.exponential(1.0, (2, int(rng.integers(1, 12))))
+    mean = sum(abs(a - b) for a, b in zip(true_m, predicted_m, strict=True)) / len(true_m)
+    expect_call(distance_mae_m, true_m, predicted_m, gives=mean)
+    expect_call(distance_mae_m, predicted_m, true_m, gives=mean)
 
 
 @check
@@ -168,32 +158,24 @@ def fid_rule_hand_examples(fid_d_sigma: Function) -> None:
 
 
 @check
-def fid_rule_matches_brute_force(fid_d_sigma: Function) -> None:
+def fid_rule_matches_brute_force(fid_d_sigma: Function, rng: Generator) -> None:
     """The rule equals its equation sample by sample, whatever the parameters."""
-    for rng in _generators("fid_rule_matches_brute_force"):
-        eta = float(10.0 ** rng.uniform(-2, 6))
-        alpha_m, beta = float(rng.uniform(0, 2)), float(rng.uniform(1, 3))
-        fid = eta * 10.0 ** rng.uniform(-2, 2, int(rng.integers(1, 20)))
-        rho = (fid / eta).tolist()
-        wanted = [0.0 if one <= 1 else alpha_m * (beta - exp(-(one - 1))) for one in rho]
-        expect_call(fid_d_sigma, fid, eta, alpha_m, beta, gives=wanted)
+    eta = float(10.0 ** rng.uniform(-2, 6))
+    alpha_m, beta = float(rng.uniform(0, 2)), float(rng.uniform(1, 3))
+    fid = eta * 10.0 ** rng.uniform(-2, 2, int(rng.integers(1, 20)))
+    rho = (fid / eta).tolist()
+    wanted = [0.0 if one <= 1 else alpha_m * (beta - exp(-(one - 1))) for one in rho]
+    expect_call(fid_d_sigma, fid, eta, alpha_m, beta, gives=wanted)
 
 
 @check
 def fid_rule_monotone(fid_d_sigma: Function) -> None:
     """More information never gets less error, a higher threshold never more."""
-    fid = np.geomspace(0.1, 1e5, 200)
-    previous = np.full_like(fid, inf)
-    for eta in (0.5, 5.0, 50.0, 500.0):
-        d_sigma = fid_d_sigma(fid, eta, 0.5, 1.5)
-        case = f"fid from 0.1 to 1e5, eta {eta}, alpha 0.5 m, beta 1.5"
-        expect_that((np.diff(d_sigma) >= 0).all(), what="d_sigma falls with fid", case=case)
-        expect_that((d_sigma <= previous).all(), what="d_sigma grows with eta", case=case)
-        previous = d_sigma
-
-
-def _generators(name: str, *, count: int = 100) -> list[Generator]:
-    return [stream(0, "testing", name, index) for index in range(count)]
+    fid, etas = np.geomspace(0.1, 1e5, 200), (0.5, 5.0, 50.0, 500.0)
+    d_sigma = np.stack([fid_d_sigma(fid, eta, 0.5, 1.5) for eta in etas])
+    case = f"fid from 0.1 to 1e5, eta {etas}, alpha 0.5 m, beta 1.5"
+    expect_that((np.diff(d_sigma, axis=1) >= 0).all(), what="d_sigma falls with fid", case=case)
+    expect_that((np.diff(d_sigma, axis=0) <= 0).all(), what="d_sigma grows with eta", case=case)
 
 
 def _rates(rate_of: Function, examples: dict[str, float]) -> None:
@@ -203,13 +185,12 @@ def _rates(rate_of: Function, examples: dict[str, float]) -> None:
         expect_call(rate_of, conflict, predicted, gives=rate)
 
 
-def _wrong_among(truth: bool, rate_of: Function, name: str) -> None:  # noqa: FBT001 - as in a formula
-    for rng in _generators(name):
-        size = int(rng.integers(1, 15))
-        conflict, predicted = rng.random(size) < rng.random(), rng.random(size) < rng.random()
-        decided = [p for c, p in zip(conflict, predicted, strict=True) if c == truth]
-        rate = decided.count(not truth) / len(decided) if decided else nan
-        expect_call(rate_of, conflict, predicted, gives=rate)
+def _wrong_among(rate_of: Function, rng: Generator, *, truth: bool) -> None:
+    size = int(rng.integers(1, 15))
+    conflict, predicted = rng.random(size) < rng.random(), rng.random(size) < rng.random()
+    decided = predicted[conflict == truth].tolist()
+    rate = decided.count(not truth) / len(decided) if decided else nan
+    expect_call(rate_of, conflict, predicted, gives=rate)
 
 
 def _scene(rng: Generator) -> tuple[Floats, Floats]:

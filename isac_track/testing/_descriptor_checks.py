@@ -8,7 +8,6 @@ oracle of the suite; it is meant to be read.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from math import comb, expm1, nan, sqrt
 from typing import TYPE_CHECKING
@@ -17,6 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from isac_track.rng import stream
+from isac_track.sensing import unit_errors
 from isac_track.testing._metrics import Function, check, expect, expect_that, register
 from isac_track.testing.engine import statement_of
 
@@ -25,16 +25,14 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from isac_track.types import Floats
+    from isac_track.types import ErrorLaw, Floats
 
 EPSILON_M = 0.3
 EPSILONS_M = np.linspace(0.02, 1.5, 25)
 STANDARD_ERRORS = 5.0
 """Width of the Monte Carlo tolerances; the draws are seeded, so that they never flicker."""
-# Exact in binary, as are their squares: 0.75, 1 and 1.25 are a right-angled triangle.
-ON_THE_BOUNDARY = np.array([[0.75, 1.0], [1.25, 0.0], [0.0, -1.25]])
-BOUNDARY_M = 1.25
-_NEEDS = {"PLR": "plr", "AEL": "ael_s", "MEL": "mel_s"}
+_NAMES = {"plr": "PLR", "ael_s": "AEL", "mel_s": "MEL"}
+"""What the functions of the descriptors return."""
 _LARGE = 20_000
 
 
@@ -55,10 +53,17 @@ class Track:
         times = ", ".join(f"{moment:.6g}" for moment in self.t)
         return f"leakage pattern {self.pattern}, t = [{times}] s, epsilon {self.epsilon_m:g} m"
 
-    def given(self, of: str) -> tuple[Floats | float, ...]:
-        """Return the arguments of the function of a descriptor; epsilon is the last."""
-        clock = () if of == "PLR" else (self.t,)
-        return self.shared_xy, self.true_xy, *clock, self.epsilon_m
+
+def of(function: Function, track: Track) -> float:
+    """Return what the function of a descriptor makes of a trajectory."""
+    clock = () if function.__name__ == "plr" else (track.t,)
+    value: float = function(track.shared_xy, track.true_xy, *clock, track.epsilon_m)
+    return value
+
+
+def expect_of(function: Function, track: Track, value: float) -> None:
+    """Compare a descriptor of a trajectory with a number."""
+    expect(of(function, track), value, what=_NAMES[function.__name__], case=track)
 
 
 def segments(pattern: str) -> list[int]:
@@ -67,13 +72,13 @@ def segments(pattern: str) -> list[int]:
 
 
 def by_definition(track: Track) -> dict[str, float]:
-    """Return PLR, AEL (s) and MEL (s); a single sample has no interval."""
+    """Return PLR, AEL (s) and MEL (s) by function; a single sample has no interval."""
     runs, size = segments(track.pattern), len(track.pattern)
     interval_s = float(track.t[-1] - track.t[0]) / (size - 1) if size > 1 else nan
     return {
-        "PLR": sum(runs) / size,
-        "AEL": sum(runs) / len(runs) * interval_s if runs else 0.0,
-        "MEL": max(runs) * interval_s if runs else 0.0,
+        "plr": sum(runs) / size,
+        "ael_s": sum(runs) / len(runs) * interval_s if runs else 0.0,
+        "mel_s": max(runs) * interval_s if runs else 0.0,
     }
 
 
@@ -82,15 +87,14 @@ def plain_track(pattern: str, *, t: Sequence[float] | None = None) -> Track:
     moments: Floats = 0.25 * np.arange(float(len(pattern))) if t is None else np.array(t, float)
     true_xy = np.column_stack([1.2 * moments, np.zeros_like(moments)])
     error_m = np.array([0.1 if sample == "1" else 0.5 for sample in pattern])
-    shared_xy = true_xy + np.column_stack([np.zeros_like(error_m), error_m])
-    return Track(pattern=pattern, t=moments, true_xy=true_xy, shared_xy=shared_xy)
+    return Track(pattern, moments, true_xy, shared_xy=true_xy + error_m[:, None] * [0.0, 1.0])
 
 
-def random_track(rng: Generator, *, size: int) -> Track:
+def random_track(rng: Generator, *, size: int, epsilon_m: float | None = None) -> Track:
     """Return an irregularly sampled random walk with errors in all directions.
 
-    Its segments are neither all short nor all long. No error lies within 2 % of epsilon, so that
-    rounding cannot flip a sample.
+    Its segments are neither all short nor all long. No error lies within 2 % of epsilon, drawn if
+    not given, so that rounding cannot flip a sample.
     """
     stay, sample = rng.uniform(0.1, 0.95), bool(rng.integers(2))
     pattern = ""
@@ -98,22 +102,23 @@ def random_track(rng: Generator, *, size: int) -> Track:
         pattern += "1" if sample else "0"
         sample = sample if rng.random() < stay else not sample
     leaked = np.array([sample == "1" for sample in pattern])
-    epsilon_m = float(rng.uniform(0.05, 1.5))
+    drawn_m = float(rng.uniform(0.05, 1.5))
+    epsilon_m = drawn_m if epsilon_m is None else epsilon_m
     t: Floats = rng.uniform(-50.0, 50.0) + np.cumsum(rng.uniform(0.03, 0.4, size))
     true_xy = np.cumsum(rng.normal(0.0, 0.1, (size, 2)), axis=0) + rng.uniform(-30.0, 30.0, 2)
     near, far = rng.uniform(0, 0.98, size), rng.uniform(1.02, 4, size)
-    error = _turned(epsilon_m * np.where(leaked, near, far), rng.uniform(0.0, 2.0 * np.pi, size))
-    return Track(pattern, t=t, true_xy=true_xy, shared_xy=true_xy + error, epsilon_m=epsilon_m)
+    angle_rad = rng.uniform(0.0, 2.0 * np.pi, size)
+    error = (epsilon_m * np.where(leaked, near, far) * [np.cos(angle_rad), np.sin(angle_rad)]).T
+    return Track(pattern, t, true_xy, shared_xy=true_xy + error, epsilon_m=epsilon_m)
 
 
-def random_tracks(name: str, *, count: int = 150, least: int = 1) -> Iterator[Track]:
+def random_tracks(
+    name: str, *, count: int = 150, least: int = 1, epsilon_m: float | None = None
+) -> Iterator[Track]:
     """Yield seeded tracks, those of few samples first: the first counterexample is a small one."""
     for index in range(count):
-        yield random_track(stream(0, "testing", name, index), size=least + index // 6)
-
-
-def _turned(norm: Floats, angle_rad: Floats) -> Floats:
-    return np.column_stack([norm * np.cos(angle_rad), norm * np.sin(angle_rad)])
+        rng = stream(0, "testing", name, index)
+        yield random_track(rng, size=least + index // 6, epsilon_m=epsilon_m)
 
 
 def moved(track: Track) -> Track:
@@ -125,13 +130,8 @@ def moved(track: Track) -> Track:
 
 def backwards(track: Track) -> Track:
     """Return the trajectory with the samples in reverse."""
-    return replace(
-        track,
-        pattern=track.pattern[::-1],
-        t=track.t[-1] - track.t[::-1],
-        true_xy=track.true_xy[::-1],
-        shared_xy=track.shared_xy[::-1],
-    )
+    t, true_xy, shared_xy = track.t[::-1], track.true_xy[::-1], track.shared_xy[::-1]
+    return Track(track.pattern[::-1], t[0] - t, true_xy, shared_xy, track.epsilon_m)
 
 
 def longest_run_expected(n: int, p: float) -> float:
@@ -161,175 +161,173 @@ def mean_run_expected(n: int, p: float) -> float:
     )
 
 
-def _check_each(**words: str) -> Callable[[Callable[[str, Function], None]], None]:
-    """Register a check of each descriptor; it receives the name, and the function.
+def _check_each(**words: str) -> Callable[[Callable[[Function], None]], None]:
+    """Register a check of each descriptor; it receives the function.
 
     Its docstring says what it shows, with `of` for the descriptor and `word` for what is given.
     """
 
-    def register_all(body: Callable[[str, Function], None]) -> None:
-        for of, word in words.items():
-            register(
-                partial(body, of),
-                name=of.lower() + body.__name__,
-                statement=statement_of(body).format(of=of, word=word),
-                needs=(_NEEDS[of],),
-            )
+    def register_all(body: Callable[[Function], None]) -> None:
+        for need, word in words.items():
+            statement = statement_of(body).format(of=_NAMES[need], word=word)
+            name = _NAMES[need].lower() + body.__name__
+            register(body, name=name, statement=statement, needs=(need,))
 
     return register_all
 
 
 def _by_hand(
-    of: str, function: Function, examples: dict[str, float], *, t: Sequence[float] | None = None
+    function: Function, examples: dict[str, float], *, t: Sequence[float] | None = None
 ) -> None:
     for pattern, value in examples.items():
-        track = plain_track(pattern, t=t)
-        expect(function(*track.given(of)), value, what=of, case=track)
+        expect_of(function, plain_track(pattern, t=t), value)
 
 
 @_check_each(
-    PLR="share of leaked samples",
-    AEL="mean duration of the leaked segments; n samples last n intervals of 0.25 s",
-    MEL="duration of the longest leaked segment; n samples last n intervals of 0.25 s",
+    plr="share of leaked samples",
+    ael_s="mean duration of the leaked segments; n samples last n intervals of 0.25 s",
+    mel_s="duration of the longest leaked segment; n samples last n intervals of 0.25 s",
 )
-def _hand_examples(of: str, function: Function) -> None:
+def _hand_examples(function: Function) -> None:
     """{of} is the {word}."""
     examples = {
-        "PLR": {"1000": 0.25, "1101": 0.75, "01": 0.5, "00100": 0.2},
-        "AEL": {"0110": 0.5, "1011": 0.375, "10101": 0.25, "0001": 0.25},
-        "MEL": {"0110": 0.5, "101110": 0.75, "10101": 0.25, "0001": 0.25},
+        "plr": {"1000": 0.25, "1101": 0.75, "01": 0.5, "00100": 0.2},
+        "ael_s": {"0110": 0.5, "1011": 0.375, "10101": 0.25, "0001": 0.25},
+        "mel_s": {"0110": 0.5, "101110": 0.75, "10101": 0.25, "0001": 0.25},
     }
-    _by_hand(of, function, examples[of])
+    _by_hand(function, examples[function.__name__])
 
 
 @_check_each(
-    PLR="A sample at exactly epsilon does not leak",
-    AEL="AEL is 0 when every sample lies at exactly epsilon",
-    MEL="MEL is 0 when every sample lies at exactly epsilon",
+    plr="A sample at exactly epsilon does not leak",
+    ael_s="AEL is 0 when every sample lies at exactly epsilon",
+    mel_s="MEL is 0 when every sample lies at exactly epsilon",
 )
-def _boundary_is_strict(of: str, function: Function) -> None:
+def _boundary_is_strict(function: Function) -> None:
     """{word}."""
-    truth, t = np.zeros_like(ON_THE_BOUNDARY), np.array([0.0, 1.0, 2.0])
-    case = f"errors {ON_THE_BOUNDARY.tolist()} m, all of length 1.25 m, 1 s apart"
-    above = 1.0 if of == "PLR" else 3.0
-    for epsilon_m, value in ((BOUNDARY_M, 0.0), (float(np.nextafter(BOUNDARY_M, 2.0)), above)):
-        track = Track("", t=t, true_xy=truth, shared_xy=ON_THE_BOUNDARY, epsilon_m=epsilon_m)
-        what = f"{of} at epsilon {epsilon_m!r} m"
-        expect(function(*track.given(of)), value, what=what, case=case)
+    # Exact in binary, as are their squares: 0.75, 1 and 1.25 are a right-angled triangle.
+    t, errors = np.array([0.0, 1.0, 2.0]), np.array([[0.75, 1.0], [1.25, 0.0], [0.0, -1.25]])
+    above = 1.0 if function.__name__ == "plr" else 3.0
+    for epsilon_m, value in ((1.25, 0.0), (float(np.nextafter(1.25, 2.0)), above)):
+        found = of(function, Track("", t, np.zeros_like(errors), errors, epsilon_m))
+        case = f"errors {errors.tolist()} m, all of length 1.25 m, 1 s apart"
+        what = f"{_NAMES[function.__name__]} at epsilon {epsilon_m!r} m"
+        expect(found, value, what=what, case=case)
 
 
 @_check_each(
-    PLR="1 when every sample leaks",
-    AEL="n intervals when all n samples leak",
-    MEL="n intervals when all n samples leak",
+    plr="1 when every sample leaks",
+    ael_s="n intervals when all n samples leak",
+    mel_s="n intervals when all n samples leak",
 )
-def _all_and_none_leaked(of: str, function: Function) -> None:
+def _all_and_none_leaked(function: Function) -> None:
     """{of} is {word} and 0 when none does."""
     for size in (2, 5, 50):
-        whole = 1.0 if of == "PLR" else 0.25 * size
-        _by_hand(of, function, {"1" * size: whole, "0" * size: 0.0})
+        whole = 1.0 if function.__name__ == "plr" else 0.25 * size
+        _by_hand(function, {"1" * size: whole, "0" * size: 0.0})
 
 
-@_check_each(AEL="", MEL="")
-def _irregular_sampling(of: str, function: Function) -> None:
+@_check_each(ael_s="", mel_s="")
+def _irregular_sampling(function: Function) -> None:
     """{of} counts samples in mean intervals of the whole trajectory, not elapsed time."""
-    last = {"AEL": 5.0, "MEL": 20 / 3}[of]
+    last = {"ael_s": 5.0, "mel_s": 20 / 3}[function.__name__]
     examples = {"1100": 20 / 3, "0011": 20 / 3, "1011": last}
-    _by_hand(of, function, examples, t=[0.0, 1.0, 2.0, 10.0])
+    _by_hand(function, examples, t=[0.0, 1.0, 2.0, 10.0])
 
 
-@_check_each(AEL="", MEL="")
-def _segment_at_either_end(of: str, function: Function) -> None:
+@_check_each(ael_s="", mel_s="")
+def _segment_at_either_end(function: Function) -> None:
     """{of} counts segments that touch the first or the last sample."""
-    both = {"AEL": {"1000111": 0.5}, "MEL": {"1001100111": 0.75}}[of]
-    _by_hand(of, function, {"00111": 0.75, "11100": 0.75} | both)
+    both = {"ael_s": {"1000111": 0.5}, "mel_s": {"1001100111": 0.75}}[function.__name__]
+    _by_hand(function, {"00111": 0.75, "11100": 0.75} | both)
 
 
 @_check_each(
-    PLR="one sample is 1 or 0: no duration is needed",
-    AEL="one leaked sample is NaN: there is no interval; of one that does not leak, 0",
-    MEL="one leaked sample is NaN: there is no interval; of one that does not leak, 0",
+    plr="one sample is 1 or 0: no duration is needed",
+    ael_s="one leaked sample is NaN: there is no interval; of one that does not leak, 0",
+    mel_s="one leaked sample is NaN: there is no interval; of one that does not leak, 0",
 )
-def _single_sample(of: str, function: Function) -> None:
+def _single_sample(function: Function) -> None:
     """{of} of {word}."""
-    _by_hand(of, function, {"1": 1.0 if of == "PLR" else nan, "0": 0.0})
+    _by_hand(function, {"1": 1.0 if function.__name__ == "plr" else nan, "0": 0.0})
 
 
-@_check_each(PLR="count", AEL="definition", MEL="definition")
-def _matches_brute_force(of: str, function: Function) -> None:
+@_check_each(plr="count", ael_s="definition", mel_s="definition")
+def _matches_brute_force(function: Function) -> None:
     """{of} equals the {word} on random walks with a known pattern."""
-    for track in random_tracks(f"{of.lower()}_matches_brute_force"):
-        expect(function(*track.given(of)), by_definition(track)[of], what=of, case=track)
+    for track in random_tracks(f"{_NAMES[function.__name__].lower()}_matches_brute_force"):
+        expect_of(function, track, by_definition(track)[function.__name__])
 
 
-@_check_each(AEL="", MEL="")
-def _rigid_motion_and_clock(of: str, function: Function) -> None:
+def _after(function: Function, change: Callable[[Track], Track], factor: float = 1.0) -> None:
+    """Compare a descriptor of random walks after a change with that before it, times `factor`."""
+    name = _NAMES[function.__name__]
+    for track in random_tracks(f"invariances of {name}", count=60):
+        changed, value = change(track), factor * of(function, track)
+        expect(of(function, changed), value, what=f"{name} after a change", case=changed)
+
+
+@_check_each(ael_s="", mel_s="")
+def _rigid_motion_and_clock(function: Function) -> None:
     """{of} ignores rigid motion, time reversal and a clock's offset; it scales with the clock."""
-    for track in random_tracks(f"invariances of {of}", count=60):
-        value = function(*track.given(of))
-        for change, other, factor in (
-            ("turned, shifted and mirrored", moved(track), 1.0),
-            ("backwards", backwards(track), 1.0),
-            ("100 s later", replace(track, t=track.t + 100.0), 1.0),
-            ("at half the speed", replace(track, t=2.0 * track.t), 2.0),
-        ):
-            what = f"{of} {change}"
-            expect(function(*other.given(of)), factor * value, what=what, case=track)
+    _after(function, moved)
+    _after(function, backwards)
+    _after(function, lambda track: replace(track, t=track.t + 100.0))
+    _after(function, lambda track: replace(track, t=2.0 * track.t), factor=2.0)
 
 
 @check
 def plr_rigid_motion(plr: Function) -> None:
     """PLR does not change when both walks are turned, shifted and mirrored together."""
-    for track in random_tracks("plr_rigid_motion", count=60):
-        value = plr(*moved(track).given("PLR"))
-        expect(value, plr(*track.given("PLR")), what="PLR after the motion", case=track)
+    _after(plr, moved)
 
 
 @check
 def plr_time_reversal(plr: Function) -> None:
     """PLR does not depend on the order of the samples."""
-    for track in random_tracks("plr_time_reversal", count=60):
-        value = plr(*backwards(track).given("PLR"))
-        expect(value, plr(*track.given("PLR")), what="PLR backwards", case=track)
+    _after(plr, backwards)
 
 
-@_check_each(PLR="", MEL="")
-def _monotone_in_epsilon(of: str, function: Function) -> None:
+@_check_each(plr="", mel_s="")
+def _monotone_in_epsilon(function: Function) -> None:
     """{of} never falls when epsilon grows."""
-    for track in random_tracks(f"{of.lower()}_monotone_in_epsilon", count=48, least=2):
-        values = [function(*track.given(of)[:-1], epsilon_m) for epsilon_m in EPSILONS_M]
+    name = _NAMES[function.__name__]
+    for track in random_tracks(f"{name.lower()}_monotone_in_epsilon", count=48, least=2):
+        values = [of(function, replace(track, epsilon_m=one_m)) for one_m in EPSILONS_M.tolist()]
         rising = all(low <= high for low, high in pairwise(values))
         case = f"epsilon {EPSILONS_M.tolist()} m"
-        expect_that(rising, what=f"{of} falls: {values}", case=case)
+        expect_that(rising, what=f"{name} falls: {values}", case=case)
 
 
 @check
 def ael_may_fall_as_epsilon_grows(ael_s: Function) -> None:
     """AEL is not monotone: a wider epsilon may add a short segment and lower the mean."""
-    track = plain_track("11101")
-    error_m = np.array([0.1, 0.1, 0.1, 0.9, 0.5])
-    shared_xy = track.true_xy + np.column_stack([np.zeros(5), error_m])
-    for epsilon_m, duration_s in ((0.3, 0.75), (0.6, 0.5), (1.0, 1.25)):
-        value = ael_s(shared_xy, track.true_xy, track.t, epsilon_m)
-        case = f"errors {error_m.tolist()} m every 0.25 s, epsilon {epsilon_m} m"
-        expect(value, duration_s, what="AEL", case=case)
+    walk, errors_m = plain_track("00000"), [0.1, 0.1, 0.1, 0.9, 0.5]
+    shared_xy = walk.true_xy + np.outer(errors_m, [0.0, 1.0])
+    for epsilon_m, pattern, value in (
+        (0.3, "11100", 0.75),
+        (0.6, "11101", 0.5),
+        (1, "1" * 5, 1.25),
+    ):
+        expect_of(ael_s, Track(pattern, walk.t, walk.true_xy, shared_xy, epsilon_m), value)
 
 
-@_check_each(AEL="run length (run counts)", MEL="longest run (recursion)")
-def _of_independent_samples(of: str, function: Function) -> None:
+@_check_each(ael_s="run length (run counts)", mel_s="longest run (recursion)")
+def _of_independent_samples(function: Function) -> None:
     """{of} of independent samples averages to the exact mean {word}."""
-    exact = {"AEL": mean_run_expected, "MEL": longest_run_expected}[of]
+    of_s = _NAMES[function.__name__]
+    exact = {"AEL": mean_run_expected, "MEL": longest_run_expected}[of_s]
     size, repeats, step_s = 30, 500, 0.5
     for p in (0.2, 0.6):
-        leaked = stream(0, "testing", "independent", of, str(p)).random((repeats, size)) < p
+        leaked = stream(0, "testing", "independent", of_s, str(p)).random((repeats, size)) < p
         patterns = ["".join("01"[sample] for sample in row) for row in leaked.astype(int)]
         t = (step_s * np.arange(size)).tolist()
-        values = [function(*plain_track(pattern, t=t).given(of)) for pattern in patterns]
+        values = [of(function, plain_track(pattern, t=t)) for pattern in patterns]
         mean, error = float(np.mean(values)), float(np.std(values)) / sqrt(repeats)
         limit = exact(size, p) * step_s
         expect_that(
             abs(mean - limit) <= STANDARD_ERRORS * error,
-            what=f"mean {of} is {mean:.4f} s, expected {limit:.4f} s within 5 x {error:.4f}",
+            what=f"mean {of_s} is {mean:.4f} s, expected {limit:.4f} s within 5 x {error:.4f}",
             case=f"{repeats} trajectories of {size} samples 0.5 s apart, each leaked with p = {p}",
         )
 
@@ -338,7 +336,7 @@ def _of_independent_samples(of: str, function: Function) -> None:
 def mel_is_at_least_ael(ael_s: Function, mel_s: Function) -> None:
     """The longest segment lasts at least as long as the mean one."""
     for track in random_tracks("mel_is_at_least_ael", least=2):
-        mean, longest = ael_s(*track.given("AEL")), mel_s(*track.given("MEL"))
+        mean, longest = of(ael_s, track), of(mel_s, track)
         holds = longest >= mean - 1e-9 * abs(mean)
         expect_that(holds, what=f"MEL {longest!r} s is below AEL {mean!r} s", case=track)
 
@@ -347,7 +345,7 @@ def mel_is_at_least_ael(ael_s: Function, mel_s: Function) -> None:
 def mel_is_zero_exactly_when_plr_is(plr: Function, mel_s: Function) -> None:
     """MEL is 0 if and only if PLR is 0 (an unknown duration, NaN, is not 0)."""
     for track in random_tracks("mel_is_zero_exactly_when_plr_is"):
-        share, longest = plr(*track.given("PLR")), mel_s(*track.given("MEL"))
+        share, longest = of(plr, track), of(mel_s, track)
         what = f"PLR {share!r} and MEL {longest!r} s disagree on zero"
         expect_that((share == 0.0) == (longest == 0.0), what=what, case=track)
 
@@ -357,91 +355,73 @@ def plr_distance_is_euclidean(plr: Function) -> None:
     """A sample leaks by its distance in the plane, not by either coordinate."""
     true_xy = np.array([[2.0, -1.0]])
     for error, share in (([0.25, 0.25], 0.0), ([0.2, 0.2], 1.0), ([-0.25, -0.1], 1.0)):
-        shared_xy = true_xy + np.array([error])
+        shared_xy = true_xy + np.array(error)
         expect(plr(shared_xy, true_xy, 0.3), share, what="PLR", case=f"one error {error} m")
 
 
 @check
 def plr_radial_gaussian(plr: Function) -> None:
     """PLR of radial errors |N(0, s)| tends to 2 Phi(epsilon / s) - 1."""
-    for sigma_m, rng in _sizes("plr_radial_gaussian"):
-        angle_rad = rng.uniform(0.0, 2.0 * np.pi, _LARGE)
-        error = _turned(rng.normal(0.0, sigma_m, _LARGE), angle_rad)
-        limit = 2.0 * float(ndtr(EPSILON_M / sigma_m)) - 1.0
-        _near_share(plr, error, limit, f"radial, s = {sigma_m} m")
+    _tends_to(plr, "radial", lambda ratio: 2.0 * float(ndtr(ratio)) - 1.0)
 
 
 @check
 def plr_isotropic_gaussian(plr: Function) -> None:
     """PLR of errors N(0, s) on each axis tends to 1 - exp(-epsilon^2 / 2 s^2)."""
-    for sigma_m, rng in _sizes("plr_isotropic_gaussian"):
-        error = rng.normal(0.0, sigma_m, (_LARGE, 2))
-        limit = -expm1(-0.5 * (EPSILON_M / sigma_m) ** 2)
-        _near_share(plr, error, limit, f"isotropic, s = {sigma_m} m")
+    _tends_to(plr, "isotropic", lambda ratio: -expm1(-0.5 * ratio**2))
 
 
-def _sizes(name: str) -> list[tuple[float, Generator]]:
-    return [(size_m, stream(0, "testing", name, str(size_m))) for size_m in (0.1, 0.3, 0.75)]
-
-
-def _near_share(plr: Function, error: Floats, limit: float, case: str) -> None:
-    share = plr(error, np.zeros_like(error), EPSILON_M)
-    tolerance = STANDARD_ERRORS * sqrt(limit * (1.0 - limit) / _LARGE)
-    what = f"PLR is {share!r}, expected {limit:.6f} within {tolerance:.6f}"
-    expect_that(abs(share - limit) <= tolerance, what=what, case=f"{case}, {_LARGE} samples")
+def _tends_to(plr: Function, law: ErrorLaw, limit_of: Callable[[float], float]) -> None:
+    for sigma_m in (0.1, 0.3, 0.75):
+        rng = stream(0, "testing", f"plr_{law}_gaussian", str(sigma_m))
+        error = sigma_m * unit_errors(n_samples=_LARGE, law=law, rng=rng)
+        share, limit = plr(error, np.zeros_like(error), EPSILON_M), limit_of(EPSILON_M / sigma_m)
+        tolerance = STANDARD_ERRORS * sqrt(limit * (1.0 - limit) / _LARGE)
+        what = f"PLR is {share!r}, expected {limit:.6f} within {tolerance:.6f}"
+        case = f"{law}, s = {sigma_m} m, {_LARGE} samples"
+        expect_that(abs(share - limit) <= tolerance, what=what, case=case)
 
 
 @check
 def exposure_stops_at_the_end_of_a_track(exposure: Function) -> None:
     """In a batch, no segment runs on into the next trajectory, and each has its own interval."""
     slow = plain_track("110", t=[0.0, 2.0, 4.0])
-    _batch(exposure, [plain_track("0011"), slow, plain_track("1"), plain_track("1111")])
+    _expect_batch(exposure, [plain_track("0011"), slow, plain_track("1"), plain_track("1111")])
 
 
 @check
 def exposure_matches_brute_force(exposure: Function) -> None:
     """In a batch, every trajectory gets what the definitions give it alone."""
-    tracks = _one_epsilon("exposure_random")
+    tracks = list(random_tracks("exposure_random", count=40, epsilon_m=EPSILON_M))
     for first in range(0, len(tracks), 8):
-        _batch(exposure, tracks[first : first + 8])
+        _expect_batch(exposure, tracks[first : first + 8])
 
 
 @check
 def exposure_order_of_tracks(exposure: Function) -> None:
     """In a batch, the values follow the trajectories when these change places."""
-    tracks = _one_epsilon("exposure_order")
+    tracks = list(random_tracks("exposure_order", count=40, epsilon_m=EPSILON_M))
     order = stream(0, "testing", "exposure_order").permutation(len(tracks))
-    straight = _run_batch(exposure, tracks)
-    mixed = _run_batch(exposure, [tracks[place] for place in order])
+    straight = _of_batch(exposure, tracks)
+    mixed = _of_batch(exposure, [tracks[place] for place in order])
     expect(mixed, straight[:, order], what="PLR, AEL, MEL in the new order", case="40 tracks")
 
 
-def _one_epsilon(name: str) -> list[Track]:
-    """Return random tracks whose errors are rescaled to one common epsilon."""
-    tracks = []
-    for track in random_tracks(name, count=40):
-        error = (track.shared_xy - track.true_xy) * (EPSILON_M / track.epsilon_m)
-        tracks.append(replace(track, shared_xy=track.true_xy + error, epsilon_m=EPSILON_M))
-    return tracks
-
-
-def _run_batch(exposure: Function, tracks: list[Track]) -> Floats:
-    found = exposure(
+def _of_batch(exposure: Function, tracks: list[Track]) -> Floats:
+    found: Floats = exposure(
         np.concatenate([track.shared_xy for track in tracks]),
         np.concatenate([track.true_xy for track in tracks]),
         np.concatenate([track.t for track in tracks]),
         np.cumsum([0, *(len(track.pattern) for track in tracks)]),
         tracks[0].epsilon_m,
     )
-    shapes = [values.shape for values in found]
-    what = f"PLR, AEL and MEL have the shapes {shapes}, expected ({len(tracks)},) each"
-    expect_that(shapes == 3 * [(len(tracks),)], what=what, case=f"{len(tracks)} tracks")
-    return np.stack(found)
+    what = f"PLR, AEL and MEL have the shape {found.shape}, expected (3, {len(tracks)})"
+    expect_that(found.shape == (3, len(tracks)), what=what, case=f"{len(tracks)} tracks")
+    return found
 
 
-def _batch(exposure: Function, tracks: list[Track]) -> None:
-    found = _run_batch(exposure, tracks)
-    wanted = [by_definition(track) for track in tracks]
-    for of, values in zip(_NEEDS, found, strict=True):
+def _expect_batch(exposure: Function, tracks: list[Track]) -> None:
+    found, wanted = _of_batch(exposure, tracks), [by_definition(track) for track in tracks]
+    for name, values in zip(_NAMES, found, strict=True):
         case = " | ".join(map(str, tracks))
-        expect(values, [one[of] for one in wanted], what=of, case=case)
+        expect(values, [one[name] for one in wanted], what=_NAMES[name], case=case)

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from isac_track import conflict, privacy, sharing
 from isac_track.errors import told
-from isac_track.testing.engine import Check, attempt, statement_of
+from isac_track.rng import stream
+from isac_track.testing.engine import Check, statement_of
 
 if TYPE_CHECKING:
     from isac_track.types import Bools, Floats, Ints
 
 Function: TypeAlias = Callable[..., Any]
 """One of those offered, guarded."""
-RELATIVE_TOLERANCE = 1e-9
-ABSOLUTE_TOLERANCE = 1e-9
+TOLERANCE = 1e-9
+"""Relative as well as absolute."""
+DRAWS = 100
+"""Random cases of a check that asks for `rng`."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, slots=True)
@@ -110,9 +113,19 @@ CHECKS: dict[str, Check] = {}
 
 
 def check(body: Callable[..., None]) -> Callable[..., None]:
-    """Register a check; it receives the functions that its parameters are called after."""
-    needs = tuple(inspect.signature(body).parameters)
-    register(body, name=body.__name__, statement=statement_of(body), needs=needs)
+    """Register a check; it receives the functions that its parameters are called after.
+
+    One that asks for an `rng` besides runs on `DRAWS` random streams of its own.
+    """
+    name, parameters = body.__name__, tuple(inspect.signature(body).parameters)
+    needs = tuple(need for need in parameters if need != "rng")
+
+    def on_draws(*functions: Function) -> None:
+        for index in range(DRAWS):
+            body(*functions, rng=stream(0, "testing", name, index))
+
+    run = body if needs == parameters else on_draws
+    register(run, name=name, statement=statement_of(body), needs=needs)
     return body
 
 
@@ -120,9 +133,6 @@ def register(
     body: Callable[..., None], *, name: str, statement: str, needs: tuple[str, ...]
 ) -> None:
     """Add a check to the kit; `body` receives the functions that it needs, guarded."""
-    unknown = set(needs) - {item.name for item in fields(Metrics)}
-    if unknown:
-        raise TypeError(f"{name} asks for unknown functions: {sorted(unknown)}")
 
     def on_offered(metrics: Metrics) -> None:
         body(*(_guarded(need, getattr(metrics, need)) for need in needs))
@@ -133,9 +143,8 @@ def register(
 def expect(actual: object, expected: object, *, what: str, case: object) -> None:
     """Compare numbers or arrays of numbers up to rounding; NaN equals NaN."""
     left, right = np.asarray(actual, dtype=float), np.asarray(expected, dtype=float)
-    same_shape = left.shape == right.shape
-    if not same_shape or not np.allclose(
-        left, right, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE, equal_nan=True
+    if left.shape != right.shape or not np.allclose(
+        left, right, rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True
     ):
         raise AssertionError(f"{what} is {show(left)}, expected {show(right)}; {case}")
 
@@ -163,13 +172,8 @@ def _array(result: object) -> Floats:
     return np.asarray(result, dtype=float)
 
 
-def _three_arrays(result: Any) -> tuple[Floats, ...]:  # noqa: ANN401 - a stranger's
-    first, second, third = result
-    return tuple(map(_array, (first, second, third)))
-
-
 _READ: dict[str, Callable[[Any], object]] = {
-    "exposure": _three_arrays,
+    "exposure": lambda results: np.stack([_array(one) for one in results]),
     "prediction_grid": _array,
     "robot_path": _array,
     "fid_d_sigma": _array,
@@ -184,20 +188,19 @@ def _guarded(name: str, function: Function) -> Function:
     def call(*arguments: object) -> object:
         # Copies: a function that changes its input must not spoil the case for the next one.
         given = [one.copy() if isinstance(one, np.ndarray) else one for one in arguments]
-        result = attempt(
-            lambda: function(*given),
-            failing=lambda error: f"{name} raised {told(error)}; {_call(name, arguments)}",
-        )
+        try:
+            result = function(*given)
+        except (Exception, SystemExit) as error:
+            wrong = f"{name} raised {told(error)}; {_call(name, arguments)}"
+            raise AssertionError(wrong) from error
         for before, after in zip(arguments, given, strict=True):
             if isinstance(after, np.ndarray) and after.tobytes() != np.asarray(before).tobytes():
                 raise AssertionError(f"{name} changed its input; {_call(name, arguments)}")
         try:
             return _READ.get(name, float)(result)
         except (TypeError, ValueError) as error:
-            raise AssertionError(
-                f"{name} returned {result!r}, which cannot be read as its result: {error}; "
-                f"{_call(name, arguments)}"
-            ) from error
+            wrong = f"{name} returned {result!r}, which cannot be read as its result: {error}"
+            raise AssertionError(f"{wrong}; {_call(name, arguments)}") from error
 
     call.__name__ = name
     return call

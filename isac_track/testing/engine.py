@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from difflib import get_close_matches
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 from unittest import SkipTest
 
@@ -30,10 +31,9 @@ class Check:
     needs: tuple[str, ...] = ()
     """Names of the attributes of its subject that it cannot do without."""
 
-    def missing(self, subject: object) -> str | None:
-        """Return why the check cannot run, or None if it can."""
-        absent = [name for name in self.needs if getattr(subject, name) is None]
-        return f"not offered: {', '.join(absent)}" if absent else None
+    def missing(self, subject: object) -> str:
+        """Return what the check needs and the subject does not offer."""
+        return ", ".join(name for name in self.needs if getattr(subject, name) is None)
 
     def __call__(self, subject: object) -> None:
         """Run the check.
@@ -45,34 +45,26 @@ class Check:
         unittest.SkipTest
             With the reason, if the check does not apply; pytest takes it for a skip.
         """
-        if reason := self.missing(subject):
-            raise SkipTest(reason)
+        if missing := self.missing(subject):
+            raise SkipTest(f"not offered: {missing}")
         self.body(subject)
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one check."""
+    """What became of one check; `check` and `detail` are its name and message."""
 
     name: str
     status: Literal["passed", "failed", "skipped"]
     message: str = ""
     """The counterexample of a failure, or the reason of a skip."""
 
+    check, detail = property(attrgetter("name")), property(attrgetter("message"))
+
     @property
     def passed(self) -> bool:
         """Whether the check ran and what it states holds."""
         return self.status == "passed"
-
-    @property
-    def check(self) -> str:
-        """The name of the check."""
-        return self.name
-
-    @property
-    def detail(self) -> str:
-        """The message."""
-        return self.message
 
 
 def statement_of(function: Callable[..., None]) -> str:
@@ -81,7 +73,7 @@ def statement_of(function: Callable[..., None]) -> str:
 
 
 def select(
-    checks: Mapping[str, Check], names: Sequence[str] | None, *, kit: str = "", known: str = ""
+    checks: Mapping[str, Check], names: Sequence[str] | None, *, kit: str = "", known: str
 ) -> tuple[Check, ...]:
     """Return the checks called `names`, each once, or all.
 
@@ -130,14 +122,3 @@ def parametrize(arguments: str, cases: Iterable[tuple[str, tuple[object, ...]]])
     return pytest.mark.parametrize(
         arguments, [pytest.param(*values, id=name) for name, values in cases]
     )
-
-
-def attempt(function: Callable[[], Any], *, failing: Callable[[BaseException], str]) -> Any:  # noqa: ANN401 - whatever a stranger returns
-    """Return what a stranger's function returns, or fail the check with what `failing` says.
-
-    It says it of anything that the function raises, its leaving the program included.
-    """
-    try:
-        return function()
-    except (Exception, SystemExit) as error:
-        raise AssertionError(failing(error)) from error

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from helpers import broken_attacks, broken_linkers
 from helpers.broken_attacks import SCENE, SIGMA, Jitters, attack
-from helpers.broken_linkers import Continues, ContinuesWhereShown, Learns, NeedsRepeats, linker
+from helpers.broken_linkers import (
+    BASE,
+    Continues,
+    ContinuesWhereShown,
+    Learns,
+    NeedsRepeats,
+    linker,
+)
 from helpers.processes import ROOT, run_python
 
 from attacks.testing import (
@@ -76,8 +83,9 @@ def hopes(context):
 
 
 NULL, SHORT = "null_stays_at_chance", "short_tracks_are_handled"
-ORDER = "order_of_tracks_does_not_matter"
+ORDER, MATRIX = "order_of_tracks_does_not_matter", "result_is_a_score_matrix"
 MUTATED, GRANTED = "inputs_are_not_mutated", "only_granted_knowledge_is_touched"
+FRAME = "frame_and_clock_do_not_matter"
 
 
 class TestMistakesWithoutEnd:
@@ -86,11 +94,6 @@ class TestMistakesWithoutEnd:
     @pytest.mark.parametrize(
         ("made", "spared", "message"),
         [
-            (
-                attack(lambda release: release.xy[1:] if len(release.t) > 1 else [[0, 0]] * 2),
-                {MUTATED, GRANTED},
-                "shape (271, 2), expected (272, 2)",
-            ),
             (
                 attack(lambda release: release.xy * np.nan),
                 set(),
@@ -111,21 +114,17 @@ class TestMistakesWithoutEnd:
     @pytest.mark.parametrize(
         ("made", "name", "message"),
         [
+            (fitted(lambda release: release.xy[1:]), ORDER, "shape (271, 2), expected (272, 2)"),
             (fitted(lambda release: release.xy * np.nan), NULL, "3096 of 3096 positions are not f"),
-            (fitted(print), SHORT, "positions of shape (), expected (1, 2)"),
             (fitted(lambda release: [["a", "b"]] * len(release.t)), SHORT, "struction, got list"),
             (fitted(3), NULL, "fit must return a function from a release to a rec"),
             (attack(lambda release: release.xy.fill(0.0)), MUTATED, "read-only (test_testing.py, "),
-            (
-                linker(lambda probe, gallery: broken_linkers.BASE.link(probe, gallery).T),
-                "result_is_a_score_matrix",
-                "scores of shape (9, 7), expected (P, G) = (7, 9).*(turned round?)",
-            ),
+            (linker(lambda probe, gallery: BASE.link(probe, gallery).T), MATRIX, "(turned round?)"),
             (linker(lambda _probe, _gallery: None), ORDER, "(P, G) = (7, 9), got NoneType"),
             (linker(lambda _probe, _gallery: np.full((7, 9), 1j)), ORDER, "array of complex128"),
-            (linker(lambda _context: 3), NULL, "from two releases, probe and gallery, to a matrix"),
             (linker(lambda _context: sys.exit("no")), NULL, "fit(context) raised SystemExit: no"),
             (linker(hopes), GRANTED, "REPEATS was not granted"),
+            (attack(fails), GRANTED, "RuntimeError: of its own (test_testing.py, line "),
             (
                 type("Other", (broken_attacks.Base,), {"kind": "linkage"}),
                 NULL,
@@ -139,29 +138,17 @@ class TestMistakesWithoutEnd:
         ],
     )
     def test_in_words(self, made, name, message):
-        pattern = re.escape(message).replace(r"\.\*", ".*")
         (found,) = failed(made, names=[name]).values()
-        assert re.search(pattern, found)
-
-    def test_a_fault_of_its_own_is_not_blamed_on_knowledge(self):
-        (message,) = failed(attack(fails), names=[GRANTED]).values()
-        assert re.search(r"RuntimeError: of its own \(test_testing\.py, line \d+\)$", message)
-
-    def test_frames_where_the_scene_may_be_shown_or_not(self):
-        always = type("Always", (Continues,), {"requires": frozenset(), "uses": SCENE})
-        messages = failed(always)
-        assert "frames_and_clocks_do_not_matter" in messages
-        assert all("Always as blind (granted nothing)" in one for one in messages.values())
+        assert message in found
+        # A fault of its own is not blamed on knowledge.
+        assert "given all knowledge it runs" not in found
 
 
 class TestRows:
     @pytest.mark.parametrize(
         ("made", "check"),
         [
-            (
-                attack(lambda track: np.round(track.xy, 1), requires=SCENE),
-                "frame_and_clock_do_not_matter",
-            ),
+            (attack(lambda track: np.round(track.xy, 1), requires=SCENE), FRAME),
             (Continues, "frames_and_clocks_do_not_matter"),
         ],
     )
@@ -171,8 +158,7 @@ class TestRows:
         assert "granted SCENE in every row" in skipped.message
 
     def test_are_those_of_tasks_that_show_what_it_requires(self):
-        assert adversaries_of(broken_linkers.BASE) == ("blind",)
-        assert adversaries_of(Continues()) == ("blind",)
+        assert adversaries_of(BASE) == adversaries_of(Continues()) == ("blind",)
         assert adversaries_of(Learns()) == ("blind", "informed", "oracle")
         assert adversaries_of(broken_attacks.one_frame_for_all()) == ("oracle",)
         granted = [row.granted for row in _rows(Learns())]
@@ -186,24 +172,17 @@ class TestRows:
 
 class TestRunning:
     @pytest.mark.parametrize(
-        ("made", "checks"),
-        [(broken_attacks.Base(), CHECKS), (broken_linkers.BASE, LINKAGE_CHECKS)],
+        ("made", "checks"), [(broken_attacks.Base(), CHECKS), (BASE, LINKAGE_CHECKS)]
     )
     def test_checks_go_by_the_kind_in_order_and_by_name(self, made, checks):
-        assert list(checks_for(made)) == [one.name for one in run_checks(made)] == list(checks)
-        (one,) = run_checks(made, names=["null_stays_at_chance"])
-        assert one == CheckResult("null_stays_at_chance", "passed")
+        assert list(checks_for(made)) == list(checks)
+        assert run_checks(made, names=[NULL]) == (CheckResult(NULL, "passed"),)
 
     @pytest.mark.parametrize(
         ("made", "name", "message"),
         [
-            (broken_attacks.Base(), "nul_stays_at_chance", "did you mean 'null_stays_at_chance'"),
             (broken_attacks.Base(), "xyzzy", "known: result_is_a_reconstruction, "),
-            (
-                broken_linkers.BASE,
-                "frame_and_clock_do_not_matter",
-                "of a linkage attack; did you mean 'frames_and_cl",
-            ),
+            (BASE, FRAME, "of a linkage attack; did you mean 'frames_and_clocks_do_"),
         ],
     )
     def test_a_wrong_name_is_answered_with_the_nearest(self, made, name, message):
@@ -236,24 +215,21 @@ class Undeclared:
     def fit(self, context): ...
 
 
+def altered(**attributes):
+    return type("Odd", (broken_attacks.Base,), attributes)()
+
+
 class TestWhatIsNoAttack:
     @pytest.mark.parametrize(
         ("attack", "message"),
         [
             (NeedsRepeats(), "requires REPEATS, which nobody who links is grant"),
-            (
-                type("Odd", (broken_linkers.Base,), {"kind": "linking"})(),
-                'attack Odd: kind must be "reconstruction" or "li',
-            ),
+            (altered(kind="linking"), 'attack Odd: kind must be "reconstruction" or "li'),
             (Jitters, r"got its class: write Jitters\(\)"),
             (Undeclared(), "Undeclared needs a class attribute requires: a frozenset"),
-            (
-                type("Listing", (broken_attacks.Base,), {"uses": [Knowledge.TRAIN]})(),
-                r"Listing needs a class attribute uses: .*, got \[<Knowledge.TRAIN",
-            ),
-            (type("Idle", (broken_attacks.Base,), {"fit": None})(), r"Idle has no method fit\(con"),
+            (altered(uses=[Knowledge.TRAIN]), r"attribute uses: .*, got \[<Knowledge.TRAIN"),
+            (altered(fit=None), r"Odd has no method fit\(con"),
             (Thawed(), "Thawed must be a frozen dataclass"),
-            (object(), "object must be a frozen dataclass"),
             (None, "NoneType must be a frozen dataclass"),
         ],
     )
@@ -263,18 +239,16 @@ class TestWhatIsNoAttack:
         with pytest.raises(PluginError, match=message):
             run_checks(attack)
 
-    def test_one_attack_without_a_list(self):
+    def test_nor_is_one_without_a_list_or_a_list_of_none(self):
         with pytest.raises(PluginError, match="expected a list of attacks"):
             parametrize_attack_checks(Jitters())
-
-    def test_an_empty_list(self):
         with pytest.raises(SettingsError, match="the list is empty"):
             parametrize_attack_checks([])
 
 
 class TestWithPytest:
     def test_ids_name_attack_and_check(self):
-        given = [Jitters(), replace(Jitters(), sigma_m=0.1), broken_linkers.BASE]
+        given = [Jitters(), replace(Jitters(), sigma_m=0.1), BASE]
         assert [case.id for case in parametrize_attack_checks(given).mark.args[1]] == [
             *(f"Jitters-{name}" for name in CHECKS),
             *(f"Jitters(sigma_m=0.1)-{name}" for name in CHECKS),

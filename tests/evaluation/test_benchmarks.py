@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import isac_track
-from isac_track.errors import SettingsError
+from isac_track.errors import DataError, SettingsError
 from isac_track.rng import stream
 
 ROOT = Path(isac_track.__file__).parent.parent
@@ -306,3 +306,38 @@ def test_a_short_soak():
     # Workers end with their run.
     assert found["left"]["children"] == []
     assert found["left"]["threads"] == []
+
+
+class TestDefaultRun:
+    RUN = """
+import sys, time, pathlib
+folder = pathlib.Path(sys.argv[1])
+(folder / "cells").mkdir(parents=True)
+held, until = b"x" * 40_000_000, time.process_time() + 0.4
+while time.process_time() < until: pass
+(folder / "cells" / "one").write_bytes(b"0" * 1000)
+time.sleep(0.5)
+(folder / "cells" / "two").write_bytes(b"0" * 500)
+(folder / "verdict.json").write_text("{}")
+"""
+
+    @pytest.fixture
+    def default_run(self, monkeypatch):
+        monkeypatch.syspath_prepend(str(ROOT))
+        return import_module("benchmarks.default_run")
+
+    def test_what_a_process_takes_is_told(self, default_run, tmp_path):
+        found = default_run.measure(["-c", self.RUN, str(tmp_path / "run")], tree=tmp_path)
+        assert found["cpu_s"] >= 0.4
+        assert found["wall_s"] >= 0.9
+        assert found["peak_mb"] > 40
+        assert (found["files"], found["disk_mb"]) == (3, pytest.approx(0.001502))
+        assert sum(found["stages"].values()) == pytest.approx(found["wall_s"], abs=0.01)
+        assert found["stages"]["cells"] == pytest.approx(0.5, abs=0.4)
+
+    def test_a_run_that_failed_is_no_measurement(self, default_run, tmp_path):
+        with pytest.raises(DataError, match="ended with 3: no room"):
+            default_run.measure(
+                ["-c", "import sys; print('no room', file=sys.stderr); sys.exit(3)", "out"],
+                tree=tmp_path,
+            )

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import pytest
 
 from evaluation import calibrate
-from evaluation.analysis.calibration import Targets, descriptors, fit, links, predictions
+from evaluation.analysis.calibration import descriptors, fit, links, predictions
 from isac_track.config import SensingSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.scenes import cut
@@ -27,7 +27,7 @@ def blocks(known):
 def targets_of(blocks, settings):
     raw_plr, raw_mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3)
     fid_plr, _ = descriptors(blocks, settings=settings, epsilon_m=0.3, eta=1000.0)
-    return Targets(raw_plr=raw_plr, raw_mel_s=raw_mel_s, fid_plr=fid_plr)
+    return raw_plr, raw_mel_s, fid_plr
 
 
 def test_planted_constants_are_found_again(blocks):
@@ -42,17 +42,15 @@ def test_planted_constants_are_found_again(blocks):
 def test_the_short_way_gives_the_numbers_of_the_pipeline(known, blocks):
     settings = StageSettings().sensing
     ours = predictions(known, stages=StageSettings(), n_scenes=N_SCENES, seed=0)
-    plr, mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3)
-    assert ours["raw", "plr"] == pytest.approx(plr, abs=1e-6)
-    assert ours["raw", "mel"] == pytest.approx(mel_s, abs=1e-4)
-    plr, mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3, eta=1000.0)
-    assert ours["fid:1000", "plr"] == pytest.approx(plr, abs=1e-6)
-    assert ours["fid:1000", "mel"] == pytest.approx(mel_s, abs=1e-4)
+    for spec, eta in (("raw", None), ("fid:1000", 1000.0)):
+        plr, mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3, eta=eta)
+        assert ours[spec, "plr"] == pytest.approx(plr, abs=1e-6)
+        assert ours[spec, "mel"] == pytest.approx(mel_s, abs=1e-4)
 
 
 def test_a_number_out_of_reach_is_an_error(blocks):
     with pytest.raises(DataError, match="gives the paper's raw PLR"):
-        fit(blocks, stages=StageSettings(), targets=Targets(1.5, 5.0, 0.2))
+        fit(blocks, stages=StageSettings(), targets=(1.5, 5.0, 0.2))
 
 
 def test_the_command_shows_the_fit_and_its_predictions(csv_recording, capsys):

@@ -17,7 +17,7 @@ from helpers.summaries import edit_manifest
 
 import evaluation
 from evaluation.experiment.variants import BASE, RIDGE, parse, settings_of, variants
-from evaluation.reporting.sensitivity_table import turned
+from evaluation.reporting.assumption_tables import turned
 from evaluation.runs.manifest import read_manifest
 from evaluation.sensitivity import main
 from evaluation.verdict.sensitivity import (
@@ -82,35 +82,29 @@ def item(name, decision, sign, **more):
 
 
 class TestNames:
-    def test_every_listed_variant_is_its_own_name(self):
-        for one in variants():
-            assert parse(one.name) == one
-
-    def test_the_list_is_the_one_that_is_promised(self):
-        assert [one.name for one in variants()] == [
+    def test_the_list_is_the_one_that_is_promised_and_each_its_own_name(self):
+        promised = (
             "base",
-            "law=isotropic",
-            "law=fixed_direction",
-            "epsilon=0.1",
-            "epsilon=0.2",
-            "epsilon=0.5",
-            "epsilon=1",
-            "ridge cap=1.5",
-            "ridge cap=3",
-            "ridge beam=4",
-            "ridge exponent=2",
-            "ridge exponent=3.5",
-            "recording=students03",
-            "recording=zara01",
-            "recording=plaza",
-            "predictor=kalman_cv",
-            "predictor=least_squares",
-        ]
+            *("law=isotropic", "law=fixed_direction"),
+            *("epsilon=0.1", "epsilon=0.2", "epsilon=0.5", "epsilon=1"),
+            *("ridge cap=1.5", "ridge cap=3", "ridge beam=4"),
+            *("ridge exponent=2", "ridge exponent=3.5"),
+            *("recording=students03", "recording=zara01", "recording=plaza"),
+            *("predictor=kalman_cv", "predictor=least_squares"),
+        )
+        assert variants() == [parse(name) for name in promised]
+        assert tuple(one.name for one in variants()) == promised
 
-    def test_any_setting_makes_a_variant(self):
-        assert parse("privacy.epsilon_m = 0.4").stages == {"privacy.epsilon_m": 0.4}
-        assert parse("epsilon=0.4").stages == {"privacy.epsilon_m": 0.4}
-        assert parse("scenes.agents=3").stages == {"scenes.agents": 3}
+    @pytest.mark.parametrize(
+        ("name", "stages"),
+        [
+            ("privacy.epsilon_m = 0.4", {"privacy.epsilon_m": 0.4}),
+            ("epsilon=0.4", {"privacy.epsilon_m": 0.4}),
+            ("scenes.agents=3", {"scenes.agents": 3}),
+        ],
+    )
+    def test_any_setting_makes_a_variant(self, name, stages):
+        assert parse(name).stages == stages
 
     @pytest.mark.parametrize(
         ("name", "said"),
@@ -136,30 +130,27 @@ class TestNames:
             for line in text[text.index("**ridge**") :].splitlines()
             if (cells := line.split("|"))[1:] and len(cells) > 5
         }
-        head = rows[""]
+        head = [re.sub(r" (m|dB)$", "", one) for one in rows[""]]
+        names = ("processing gain (dB)", "large-scale spread (dB)", "CRB gap (dB)")
         for point in RIDGE:
-            name = point.replace("=", " ")
-            (column,) = [one for one in head if re.sub(r" (m|dB)$", "", one) == name]
-            for key, row in (
-                ("processing_gain_db", "processing gain (dB)"),
-                ("large_scale_db", "large-scale spread (dB)"),
-                ("crb_gap_db", "CRB gap (dB)"),
-            ):
-                assert RIDGE[point][key] == float(rows[row][head.index(column)]), (point, key)
+            column = head.index(point.replace("=", " "))
+            keys = ("processing_gain_db", "large_scale_db", "crb_gap_db")
+            told = [float(rows[name][column]) for name in names]
+            assert [RIDGE[point][key] for key in keys] == told, point
 
     def test_what_the_run_did_itself_is_left_out(self, finished):
         manifest = read_manifest(finished)
         names = {one.name for one in variants(manifest)}
-        assert {"recording=students03", "recording=zara01", "recording=plaza"} <= names
-        assert "predictor=kalman_cv" in names
+        recordings = {"recording=students03", "recording=zara01", "recording=plaza"}
+        assert names >= recordings | {"predictor=kalman_cv"}
         assert "predictor=least_squares" not in names
         manifest["dataset"]["name"] = "zara01"
         manifest["settings"]["stages"] |= {"sensing.law": "isotropic", "privacy.epsilon_m": 0.5}
         manifest["settings"]["predictors"] = ["kalman_cv"]
+        gone = {"recording=zara01", "law=isotropic", "epsilon=0.5", "predictor=kalman_cv"}
         names = {one.name for one in variants(manifest)}
-        assert names.isdisjoint({"recording=zara01", "law=isotropic", "epsilon=0.5"})
+        assert names.isdisjoint(gone)
         assert {"base", "recording=students03", "predictor=least_squares"} <= names
-        assert "predictor=kalman_cv" not in names
         manifest["settings"]["predictors"] = []
         assert not any(one.predictor for one in variants(manifest))
 
@@ -190,15 +181,13 @@ class TestChanges:
     def test_an_item_that_is_not_there_is_missing(self):
         base = {"items": [item("within/a", "tracks", 1), item("within/b", "undecided", 0)]}
         rows = changes("v", base=base, said={"items": [item("within/new", "tracks", 1)]})
-        assert [(row["id"], row["changed"]) for row in rows] == [
-            ("within/a", "missing"),
-            ("within/b", "missing"),
-        ]
-        assert rows[0]["decision"] is None
+        found = [(row["id"], row["changed"], row["decision"]) for row in rows]
+        assert found == [("within/a", "missing", None), ("within/b", "missing", None)]
 
     def test_are_counted_and_told_in_words(self):
+        nothing = dict.fromkeys(("effect", "ci_low", "ci_high"))
         same = [
-            item("claim/c", "undecided", 0, effect=None, ci_low=None, ci_high=None),
+            item("claim/c", "undecided", 0, **nothing),
             item("inflation/a", "inflated", 1, unit="s"),
         ]
         before = [item("claim/a", "holds", 1), item("claim/b", "holds", 1)]
@@ -208,33 +197,27 @@ class TestChanges:
         ]
         found = changes("law=x", base={"items": before + same}, said={"items": after + same})
         rows = pd.DataFrame(found, columns=list(COLUMNS))
-        assert counts(rows) == {
-            "law=x": {"claim": {"same": 1, "changed sign": 1, "lost": 1}, "inflation": {"same": 1}}
-        }
-        assert turned(rows) == [
-            "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])",
-        ]
+        claim = {"same": 1, "changed sign": 1, "lost": 1}
+        assert counts(rows) == {"law=x": {"claim": claim, "inflation": {"same": 1}}}
+        told = "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])"
+        assert turned(rows) == [told]
 
 
 class TestAttacks:
     def test_are_those_that_items_and_differing_contrasts_are_about(self):
+        def about(subject, task="", **more):
+            return item("validity/a", "tracks", 1, subject=subject, task=task, **more)
+
         contrasts = [
             {"reading": "differs", "subject": "shape (informed)"},
             {"reading": "equal", "subject": "dtw (blind)"},
         ]
         items = [
-            item("validity/a", "tracks", 1, subject="shape@x (blind)", task="split"),
-            item("within/a", "tracks", 1, subject="p.q:R:2@x (informed)", task="rerelease"),
-            item("claim/a", "holds", 1),
-            item("claim/b", "holds", 1, subject="x (blind)"),
-            item(
-                "validity/b",
-                "tracks",
-                1,
-                subject="shape@x (blind)",
-                task="rerelease",
-                contrasts=contrasts,
-            ),
+            about("shape@x (blind)", "split"),
+            about("p.q:R:2@x (informed)", "rerelease"),
+            about(""),
+            about("x (blind)"),
+            about("shape@x (blind)", "rerelease", contrasts=contrasts),
         ]
         assert attacks_of(items) == {
             "shape@x": {"split", "rerelease"},
@@ -275,15 +258,11 @@ class TestSettings:
             assert changed == set(parse(name).stages)
             assert found.dataset == base.dataset
 
-    def test_a_setting_of_the_run_stays(self, finished):
+    def test_a_setting_of_the_run_stays_and_scenes_and_jobs_may_be_others(self, finished):
         manifest = read_manifest(finished)
         manifest["settings"]["stages"]["sensing.power_dbm"] = 20.0
-        found, _ = settings(finished, "epsilon=0.2", manifest=manifest)
-        assert found.stages.sensing.power_dbm == 20.0
-        assert found.stages.privacy.epsilon_m == 0.2
-
-    def test_scenes_and_jobs_may_be_others(self, finished):
-        found, _ = settings(finished, BASE, scenes=8, jobs=2)
+        found, _ = settings(finished, "epsilon=0.2", manifest=manifest, scenes=8, jobs=2)
+        assert (found.stages.sensing.power_dbm, found.stages.privacy.epsilon_m) == (20.0, 0.2)
         assert (found.scenes, found.jobs) == (8, 2)
 
     def test_another_recording_brings_its_own_format(self, finished):
@@ -294,10 +273,8 @@ class TestSettings:
     def test_a_task_without_enough_people_is_left_out_with_its_attacks(self, finished, tmp_path):
         write_walks(tmp_path / "few.csv", n_people=2)
         found, left_out = settings(finished, f"recording={tmp_path / 'few.csv'}")
-        assert found.tasks == ()
-        assert found.attacks == ("kalman_rts",)
-        assert len(left_out) == 1
-        assert "rerelease" in left_out[0]
+        assert (found.tasks, found.attacks) == ((), ("kalman_rts",))
+        assert ["rerelease" in one for one in left_out] == [True]
 
     def test_a_recording_that_has_changed_is_refused(self, finished):
         manifest = read_manifest(finished)
@@ -306,27 +283,21 @@ class TestSettings:
             settings(finished, BASE, manifest=manifest)
 
 
+NAMES = (BASE, "law=fixed_direction", "epsilon=1", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
+
+
 class TestRun:
-    def test_the_base_says_what_the_run_says(self, finished, tried):
+    def test_the_table_holds_every_item_and_the_base_says_what_the_run_says(self, finished, tried):
         rows = pd.read_csv(tried / "sensitivity.csv")
+        assert tuple(rows.columns) == COLUMNS
+        assert tuple(dict.fromkeys(rows["variant"])) == NAMES
+        assert not rows.duplicated(["variant", "id"]).any()
+        assert len(set(rows["variant"].value_counts())) == 1
         base = rows[rows["variant"] == BASE]
         assert len(base) == len(read_verdict(finished)["items"]) > 10
         assert set(base["section"]) == {"validity", "within", "claim", "inflation"}
         assert set(base["changed"]) == {"same"}
         assert np.array_equal(base["effect"], base["effect_base"], equal_nan=True)
-
-    def test_the_table_holds_every_item_of_every_variant(self, tried):
-        rows = pd.read_csv(tried / "sensitivity.csv")
-        assert tuple(rows.columns) == COLUMNS
-        assert list(dict.fromkeys(rows["variant"])) == [
-            BASE,
-            "law=fixed_direction",
-            "epsilon=1",
-            "predictor=kalman_cv",
-            "privacy.epsilon_m=0.4",
-        ]
-        assert not rows.duplicated(["variant", "id"]).any()
-        assert len(set(rows["variant"].value_counts())) == 1
 
     def test_a_variant_is_the_run_that_its_settings_make(self, finished, tried, tmp_path):
         asked, _ = settings(finished, "epsilon=1", out=tmp_path / "alone", jobs=1)
@@ -351,16 +322,16 @@ class TestRun:
         assert not same[is_claim].any()
 
     def test_cells_that_the_run_has_are_not_computed_again(self, tried):
-        borrowed = {path.name for path in (tried / "cells").iterdir()}
+        def cells_of(folder):
+            return {path.name: path.read_bytes() for path in (folder / "cells").iterdir()}
+
+        run = cells_of(tried)
         for name in (BASE, "predictor=kalman_cv"):
-            cells = {path.name for path in (folder_of(tried, name) / "cells").iterdir()}
+            cells = cells_of(folder_of(tried, name))
             assert cells
-            assert cells <= borrowed  # a unit's file is taken over whole, whoever else is in it
-            for cell in cells:
-                mine = folder_of(tried, name) / "cells" / cell
-                assert mine.read_bytes() == (tried / "cells" / cell).read_bytes()
-        others = {path.name for path in (folder_of(tried, "epsilon=1") / "cells").iterdir()}
-        assert others.isdisjoint(borrowed)
+            # A unit's file is taken over whole, whoever else is in it.
+            assert cells.items() <= run.items()
+        assert cells_of(folder_of(tried, "epsilon=1")).keys().isdisjoint(run)
 
     def test_the_same_command_computes_nothing_again(self, tried):
         cells = folder_of(tried, "epsilon=1") / "cells"
@@ -388,11 +359,10 @@ class TestRun:
         words = [str(out), "--jobs", "1", "--variant", "epsilon=1"]
         assert main([*words, "--set", "privacy.epsilon_m=0.4", "--json"]) == 0
         said = json.loads(capsys.readouterr().out)
-        names = [one["name"] for one in said["variants"]]
-        assert names == [BASE, "epsilon=1", "privacy.epsilon_m=0.4"]
-        assert set(names) < set(said["counts"])
-        assert all(one["state"] == "finished" for one in said["variants"])
-        assert len(said["items"]) == 5 * len(read_verdict(out)["items"])
+        told = {one["name"]: one["state"] for one in said["variants"]}
+        assert told == dict.fromkeys((BASE, "epsilon=1", "privacy.epsilon_m=0.4"), "finished")
+        assert told.keys() < said["counts"].keys()
+        assert len(said["items"]) == len(NAMES) * len(read_verdict(out)["items"])
 
 
 class TestTable:
@@ -423,10 +393,9 @@ class TestTable:
         path.write_text(json.dumps(said))
         rows, _ = collect(out)
         inflation = rows[rows["section"] == "inflation"].set_index("variant")
-        assert set(inflation.loc[[BASE], "sign_base"]) == {1}
-        assert set(inflation.loc[[BASE], "changed"]) == {"changed sign"}
-        assert set(inflation.loc[["predictor=kalman_cv"], "sign_base"]) == {-1}
-        assert set(inflation.loc[["predictor=kalman_cv"], "changed"]) == {"changed sign"}
+        for name, before in ((BASE, 1), ("predictor=kalman_cv", -1)):
+            assert set(inflation.loc[[name], "sign_base"]) == {before}
+            assert set(inflation.loc[[name], "changed"]) == {"changed sign"}
         assert len(turned(rows)) >= 2 * len(inflation.loc[[BASE]])
 
     def test_is_printed_with_a_row_for_each_variant(self, tried, capsys):
@@ -434,16 +403,17 @@ class TestTable:
         shown = capsys.readouterr().out
         _, head, *lines = [line for line in shown.splitlines() if line]
         assert head.split() == ["variant", "validity", "within", "claim", "inflation"]
-        for name in (BASE, "law=fixed_direction", "epsilon=1", "privacy.epsilon_m=0.4"):
+        for name in NAMES:
             (line,) = [line for line in lines if line.startswith(f"{name} ")]
             assert re.search(r"\d+ same", line)
         assert "No item changed sign." in shown or "Changed sign:" in shown
 
 
 class TestErrors:
-    def said(self, capsys, *words):
-        code = main([str(one) for one in words])
-        return code, capsys.readouterr().err
+    @pytest.fixture
+    def said(self, capsys):
+        """Exit code and errors of the command."""
+        return lambda *words: (main([str(one) for one in words]), capsys.readouterr().err)
 
     @pytest.mark.parametrize(
         ("text", "message"),
@@ -459,18 +429,17 @@ class TestErrors:
         with pytest.raises(DataError, match=re.escape(message.format(out=tmp_path))):
             read_verdict(tmp_path)
 
-    def test_a_run_that_is_not_finished(self, out, capsys):
+    def test_a_run_that_is_not_finished(self, out, said):
         edit_manifest(out, lambda manifest: manifest.update(state="running"))
-        code, said = self.said(capsys, out)
+        code, errors = said(out)
         assert code == 2
-        assert "not finished" in said
+        assert "not finished" in errors
         (out / "verdict.json").unlink()
-        assert self.said(capsys, out) == (
-            2, f"error: {out} has no verdict.json; run python -m evaluation.report {out} first\n"
-        )  # fmt: skip
+        again = f"run python -m evaluation.report {out} first"
+        assert said(out) == (2, f"error: {out} has no verdict.json; {again}\n")
 
     @pytest.mark.parametrize(
-        ("words", "said"),
+        ("words", "message"),
         [
             (["--variant", "law=isotrpic"], "must be one of"),
             (["--variant", "epsilon=0.3"], "changes nothing"),
@@ -479,36 +448,37 @@ class TestErrors:
             (["--wrong"], "unrecognized arguments"),
         ],
     )
-    def test_wrong_usage_is_one_line_and_nothing_is_run(self, out, capsys, words, said):
-        code, shown = self.said(capsys, out, *words)
+    def test_wrong_usage_is_one_line_and_nothing_is_run(self, out, said, words, message):
+        code, errors = said(out, *words)
         assert code == 2
-        assert said in shown
-        assert [line for line in shown.splitlines() if line.startswith("error:")]
-        assert "Traceback" not in shown
+        assert message in errors
+        assert [line for line in errors.splitlines() if line.startswith("error:")]
+        assert "Traceback" not in errors
         assert not (out / "sensitivity.csv").exists()
 
-    def test_without_a_folder(self, capsys):
-        assert main([]) == 2
-        assert "name the folder" in capsys.readouterr().err
+    def test_without_a_folder(self, said):
+        code, errors = said()
+        assert code == 2
+        assert "name the folder" in errors
 
-    def test_a_variant_that_fails_is_told_and_the_rest_goes_on(self, out, capsys, monkeypatch):
+    def test_a_variant_that_fails_is_told_and_the_rest_goes_on(self, out, said, monkeypatch):
         monkeypatch.setenv("ISAC_TRACK_DATA", str(out / "nothing"))
         monkeypatch.setenv("ISAC_TRACK_CACHE", str(out / "nothing"))
         words = ["--variant", "recording=zara01", "--variant", "predictor=kalman_cv"]
-        code, said = self.said(capsys, out, "--jobs", "1", *words)
+        code, errors = said(out, "--jobs", "1", *words)
         assert code == 3
-        assert "failed: recording=zara01: zara01: obsmat.txt not found" in said
-        assert "datasets fetch zara01" in said
+        assert "failed: recording=zara01: zara01: obsmat.txt not found" in errors
+        assert "datasets fetch zara01" in errors
         rows = pd.read_csv(out / "sensitivity.csv")
         assert set(rows["variant"]) == {BASE, "predictor=kalman_cv"}
 
-    def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(self, out, capsys):
+    def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(self, out, said):
         words = [out, "--jobs", "1", "--variant", "predictor=kalman_cv"]
-        assert self.said(capsys, *words, "--scenes", "20")[0] == 0
-        code, said = self.said(capsys, *words)
+        assert said(*words, "--scenes", "20")[0] == 0
+        code, errors = said(*words)
         assert code == 2
-        assert "holds another run (scenes 20 -> 60)" in said
-        assert self.said(capsys, *words, "--fresh")[0] == 0
+        assert "holds another run (scenes 20 -> 60)" in errors
+        assert said(*words, "--fresh")[0] == 0
         assert read_manifest(folder_of(out, BASE))["settings"]["scenes"] == 60
 
     def test_list_runs_nothing(self, out, capsys):

@@ -1,7 +1,7 @@
 """Plausible mistakes, each of which exactly one check of the attack kit must catch.
 
 A broken attack is the honest `Base` with one step replaced by a function; which step is said by
-what the function takes (`replacing`). The decorator names the check and a piece of its message.
+what the function takes (`planting`). The decorator names the check and a piece of its message.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 import sys
 from dataclasses import dataclass
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -51,37 +50,26 @@ class Jitters(Base):
         )
 
 
-def replacing(base, steps, function, **attributes):
-    """Return `base` with one step replaced, called as the function is.
-
-    Parameters
-    ----------
-    base : type
-    steps : dict of str to str
-        Step by the first argument of a function that replaces it. Of `fit`, a function that returns
-        nothing only prepares: the rest is the honest fit.
-    function : callable
-    attributes
-        Of the class.
-    """
-    step = steps[next(iter(inspect.signature(function).parameters)).removeprefix("_")]
-
-    def fit(self, context):
-        return function(context) or super(made, self).fit(context)
-
-    method = fit if step == "fit" else lambda _, *given: function(*given)
-    words = {"__doc__": function.__doc__, "__module__": function.__module__}
-    made = type(function.__name__, (base,), {step: method, **words, **attributes})
-    return made
-
-
 def planting(base, steps):
-    """Return how to make, and how to list a broken class, and the list.
+    """Return how to make broken classes, how to list them, and the list.
 
-    What is listed is (class, the one check that it fails, part of the message with `.*` for
-    anything). Steps are as in `replacing`.
+    A broken class is `base` with one step replaced by a function, called as that is; `steps` says
+    which by the first argument of the function. Of `fit`, one that returns nothing only prepares:
+    the rest is the honest fit. What is listed is (class, the one check that it fails, part of the
+    message with `.*` for anything).
     """
-    make, listed = partial(replacing, base, steps), []
+    listed = []
+
+    def make(function, **attributes):
+        step = steps[next(iter(inspect.signature(function).parameters)).removeprefix("_")]
+
+        def fit(self, context):
+            return function(context) or super(made, self).fit(context)
+
+        method = fit if step == "fit" else lambda _, *given: function(*given)
+        words = {"__doc__": function.__doc__, "__module__": function.__module__}
+        made = type(function.__name__, (base,), {step: method, **words, **attributes})
+        return made
 
     def fails(check, message, **knowledge):
         def decorate(function):
@@ -128,12 +116,7 @@ def retimes_repeats(context):
         context.repeats[1].t[:] -= context.repeats[1].t[0]
 
 
-@fails("only_granted_knowledge_is_touched", "TRAIN was not granted")
-def takes_training_set(context):
-    assert len(context.train.release)
-
-
-@fails("only_granted_knowledge_is_touched", "as blind (granted nothing)", uses=MECHANISM)
+@fails("only_granted_knowledge_is_touched", "(granted nothing), .* MECHANISM was", uses=MECHANISM)
 def never_looks(context):
     """A blind adversary grants it nothing, yet it reads what it only `uses`."""
     assert context.mechanism.d_sigma >= 0
@@ -261,7 +244,7 @@ def locals_called(name, shape):
         frame = frame.f_back
 
 
-@fails("null_stays_at_chance", "samples leak, expected about 2 by chance")
+@fails("null_stays_at_chance", "samples leak, expected about 2.19 by chance")
 def peeks(release):
     """Takes every tenth position from whoever called and has it."""
     xy = release.xy.copy()

@@ -1,6 +1,7 @@
 """Frames of a finished run, made up: what tables, figures and page are shown from."""
 
 import copy
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,16 @@ import pandas as pd
 from evaluation.analysis import decisions, linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, UTILITY
 from evaluation.reporting.rows import Results
+from evaluation.runs.files import FRAMES
 from evaluation.runs.manifest import FAILED_COLUMNS
 from isac_track.config import StageSettings
 
+MADE = json.loads(Path(__file__).with_name("finished_run.json").read_text(encoding="utf-8"))
+MANIFEST, VERDICT = MADE["manifest"], MADE["verdict"]
+MANIFEST["settings"]["stages"] = StageSettings().flat()
+ITEM = VERDICT["items"][0]
 INDEPENDENT = ":adding=independent"
 BOTH_RULES = ("", INDEPENDENT)
 SWEPT = (("fid", (1.0, 1000.0)), ("fixed", (0.4, 0.7, 1.0)))
@@ -24,21 +31,13 @@ CONTROLS = [
     (f"correlated{INDEPENDENT}", 0.5),
     ("thin:d_sigma=0.75", 4.0),
 ]
-UNITS = {
-    "missed_conflict_rate": "fraction",
-    "false_alarm_rate": "fraction",
-    "distance_mae": "m",
-    "plr": "fraction",
-    "ael": "s",
-    "mel": "s",
-    "rmse": "m",
-}
-RATIOS = {"rmse_over_benchmark": "ratio", "plr_over_benchmark": "ratio"}
+UNITS = {name: METRICS[name].summary_unit for name in (*UTILITY, *DESCRIPTORS, "rmse")}
+RATIOS = dict.fromkeys(("rmse_over_benchmark", "plr_over_benchmark"), "ratio")
 ATTACKS = (
     ("identity", "blind"),
-    *((name, who) for name in ("moving_average", "savgol") for who in ("blind", "informed")),
-    *(("kalman_rts", who) for who in ("blind", "informed", "oracle")),
-    *(("radial_rts", who) for who in ("blind", "informed")),
+    *((name, knows) for name in ("moving_average", "savgol") for knows in ("blind", "informed")),
+    *(("kalman_rts", knows) for knows in ("blind", "informed", "oracle")),
+    *(("radial_rts", knows) for knows in ("blind", "informed")),
     ("averaging", "oracle"),
 )
 LINKERS = {"shape": 0.4, "shape@radial_rts": 0.6}
@@ -174,32 +173,6 @@ def make_gallery():
     )  # fmt: skip
 
 
-def make_paper_table():
-    """As `paper_table.csv`."""
-    return pd.DataFrame(
-        [
-            ["raw", np.nan, "ael", 2.93, 3.5, 3.2, 3.8, False],
-            ["fid", 1.0, "missed_conflict_rate", 0.305, 0.26, 0.205, 0.322, True],
-            ["fid", 1.0, "plr", 0.184, 0.187, 0.184, 0.191, True],
-            [f"fixed{INDEPENDENT}", 1.0, "mel", 0.25, 0.31, np.nan, np.nan, None],
-        ],
-        columns=paper.PAPER_COLUMNS,
-    )
-
-
-def make_claims():
-    """As `paper_claims.csv`."""
-    odd = "eta: it falls [red]monotonically[/red] " * 3
-    return pd.DataFrame(
-        [
-            ["linear", odd, "holds", -0.088, -0.122, -0.055, "fraction", "why"],
-            ["linear", "at every rate", "does not hold", 0.0123, 0.001, 0.02, "s", "why"],
-            ["", "about 366 history points", "undecided", 368.79, np.nan, np.nan, "points", "e"],
-        ],
-        columns=paper.CLAIM_COLUMNS,
-    )
-
-
 def make_flags(**changes):
     """As the rows of `flags.json`: one attack that is beaten."""
     row = {
@@ -210,60 +183,6 @@ def make_flags(**changes):
     return pd.DataFrame([row | changes], columns=flags.COLUMNS)
 
 
-ITEM = {
-    "id": "validity/linear/plr/rerelease", "section": "validity", "adding": "linear",
-    "descriptor": "plr", "task": "rerelease", "subject": "shape (informed)", "criterion": "",
-    "decision": "does not track", "sign": -1, "effect": -0.481, "ci_low": -0.548,
-    "ci_high": -0.417, "unit": "fraction", "n": 175, "p_value": 1e-9, "p_adjusted": 1e-8,
-    "sentence": "At equal PLR people are linked less.", "why_undecided": "",
-    "contrasts": [
-        {"mechanism": "correlated", "level": 0.5, "effect": -0.48, "ci_low": -0.55,
-         "ci_high": -0.42, "reading": "differs"},
-        {"mechanism": "fid", "level": None, "effect": 0.01, "ci_low": -0.01, "ci_high": 0.04,
-         "reading": "equal"},
-    ],
-}  # fmt: skip
-_INFLATED = {"section": "inflation", "task": "", "of": "fid", "unit": "ratio", "contrasts": None}
-VERDICT = {
-    "dataset": "students03", "simulated": False, "seed": 0, "preset": "paper", "scenes": 500,
-    "answer": ["The first sentence.", "The second one.", "And the third."],
-    "rules": {"confidence": 0.95, "text": "How it is decided."},
-    "counts": {"validity": {"does not track": 1}, "inflation": {"inflated": 1, "undecided": 1}},
-    "items": [
-        ITEM,
-        ITEM | _INFLATED | {"id": "b", "decision": "inflated", "effect": 3.29, "ci_low": 3.17,
-                            "ci_high": 3.44},
-        ITEM | _INFLATED | {"id": "c", "of": "fixed", "decision": "undecided", "effect": None,
-                            "ci_low": None, "ci_high": None, "n": None,
-                            "why_undecided": "too few people"},
-    ],
-}  # fmt: skip
-MANIFEST = {
-    "identity": {"scenes": 500, "seed": 3},
-    "cells": [],
-    "settings": {
-        "preset": "paper", "scenes": 500, "seed": 3, "mechanisms": ["raw", "fid:1"],
-        "predictors": ["least_squares"], "attacks": [], "tasks": ["rerelease"],
-        "stages": StageSettings().flat(),
-    },
-    "dataset": {
-        "name": "students03", "sha256": "d9fd", "simulated": False, "notice": None, "tracks": 428,
-        "tracks_used": 106,
-    },
-    "environment": {
-        "isac_track": "0.1.0", "python": "3.11.7", "machine": "Linux x86_64",
-        "libraries": {"numpy": "2.4.6"}, "git_commit": "abc123",
-        "command": ["/somewhere/matrix.py", "--out", "a run"],
-    },
-    "linkage": {
-        "skipped": {"split": "too few [red]people[/red]"},
-        "tasks": {"rerelease": {"about": "one walk twice", "people": 275,
-                                "candidates": {"half 1": 138, "half 2": 137}}},
-    },
-    "wall_time_s": 97.8,
-}  # fmt: skip
-
-
 def make_run(out=Path(), dataset="students03", *, at=None, **changes):
     """A finished run at some levels; any of its frames may be another."""
     manifest = copy.deepcopy(MANIFEST)
@@ -271,8 +190,8 @@ def make_run(out=Path(), dataset="students03", *, at=None, **changes):
     parts = {
         "manifest": manifest,
         "summary": make_summary(at, dataset=dataset),
-        "paper_table": make_paper_table(),
-        "claims": make_claims(),
+        "paper_table": pd.DataFrame(MADE["paper_table"], columns=paper.PAPER_COLUMNS),
+        "claims": pd.DataFrame(MADE["claims"], columns=paper.CLAIM_COLUMNS),
         "matched": make_matched(dataset=dataset),
         "decisions": pd.DataFrame(columns=decisions.DECISION_COLUMNS, dtype=float),
         "curves": make_curves(at, dataset=dataset),
@@ -295,6 +214,4 @@ def rows_where(frame, **values):
 
 def emptied(run):
     """All frames of a run without rows."""
-    names = ("summary", "paper_table", "claims", "matched", "decisions", "curves", "flags",
-             "linkability")  # fmt: skip
-    return {name: getattr(run, name).head(0) for name in names}
+    return {name: getattr(run, name).head(0) for name in (*FRAMES, "flags")}

@@ -115,7 +115,7 @@ def simulated(world, *, rng):
             numerator=top, denominator=bottom, weights=weights, is_share=share
         )
 
-    def one_level(family, level, mechanism):
+    for family, level, mechanism in world.levels():
         mean, linked = world.shows(family, level), world.links(family, level)
         luck = rng.normal(size=n)
         plr = np.clip(mean * np.exp(0.25 * own + 0.25 * luck - 0.06), 0, 1)
@@ -137,17 +137,7 @@ def simulated(world, *, rng):
             put(Key(mechanism, level, PREDICTOR, metric), missed.astype(float))
         if family in {"raw", "fixed", "fid", "mine:Ou"}:
             seen = np.column_stack([plr, plr * np.exp(0.02 * rng.normal(size=n))])
-            levels.append(
-                LevelTracks(
-                    mechanism=mechanism,
-                    hit=hit,
-                    chance=np.full(n, CHANCE),
-                    cluster=cluster,
-                    descriptors={name: seen * scale for name, scale in SCALES.items()},
-                    covariates=nuisance,
-                )
-            )
-
-    for family, level, mechanism in world.levels():
-        one_level(family, level, mechanism)
+            descriptors = {name: seen * scale for name, scale in SCALES.items()}
+            chance = np.full(n, CHANCE)
+            levels.append(LevelTracks(mechanism, hit, chance, cluster, descriptors, nuisance))
     return found, levels

@@ -73,25 +73,14 @@ def summary_frame(rates, *, half=HALF):
     """`rates`: mechanism -> level -> missed rate."""
     levels = [("raw", None, 0.12)]
     levels += [(name, at, missed) for name, of in rates.items() for at, missed in of.items()]
-    rows = [
-        {
-            "dataset": "walks",
-            "mechanism": mechanism,
-            "level": np.nan if level is None else level,
-            "consumer": consumer,
-            "knowledge": knowledge,
-            "metric": metric,
-            "value": value,
-            "ci_low": value - spread,
-            "ci_high": value + spread,
-            "n": 55,
-            **declared(mechanism),
-        }
-        for mechanism, level, missed in levels
-        for consumer, knowledge, metric, value, spread in numbers(
-            mechanism, level, missed, half=half
-        )
-    ]
+    rows = []
+    for mechanism, level, missed in levels:
+        where = {"dataset": "walks", "mechanism": mechanism, "n": 55, **declared(mechanism)}
+        where["level"] = np.nan if level is None else level
+        for *key, value, spread in numbers(mechanism, level, missed, half=half):
+            of = dict(zip(("consumer", "knowledge", "metric"), key, strict=True))
+            ends = {"value": value, "ci_low": value - spread, "ci_high": value + spread}
+            rows.append(where | of | ends)
     return pd.DataFrame(rows, columns=summary.COLUMNS)
 
 

@@ -42,9 +42,10 @@ class TestPredictionGrid:
 
     @pytest.mark.parametrize(("window", "steps"), [(1, 12), (16, 0), (0, 0), (-1, 3)])
     def test_window_and_horizon(self, window, steps):
-        t, offsets = np.arange(3.0), np.array([0, 3])
         with raises("the window must be at least 2 samples and the horizon 1 step"):
-            prediction_grid(t=t, offsets=offsets, window=window, horizon_steps=steps)
+            prediction_grid(
+                t=np.arange(3.0), offsets=np.array([0, 3]), window=window, horizon_steps=steps
+            )
 
     def test_a_single_sample_has_no_grid(self):
         t, offsets = np.arange(4.0), np.array([0, 3, 4])
@@ -86,14 +87,11 @@ def test_separation_is_that_of_each_scene():
         minimum_separation(robot=robot, agents=agents)
 
 
-@pytest.mark.parametrize("rate", [missed_conflict_rate, false_alarm_rate])
-def test_rates_are_plain_numbers_of_scenes_that_match(rate):
-    assert type(rate(conflict=np.array([True, False]), predicted=np.ones(2, bool))) is float
-    with raises("conflict and predicted must have one shape"):
-        rate(conflict=np.ones(3, bool), predicted=np.ones(1, bool))
-
-
-def test_the_distance_error_is_a_plain_number_of_scenes_that_match():
+def test_rates_and_the_distance_error_are_plain_numbers_of_scenes_that_match():
+    for rate in (missed_conflict_rate, false_alarm_rate):
+        assert type(rate(conflict=np.array([True, False]), predicted=np.ones(2, bool))) is float
+        with raises("conflict and predicted must have one shape"):
+            rate(conflict=np.ones(3, bool), predicted=np.ones(1, bool))
     one, other = np.array([2.0]), np.array([1.25])
     found = distance_mae_m(true_separation_m=one, predicted_separation_m=other)
     assert (found, type(found)) == (0.75, float)

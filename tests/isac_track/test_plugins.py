@@ -1,7 +1,6 @@
 """SPECs: what they name, what they cost to get wrong, and plug-ins from elsewhere."""
 
 import re
-import subprocess
 import sys
 from dataclasses import dataclass
 
@@ -115,20 +114,17 @@ def one(kind, spec):
     ("kind", "spec", "name", "level", "instance"),
     [
         ("mechanisms", "raw", "raw", None, Raw()),
-        (
-            *("mechanisms", "fid:100,adding=independent", "fid:adding=independent", 100.0),
-            Fid(100.0, adding="independent"),
-        ),
+        ("mechanisms", "fid:7,beta=2.0", "fid:beta=2", 7.0, Fid(7.0, beta=2.0)),
         ("predictors", "least_squares", "least_squares", None, LeastSquares()),
-        ("predictors", "least_squares:window=8", "least_squares:window=8", None, LeastSquares(8)),
+        ("predictors", "least_squares:8", "least_squares:window=8", None, LeastSquares(8)),
     ],
 )
 def test_the_level_of_a_mechanism_leaves_the_name_and_other_values_stay(
     kind, spec, name, level, instance
 ):
     plugin = one(kind, spec)
-    assert (plugin.name, plugin.level, plugin.spec) == (name, level, spec)
-    assert plugin.instance == instance
+    assert (plugin.name, plugin.level, plugin.instance) == (name, level, instance)
+    assert one(kind, plugin.spec) == plugin
 
 
 @pytest.mark.parametrize(
@@ -176,14 +172,10 @@ def test_a_class_by_its_path(here):
     ("spec", "message"),
     [
         ("fdi:1", "unknown mechanism 'fdi'; did you mean 'fid'?"),
-        (
-            "zzzzz",
-            "unknown mechanism 'zzzzz'; known: clean, correlated, fid, fixed, offset, raw, thin",
-        ),
+        ("zzzzz", "unknown mechanism 'zzzzz'; known: clean, correlated, fid, fixed, offset, raw"),
         ("fixed", "fixed needs a value for d_sigma, as in fixed:VALUE"),
         ("raw:3", "raw takes no value"),
         ("fid:1,alhpa=3", "fid has no parameter 'alhpa'; did you mean 'alpha'?"),
-        ("fid:1,family=3", "fid has no parameter 'family'"),
         ("fid:1,eta=2", "eta is given twice"),
         ("fid:one", "eta must be a number, got 'one'"),
         ("fid:nan", "eta must be finite"),
@@ -196,9 +188,8 @@ def test_a_class_by_its_path(here):
         ("fid:5..5/3", "two finite ends that differ"),
         ("fid:0..10/3", "logarithmic; both ends must be positive"),
         ("os.path", "expected package.module:Class"),
-        ("thin:" + "9" * 400, "every must have at most 18 digits, got '999"),
+        ("thin:1000000000000", "every must have at most 12 digits, got '1000"),
         ("thin:" + "9" * 5000, "every must be a whole number, got '999"),
-        ("thin:1000000000000", "the level every must have at most 12 digits"),
     ],
 )
 def test_a_wrong_spec_says_what_is_wrong(spec, message):
@@ -213,12 +204,6 @@ def test_what_was_typed_is_not_repeated_at_length():
         assert len(str(told.value)) < 400
 
 
-def test_whole_numbers_up_to_the_limit_give_themselves_again():
-    plugin = one("mechanisms", "thin:999999999999")
-    assert plugin.instance.every == 999_999_999_999
-    assert one("mechanisms", plugin.spec) == plugin
-
-
 @pytest.mark.parametrize(
     ("what", "error", "message"),
     [
@@ -226,7 +211,7 @@ def test_whole_numbers_up_to_the_limit_give_themselves_again():
         ("type", PluginError, "my.module:Picky cannot be made: TypeError: no text, please; a"),
         ("exit", PluginError, "my.module:Picky cannot be made: SystemExit: 0; a plug-in"),
         ("value", SettingsError, r"'my.module:Picky:value': half a pair \udcff, and more"),
-        ("settings", SettingsError, "ask for less"),
+        ("settings", SettingsError, "'my.module:Picky:settings': ask for less"),
     ],
 )
 def test_a_plugin_that_cannot_be_made_says_why(here, what, error, message):
@@ -267,7 +252,7 @@ def test_a_strangers_error_is_told_on_one_line(error, message):
     [
         ("mechanisms", "no.such.module:Thing", "cannot be loaded from no.such.module:Thing"),
         ("mechanisms", "os.path:join", "must be a frozen dataclass"),
-        ("mechanisms", "my.module:Thawed", "must be frozen"),
+        ("mechanisms", "my.module:Thawed", "my.module:Thawed must be a frozen dataclass"),
         ("mechanisms", "my.module:Mute", "has no method share()"),
         ("predictors", "my.module:Untold", "requires must be a frozenset"),
         ("predictors", "my.module:Secretive", "Secretive.requires: KeyError: 'a secret'"),
@@ -281,38 +266,20 @@ def test_a_broken_plugin_is_named(kind, name, message):
         plugins.parse(kind, name)
 
 
-def test_an_installed_third_party_plugin_is_found_by_name(tmp_path):
-    """A real package with real entry points, one of them broken, in a folder of its own."""
-    (tmp_path / "blur.py").write_text(
-        "from dataclasses import dataclass\n"
-        "from isac_track.sharing import perturb\n"
-        "@dataclass(frozen=True)\n"
-        "class Blur:\n"
-        "    width_m: float = 0.5\n"
-        "    def share(self, sensed, rng):\n"
-        "        return perturb(sensed, self.width_m, rng)\n",
-        encoding="utf-8",
-    )
+def test_an_installed_third_party_plugin_is_found_by_name(tmp_path, monkeypatch):
+    """A package with real entry points, one of them broken, in a folder of its own."""
     info = tmp_path / "blur-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: blur\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
-        "[isac_track.mechanisms]\nblur = blur:Blur\ntorn = blur:Nothing\n"
+        "[isac_track.mechanisms]\nblur = isac_track.sharing:Fixed\ntorn = os.path:Nothing\n"
     )
-    script = (
-        "from isac_track import plugins\n"
-        "print(plugins.parse('mechanisms', 'blur:0.2')[0])\n"
-        "print(plugins.broken('mechanisms'))\n"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PYTHONPATH": str(tmp_path)},
-    )
-    first, second = answer.stdout.splitlines()
-    assert "name='blur', level=0.2, spec='blur:0.2'" in first
-    assert "torn" in second
-    assert "Nothing" in second
-    assert "'blur'" not in second.replace("module 'blur'", "")
+    monkeypatch.syspath_prepend(tmp_path)
+    plugins._entry_points.cache_clear()
+    try:
+        assert one("mechanisms", "blur:0.2").instance == Fixed(0.2)
+        wrong = plugins.broken("mechanisms")
+    finally:
+        plugins._entry_points.cache_clear()
+    assert wrong.keys() == {"torn"}
+    assert "Nothing" in wrong["torn"]

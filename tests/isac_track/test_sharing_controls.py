@@ -82,35 +82,26 @@ class TestSlowErrors:
                     expected = level[0] * np.array([np.cos(angle), np.sin(angle)])
                 np.testing.assert_allclose(found[k], expected, rtol=0, atol=1e-9)
 
-    def test_of_fewer_tracks_are_the_first_of_more(self, law):
+    def test_of_fewer_tracks_are_the_first_of_more_and_there_may_be_none(self, law):
         batch = sensed(sizes=(40, 30, 20))
-        whole, part = (
+        whole, part, nothing = (
             correlated_errors(
-                t=batch.t[:n], offsets=offsets, law=law, tau_s=TAU_S, rng=rng("prefix")
+                t=batch.t[:n], offsets=batch.offsets[:tracks], law=law, tau_s=1, rng=rng()
             )
-            for n, offsets in ((90, batch.offsets), (70, batch.offsets[:3]))
+            for n, tracks in ((90, 4), (70, 3), (0, 1))
         )
         np.testing.assert_array_equal(whole[:70], part)
-
-    def test_there_may_be_none(self, law):
-        nothing = correlated_errors(
-            t=np.zeros(0), offsets=np.zeros(1, dtype=np.int64), law=law, tau_s=1.0, rng=rng()
-        )
         assert nothing.shape == (0, 2)
+
+
+def slow_errors(batch, law="radial"):
+    """The errors that a mechanism draws for a batch."""
+    return correlated_errors(t=batch.t, offsets=batch.offsets, law=law, tau_s=TAU_S, rng=rng())
 
 
 def test_an_unknown_law_is_refused():
     with pytest.raises(ValueError, match="unknown error law 'square'; known: radial, isotropic"):
-        correlated_errors(
-            t=np.zeros(1), offsets=np.array([0, 1]), law="square", tau_s=1.0, rng=rng()
-        )
-
-
-def slow_errors(batch):
-    """The errors that a mechanism draws for a batch."""
-    return correlated_errors(
-        t=batch.t, offsets=batch.offsets, law=batch.law, tau_s=TAU_S, rng=rng()
-    )
+        slow_errors(sensed(), law="square")
 
 
 class TestCorrelated:
@@ -194,50 +185,39 @@ class TestThin:
         assert len(set(thin.pseudonym)) == 3
 
 
-class TestByName:
-    @pytest.mark.parametrize(
-        ("family", "level", "parameters", "instance"),
-        [
-            ("correlated", 0.75, "", Correlated(0.75)),
-            (
-                "correlated",
-                0.75,
-                "tau_s=5,adding=independent",
-                Correlated(0.75, 5.0, "independent"),
-            ),
-            ("offset", 0.4, "", Offset(0.4)),
-            ("thin", 4.0, "", Thin(4)),
-            ("thin", 4.0, "adding=independent,d_sigma=0.75", Thin(4, "independent", 0.75)),
-        ],
-    )
-    def test_a_spec_gives_the_mechanism_its_column_and_level(
-        self, family, level, parameters, instance
-    ):
-        spec = ",".join(filter(None, [f"{family}:{level:g}", parameters]))
-        (plugin,) = plugins.parse("mechanisms", spec)
-        assert plugin.name == ":".join(filter(None, [family, parameters]))
-        assert (plugin.level, plugin.spec, plugin.instance) == (level, spec, instance)
-        assert isinstance(plugin.instance, Mechanism)
+@pytest.mark.parametrize(
+    ("spec", "name", "instance"),
+    [
+        ("correlated:0.75", "correlated", Correlated(0.75)),
+        (
+            "correlated:0.75,tau_s=5,adding=independent",
+            "correlated:tau_s=5,adding=independent",
+            Correlated(0.75, 5.0, "independent"),
+        ),
+        ("offset:0.4", "offset", Offset(0.4)),
+        ("thin:4", "thin", Thin(4)),
+        ("thin:4,d_sigma=0.75", "thin:d_sigma=0.75", Thin(4, d_sigma=0.75)),
+    ],
+)
+def test_a_spec_gives_the_mechanism_its_column_and_level(spec, name, instance):
+    (plugin,) = plugins.parse("mechanisms", spec)
+    assert (plugin.name, plugin.spec, plugin.instance) == (name, spec, instance)
+    assert plugin.level == float(spec.partition(":")[2].partition(",")[0])
+    assert isinstance(plugin.instance, Mechanism)
 
-    @pytest.mark.parametrize(
-        ("spec", "message"),
-        [
-            ("correlated:-1", "'correlated:-1': d_sigma must be 0 m or more, got -1.0"),
-            ("correlated:1,tau_s=0", "'correlated:1,tau_s=0': tau_s must be positive, got 0.0"),
-            ("correlated", "'correlated': correlated needs a value for d_sigma"),
-            ("offset:-0.1", "'offset:-0.1': distance must be 0 m or more, got -0.1"),
-            ("offset:1,adding=linear", "offset has no parameter 'adding'"),
-            ("thin:0", "'thin:0': every must be 1 or more, got 0"),
-            ("thin:2.5", "'thin:2.5': every must be a whole number, got '2.5'"),
-            ("thin:2,d_sigma=-1", "d_sigma must be 0 m or more, got -1.0"),
-        ],
-    )
-    def test_a_wrong_one_is_refused_in_words(self, spec, message):
-        with pytest.raises(SettingsError, match=re.escape(message)):
-            plugins.parse("mechanisms", spec)
 
-    @pytest.mark.parametrize("kind", [Correlated, Offset])
-    @pytest.mark.parametrize("value", [np.inf, np.nan])
-    def test_levels_must_be_finite(self, kind, value):
-        with pytest.raises(ValueError, match="must be 0 m or more"):
-            kind(value)
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("correlated:-1", "'correlated:-1': d_sigma must be 0 m or more, got -1.0"),
+        ("correlated:1,tau_s=0", "'correlated:1,tau_s=0': tau_s must be positive, got 0.0"),
+        ("offset:-0.1", "'offset:-0.1': distance must be 0 m or more, got -0.1"),
+        ("offset:1,adding=linear", "offset has no parameter 'adding'"),
+        ("thin:0", "'thin:0': every must be 1 or more, got 0"),
+        ("thin:2.5", "'thin:2.5': every must be a whole number, got '2.5'"),
+        ("thin:2,d_sigma=-1", "d_sigma must be 0 m or more, got -1.0"),
+    ],
+)
+def test_a_wrong_one_is_refused_in_words(spec, message):
+    with pytest.raises(SettingsError, match=re.escape(message)):
+        plugins.parse("mechanisms", spec)

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 import evaluation
-from evaluation.reporting.docs import filled
+from evaluation.reporting.tables import filled
 
 ROOT = Path(evaluation.__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"

@@ -56,20 +56,8 @@ def figures_of(run: Results) -> list[Drawing]:
 def draw_all(run: Results, *, folder: Path, jobs: int = 1, pdf: bool = False) -> list[Path]:
     """Draw every figure that the results allow, as SVG, and return the files written.
 
-    Parameters
-    ----------
-    run : Results
-    folder : Path
-        Made if it is missing.
-    jobs : int
-        Worker processes; what they draw does not depend on their number.
-    pdf : bool
-        Whether each is written as PDF, too.
-
-    Raises
-    ------
-    DataError
-        If the folder cannot be written.
+    `jobs` workers draw, whose number changes nothing; with `pdf` each is written as PDF, too.
+    Raises DataError if the folder cannot be written.
     """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections import Counter
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from matplotlib.transforms import Affine2D
 from evaluation.analysis.families import ADDING_RULES, CLEAN, FID, FIXED, RAW
 from evaluation.analysis.keys import level_text
 from evaluation.analysis.linkability import INVALID
-from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import PERCENT, Look
 from evaluation.reporting.rows import family_of, is_control, parameters_text, schemes
@@ -68,11 +69,7 @@ def drawings(run: Results) -> list[Drawing]:
 
 
 def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
-    """Return rank 1 of every attack and adversary at every level of a task, one block a rule.
-
-    Columns run from no error to the controls. `~`: no link detected, `?`: the attack is too
-    weak, crossed out: a shortcut leaks.
-    """
+    """Return rank 1 of every attack and adversary at every level of a task, one block a rule."""
     cells, known = task.cells, run.families
     # Names of what is swept, longest first.
     titles = {
@@ -91,21 +88,19 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         for rule in ADDING_RULES
         if rule in rules.values()
     } or {"": ordered}
-    names = [shortened(source.label, room=figure_style.NAME_LENGTH) for source in sources]
+    names = [style.short(source) for source in sources]
     left_in = max(_width_in(name) for name in names) + 0.12
     n_columns = max(map(len, blocks.values()))
-    cell_in = min(2 * _CELL_IN, (figure_style.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
+    cell_in = min(2 * _CELL_IN, (style.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
     # Above the numbers stand the levels, then the mechanisms that they are of.
     heads = {}
     for mechanism, level in cells:
-        one, at = family_of(known, mechanism), "" if level is None else figure_style.number(level)
+        one, at = family_of(known, mechanism), "" if level is None else style.number(level)
         parts = [at] if mechanism in titles else [one.family, at, parameters_text(one)]
         heads[mechanism, level] = " ".join(filter(None, parts))
     head_in = 0.2 + max(0.5, *map(_width_in, heads.values()))
     top_in, block_in = 0.22, _CELL_IN * len(sources)
-    figure = figure_style.placed_figure(
-        height_in=top_in + len(blocks) * (head_in + block_in) + 0.42
-    )
+    figure = style.blank(height_in=top_in + len(blocks) * (head_in + block_in) + 0.42)
     width_in, height_in = figure.get_size_inches()
     for place, (rule, columns) in enumerate(blocks.items(), start=1):
         bottom = (height_in - top_in - place * (head_in + block_in)) / height_in
@@ -115,16 +110,16 @@ def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         ax.set_yticks(np.arange(len(sources)), names)
         ax.xaxis.tick_top()
         ax.set_xticks(np.arange(len(columns)), [heads[where] for where in columns], rotation=90)
-        _name_swept(ax, columns, titles, block_in=block_in, cell_in=cell_in)
+        _name_swept(ax, columns, titles, sizes_in=(block_in, cell_in))
         if rule:
             # In the corner above the names.
             y = bottom + (block_in + _MECHANISMS_IN) / height_in
             figure.text(0.01, y, f"{rule} adding")
     rows = [row for block in cells.values() for row in block.values()]
-    _legend(figure, rows)
-    what = f"{task.name}, rank 1 in %"
-    figure_style.title(figure, dataset=str(rows[0]["dataset"]), what=what, one_line=True)
-    return figure
+    handles, what = _handles(rows), f"{task.name}, rank 1 in %"
+    return style.finish(
+        figure, handles, dataset=str(rows[0]["dataset"]), what=what, columns=len(handles)
+    )
 
 
 def _in_order(cells: Iterable[Where], known: Mapping[str, Family]) -> list[Where]:
@@ -133,9 +128,9 @@ def _in_order(cells: Iterable[Where], known: Mapping[str, Family]) -> list[Where
 
     def key(where: Where) -> tuple[int, int, float]:
         one, at = family_of(known, where[0]), where[1] or 0.0
-        place = len(_ORDER) + is_control(one)
-        rank = _ORDER.index(one.family) if one.family in _ORDER else place
-        return rank, names.index(where[0]), -at if one.family == FID else at
+        order = [*_ORDER, "" if is_control(one) else one.family]
+        place = order.index(one.family) if one.family in order else len(order)
+        return place, names.index(where[0]), -at if one.family == FID else at
 
     return sorted(cells, key=key)
 
@@ -157,9 +152,8 @@ def _draw_heat(
         texts[y, x] = mark if mark == "?" else f"{mark}{values[y, x]:.0f}"
         if row[INVALID]:
             crossed += [[(x - 0.5, y + end), (x + 0.5, y - end)] for end in (-0.5, 0.5)]
-    ax.imshow(
-        values, aspect="auto", cmap="cividis", vmin=0.0, vmax=PERCENT, interpolation="nearest"
-    )
+    look: dict[str, Any] = {"aspect": "auto", "cmap": "cividis", "interpolation": "nearest"}
+    ax.imshow(values, vmin=0.0, vmax=PERCENT, **look)
     ax.add_collection(LineCollection(crossed, colors="#ff2222", linewidths=0.7))
     _draw_texts(ax, texts, values, cell_in=cell_in)
     # Gaps in the colour of the page hide where the pixels of the image end.
@@ -189,14 +183,9 @@ def _draw_texts(
         # In the middle by the height of a digit, whatever the character.
         to_middle = Affine2D().translate(-0.5 * width[one], -0.365 * _CELL_POINTS)
         path: Path = TextPath((0, 0), one, size=_CELL_POINTS).transformed(to_middle)
-        ax.plot(
-            *np.array(at).T,
-            linestyle="",
-            marker=path,
-            markersize=2.0 * float(np.abs(path.vertices).max()),
-            color=colour,
-            markeredgewidth=0,
-        )
+        size = 2.0 * float(np.abs(path.vertices).max())
+        look: dict[str, Any] = {"linestyle": "", "color": colour, "markeredgewidth": 0}
+        ax.plot(*np.array(at).T, marker=path, markersize=size, **look)
 
 
 @functools.cache
@@ -217,32 +206,28 @@ def _name_swept(
     columns: Sequence[Where],
     titles: Mapping[str, list[str]],
     *,
-    block_in: float,
-    cell_in: float,
+    sizes_in: Sequence[float],
 ) -> None:
     """Write the swept mechanisms above their levels."""
-    transform = ax.get_xaxis_transform()
+    block_in, cell_in = sizes_in
+    where: dict[str, Any] = {"transform": ax.get_xaxis_transform()}
     line = 1.0 + (_MECHANISMS_IN - 0.03) / block_in
     for mechanism in dict.fromkeys(name for name, _ in columns if name in titles):
         places = [place for place, (name, _) in enumerate(columns) if name == mechanism]
         ends = places[0] - 0.4, places[-1] + 0.4
-        ax.plot(
-            ends, [line, line], transform=transform, color="black", linewidth=0.5, clip_on=False
-        )
+        ax.plot(ends, [line, line], color="black", linewidth=0.5, clip_on=False, **where)
         room_in = cell_in * (len(places) - 0.3)
-        room = max(4, int(room_in * figure_style.CHARACTERS_PER_IN))
+        room = max(4, int(room_in * style.CHARACTERS_PER_IN))
         fitting = (one for one in titles[mechanism] if _width_in(one) <= room_in)
         name = next(fitting, shortened(titles[mechanism][-1], room=room))
-        ax.text(ends[0], 1.0 + _MECHANISMS_IN / block_in, name, transform=transform)
+        ax.text(ends[0], 1.0 + _MECHANISMS_IN / block_in, name, **where)
 
 
 def _words(_: Results, *, task: LinkedTask) -> str:
     rows = [row for block in task.cells.values() for row in block.values()]
     best = max(rows, key=lambda row: row["rank1"] if np.isfinite(row["rank1"]) else -1.0)
-    counts = [
-        f"{sum(row['outcome'] == outcome for row in rows)} {outcome}"
-        for outcome in ("links", *_MARKS)
-    ]
+    outcomes = Counter(row["outcome"] for row in rows)
+    counts = [f"{outcomes[outcome]} {outcome}" for outcome in ("links", *_MARKS)]
     where = f"{best['mechanism']} {level_text(best['level'])}".rstrip()
     return (
         f"{task.about}. Rank 1 in per cent, a row for each attack and adversary, a column for each "
@@ -252,7 +237,8 @@ def _words(_: Results, *, task: LinkedTask) -> str:
     )
 
 
-def _legend(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
+def _handles(rows: Sequence[Mapping[str, Any]]) -> list[Any]:
+    """Return what stands in the legend."""
     shades = {"0 %": "#00224e", "50 %": "#7d7c78", "100 %": "#fee838"}
     handles: list[Any] = [Patch(color=colour, label=text) for text, colour in shades.items()]
     chance = {f"{PERCENT * row['chance']:.1f}" for row in rows if np.isfinite(row["chance"])}
@@ -261,6 +247,6 @@ def _legend(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> None:
     said += [f"{mark}  {outcome}" for outcome, mark in _MARKS.items() if outcome in outcomes]
     handles += [Rectangle((0, 0), 0, 0, alpha=0, label=text) for text in said]
     if any(row[INVALID] for row in rows):
-        leaks = figure_style.line_handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
+        leaks = style.handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
         handles.append(leaks)
-    figure_style.legend(figure, handles, columns=len(handles))
+    return handles

@@ -1,23 +1,34 @@
-"""Rank 1 of linkage over the level, task by task: the figure of who is found again."""
+"""Figures of linkage: rank 1 over the level, and over each descriptor with the controls marked."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from matplotlib.ticker import MaxNLocator
+from matplotlib.collections import LineCollection
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from attacks.tasks.task_list import TASKS
-from evaluation.analysis.families import CLEAN, RAW
+from evaluation.analysis.families import CLEAN, RAW, families_in
+from evaluation.analysis.keys import level_text
 from evaluation.analysis.linkability import dataset_of
-from evaluation.reporting.figures import style as figure_style
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
+from evaluation.experiment.presets import SHARED
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, PERCENT, Line, Look
-from evaluation.reporting.rows import ENDS, rank1_rows, schemes
-from evaluation.reporting.table import shortened
+from evaluation.reporting.rows import (
+    ENDS,
+    family_of,
+    is_control,
+    parameters_text,
+    rank1_rows,
+    rules_of,
+    schemes,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,10 +46,18 @@ _CEILING_LOOK = Look("#000000", "", (0, (6, 2)))
 _LIMITS = (10.0, 30.0, 100.0)
 _MOST_BANDS = 2
 _NOTES = {"rerelease": "(upper bound)"}
+_DISSOCIATED = ("rerelease", "handover")
+# Apart from every line, and from each other in grey.
+_MARKERS = ("D", "^", "P", "v", "X", "p", "h")
+_COLOURS = ("#CC79A7", "#009E73", "#E69F00", "#56B4E9")
+_EDGE: dict[str, Any] = {"markeredgecolor": "black", "markeredgewidth": 0.6}
+_MOST_LABELS = 12
+_RIGHT = 0.6
+"""Share of an axis behind which labels stand on the left of their marker."""
+_SECONDS = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Row:
+class _Row(NamedTuple):
     """A row of the figure: a task, and the lines of those who are drawn."""
 
     task: LinkedTask
@@ -51,39 +70,42 @@ class _Row:
         every = (line.rows for line in self.lines.values())
         return [PERCENT * one for of in every for one in of["value"][of["mechanism"] == mechanism]]
 
-    @property
-    def limit(self) -> float:
-        """End of the axis."""
-        ends = PERCENT * self.points[ENDS].to_numpy(dtype=float)
-        highest = max([float(np.nanmax(ends)), *self.alone(RAW), *self.alone(CLEAN)])
-        return next((limit for limit in _LIMITS if highest <= limit), _LIMITS[-1])
 
-
-def drawings(_: Results) -> list[Drawing]:
-    """Return the figure of all tasks."""
+def drawings(run: Results) -> list[Drawing]:
+    """Return the figure of all tasks, and one of each in which the same walk is found again."""
     title = "Rank 1 of the strongest attacks over the level, task by task"
-    return [Drawing("linkability", "linkability", title, linkage_figure, _words)]
+    return [
+        Drawing("linkability", "linkability", title, linkage_figure, _level_words),
+        *(
+            Drawing(
+                *(f"dissociation-{task.name}", "against"),
+                f"{task.name}: rank 1 over each descriptor, controls marked",
+                *(partial(dissociation_figure, task=task), partial(_descriptor_words, task=task)),
+                task=task.name,
+            )
+            for task in run.tasks
+            if task.name.startswith(_DISSOCIATED)
+        ),
+    ]
 
 
 def linkage_figure(run: Results) -> Figure | None:
     """Return rank 1 over the level, one row for each task; None without linkage or levels.
 
-    One column for each way of adding error and adding rule. At most five attacks are drawn: the
-    strongest of each task by mean rank 1 over all levels, then the second strongest of each, and
-    so on. An attack looks the same in every task.
+    One column for each way of adding error and adding rule. At most five attacks are drawn, each
+    alike in every task.
     """
     known = [(scheme, rule) for scheme in schemes(run.summary) for rule in scheme.rules]
     looks = dict(zip(_strongest(run.tasks), LOOKS, strict=False))
     rows = [row for task in run.tasks if (row := _row(task, looks, known)).lines]
     if not rows:
         return None
-    lines = [line for row in rows for line in row.lines.values()]
     columns = [
         (scheme, rule)
         for scheme, rule in known
-        if any(not scheme.of(line.rows, rule).empty for line in lines)
+        if scheme.of(pd.concat(row.points for row in rows), rule).size
     ]
-    figure, panels = figure_style.panels(
+    figure, panels = style.panels(
         len(rows), len(columns), height_in=1.05 * len(rows) + 1.3, sharex="col", sharey="row"
     )
     for row, in_row in zip(rows, panels, strict=True):
@@ -91,25 +113,32 @@ def linkage_figure(run: Results) -> Figure | None:
         is_simulated = name in TASKS and TASKS[name].simulated
         note = "(simulated)" if is_simulated else _NOTES.get(name, "")
         in_row[0].set_ylabel("\n".join(filter(None, [name, note, "rank 1 (%)"])))
-        in_row[0].set_ylim(-0.03 * row.limit, 1.03 * row.limit)
-        if row.limit < PERCENT:
-            ends = f"axis ends at {row.limit:g} %"
-            in_row[0].text(0.03, 0.97, ends, transform=in_row[0].transAxes, va="top")
+        ends = PERCENT * row.points[ENDS].to_numpy(dtype=float)
+        highest = max([float(np.nanmax(ends)), *row.alone(RAW), *row.alone(CLEAN)])
+        limit = next((limit for limit in _LIMITS if highest <= limit), _LIMITS[-1])
+        in_row[0].set_ylim(-0.03 * limit, 1.03 * limit)
+        if limit < PERCENT:
+            ends_at = f"axis ends at {limit:g} %"
+            in_row[0].text(0.03, 0.97, ends_at, transform=in_row[0].transAxes, va="top")
         for (scheme, rule), ax in zip(columns, in_row, strict=True):
             _draw(ax, row, scheme=scheme, rule=rule)
     for (scheme, rule), in_column in zip(columns, panels.T, strict=True):
         in_column[0].set_title(f"{scheme.title},\n{scheme.rule_text(rule)}")
         in_column[-1].set_xlabel(scheme.label)
-        figure_style.level_axis(in_column[0], log=scheme.log)
+        style.level_axis(in_column[0], log=scheme.log)
         if not scheme.log:
             # Few, lest those of two panels meet.
             in_column[0].xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 5, 10]))
-    _legend(figure, rows, looks)
-    _title(figure, [row.task for row in rows], dataset=run.dataset)
-    return figure
+    # Whose walks they are: a simulated task has people of its own.
+    of = {dataset_of(f"{row.task.name}/", dataset=run.dataset): row.task.name for row in rows}
+    name = run.dataset if run.dataset in of else next(iter(of))
+    others = ", ".join(f"{task}: {one}" for one, task in of.items() if one != name)
+    what = "linkage, the strongest attacks of each task by mean rank 1"
+    what += f" ({others})" if others and name == run.dataset else ""
+    return style.finish(figure, _handles(rows, looks), dataset=name, what=what)
 
 
-def _words(run: Results) -> str:
+def _level_words(run: Results) -> str:
     parts = []
     for task in run.tasks:
         source = run.link_of(task)
@@ -132,14 +161,14 @@ def _strongest(tasks: Sequence[LinkedTask]) -> list[Source]:
     ranked = [
         sorted(task.attacks, key=lambda source: -_mean(rank1_rows(task, source))) for task in tasks
     ]
-    turns = [source for turn in zip_longest(*ranked) for source in turn if source is not None]
+    turns = (source for turn in zip_longest(*ranked) for source in turn if source is not None)
     return list(dict.fromkeys(turns))[: len(LOOKS)]
 
 
 def _mean(rows: pd.DataFrame) -> float:
     """Return mean rank 1 over the levels; neither raw nor the ceiling has one."""
-    values = rows.loc[rows["level"].notna(), "value"].to_numpy()
-    return float(np.mean(values)) if values.size else -1.0
+    mean = float(rows.loc[rows["level"].notna(), "value"].mean())
+    return -1.0 if np.isnan(mean) else mean
 
 
 def _row(
@@ -154,9 +183,8 @@ def _row(
         drawn |= {source: rows} if series else {}
     # The strongest: the bands of many would hide each other.
     banded = sorted(drawn, key=lambda source: -_mean(drawn[source]))[:_MOST_BANDS]
-    room = figure_style.NAME_LENGTH
     lines = {
-        of: Line(shortened(of.label, room=room), looks[of], rows, has_band=of in banded)
+        of: Line(style.short(of), looks[of], rows, has_band=of in banded)
         for of, rows in drawn.items()
     }
     return _Row(task, lines, pd.concat(points) if points else pd.DataFrame())
@@ -169,7 +197,6 @@ def _draw(ax: Axes, row: _Row, *, scheme: Scheme, rule: str) -> None:
         colour, dashes = _CEILING_LOOK.colour, _CEILING_LOOK.dashes
         ax.axhline(max(ceilings), color=colour, linestyle=dashes, linewidth=0.8, zorder=1.6)
     for line in row.lines.values():
-        line.draw_raw(ax, scheme=scheme)
         line.draw(ax, scheme, rule)
         found = scheme.of(line.rows, rule)
         silent = found[~found["links"]]
@@ -178,29 +205,162 @@ def _draw(ax: Axes, row: _Row, *, scheme: Scheme, rule: str) -> None:
         ax.plot(silent["level"], PERCENT * silent["value"], line.look.marker, **look)
 
 
-def _legend(figure: Figure, rows: Sequence[_Row], looks: Mapping[Source, Look]) -> None:
+def _handles(rows: Sequence[_Row], looks: Mapping[Source, Look]) -> list[Any]:
+    """Return what stands in the legend."""
     lines = {source: line for row in rows for source, line in row.lines.items()}
-    every = [line for row in rows for line in row.lines.values()]
-    handles: list[Any] = [lines[source].handle for source in looks if source in lines]
-    if any(row.alone(RAW) for row in rows):
-        handles.append(figure_style.black_handle("raw (at its edge)", dashes=":"))
-    if any(row.alone(CLEAN) for row in rows):
-        handles.append(figure_style.line_handle("ceiling (no error at all)", _CEILING_LOOK))
-    if any(not row.points["links"].all() for row in rows):
-        text = "does not link, or is invalid"
-        handles.append(figure_style.black_handle(text, marker="o", hollow=True))
-    handles.append(figure_style.line_handle("chance", _CHANCE_LOOK))
-    only = "" if all(line.has_band for line in every) else f" (the {_MOST_BANDS} strongest)"
-    handles.append(figure_style.band_handle(f"95 % interval{only}"))
-    figure_style.legend(figure, handles)
+    has_raw, has_ceiling = (any(row.alone(name) for row in rows) for name in (RAW, CLEAN))
+    has_silent = not all(row.points["links"].all() for row in rows)
+    is_banded = all(line.has_band for row in rows for line in row.lines.values())
+    only = "" if is_banded else f" (the {_MOST_BANDS} strongest)"
+    return [
+        *(lines[source].handle for source in looks if source in lines),
+        has_raw and style.black_handle("raw (at its edge)", dashes=":"),
+        has_ceiling and style.handle("ceiling (no error at all)", _CEILING_LOOK),
+        has_silent and style.black_handle("does not link, or is invalid", marker="o", hollow=True),
+        style.handle("chance", _CHANCE_LOOK),
+        style.band_handle(f"95 % interval{only}"),
+    ]
 
 
-def _title(figure: Figure, tasks: Sequence[LinkedTask], *, dataset: str) -> None:
-    """Say whose walks they are: a simulated task has people of its own."""
-    of = {dataset_of(f"{task.name}/", dataset=dataset): task.name for task in tasks}
-    others = [f"{name}: {other}" for other, name in of.items() if other != dataset]
-    name = dataset if dataset in of else next(iter(of))
-    what = "linkage, the strongest attacks of each task by mean rank 1"
-    if dataset in of and others:
-        what += f" ({', '.join(others)})"
-    figure_style.title(figure, dataset=name, what=what)
+def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
+    """Return rank 1 of the strongest attack of a task over PLR, AEL and MEL as shared.
+
+    What is swept is a line over its levels; a dissociation control is a marker with its level. None
+    without two levels of anything swept.
+    """
+    source = run.link_of(task)
+    points = dissociation_points(run.ours, task, source=source)
+    known = schemes(points) if len(points) else []
+    n_levels = {rule: sum(len(one.of(points, rule)) for one in known) for rule in rules_of(known)}
+    rules = [rule for rule, n in n_levels.items() if n > 1]
+    if not rules:
+        return None
+    controls = dict.fromkeys(one.family for one in families_in(points).values() if is_control(one))
+    looks = {
+        name: Look(_COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)], "")
+        for place, name in enumerate(controls)
+    }
+    figure, panels = style.panels(
+        *(len(rules), len(DESCRIPTORS)),
+        height_in=1.75 * len(rules) + 1.0,
+        margins_in=(0.45, 0.1, 0.5, 0.85),
+        gaps_in=(0.18, 0.3),
+        sharex="col",
+        sharey=True,
+    )
+    for metric, in_column in zip(DESCRIPTORS, panels.T, strict=True):
+        # Descriptor x and rank 1 y with their intervals, in the units of the axes.
+        scale = METRICS[metric].scale
+        axes = {f"x{end}": scale * points[f"{metric}{end}"] for end in ("", "_low", "_high")}
+        for name, end in zip(("y", "y_low", "y_high"), ENDS, strict=True):
+            axes[name] = PERCENT * points[end]
+        shown = points.assign(**axes)
+        for rule, ax in zip(rules, in_column, strict=True):
+            for scheme in known:
+                rows, look = scheme.of(shown, rule), style.look_of(scheme)
+                ax.plot(rows["x"], rows["y"], **look.line, zorder=2.5)
+                _bars(ax, rows, colour=look.colour)
+            _draw_controls(ax, shown, rule=rule, looks=looks)
+        in_column[-1].set_xlabel(style.label(metric))
+        x, ax = shown["x"], in_column[-1]
+        if metric == EXPOSURE:
+            ax.set_xlim(left=-2.0)
+        elif (x > 0).any():
+            # Logarithmic seconds that have a zero: who never leaks belongs on the axis.
+            threshold, zero = 0.7 * float(x[x > 0].min()), [0.0] * bool((x <= 0).any())
+            ax.set_xscale("symlog", linthresh=threshold, linscale=0.3)
+            ax.set_xlim(-0.3 * threshold if zero else threshold, 1.5 * float(x.max()))
+            ax.xaxis.set_major_locator(FixedLocator(zero + _SECONDS))
+            ax.xaxis.set_minor_locator(NullLocator())
+            ax.xaxis.set_major_formatter(lambda value, _: style.number(value))
+    for rule, in_row in zip(rules, panels, strict=True):
+        in_row[0].set_title(f"{rule} adding")
+        in_row[0].set_ylabel("rank 1 (%)")
+    panels[0, 0].set_ylim(-3.0, min(103.0, 1.12 * PERCENT * float(points["ci_high"].max())))
+    has_raw = bool((points["mechanism"] == RAW).any())
+    handles = [
+        *(style.handle(one.title, style.look_of(one)) for one in known),
+        has_raw and style.black_handle("raw", marker="*"),
+        *(
+            style.handle(f"control: {name}", look, markersize=6, **_EDGE)
+            for name, look in looks.items()
+        ),
+        style.black_handle("bars: 95 % intervals; number: level", dashes="-"),
+    ]
+    what = f"{task.name}, {style.short(source)}"
+    return style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
+
+
+def dissociation_points(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
+    """Return the descriptors as shared with rank 1 of an attack, a row for each level.
+
+    Columns: those of `rank1_rows`, family, adding; each descriptor, its `_low` and `_high`.
+    """
+    known = families_in(summary)
+    points = rank1_rows(task, source)
+    for metric in DESCRIPTORS:
+        rows = summary[(summary["consumer"] == SHARED) & (summary["metric"] == metric)]
+        names = dict(zip(ENDS, (metric, f"{metric}_low", f"{metric}_high"), strict=True))
+        rows = rows[["mechanism", "level", *ENDS]].rename(columns=names)
+        points = points.merge(rows, on=["mechanism", "level"])
+    of = [family_of(known, name) for name in points["mechanism"]]
+    return points.assign(family=[one.family for one in of], adding=[one.adding for one in of])
+
+
+def _descriptor_words(run: Results, *, task: LinkedTask) -> str:
+    source = run.link_of(task)
+    points = dissociation_points(run.ours, task, source=source)
+    known = families_in(points)
+    marked = points["mechanism"].map(lambda name: is_control(known[name]) or name == RAW)
+    said = [
+        f"{row['mechanism']} {level_text(row['level'])}".rstrip()
+        + f": PLR {PERCENT * row['plr']:.0f} %, rank 1 {PERCENT * row['value']:.0f} %"
+        for row in points[marked].to_dict("records")
+    ]
+    lines = points[points["level"].notna() & ~marked]
+    titles = ", ".join(scheme.title for scheme in schemes(points))
+    return (
+        f"Rank 1 of {source.label} over PLR, AEL and MEL as shared. {titles} are lines from rank 1 "
+        f"of {PERCENT * lines['value'].min():.0f} to {PERCENT * lines['value'].max():.0f} %. Did "
+        f"a descriptor tell linkability by itself, the controls would lie on the lines. "
+        f"{'; '.join(said)}."
+    )
+
+
+def _draw_controls(ax: Axes, shown: pd.DataFrame, *, rule: str, looks: Mapping[str, Look]) -> None:
+    """Draw raw as a star, and every control with its level."""
+    known = families_in(shown)
+    raw = shown[shown["mechanism"] == RAW]
+    ax.plot(raw["x"], raw["y"], "*", color="black", markersize=7, zorder=4)
+    _bars(ax, raw, colour="black")
+    labelled = 0
+    for name, look in looks.items():
+        rows = shown[(shown["family"] == name) & shown["adding"].isin([rule, ""])]
+        _bars(ax, rows, colour=look.colour)
+        at: dict[str, Any] = {"color": look.colour, "markersize": 6.5, "zorder": 5}
+        ax.plot(rows["x"], rows["y"], look.marker, **at, **_EDGE)
+        for row in rows.to_dict("records"):
+            labelled += 1
+            if labelled > _MOST_LABELS or np.isnan(row["level"]):
+                continue
+            parts = style.number(row["level"]), parameters_text(known[row["mechanism"]])
+            text = ", ".join(filter(None, parts))
+            # To the side where there is room.
+            is_right = row["x"] > _RIGHT * float(shown["x"].max())
+            ax.annotate(
+                text,
+                (row["x"], row["y"]),
+                xytext=(-4.5 if is_right else 4.5, 3.0),
+                textcoords="offset points",
+                horizontalalignment="right" if is_right else "left",
+                zorder=6,
+            )
+
+
+def _bars(ax: Axes, rows: pd.DataFrame, *, colour: str) -> None:
+    """Draw the intervals both ways."""
+    low = rows[["x_low", "y", "x", "y_low"]].to_numpy().reshape(-1, 2)
+    high = rows[["x_high", "y", "x", "y_high"]].to_numpy().reshape(-1, 2)
+    segments = np.stack([low, high], axis=1)
+    known = segments[np.isfinite(segments).all(axis=(1, 2))]
+    ax.add_collection(LineCollection(known, colors=colour, linewidths=0.5, alpha=0.7, zorder=2))

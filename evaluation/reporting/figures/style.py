@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib import style as styles
+from matplotlib.artist import Artist
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -25,16 +26,17 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from evaluation.analysis.families import RAW
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
+from evaluation.reporting.table import shortened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     import pandas as pd
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from numpy.typing import NDArray
 
+    from evaluation.analysis.keys import Source
     from evaluation.reporting.rows import Scheme
     from isac_track.types import Floats
 
@@ -88,47 +90,37 @@ def style() -> Iterator[None]:
         yield
 
 
+def blank(*, height_in: float, width_in: float = DOUBLE_COLUMN_IN) -> Figure:
+    """Return a figure whose panels are placed by hand."""
+    return Figure(figsize=(width_in, height_in), dpi=_IMAGE_DPI)
+
+
 def panels(
     rows: int,
     columns: int,
     *,
     height_in: float,
+    margins_in: tuple[float, float, float, float] | None = None,
+    gaps_in: tuple[float, float] = (0.0, 0.0),
     **sharing: Any,  # noqa: ANN401 - as matplotlib's subplots take it
 ) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure that makes room for its labels, legend and title, and its panels.
+    """Return a figure and its panels, (rows, columns).
 
-    A single column of panels fits into one column of a journal. `sharing`: sharex, sharey.
+    Without margins it makes room for its labels, legend and title; a single column of panels then
+    fits into one column of a journal. With margins (left, right, top and bottom) the panels stand
+    with gaps between columns and between rows. `sharing`: sharex, sharey; and width_in.
     """
-    width_in = SINGLE_COLUMN_IN if columns == 1 else DOUBLE_COLUMN_IN
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
-
-
-def placed_figure(*, width_in: float = DOUBLE_COLUMN_IN, height_in: float) -> Figure:
-    """Return a figure whose panels are placed by hand."""
-    return Figure(figsize=(width_in, height_in), dpi=_IMAGE_DPI)
-
-
-def placed(
-    figure: Figure,
-    rows: int,
-    columns: int,
-    *,
-    margins_in: tuple[float, float, float, float],
-    gaps_in: tuple[float, float],
-    **sharing: Any,  # noqa: ANN401 - as above
-) -> NDArray[Any]:
-    """Return a grid of panels, (rows, columns).
-
-    `margins_in` are left, right, top and bottom, `gaps_in` between columns and between rows.
-    """
+    if margins_in is None:
+        width_in = SINGLE_COLUMN_IN if columns == 1 else DOUBLE_COLUMN_IN
+        figure = Figure(figsize=(width_in, height_in), layout="constrained")
+        return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
+    figure = blank(height_in=height_in, width_in=sharing.pop("width_in", DOUBLE_COLUMN_IN))
     size_in, gaps = figure.get_size_inches(), np.array(gaps_in)
     left, right, top, bottom = np.array(margins_in) / size_in[[0, 0, 1, 1]]
     n, share = np.array([columns, rows]), np.array([1.0 - left - right, 1.0 - top - bottom])
     wspace, hspace = gaps / ((share * size_in - gaps * (n - 1)) / n)
     figure.subplots_adjust(left, bottom, 1.0 - right, 1.0 - top, wspace, hspace)
-    axes: NDArray[Any] = figure.subplots(rows, columns, squeeze=False, **sharing)
-    return axes
+    return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
 
 
 def rendered(figure: Figure, *, pdf: bool) -> dict[str, bytes]:
@@ -164,6 +156,8 @@ class Line:
     scale: float = PERCENT
     """To the unit of the axis."""
     has_band: bool = True
+    is_raw_across: bool = False
+    """Whether raw is drawn from side to side, not only at the edge where levels end in it."""
     apart: Mapping[str, Any] = field(default_factory=dict)
     """What sets it apart from the others, as matplotlib's lines take it."""
 
@@ -176,10 +170,13 @@ class Line:
     @property
     def handle(self) -> Line2D:
         """The legend's entry of it."""
-        return line_handle(self.label, self.look, **self.apart)
+        return handle(self.label, self.look, **self.apart)
 
     def draw(self, ax: Axes, scheme: Scheme, rule: str) -> None:
-        """Draw it over the levels of a scheme; its band has gaps where the interval is unknown."""
+        """Draw it over the levels of a scheme, and raw dotted.
+
+        Its band has gaps where the interval is unknown.
+        """
         rows = scheme.of(self.rows, rule)
         if len(rows):
             x = rows["level"].to_numpy()
@@ -187,11 +184,8 @@ class Line:
             ax.plot(x, y, **self.look.line, **self.apart)
             if self.has_band:
                 band(ax, x, *ends, look=self.look)
-
-    def draw_raw(self, ax: Axes, *, scheme: Scheme | None = None) -> None:
-        """Draw raw as a dotted line, or of a scheme at the edge where its levels end in raw."""
         if self.raw is not None:
-            at = (0.0, 1.0) if scheme is None else (0.95, 1.0) if scheme.log else (0.0, 0.06)
+            at = (0.0, 1.0) if self.is_raw_across else (0.95, 1.0) if scheme.log else (0.0, 0.06)
             # Above the axis itself, where the value is zero.
             look: dict[str, Any] = {"color": self.look.colour, "linestyle": ":", "zorder": 2.6}
             ax.plot(at, [self.raw] * 2, transform=ax.get_yaxis_transform(), **look)
@@ -243,14 +237,9 @@ def number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def line_handle(text: str, look: Look, **more: Any) -> Line2D:  # noqa: ANN401 - matplotlib's
+def handle(text: str, look: Look, **more: Any) -> Line2D:  # noqa: ANN401 - matplotlib's
     """Return the legend's entry of a line."""
     return Line2D([], [], label=text, **look.line, **more)
-
-
-def scheme_handles(schemes: Sequence[Scheme]) -> list[Artist]:
-    """Return the legend's entries of what is swept."""
-    return [line_handle(scheme.title, look_of(scheme)) for scheme in schemes]
 
 
 def black_handle(
@@ -258,7 +247,7 @@ def black_handle(
 ) -> Line2D:
     """Return the legend's entry of something that has no colour of its own."""
     face = "white" if hollow else "black"
-    return line_handle(text, Look("black", marker, dashes), markersize=5, markerfacecolor=face)
+    return handle(text, Look("black", marker, dashes), markersize=5, markerfacecolor=face)
 
 
 def band_handle(text: str) -> Patch:
@@ -266,30 +255,39 @@ def band_handle(text: str) -> Patch:
     return Patch(color="black", alpha=_BAND_ALPHA, linewidth=0, label=text)
 
 
-def legend(figure: Figure, handles: Sequence[Artist], *, columns: int = 0) -> None:
-    """Put a legend below the panels: in as few rows as its words allow, or in some columns."""
+def finish(
+    figure: Figure, handles: Sequence[Artist | bool], *, dataset: str, what: str, columns: int = 0
+) -> Figure:
+    """Put a legend below the panels, the data set's name and what is shown above them.
+
+    The legend has some columns, or as few rows as its words allow; of the handles a False is none.
+    """
+    entries = [one for one in handles if isinstance(one, Artist)]
+    is_placed = figure.get_layout_engine() is None
     place: dict[str, Any] = {"loc": "outside lower center"}
     if columns:
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.0)}
         place |= {"borderaxespad": 0.2, "columnspacing": 1.4}
     room = CHARACTERS_PER_IN * figure.get_figwidth()
-    widths = [len(str(handle.get_label())) + _HANDLE_CHARACTERS for handle in handles]
-    n = columns or len(handles)
+    widths = [len(str(one.get_label())) + _HANDLE_CHARACTERS for one in entries]
+    n = columns or len(entries)
     while not columns and n > 1 and sum(map(max, np.array_split(widths, n))) > room:
         n -= 1
-    figure.legend(handles=handles, ncols=n, **place)
-
-
-def title(figure: Figure, *, dataset: str, what: str, one_line: bool = False) -> None:
-    """Write the data set's name and what is shown above the panels."""
+    figure.legend(handles=entries, ncols=n, **place)
     name = "".join(character if character.isprintable() else " " for character in dataset)
     if len(name) > NAME_LENGTH:
         name = name[: NAME_LENGTH - 1] + "…"
-    separator = ": " if one_line or figure.get_figwidth() > SINGLE_COLUMN_IN else "\n"
-    place: dict[str, Any] = {"x": 0.01, "horizontalalignment": "left"}
-    if figure.get_layout_engine() is None:
+    separator = ": " if is_placed or figure.get_figwidth() > SINGLE_COLUMN_IN else "\n"
+    place = {"x": 0.01, "horizontalalignment": "left"}
+    if is_placed:
         place |= {"y": 1.0 - 0.05 / figure.get_figheight(), "verticalalignment": "top"}
     figure.suptitle(f"{name}{separator}{what}", **place)
+    return figure
+
+
+def short(source: Source) -> str:
+    """Return whose a line is, so short that it fits."""
+    return shortened(source.label, room=NAME_LENGTH)
 
 
 def _plain_ticks(axis: Axis, locator: LogLocator) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import PERCENT, Look
 
@@ -25,10 +25,10 @@ _BAR_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 def drawings(run: Results) -> list[Drawing]:
     """Return the gallery, if the run has one."""
-    title = "Tracks: true, shared and rebuilt"
-    caption = "The people of the run's first scene, not chosen by how they look."
     if run.gallery is None:
         return []
+    title = "Tracks: true, shared and rebuilt"
+    caption = "The people of the run's first scene, not chosen by how they look."
     draw, words = partial(gallery_figure, rows=run.gallery), partial(_words, rows=run.gallery)
     return [Drawing("track_gallery", "gallery", title, draw, words, caption)]
 
@@ -40,11 +40,13 @@ def gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
     """
     if rows.empty:
         return None
-    people = list(rows["track"].unique())
-    mechanisms = list(rows["mechanism"].unique())
-    figure = figure_style.placed_figure(height_in=1.75 * len(people) + 0.85)
-    shape, margins_in = (len(people), len(mechanisms)), (0.3, 0.1, 0.6, 0.4)
-    panels = figure_style.placed(figure, *shape, margins_in=margins_in, gaps_in=(0.12, 0.2))
+    people, mechanisms = (list(rows[name].unique()) for name in ("track", "mechanism"))
+    figure, panels = style.panels(
+        *(len(people), len(mechanisms)),
+        height_in=1.75 * len(people) + 0.85,
+        margins_in=(0.3, 0.1, 0.6, 0.4),
+        gaps_in=(0.12, 0.2),
+    )
     width, height = panels[0, 0].get_position().size * figure.get_size_inches()
     for person, in_row in zip(people, panels, strict=True):
         of = rows[rows["track"] == person]
@@ -61,18 +63,16 @@ def gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
     black, blue = Look("black", "", "-"), Look(_REBUILT_COLOUR, "", "-")
     dot = Look(_SHARED_COLOUR, "o", "")
     handles = [
-        figure_style.line_handle("true", black, linewidth=0.8),
-        figure_style.line_handle("shared", dot, markersize=1.1, alpha=0.6),
-        figure_style.line_handle("shared, leaks", dot, markersize=2.4),
-        figure_style.line_handle("rebuilt", blue, linewidth=0.7),
-        figure_style.line_handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
+        style.handle("true", black, linewidth=0.8),
+        style.handle("shared", dot, markersize=1.1, alpha=0.6),
+        style.handle("shared, leaks", dot, markersize=2.4),
+        style.handle("rebuilt", blue, linewidth=0.7),
+        style.handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
     ]
-    figure_style.legend(figure, handles, columns=5)
     first = rows.iloc[0]
     leak = f"a leak is closer than {first['epsilon_m']:g} m"
     what = f"true, shared, rebuilt by {first['attack']} (blind); {leak}"
-    figure_style.title(figure, dataset="tracks", what=what, one_line=True)
-    return figure
+    return style.finish(figure, handles, dataset="tracks", what=what, columns=5)
 
 
 def _words(_: Results, *, rows: pd.DataFrame) -> str:
@@ -90,12 +90,12 @@ def _words(_: Results, *, rows: pd.DataFrame) -> str:
 
 def _window(of: pd.DataFrame, *, shape: float) -> Floats:
     """Return limits, (2, 2) m: they hold a walk and most of what was shared, equal in scale."""
-    shared = of[["x_shared", "y_shared"]].to_numpy()
     # A few far samples would make the walk tiny.
-    low, high = np.percentile(shared, [5.0, 95.0], axis=0)
+    ends = [np.percentile(of[["x_shared", "y_shared"]].to_numpy(), [5.0, 95.0], axis=0)]
     for what in ("true", "rec"):
         walk = of[[f"x_{what}", f"y_{what}"]].to_numpy()
-        low, high = np.minimum(low, walk.min(axis=0)), np.maximum(high, walk.max(axis=0))
+        ends.append(np.stack([walk.min(axis=0), walk.max(axis=0)]))
+    low, high = np.min(ends, axis=0)[0], np.max(ends, axis=0)[1]
     middle, half = 0.5 * (low + high), 0.5 * (high - low) + 0.2
     half_x = max(half[0], half[1] * shape, 0.5)
     half = np.array([half_x, half_x / shape])
@@ -104,13 +104,11 @@ def _window(of: pd.DataFrame, *, shape: float) -> Floats:
 
 
 def _draw(ax: Axes, part: pd.DataFrame) -> None:
-    x, y = part["x_shared"].to_numpy(), part["y_shared"].to_numpy()
-    leaked = part["leaked_shared"].to_numpy()
+    x, y, leaked = (part[f"{name}_shared"].to_numpy() for name in ("x", "y", "leaked"))
     look: dict[str, Any] = {"color": _SHARED_COLOUR, "linestyle": "", "markeredgewidth": 0}
     ax.plot(x[~leaked], y[~leaked], "o", markersize=1.1, alpha=0.45, zorder=1, **look)
     ax.plot(x[leaked], y[leaked], "o", markersize=1.9, zorder=3, **look)
-    x, y = part["x_rec"].to_numpy(), part["y_rec"].to_numpy()
-    leaked = part["leaked_rec"].to_numpy()
+    x, y, leaked = (part[f"{name}_rec"].to_numpy() for name in ("x", "y", "leaked"))
     ax.plot(x, y, color=_REBUILT_COLOUR, linewidth=0.7, zorder=2)
     look = {"color": _REBUILT_COLOUR, "linewidth": 3.2, "alpha": 0.35, "solid_capstyle": "round"}
     ax.plot(*(np.where(leaked, values, np.nan) for values in (x, y)), **look, zorder=1.5)

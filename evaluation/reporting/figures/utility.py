@@ -11,7 +11,7 @@ from evaluation.analysis.keys import is_attack, level_text
 from evaluation.analysis.matching import MISSED
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
-from evaluation.reporting.figures import style as figure_style
+from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, PERCENT, Look
 from evaluation.reporting.rows import Scheme, compared_levels, rules_of, schemes
@@ -48,28 +48,29 @@ def operating_figure(run: Results) -> Figure | None:
     ours = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
     rates = ours[ours["metric"] == MISSED_RATE]
     known = schemes(ours)
-    if rates.empty or not known:
+    if rates.empty:
         return None
     predictor = str(rates["consumer"].iloc[0])
     planes = {metric: _plane(ours, predictor, metric) for metric in DESCRIPTORS}
-    drawn = [scheme for scheme in known if scheme.rules_in(*planes.values())]
+    # What declares no rule stands under each.
+    shown = {
+        rule: [one for one in known if any(len(one.of(plane, rule)) for plane in planes.values())]
+        for rule in rules_of(known)
+    }
+    rules = [rule for rule, of in shown.items() if of]
+    drawn = [scheme for scheme in known if any(scheme in of for of in shown.values())]
     if not drawn:
         return None
-    rules = [
-        rule
-        for rule in rules_of(drawn)
-        if any(len(scheme.of(plane, rule)) for plane in planes.values() for scheme in drawn)
-    ]
     wanted = {"dataset": run.dataset, "predictor": predictor, "criterion": MISSED}
     wanted |= {"consumer": SHARED}
     curves = run.matched[(run.matched[list(wanted)] == list(wanted.values())).all(axis=1)]
-    figure, panels = figure_style.panels(
+    figure, panels = style.panels(
         len(rules), len(planes), height_in=1.75 * len(rules) + 0.8, sharex=True, sharey="col"
     )
     for rule, axes in zip(rules, panels, strict=True):
         axes[0].set_title(f"{rule} adding")
         for (metric, plane), ax in zip(planes.items(), axes, strict=True):
-            ax.set_ylabel(figure_style.label(metric))
+            ax.set_ylabel(style.label(metric))
             part = curves[(curves["adding"] == rule) & (curves["metric"] == metric)]
             for scheme in known:
                 _draw_matched(ax, part, scheme=scheme, rule=rule, metric=metric)
@@ -77,28 +78,27 @@ def operating_figure(run: Results) -> Figure | None:
             raw = plane[plane["mechanism"] == RAW]
             ax.plot(raw["x"], raw["y"], "*", color="black", markersize=6, zorder=4)
     for (metric, plane), axes in zip(planes.items(), panels.T, strict=True):
-        axes[-1].set_xlabel(figure_style.label(MISSED_RATE))
+        axes[-1].set_xlabel(style.label(MISSED_RATE))
         values = [scheme.of(plane, rule)["y"].to_numpy() for scheme in drawn for rule in rules]
         if any(map(len, values)):
             values.append(plane["y"][plane["mechanism"] == RAW].to_numpy())
-            figure_style.value_axis(axes[0], values, log=metric != EXPOSURE)
-    handles = figure_style.scheme_handles(drawn)
-    if any((plane["mechanism"] == RAW).any() for plane in planes.values()):
-        handles.append(figure_style.black_handle("raw", marker="*"))
-    if not curves.empty:
-        handles.append(figure_style.band_handle("95 % interval at matched rates"))
-    figure_style.legend(figure, handles)
-    figure_style.title(figure, dataset=run.dataset, what=f"operating points, predictor {predictor}")
-    return figure
+            style.value_axis(axes[0], values, log=metric != EXPOSURE)
+    has_raw = any((plane["mechanism"] == RAW).any() for plane in planes.values())
+    handles = [
+        *(style.handle(scheme.title, style.look_of(scheme)) for scheme in drawn),
+        has_raw and style.black_handle("raw", marker="*"),
+        not curves.empty and style.band_handle("95 % interval at matched rates"),
+    ]
+    what = f"operating points, predictor {predictor}"
+    return style.finish(figure, handles, dataset=run.dataset, what=what)
 
 
 def _operating_words(run: Results) -> str:
     raw = run.ours[(run.ours["mechanism"] == RAW) & ~is_attack(run.ours)]
     said = [
-        f"{METRICS[metric].head} {METRICS[metric].scale * value:.{METRICS[metric].digits}f} "
-        f"{METRICS[metric].unit}"
-        for metric in (MISSED_RATE, *DESCRIPTORS)
-        for value in raw.loc[raw["metric"] == metric, "value"].head(1)
+        f"{shown.head} {shown.scale * value:.{shown.digits}f} {shown.unit}"
+        for shown in (METRICS[metric] for metric in (MISSED_RATE, *DESCRIPTORS))
+        for value in raw.loc[raw["metric"] == shown.name, "value"].head(1)
     ]
     return (
         "PLR, AEL and MEL over the missed-conflict rate, a curve for each of "
@@ -124,21 +124,21 @@ def _draw_matched(ax: Axes, part: pd.DataFrame, *, scheme: Scheme, rule: str, me
     rows = part[part["mechanism"] == mechanism].sort_values(MISSED_RATE)
     if rows.empty:
         return
-    look, scale = figure_style.look_of(scheme), METRICS[metric].scale
+    look, scale = style.look_of(scheme), METRICS[metric].scale
     column = FIXED if is_fixed else FID
     x = rows[MISSED_RATE].to_numpy() * METRICS[MISSED_RATE].scale
     ax.plot(x, rows[column] * scale, color=look.colour, linestyle=look.dashes)
     ends = (rows[f"{column}_{end}"].to_numpy() * scale for end in ("low", "high"))
-    figure_style.band(ax, x, *ends, look=look)
+    style.band(ax, x, *ends, look=look)
 
 
 def _draw_points(ax: Axes, found: pd.DataFrame, *, scheme: Scheme, named: bool) -> None:
     """Mark the measured points; the level that costs most gives the curve a direction."""
     if found.empty:
         return
-    colour, marker = figure_style.look_of(scheme).colour, figure_style.look_of(scheme).marker
-    look: dict[str, Any] = {"markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.4}
-    ax.plot(found["x"], found["y"], marker, color=colour, **look)
+    look = style.look_of(scheme)
+    edge: dict[str, Any] = {"markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.4}
+    ax.plot(found["x"], found["y"], look.marker, color=look.colour, **edge)
     if named:
         noisiest = found.sort_values("x", kind="stable").iloc[-1]
         ax.annotate(
@@ -147,7 +147,7 @@ def _draw_points(ax: Axes, found: pd.DataFrame, *, scheme: Scheme, named: bool) 
             xytext=(0, -9 if scheme.log else 5),
             textcoords="offset points",
             horizontalalignment="center",
-            color=colour,
+            color=look.colour,
         )
 
 
@@ -162,17 +162,17 @@ def curves_figure(run: Results) -> Figure | None:
         return None
     columns = min(3, len(wheres))
     n_rows = -(-len(wheres) // columns)
-    figure = figure_style.placed_figure(height_in=1.85 * n_rows + 0.95)
-    margins_in, sharing = (0.45, 0.1, 0.5, 0.75), {"sharex": True, "sharey": True}
-    panels = figure_style.placed(
-        figure, n_rows, columns, margins_in=margins_in, gaps_in=(0.18, 0.28), **sharing
+    figure, panels = style.panels(
+        *(n_rows, columns),
+        height_in=1.85 * n_rows + 0.95,
+        margins_in=(0.45, 0.1, 0.5, 0.75),
+        gaps_in=(0.18, 0.28),
+        sharex=True,
+        sharey=True,
     )
     looks = dict(zip(of["consumer"].unique(), LOOKS, strict=False))
-    titles = {
-        scheme.mechanisms[rule]: (scheme, rule)
-        for scheme in schemes(run.ours)
-        for rule in scheme.rules
-    }
+    known = [(scheme, rule) for scheme in schemes(run.ours) for rule in scheme.rules]
+    titles = {scheme.mechanisms[rule]: (scheme, rule) for scheme, rule in known}
     for where, ax in zip(wheres, panels.flat, strict=False):
         mechanism, level = where
         ax.set_title(mechanism)
@@ -202,19 +202,13 @@ def curves_figure(run: Results) -> Figure | None:
     panels[0, 0].set_xlim(-2.0, 102.0)
     panels[0, 0].set_ylim(-2.0, 102.0)
     handles = [
-        *(
-            figure_style.line_handle(name, Look(look.colour, look.marker, "-"))
-            for name, look in looks.items()
-        ),
-        figure_style.black_handle("by predicted separation", dashes=_DASHES["separation"]),
-        figure_style.black_handle("by conflict probability", dashes=_DASHES["probability"]),
-        figure_style.black_handle("as the paper's robot decides", marker="o", hollow=True),
+        *(style.handle(name, Look(look.colour, look.marker, "-")) for name, look in looks.items()),
+        style.black_handle("by predicted separation", dashes=_DASHES["separation"]),
+        style.black_handle("by conflict probability", dashes=_DASHES["probability"]),
+        style.black_handle("as the paper's robot decides", marker="o", hollow=True),
     ]
-    figure_style.legend(figure, handles, columns=4)
-    figure_style.title(
-        figure, dataset=run.dataset, what="misses against false alarms", one_line=True
-    )
-    return figure
+    what = "misses against false alarms"
+    return style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
 def _curves_words(run: Results) -> str:

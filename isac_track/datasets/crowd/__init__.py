@@ -9,25 +9,22 @@ to a micrometre in every step, which makes such a difference very unlikely to su
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 
 from isac_track.datasets.crowd.model import simulate
-from isac_track.datasets.crowd.npz import SESSIONS, bundled, bundled_path, read_npz, write_npz
 from isac_track.datasets.crowd.plan import CrowdSettings, draw_traits, person_id, plan_session
+from isac_track.datasets.recording import brief
+from isac_track.errors import DataError
 from isac_track.types import Tracks
 
-__all__ = [
-    "BUNDLED_SEED",
-    "SESSIONS",
-    "CrowdSettings",
-    "bundled",
-    "bundled_path",
-    "generate",
-    "read_npz",
-    "write_npz",
-]
+__all__ = ["BUNDLED_SEED", "FILES", "CrowdSettings", "bundled_path", "generate"]
 
 BUNDLED_SEED = 1
+FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}
+"""Name of each bundled session's file, in the package `isac_track.datasets`."""
 
 
 def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
@@ -37,24 +34,10 @@ def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
     at other times, in other company. Traits of a person do not depend on how many others
     there are.
 
-    Parameters
-    ----------
-    settings : CrowdSettings
-        The scenario.
-    seed : int
-        Base seed, not negative.
-    session : int
-        Number of the session, from 1.
-
-    Returns
-    -------
-    Tracks
-        One walk a person, in whole millimetres at multiples of ``settings.frame_s`` seconds.
-        `source` is the persistent id of the person (``p0001``), `group` the party that he or
-        she walks with in this session (``s1g001``).
+    Sessions are numbered from 1. There is one walk a person, in whole millimetres at multiples of
+    ``settings.frame_s`` seconds; `source` is the persistent id of the person (``p0001``), `group`
+    the party that he or she walks with in this session (``s1g001``).
     """
-    if session < 1:
-        raise ValueError(f"sessions are numbered from 1, got {session}")
     traits = draw_traits(settings, seed=seed)
     plan = plan_session(settings, traits, seed=seed, session=session)
     frame, person, xy = simulate(settings, traits, plan, seed=seed, session=session)
@@ -70,3 +53,48 @@ def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
         source=tuple(person_id(row) for row in rows),
         group=tuple(f"s{session}g{party[row] + 1:03d}" for row in rows),
     )
+
+
+def bundled_path(session: int) -> Path:
+    """Return the file of a bundled session of the plaza, 1 or 2."""
+    return Path(__file__).parents[1] / FILES[session]
+
+
+def write_npz(path: Path, tracks: Tracks, *, frame_s: float, about: dict[str, object]) -> None:
+    """Write tracks with a sample every `frame_s`, as whole millimetres in int16.
+
+    `about`, where the tracks come from, is kept in the file as JSON.
+    """
+    frame = np.rint(tracks.t / frame_s)
+    xy_mm = np.rint(tracks.xy * 1e3).astype(np.int16)
+    # Steps compress better than positions. They may wrap around: so does the sum in read_npz.
+    steps = np.diff(xy_mm, axis=0, prepend=np.zeros((1, 2), dtype=np.int16))
+    np.savez_compressed(
+        path,
+        format=np.int64(1),
+        frame_s=np.float64(frame_s),
+        first_frame=frame[tracks.offsets[:-1]].astype(np.int32),
+        samples=np.diff(tracks.offsets).astype(np.int32),
+        steps_mm=np.ascontiguousarray(steps.T),
+        source=np.array(tracks.source),
+        group=np.array(tracks.group),
+        about=np.array(json.dumps(about, sort_keys=True)),
+    )
+
+
+def read_npz(path: Path) -> Tracks:
+    """Read what `write_npz` wrote; DataError if the file is missing or damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            samples = file["samples"].astype(np.int64)
+            offsets = np.concatenate([[0], np.cumsum(samples)])
+            frame = np.arange(offsets[-1]) + np.repeat(file["first_frame"] - offsets[:-1], samples)
+            return Tracks(
+                t=frame * float(file["frame_s"]),
+                xy=np.cumsum(file["steps_mm"], axis=1, dtype=np.int16).T / 1e3,
+                offsets=offsets,
+                source=tuple(map(str, file["source"])),
+                group=tuple(map(str, file["group"])),
+            )
+    except Exception as error:  # noqa: BLE001 - a damaged archive makes numpy raise nearly anything
+        raise DataError(f"{path}: not a readable crowd file ({brief(error)})") from None

@@ -7,9 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from isac_track.datasets.crowd import BUNDLED_SEED, generate
-from isac_track.datasets.crowd.npz import FILES, write_npz
-from isac_track.datasets.crowd.plan import CrowdSettings
+from isac_track.datasets.crowd import BUNDLED_SEED, FILES, CrowdSettings, generate, write_npz
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

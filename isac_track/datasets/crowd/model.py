@@ -90,12 +90,8 @@ def simulate(
 ) -> tuple[Ints, Ints, Floats]:
     """Walk everybody across the plaza.
 
-    Returns
-    -------
-    frame, person : (M,) int
-        Recorded frame, in order, and row of the person.
-    xy : (M, 2) m
-        Recorded position: the body's, with its sway.
+    Three arrays are returned: the recorded frame, (M,) in order, the row of the person, (M,), and
+    the recorded position, (M, 2) m: the body's, with its sway.
     """
     crowd = np.zeros(settings.n_people, dtype=_PERSON)
     progress = np.zeros(len(plan.parties), dtype=_PARTY)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from isac_track.errors import SettingsError
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -37,51 +36,24 @@ class CrowdSettings:
     area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)
     """plaza: x_min, y_min, x_max, y_max"""
 
-    def __post_init__(self) -> None:
-        x_min, y_min, x_max, y_max = self.area_m
-        for is_so, message in (
-            (self.n_people >= 1 <= self.substeps, "at least one person and one substep"),
-            (self.tail_s >= self.frame_s > 0 <= self.lead_s, "0 < frame_s <= tail_s, lead_s >= 0"),
-            (self.duration_s > self.tail_s, f"a duration_s above tail_s ({self.tail_s:g} s)"),
-            (self.trait_strength >= 0, f"trait_strength >= 0, not {self.trait_strength}"),
-            (x_min < x_max and y_min < y_max, "an area_m of x_min, y_min, x_max, y_max"),
-        ):
-            if not is_so:
-                raise SettingsError(f"the crowd needs {message}")
-
     @property
     def n_frames(self) -> int:
         """Recorded frames, the first at time 0."""
         return round(self.duration_s / self.frame_s) + 1
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Traits:
-    """What persists about N people. Log-normal: median * exp(strength * spread * N(0, 1))."""
-
-    speed_mps: Floats
-    """(N,) desired speed when alone"""
-    sway_m: Floats
-    """(N,) standard deviation of the lateral body sway"""
-    sway_hz: Floats
-    """(N,) its frequency"""
-    sway_s: Floats
-    """(N,) its coherence time"""
-    stops_per_m: Floats
-    """(N,) stopping habit: short stops per metre walked; scales the chance of a chat too"""
-    turn_rad: Floats
-    """(N,) turning habit: standard deviation of the heading's wandering"""
-
-
+Traits: TypeAlias = "np.recarray[Any, Any]"
+"""(N,) what persists about people; its fields are those of the table below."""
 TRAIT_MEDIAN_AND_SPREAD = {
-    "speed_mps": (1.14, 0.24),
-    "sway_m": (0.02, 0.35),
-    "sway_hz": (0.7, 0.2),
-    "sway_s": (2.0, 0.3),
-    "stops_per_m": (0.065, 0.6),
-    "turn_rad": (0.24, 0.6),
+    "speed_mps": (1.14, 0.24),  # desired speed when alone
+    "sway_m": (0.02, 0.35),  # standard deviation of the lateral body sway,
+    "sway_hz": (0.7, 0.2),  # ... its frequency
+    "sway_s": (2.0, 0.3),  # ... and its coherence time
+    "stops_per_m": (0.065, 0.6),  # short stops per metre walked; scales the chance of a chat too
+    "turn_rad": (0.24, 0.6),  # standard deviation of the heading's wandering
 }
-"""Median and standard deviation of the logarithm, in the order of the draws."""
+"""Median and standard deviation of the logarithm, in the order of the draws:
+median * exp(strength * spread * N(0, 1))."""
 
 GROUP_SIZE_SHARES = (0.65, 0.28, 0.045, 0.025)
 """Shares of singles, pairs, threes and fours among the parties that arrive."""
@@ -150,7 +122,7 @@ def draw_traits(settings: CrowdSettings, *, seed: int) -> Traits:
         ]
     )
     values = columns[:, 0] * np.exp(settings.trait_strength * columns[:, 1] * draws)
-    return Traits(**dict(zip(TRAIT_MEDIAN_AND_SPREAD, values.T, strict=True)))
+    return np.rec.fromarrays(values.T, dtype=[(name, float) for name in TRAIT_MEDIAN_AND_SPREAD])
 
 
 def plan_session(settings: CrowdSettings, traits: Traits, *, seed: int, session: int) -> Plan:

@@ -18,7 +18,6 @@ from attacks.linkage.signals import (
     aligned_costs,
     motion,
     on_grid,
-    product,
     widths_s,
 )
 from isac_track.rng import stream
@@ -29,16 +28,6 @@ def circle(radius_m, rad_s, *, length_s=12.0, seed=0):
     t = np.cumsum(stream(seed, "test", "circle").uniform(1 / 16, 1 / 8, 300))
     t = t[t < t[0] + length_s]
     return t, radius_m * np.stack([np.cos(rad_s * t), np.sin(rad_s * t)], axis=1)
-
-
-def test_a_straight_walk_is_straight_on_the_grid():
-    t = np.cumsum(stream(0, "test", "line").uniform(1 / 16, 1 / 8, 100))
-    walks = on_grid(release_of([(t, np.stack([1.2 * t, -0.5 * t], axis=1))]))
-    lasts_s = t[-1] - t[0]
-    assert walks.sizes[0] == int(lasts_s / STEP_S)
-    middle_s = (lasts_s - walks.sizes[0] * STEP_S) / 2 + STEP_S * (np.arange(walks.sizes[0]) + 0.5)
-    # A line's mean over a cell is its value in the middle.
-    assert np.allclose(walks.values[:, 0], np.outer([1.2, -0.5], middle_s), atol=1e-9)
 
 
 def test_a_cell_is_the_mean_of_the_line_through_the_samples():
@@ -82,15 +71,6 @@ def test_noise_asks_for_width():
     usual, half = (widths_s(noisy, factor) for factor in (1.0, 0.5))
     assert (usual > 2.0).all()
     assert (half < usual).all()
-
-
-@pytest.mark.parametrize("shape", [(700, 50, 60), (3, 600, 900), (5, 1, 2), (0, 4, 4)])
-def test_a_product_in_pieces_is_the_product(shape):
-    n, k, m = shape
-    rng = stream(0, "test", "product")
-    a, b = rng.normal(size=(n, k)), rng.normal(size=(k, m))
-    assert np.allclose(product(a, b), a @ b)
-    assert np.allclose(product(a, b.T.copy().T), a @ b)
 
 
 def slow_cost(a, b, *, floor, rank, reach, rotated):

@@ -131,24 +131,3 @@ def test_the_smoother_that_is_told_all_attains_it(granted):
     ratio = np.sqrt(np.mean((found.xy - truth) ** 2) / expected.mean())
     assert ratio == pytest.approx(1.0, abs=0.02)
     np.testing.assert_allclose(found.std**2, expected, rtol=0.02)
-
-
-def test_the_walks_are_of_the_model():
-    """Two steps on, given position and velocity unknown: second differences have its variance."""
-    truth, t, offsets, _ = walks()
-    inside = np.ones(t.size, dtype=bool)
-    inside[offsets[:-1]] = inside[offsets[:-1] + 1] = False
-    k = np.flatnonzero(inside)
-    h, w = t[k] - t[k - 1], t[k - 1] - t[k - 2]
-    gap = truth[k] - truth[k - 1] - (h / w)[:, None] * (truth[k - 1] - truth[k - 2])
-    # Integrated Brownian motion about the middle: q h^3 / 3 ahead, q (h / w)^2 w^3 / 3 behind.
-    expected = Q * (h**3 / 3 + h**2 * w / 3)
-    assert np.mean(gap**2 / expected[:, None]) == pytest.approx(1.0, abs=0.02)
-
-
-def test_the_errors_are_the_mix_that_they_say():
-    truth, _, _, std = walks()
-    scaled = (release_of().xy - truth) / std[:, None]
-    assert np.mean(scaled**2) == pytest.approx(1.0, abs=0.02)
-    assert std.min() == pytest.approx(0.1, rel=0.1)
-    assert std.max() == pytest.approx(1.5, rel=0.1)

@@ -3,7 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from helpers.walks import release_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from attacks.tasks.build import LEAST_PEOPLE, sessions_of
+from attacks.tasks.build import sessions_of
 from attacks.tasks.sessions import joined
 from attacks.tasks.task_list import TASKS, task_named
 from isac_track.config import StageSettings
@@ -62,12 +62,9 @@ def both_sides(found):
 
 
 def without(tracks, row):
-    stay = [place for place in range(len(tracks)) if place != row]
-    return tracks_of(
-        [(tracks[place].t, tracks[place].xy) for place in stay],
-        source=np.array(tracks.source)[stay].tolist(),
-        group=np.array(tracks.group)[stay].tolist(),
-    )
+    stay = [track for place, track in enumerate(tracks) if place != row]
+    source, group = ([getattr(one, name)[0] for one in stay] for name in ("source", "group"))
+    return tracks_of([(one.t, one.xy) for one in stay], source=source, group=group)
 
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
@@ -170,11 +167,6 @@ def test_company_of_either_day_is_one_cluster():
                 assert group[one] == group[other]
 
 
-def test_no_more_people_than_asked_for():
-    fewer = STAGES.changed({"linkage.most_people": 30})
-    assert len(sessions("new_traversal", stages=fewer).source) == 30
-
-
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
 def test_nobody_is_attacked_or_calibrated_by_who_learnt_from_them_or_their_company(name):
     found = sessions(name)
@@ -246,11 +238,15 @@ def test_leaving_one_person_out_changes_no_other_window(name):
         ("resample.rate_max_hz", 12.0, "split"),
     ],
 )
-def test_every_setting_changes_what_is_linked(setting, value, name):
-    tracks = crowd(n=200)
-    plain = sessions(name, tracks=tracks)
-    changed = sessions(name, tracks=tracks, stages=STAGES.changed({setting: value}))
-    assert not np.array_equal(plain.probe.t, changed.probe.t)
+def test_every_setting_and_the_seed_change_what_is_linked(setting, value, name):
+    tracks, stages = crowd(n=200), STAGES.changed({setting: value})
+    first = [
+        sessions(name, tracks=tracks, **given).probe.t
+        for given in ({}, {"seed": 1}, {"stages": stages})
+    ]
+    assert not any(np.array_equal(one, other) for one, other in combinations(first, 2))
+    if setting == "linkage.most_people":
+        assert len(sessions(name, tracks=tracks, stages=stages).source) == value
 
 
 def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
@@ -280,27 +276,29 @@ def test_frozen_people_and_company_are_marked():
     assert together == {name for name in found.source if name <= "p006"}
 
 
-@pytest.mark.parametrize("name", ["rerelease", "handover-2s", "new_traversal"])
-def test_too_few_people_are_refused_with_the_way_out(name):
-    few = crowd(n=10)
-    with pytest.raises(DataError, match=rf"task {name}: \d+ .*takes {LEAST_PEOPLE}.*--task"):
-        sessions(name, tracks=few)
+NAMES, T = [f"p{row}" for row in range(40)], np.arange(0.0, 100.0, 0.4)
+WALKS = stream(0, "test", "always").normal(0, 0.2, (40, T.size, 2)).cumsum(axis=1)
+ALWAYS = {"tracks": tracks_of([(T, one) for one in WALKS], source=NAMES, group=NAMES)}
+FEW = {"tracks": crowd(n=10)}
+GROUPED = {"tracks": replace(crowd(), group=("all",) * len(crowd()))}
+DRAWN = {"stages": STAGES.changed({"linkage.most_people": 3})}
 
 
-def test_one_walking_group_is_refused():
-    tracks = crowd()
-    with pytest.raises(DataError, match="too many belong to one walking group"):
-        sessions("rerelease", tracks=replace(tracks, group=("all",) * len(tracks)))
-
-
-def test_people_who_are_there_all_the_time_teach_nobody_and_are_refused():
-    t = np.arange(0.0, 100.0, 0.4)
-    rng = stream(0, "test", "always")
-    names = [f"p{row}" for row in range(40)]
-    walks = [(t, rng.normal(0, 0.2, (t.size, 2)).cumsum(axis=0)) for _ in names]
-    always = tracks_of(walks, source=names, group=names)
-    with pytest.raises(DataError, match="are there all the time"):
-        sessions("handover-1s", tracks=always)
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        *(
+            (name, FEW, f"task {name}: .*takes 24.*--task")
+            for name in ("split", "handover-2s", "new_traversal")
+        ),
+        ("rerelease", GROUPED, "too many belong to one walking group"),
+        ("handover-1s", ALWAYS, "are there all the time"),
+        ("rerelease", DRAWN, "most_people must be at least 24"),
+    ],
+)
+def test_what_cannot_be_linked_is_refused_with_the_way_out(name, given, message):
+    with pytest.raises((DataError, SettingsError), match=message):
+        sessions(name, **given)
 
 
 @pytest.mark.parametrize(
@@ -310,14 +308,8 @@ def test_people_who_are_there_all_the_time_teach_nobody_and_are_refused():
 def test_an_unknown_task_is_refused_with_what_may_be_meant(name, hint):
     with pytest.raises(SettingsError, match=f"unknown task {re.escape(repr(name))}; .*{hint}"):
         task_named(name)
-    unknown = replace(TASKS["split"], name=name)
     with pytest.raises(SettingsError, match="unknown task"):
-        sessions_of(unknown, tracks=crowd(), stages=STAGES, seed=0)
-
-
-def test_too_small_a_draw_is_refused():
-    with pytest.raises(SettingsError, match=f"most_people must be at least {LEAST_PEOPLE}"):
-        sessions("rerelease", stages=STAGES.changed({"linkage.most_people": 3}))
+        sessions_of(replace(TASKS["split"], name=name), tracks=crowd(), stages=STAGES, seed=0)
 
 
 def test_windows_before_the_gap_are_the_same_whatever_the_gap():
@@ -325,11 +317,6 @@ def test_windows_before_the_gap_are_the_same_whatever_the_gap():
     both = ours.keys() & others.keys()
     assert both
     assert all(ours[key] == others[key] for key in both)
-
-
-def test_other_seeds_are_other_windows():
-    one, other = sessions("rerelease"), sessions("rerelease", seed=1)
-    assert not np.array_equal(one.probe.t[:10], other.probe.t[:10])
 
 
 GROUP = st.sampled_from("abcdef")

@@ -1,13 +1,11 @@
 """Miss against false-alarm curves, against scikit-learn and by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from sklearn.metrics import roc_auc_score, roc_curve
 
 import evaluation
-from evaluation.analysis.decisions import N_BINS, curve
+from evaluation.analysis.decisions import N_BINS, curve, decisions
 from evaluation.experiment.settings import Settings
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
@@ -29,6 +27,10 @@ def test_few_scores_are_sklearns_curve_and_area():
     alarm, hit, _ = roc_curve(conflict, score, drop_intermediate=False)
     assert np.allclose(found.false_alarm[0], alarm)
     assert np.allclose(found.missed[0], 1 - hit)
+    # The ends are never and always.
+    for rates, ends in ((found.missed, [1, 0]), (found.false_alarm, [0, 1])):
+        assert np.allclose(rates[:, [0, -1]], ends)
+    assert (np.diff(found.missed, axis=1) <= 1e-12).all()
     areas = found.areas()
     assert areas[0] == pytest.approx(1 - roc_auc_score(conflict, score))
     for row in range(5):  # a replicate is the weighted curve
@@ -42,16 +44,6 @@ def test_many_scores_are_binned_without_moving_the_area():
     found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
     assert found.missed.shape[1] <= N_BINS + 1
     assert found.areas()[0] == pytest.approx(1 - roc_auc_score(conflict, score), abs=5e-4)
-
-
-def test_the_ends_are_never_and_always():
-    score, conflict, cluster = cases(60)
-    found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
-    assert (found.missed[:, 0] == 1).all()
-    assert (found.false_alarm[:, 0] == 0).all()
-    assert np.allclose(found.missed[:, -1], 0)
-    assert np.allclose(found.false_alarm[:, -1], 1)
-    assert (np.diff(found.missed, axis=1) <= 1e-12).all()
 
 
 def test_missed_at_by_hand():
@@ -95,7 +87,4 @@ def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording
     assert 0 <= short["area_low"] <= short["area"] <= short["area_high"] <= 1
     assert short["false_alarm_rate"] == rows.loc["fixed", "least_squares"]["false_alarm_rate"]
     assert len(results.curves) == 4 * 51
-    assert (tmp_path / "run" / "decisions.csv").is_file()
-    assert (tmp_path / "run" / "curves.csv").is_file()
-    alone = replace(settings, predictors=(), out=tmp_path / "alone")
-    assert evaluation.run(alone, pictures=False).decisions.empty
+    assert decisions((), results.manifest, {})[1].empty

@@ -61,19 +61,21 @@ def test_at_equal_plr_the_linkers_are_compared(better):
     assert np.isnan(part["missed_conflict_rate"]).all()
 
 
-def test_every_predictor_as_shared_and_the_first_for_attacks(table):
+def test_what_is_compared_for_whom(table):
+    """Every predictor as shared and the first for attacks; no control; each in its data set."""
     rates = table[table["criterion"] == MISSED]
     shared = rates["consumer"] == SHARED
     assert set(rates[shared]["predictor"]) == set(PREDICTORS)
     assert set(rates[~shared]["predictor"]) == {PREDICTORS[0]}
     assert set(table[table["criterion"] == PLR]["predictor"]) == {""}
-
-
-def test_controls_are_not_compared_and_simulated_tasks_keep_their_data_set(table):
     assert not table["consumer"].str.contains("control-").any()
     simulated = table["consumer"].str.startswith("new_traversal/")
     assert set(table[simulated]["dataset"]) == {"plaza-two-sessions"}
     assert set(table[~simulated]["dataset"]) == {"students03"}
+    sizes = table.groupby(["criterion", "adding", "predictor", "consumer", "metric"]).size()
+    shared = sizes.index.get_level_values("consumer") == SHARED
+    assert set(sizes[shared]) == {N_POINTS}
+    assert set(sizes[~shared]) == {N_ATTACK_POINTS}
 
 
 def test_nothing_is_extrapolated(table):
@@ -97,13 +99,6 @@ def test_a_point_that_few_replicates_reach_has_no_interval():
     assert (last["defined"] < 0.6).all()
     assert np.isnan(last["ci_low"]).all()
     assert np.isfinite(last["difference"]).all()
-
-
-def test_points_of_a_curve(table):
-    sizes = table.groupby(["criterion", "adding", "predictor", "consumer", "metric"]).size()
-    shared = sizes.index.get_level_values("consumer") == SHARED
-    assert set(sizes[shared]) == {N_POINTS}
-    assert set(sizes[~shared]) == {N_ATTACK_POINTS}
 
 
 def test_the_mean_difference_is_over_points_with_an_interval():

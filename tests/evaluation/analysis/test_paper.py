@@ -80,8 +80,7 @@ def test_better_at_every_rate_under_either_rule(advantage, answer):
 @pytest.mark.parametrize(("rate", "answer"), [(0.12, "holds"), (0.19, "does not hold")])
 def test_close_to_raw(rate, answer):
     row = claim(results(rate_of_error=(0.11, rate, 0.2, 0.4)), "0.2 m: missed")
-    assert row["answer"] == answer
-    assert row["effect"] == pytest.approx(rate - 0.10)
+    assert (row["answer"], row["effect"]) == (answer, pytest.approx(rate - 0.10))
 
 
 def test_monotone_holds_fails_and_stays_undecided():

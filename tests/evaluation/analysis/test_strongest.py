@@ -31,11 +31,7 @@ def test_it_has_the_highest_mean_over_raw_fixed_and_fid():
 
 
 @pytest.mark.parametrize(
-    "other",
-    [
-        Source("rerelease/dtw", "oracle"),
-        Source("rerelease/control-times", ""),
-    ],
+    "other", [Source("rerelease/dtw", "oracle"), Source("rerelease/control-times", "")]
 )
 def test_neither_the_oracle_nor_a_control_is_one(other):
     assert best(values({SHAPE: 0.1, other: 0.9})) == {"rerelease": SHAPE}

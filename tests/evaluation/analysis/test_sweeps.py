@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import isotonic_regression
 
 from evaluation.analysis.keys import Key, Measure
-from evaluation.analysis.sweeps import interpolated, monotone
+from evaluation.analysis.sweeps import interpolated, monotone, places
 from evaluation.experiment.presets import SHARED
 
 
@@ -39,7 +39,7 @@ def test_interpolated_equals_numpy_within_reach_and_is_unknown_beyond(seed, log)
     change -= change[:, -1:]
     values = np.sort(rng.random((3, 6)), axis=1) + 0.1
     at = rng.random(7)
-    found = interpolated(at, change, values, log=log)
+    found = interpolated(places(at, change), values, log=log)
     for row in range(3):
         y = np.log(values[row]) if log else values[row]
         expected = np.interp(at - 1e-9, change[row, ::-1], y[::-1], right=np.nan)
@@ -49,7 +49,7 @@ def test_interpolated_equals_numpy_within_reach_and_is_unknown_beyond(seed, log)
 def test_rows_may_be_read_at_places_of_their_own():
     change = np.array([[1.0, 0.0], [2.0, 0.0]])
     values = np.array([[0.0, 1.0], [0.0, 1.0]])
-    found = interpolated(np.array([[0.5], [0.5]]), change, values, log=False)
+    found = interpolated(places(np.array([[0.5], [0.5]]), change), values, log=False)
     assert found[:, 0] == pytest.approx([0.5, 0.75])
 
 

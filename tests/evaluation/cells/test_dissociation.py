@@ -17,7 +17,7 @@ from evaluation.cells.work import LinkWork, cells
 from evaluation.experiment.axes import Axes, Consumer, Link, axes
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
-from evaluation.runs.cell_files import read_windows
+from evaluation.runs.cell_files import read_rows
 from isac_track import plugins, privacy
 from isac_track.config import StageSettings
 from isac_track.errors import PluginError
@@ -417,8 +417,8 @@ def test_a_run_with_a_thinning_mechanism_of_ones_own(tmp_path, monkeypatch):
     assert [(one["spec"], one["consumer"], one["knowledge"]) for one in entries] == [
         (spec, "rerelease/windows", "") for spec in ("clean", "raw", "sieves:EveryOther", "thin:3")
     ]
-    frames = [read_windows(settings.out, one) for one in entries]
-    mean = [frame["n_samples"].mean() for frame in frames]
+    frames = [read_rows(settings.out, one, columns=["n_samples"]) for one in entries]
+    mean = [frame["n_samples"].to_numpy().mean() for frame in frames]
     assert mean[0] == mean[1]
     assert mean[2] / mean[1] == pytest.approx(1 / 2, rel=0.05)
     assert mean[3] / mean[1] == pytest.approx(1 / 3, rel=0.05)

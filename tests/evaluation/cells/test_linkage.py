@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -388,7 +389,8 @@ class TestCells:
     def test_every_probe_says_how_it_fared(self, tmp_path):
         result, known, tables, entry = self.written(tmp_path, "handover-2s")
         assert "scores" not in tables["rows"].column_names
-        rows = cell_files.read_probes(tmp_path, entry)
+        columns = ["search", "above", "tied", "mate_score", "best_other_score", "chance"]
+        rows = cell_files.read_rows(tmp_path, entry, columns=columns).to_pandas()
         expected = [
             (number, scores, mate)
             for number, search in enumerate(result.searches)
@@ -426,7 +428,8 @@ class TestCells:
         if content is not None:
             (tmp_path / "cells" / "cell.parquet").write_bytes(content)
         entry = {"files": ["cell.parquet"], "consumer": "split/x", "knowledge": "blind"}
-        for read in (cell_files.read_outcome, cell_files.read_windows, cell_files.read_probes):
+        read_rows = partial(cell_files.read_rows, columns=["source"])
+        for read in (cell_files.read_outcome, read_rows):
             with pytest.raises(DataError, match=r"cell\.parquet .*run the matrix again"):
                 read(tmp_path, entry)
 

@@ -62,29 +62,21 @@ def opened(browser, page_path):
 
 
 @pytest.mark.parametrize("viewport", [PHONE, DESK], ids=["phone", "desk"])
-class TestOnEitherScreen:
-    def test_every_figure_is_seen_and_lies_within_the_page(self, opened, viewport):
-        tab = opened(viewport)
-        boxes = tab.evaluate(BOXES)
-        assert {box["name"] for box in boxes} == {f"fig-{name}" for name in FIGURES}
-        for box in boxes:
-            assert min(box["width"], box["height"]) > 100, box
-            assert box["left"] >= 0, box
-            assert box["right"] <= viewport["width"], box
-            assert box["ink"] > 50, box
-
-    def test_the_page_does_not_scroll_sideways(self, opened, viewport):
-        tab = opened(viewport)
-        assert tab.evaluate(SIDEWAYS) <= 0
-        tab.evaluate("() => document.querySelectorAll('details').forEach((d) => d.open = true)")
-        assert tab.evaluate(SIDEWAYS) <= 0
-
-    def test_the_answer_is_on_the_first_screen_and_its_figure_begins_there(self, opened, viewport):
-        tab = opened(viewport)
-        sentences = [one.bounding_box() for one in tab.locator(".answer p:not(.more)").all()]
-        assert len(sentences) == 3
-        assert all(box["y"] + box["height"] < viewport["height"] for box in sentences)
-        assert tab.locator("#fig-headline").bounding_box()["y"] < 0.8 * viewport["height"]
+def test_the_page_fits_and_the_answer_comes_first(opened, viewport):
+    tab = opened(viewport)
+    boxes = tab.evaluate(BOXES)
+    assert {box["name"] for box in boxes} == {f"fig-{name}" for name in FIGURES}
+    for box in boxes:
+        assert min(box["width"], box["height"]) > 100, box
+        assert 0 <= box["left"] < box["right"] <= viewport["width"], box
+        assert box["ink"] > 50, box
+    sentences = [one.bounding_box() for one in tab.locator(".answer p:not(.more)").all()]
+    assert len(sentences) == 3
+    assert all(box["y"] + box["height"] < viewport["height"] for box in sentences)
+    assert tab.locator("#fig-headline").bounding_box()["y"] < 0.8 * viewport["height"]
+    assert tab.evaluate(SIDEWAYS) <= 0
+    tab.evaluate("() => document.querySelectorAll('details').forEach((d) => d.open = true)")
+    assert tab.evaluate(SIDEWAYS) <= 0
 
 
 GROUND = "() => getComputedStyle(document.body).backgroundColor"
@@ -97,16 +89,14 @@ GROUND = "() => getComputedStyle(document.body).backgroundColor"
         ("dark", "rgb(23, 25, 28)", "rgb(232, 232, 230)"),
     ],
 )
-def test_light_and_dark_are_two_pages(opened, scheme, ground, ink):
+def test_light_and_dark_are_two_pages_and_print_is_light_without_buttons(
+    opened, scheme, ground, ink
+):
     tab = opened(color_scheme=scheme)
     assert tab.evaluate(GROUND) == ground
     fill = "() => getComputedStyle(document.querySelector('#fig-headline svg')).fill"
     assert tab.evaluate(fill) == ink
-
-
-def test_in_print_it_is_light_whatever_the_screen_is_and_has_no_buttons(opened):
-    tab = opened(color_scheme="dark")
-    tab.emulate_media(media="print", color_scheme="dark")
+    tab.emulate_media(media="print", color_scheme=scheme)
     assert tab.evaluate(GROUND) == "rgb(255, 255, 255)"
     assert not tab.locator(".copy").first.is_visible()
     assert tab.locator("#table-paper table").is_visible()

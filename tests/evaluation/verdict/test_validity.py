@@ -17,6 +17,10 @@ def drafts(found):
     return list(validity(sweeps_of(found), success=SUCCESS))
 
 
+def mechanisms_of(draft):
+    return {one["mechanism"] for one in draft.details["contrasts"]}
+
+
 def made(world, seed, *, only=lambda _key: True, factor=lambda _key: 1.0):
     """Return the estimates of a world, some of them, and multiplied."""
     found, _ = simulated(world, rng=np.random.default_rng(seed))
@@ -28,13 +32,9 @@ def made(world, seed, *, only=lambda _key: True, factor=lambda _key: 1.0):
 
 
 def test_without_a_dissociation_control_nothing_tracks():
-    found = drafts(
-        made(
-            World("valid", n_people=3000),
-            8,
-            only=lambda key: key.mechanism[:3] in {"raw", "fid", "fix"},
-        )
-    )
+    paper = {"raw", "fid", "fix"}
+    world = World("valid", n_people=3000)
+    found = drafts(made(world, 8, only=lambda key: key.mechanism[:3] in paper))
     assert found
     for draft in found:
         assert [p for name, p in draft.options.items() if "tracks" in name] == [1, 1]
@@ -55,31 +55,19 @@ def test_an_attack_that_links_nobody_tells_nothing():
 
 def test_mechanisms_are_compared_under_their_own_rule_and_without_one_under_both():
     found = drafts(made(World("valid", n_people=100, stranger=True), 10))
-    named = {
-        rule: {
-            one["mechanism"]
-            for draft in found
-            if draft.adding == rule
-            for one in draft.details["contrasts"]
-        }
-        for rule in ("linear", "independent")
-    }
-    both = {"offset", "thin", "mine:Ou"}
-    assert named["linear"] == {"fid", "correlated"} | both
-    suffix = ":adding=independent"
-    assert named["independent"] == {f"fid{suffix}", f"correlated{suffix}"} | both
+    for rule, suffix in (("linear", ""), ("independent", ":adding=independent")):
+        named = {name for draft in found if draft.adding == rule for name in mechanisms_of(draft)}
+        own = {f"fid{suffix}", f"correlated{suffix}"}
+        assert named == own | {"offset", "thin", "mine:Ou"}
 
 
 def test_beyond_the_fixed_sweep_there_is_no_contrast():
-    below = made(
-        World("fooled", n_people=400),
-        10,
-        factor=lambda key: 1 / 9 if (key.mechanism, key.consumer) == ("offset", "shared") else 1.0,
-    )
-    for draft in drafts(below):
-        named = {one["mechanism"] for one in draft.details["contrasts"]}
-        assert "offset" not in named
-        assert "thin" in named
+    def factor(key):
+        return 1 / 9 if (key.mechanism, key.consumer) == ("offset", "shared") else 1.0
+
+    for draft in drafts(made(World("fooled", n_people=400), 10, factor=factor)):
+        assert "offset" not in mechanisms_of(draft)
+        assert "thin" in mechanisms_of(draft)
 
 
 @pytest.mark.parametrize(("linker", "subject"), [("dtw", "dtw (blind)"), ("", "shape (informed)")])
@@ -87,7 +75,7 @@ def test_against_a_control_the_strongest_there_counts(linker, subject):
     found = made(World("fooled", n_people=400), 11)
     if linker:
         found |= {
-            replace(key, consumer="rerelease/dtw", knowledge="blind"): replace(
+            key._replace(consumer="rerelease/dtw", knowledge="blind"): replace(
                 one, value=min(1.0, one.value + (0.2 if key.mechanism == "offset" else -0.2))
             )
             for key, one in found.items()
@@ -102,7 +90,7 @@ def test_against_a_control_the_strongest_there_counts(linker, subject):
 def test_a_mechanism_without_a_level_is_one_contrast():
     found = made(World("valid", n_people=400), 12)
     found |= {
-        replace(key, mechanism="mine:Ou", level=None): one
+        key._replace(mechanism="mine:Ou", level=None): one
         for key, one in found.items()
         if key.mechanism == "thin"
     }

@@ -1,6 +1,7 @@
 """The verdict in worlds in which the truth is planted, and as a file and in words."""
 
 import json
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -73,30 +74,24 @@ class TestPlantedTruths:
 
 
 class TestVerdict:
-    def test_every_item_has_a_name_of_its_own(self, said):
+    def test_every_item_is_whole_and_plain(self, said):
         names = [one["id"] for one in said["items"]]
         assert len(names) == len(set(names))
-        assert "validity/linear/plr/rerelease" in names
-        assert "claim/independent/missed/as-shared/mel" in names
-
-    def test_both_adding_rules_are_there(self, said):
-        for section in rules.SECTIONS:
-            mine = [one for one in said["items"] if one["section"] == section]
-            per_rule = [
-                sum(one["adding"] == rule for one in mine) for rule in ("linear", "independent")
-            ]
-            assert per_rule[0] == per_rule[1] > 0
-
-    def test_every_item_has_effect_interval_n_and_a_sentence(self, said):
+        assert {"validity/linear/plr/rerelease", "claim/independent/missed/as-shared/mel"} < {
+            *names
+        }
         for one in said["items"]:
             assert one["ci_low"] <= one["effect"] <= one["ci_high"] or one["section"] == "claim"
             assert one["n"] == 200
             assert one["sentence"].endswith(".")
             assert bool(one["why_undecided"]) == (one["decision"] == "undecided")
             assert one["sign"] == rules.SIGN[one["decision"]]
-
-    def test_the_file_is_plain_json(self, said):
         assert json.loads(to_bytes(said)) == json.loads(json.dumps(said))
+
+    def test_both_adding_rules_are_there(self, said):
+        found = Counter((one["section"], one["adding"]) for one in said["items"])
+        for section in rules.SECTIONS:
+            assert found[section, "linear"] == found[section, "independent"] > 0
 
     def test_the_answer_is_three_sentences(self, said):
         assert len(said["answer"]) == 3
@@ -116,12 +111,14 @@ class TestVerdict:
         assert all("under mine:Ou" in one["sentence"] for one in items if one["sign"])
         inflated = [one["id"] for one in strangers["items"] if one["id"].endswith("mine:Ou/plr")]
         assert inflated == [f"inflation/{rule}/mine:Ou/plr" for rule in ("linear", "independent")]
-        for one in strangers["items"]:
-            if one["section"] == "within":
-                assert one["levels"] == 1 + 4 + 3 + 4
-            if one["section"] == "validity":
-                assert "mine:Ou" in {gap["mechanism"] for gap in one["contrasts"]}
-                assert one["tau"]["mine:Ou"] is not None
+        of = {
+            name: [one for one in strangers["items"] if one["section"] == name]
+            for name in rules.SECTIONS
+        }
+        assert {one["levels"] for one in of["within"]} == {1 + 4 + 3 + 4}
+        for one in of["validity"]:
+            assert "mine:Ou" in {gap["mechanism"] for gap in one["contrasts"]}
+            assert one["tau"]["mine:Ou"] is not None
         assert "FID against fixed noise" in strangers["answer"][1]
 
     def test_a_run_without_linkage_or_attack_says_so(self):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from helpers.recordings import tracks_of
 
-from isac_track.datasets import load
-from isac_track.datasets.summary import n_lasting, summarise, total_still_share
+from isac_track.datasets import load, n_lasting, still_share, summarise
 
 
 def along(*xs):
@@ -20,34 +19,22 @@ def one_walk(t, x):
 def test_by_hand():
     # Steps of 1 m in 1 s, none in 1 s, 1 m in 2 s: 2 m in 4 s.
     summary = summarise(one_walk([0, 1, 2, 4], [0.0, 1, 1, 2]))
-    assert len(summary) == 1
-    assert summary.steps[0] == 3
-    assert summary.duration_s[0] == 4
-    assert summary.speed_mean_mps[0] == 0.5
     # Over time: (0.5^2 + 0.5^2 + 0 * 2) / 4.
-    assert summary.speed_sd_mps[0] == pytest.approx(np.sqrt(0.125))
-    assert summary.slow_share[0] == pytest.approx(1 / 3)
-    assert summary.still_share[0] == pytest.approx(1 / 3)
-    assert total_still_share(summary) == pytest.approx(1 / 3)
-    assert not summary.frozen[0]
+    assert summary.to_numpy().tolist() == [
+        [3, 4.0, 0.5, pytest.approx(np.sqrt(0.125)), 1 / 3, 1 / 3, False]
+    ]
+    assert still_share(summary) == pytest.approx(1 / 3)
 
 
 def test_per_track_and_no_step_from_one_track_to_the_next():
     walking, frozen, slow = 1.3 * np.arange(11), [0.0] * 10 + [0.3], 0.1 * np.arange(6)
-    summary = summarise(tracks_of(along(*walking), along(*frozen), along(*slow), frame_s=1.0))
-    np.testing.assert_allclose(summary.speed_mean_mps, [1.3, 0.03, 0.1])
-    np.testing.assert_allclose(summary.slow_share, [0, 0.9, 1])
-    np.testing.assert_allclose(summary.still_share, [0, 0.9, 0])
-    np.testing.assert_array_equal(summary.frozen, [False, True, False])
-    assert total_still_share(summary) == pytest.approx(9 / 25)
-
-
-def test_a_single_sample_has_no_speed():
-    summary = summarise(tracks_of(along(0.0), along(0.0, 1.0), frame_s=1.0))
-    np.testing.assert_array_equal(summary.speed_mean_mps, [np.nan, 1])
-    np.testing.assert_array_equal(summary.still_share, [np.nan, 0])
-    np.testing.assert_array_equal(summary.frozen, [False, False])
-    assert total_still_share(summary) == 0
+    tracks = tracks_of(*(along(*one) for one in (walking, frozen, slow, [0.0])), frame_s=1.0)
+    summary = summarise(tracks)
+    np.testing.assert_allclose(summary.speed_mean_mps, [1.3, 0.03, 0.1, np.nan])
+    np.testing.assert_allclose(summary.slow_share, [0, 0.9, 1, np.nan])
+    np.testing.assert_allclose(summary.still_share, [0, 0.9, 0, np.nan])
+    np.testing.assert_array_equal(summary.frozen, [False, True, False, False])
+    assert still_share(summary) == pytest.approx(9 / 25)
 
 
 def test_lasting_forgives_the_rounding_of_the_clock():
@@ -62,7 +49,7 @@ def test_students03():
     summary = summarise(loaded.tracks)
     assert n_lasting(summary, 21.6) == 106
     assert n_lasting(summary, 12) == 276
-    assert total_still_share(summary) == pytest.approx(0.187, abs=5e-4)
+    assert still_share(summary) == pytest.approx(0.187, abs=5e-4)
     assert (summary.still_share > 0).sum() == 63
     frozen = [loaded.tracks.source[row] for row in np.flatnonzero(summary.frozen)]
     assert frozen == ["289", "453", "454", "468", "473"]

@@ -1,11 +1,9 @@
 """Figures over the level: what is drawn, that it is the numbers, and that odd data survive."""
 
-import os
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
@@ -23,12 +21,13 @@ from helpers.finished_runs import (
 
 from evaluation.analysis import matching
 from evaluation.reporting.figures import style as figure_style
-from evaluation.reporting.figures.after_attack import headline_lines
 from evaluation.reporting.figures.drawing import draw_all, figures_of
+from evaluation.reporting.figures.levels import headline_lines
 from evaluation.reporting.rows import compared_levels, schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
 BOTH = levels(swept=SWEPT)
+PANELS = ["fid", f"fid{INDEPENDENT}", "fixed", f"fixed{INDEPENDENT}"]
 LINEAR = levels(swept=SWEPT, rules=("",), others=[])
 STRANGERS = [
     *levels(swept=SWEPT, rules=("",), others=[]),
@@ -36,10 +35,6 @@ STRANGERS = [
     *[("mine", at) for at in (1.0, 10.0, 1000.0)],
 ]
 ODD_NAMES = ["<script>", "a_$b^{c}$ & \\d", "広場 & 'x'", "line\nbreak\x1b[31m", "x" * 300, ""]
-
-
-def scheme_of(frame, name):
-    return next(one for one in schemes(frame) if one.name == name)
 
 
 def sweep(frame, name, dataset="students03"):
@@ -88,22 +83,13 @@ class TestEveryFigure:
         for figure in [*drawn, *strangers]:
             assert_is_readable(figure)
 
-    @pytest.mark.slow  # test_untrusted_names.py compares two whole pages
-    def test_drawn_twice_the_files_are_the_same_bytes(self, tmp_path):
-        first = draw_all(make_run(at=LINEAR), folder=tmp_path / "a", pdf=True)
-        code = (
-            "import sys; from pathlib import Path; sys.path[:0] = sys.argv[1:3]\n"
-            "from test_levels import *\n"
-            "draw_all(make_run(at=LINEAR), folder=Path(sys.argv[3]), pdf=True)"
-        )
-        (tmp_path / "matplotlibrc").write_text("font.size: 30\nsvg.fonttype: none\n")
-        here = Path(__file__).parent
-        subprocess.run(
-            [sys.executable, "-c", code, here, here.parents[2], tmp_path / "b"],
-            check=True,
-            env=os.environ
-            | {"PYTHONHASHSEED": "1", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc")},
-        )
+    def test_the_users_own_style_changes_no_byte(self, tmp_path):
+        # test_untrusted_names.py compares the pages of two processes.
+        frame = make_summary(LINEAR, attacks=())
+        run = make_run(**emptied(make_run()) | {"summary": frame})
+        first = draw_all(run, folder=tmp_path / "a", pdf=True)
+        with mpl.rc_context({"font.size": 30, "svg.fonttype": "none"}):
+            draw_all(run, folder=tmp_path / "b", pdf=True)
         for path in first:
             assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
         assert not list((tmp_path / "a").glob(".*"))
@@ -117,9 +103,7 @@ class TestEveryFigure:
         assert {path.name for path in paths} == {
             *("fid_threshold.pdf", "fid_threshold.svg", "headline.pdf", "headline.svg")
         }
-        for path in paths:
-            if path.suffix == ".svg":
-                ET.parse(path)
+        assert all(ET.parse(path) for path in paths if path.suffix == ".svg")
 
     def test_names_of_files_are_plain_and_each_is_there_once(self):
         at = [("fid", 1.0), ("my.module:Mine,a=../x", 1.0), ("my.module:Mine,a=.._x", 2.0)]
@@ -162,29 +146,21 @@ class TestEveryFigure:
 
 
 class TestSchemes:
-    def test_a_strangers_mechanism_is_one_and_a_control_is_none(self):
+    def test_each_mechanism_is_one_but_controls_whatever_its_rule(self):
         assert [one.name for one in schemes(make_summary(levels()))] == ["fid", "fixed"]
-        names = [one.name for one in schemes(make_summary(STRANGERS))]
-        assert names == ["fid", "fixed", "ou", "mine"]
-
-    def test_without_a_rule_it_is_shown_under_both(self):
-        frame = make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])])
-        ou = scheme_of(frame, "ou")
+        at = [("ou:tau=3", 1.0), ("ou:tau=3,adding=independent", 1.0), ("ou:tau=9", 1.0)]
+        assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3", "ou:tau=9"]
+        found = schemes(make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])]))
+        assert [(one.name, one.log) for one in found] == (
+            [("fid", True), ("fixed", False), ("ou", False), ("mine", True)]
+        )
+        fid, _, ou, mine = found
+        # Without a rule it is shown under both.
         assert ou.mechanisms == {"linear": "ou", "independent": "ou"}
         assert ou.rules == ["linear"]
         assert ou.rule_text("linear") == "any adding"
-        assert scheme_of(frame, "fid").mechanisms["independent"] == f"fid{INDEPENDENT}"
-        assert scheme_of(frame, "mine").rule_text("linear") == "linear adding"
-
-    def test_an_unknown_axis_is_logarithmic_where_levels_span_much(self):
-        frame = make_summary(STRANGERS)
-        assert [scheme_of(frame, name).log for name in ("fid", "fixed", "ou", "mine")] == (
-            [True, False, False, True]
-        )
-
-    def test_parameters_are_part_of_the_name_and_the_rule_is_not(self):
-        at = [("ou:tau=3", 1.0), ("ou:tau=3,adding=independent", 1.0), ("ou:tau=9", 1.0)]
-        assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3", "ou:tau=9"]
+        assert fid.mechanisms["independent"] == f"fid{INDEPENDENT}"
+        assert mine.rule_text("linear") == "linear adding"
 
     def test_compared_is_what_costs_most_nearly_the_same(self):
         # Misses rise along the levels: fid 1 costs less than any fixed level of its rule.
@@ -203,31 +179,26 @@ class TestSchemes:
 
 
 class TestTheSweep:
-    def test_the_lines_are_the_numbers_of_the_frame_in_percent(self, drawn):
+    def test_the_lines_are_the_numbers_of_the_frame_in_percent_and_raw_is_dotted(self, drawn):
         frame = make_summary(BOTH)
         rows = frame[(frame["mechanism"] == "fid") & (frame["metric"] == "missed_conflict_rate")]
         line = lines_of(drawn[0].axes[0], "-")[0]
         np.testing.assert_array_equal(line.get_xdata(), [1.0, 1000.0, 1e5])
         np.testing.assert_allclose(line.get_ydata(), 100 * rows["value"])
-        assert drawn[0].axes[0].get_xscale() == "log"
-        assert drawn[1].axes[0].get_xscale() == "linear"
-
-    def test_raw_is_a_dotted_line_at_its_value(self, drawn):
+        assert [figure.axes[0].get_xscale() for figure in drawn[:2]] == ["log", "linear"]
         (raw,) = lines_of(drawn[0].axes[0], ":")
         assert raw.get_ydata()[0] == pytest.approx(12.0)
 
     def test_the_paper_is_marked_on_its_own_recording_in_linear_panels_only(self, drawn):
-        hollow = [
-            [line for line in ax.lines if line.get_markerfacecolor() == "white"]
-            for ax in drawn[0].axes[:2]
-        ]
-        values = sorted(line.get_ydata()[0] for line in hollow[0])
-        assert values == pytest.approx([10.5, 15.2, 30.5])
-        assert not hollow[1]
-        for other in (sweep(make_summary(BOTH), "fid_threshold", "plaza"),
-                      sweep(make_summary(STRANGERS), "sweep-ou")):  # fmt: skip
-            lines = [line for ax in other.axes for line in ax.lines]
-            assert not any(line.get_markerfacecolor() == "white" for line in lines)
+        def hollow(axes):
+            lines = [line for ax in axes for line in ax.lines]
+            return [one.get_ydata()[0] for one in lines if one.get_markerfacecolor() == "white"]
+
+        linear, independent = drawn[0].axes[:2]
+        assert sorted(hollow([linear])) == pytest.approx([10.5, 15.2, 30.5])
+        plaza = sweep(make_summary(BOTH), "fid_threshold", "plaza")
+        ou = sweep(make_summary(STRANGERS), "sweep-ou")
+        assert not hollow([independent, *plaza.axes, *ou.axes])
 
     def test_several_predictors_have_a_line_each_with_its_own_look(self):
         names = [f"predictor_{n}" for n in range(7)]
@@ -265,9 +236,8 @@ class TestThePlane:
     def test_without_any_matched_point_the_measured_ones_are_there(self):
         nothing = pd.DataFrame(columns=matching.COLUMNS)
         run = make_run(summary=make_summary(LINEAR), matched=nothing)
-        figure = draw(run, "operating_points")
-        assert not lines_of(figure.axes[0], "-")
-        assert any(line.get_linestyle() == "None" for line in figure.axes[0].lines)
+        lines = draw(run, "operating_points").axes[0].lines
+        assert {line.get_linestyle() for line in lines} == {"None"}
 
     def test_strangers_are_on_it_one_without_a_rule_in_both_rows(self, strangers):
         assert {"ou", "mine"} <= set(named(strangers[2]))
@@ -289,8 +259,7 @@ class TestAfterAttack:
 
     def test_the_lines_are_the_numbers_of_the_frame_and_the_oracle_is_set_apart(self, drawn):
         frame = make_summary(BOTH)
-        panels = ["fid", f"fid{INDEPENDENT}", "fixed", f"fixed{INDEPENDENT}"]
-        for ax, mechanism in zip(drawn[3].axes, panels, strict=True):
+        for ax, mechanism in zip(drawn[3].axes, PANELS, strict=True):
             lines = [line for line in lines_of(ax) if line.get_linestyle() != ":"]
             hollow = [line.get_markerfacecolor() == "white" for line in lines]
             assert hollow == [False] * 5 + [True]
@@ -309,11 +278,13 @@ class TestAfterAttack:
         )
 
     def test_without_an_attack_or_a_level_there_is_none(self):
-        assert attacked(make_summary(attacks=())) is None
-        assert attacked(make_summary(attacks=[("identity", "blind")])) is None
         frame = make_summary(LINEAR, attacks=[("averaging", "oracle")])
-        assert attacked(frame[frame["mechanism"] == "raw"]) is None
-        assert attacked(frame[frame["consumer"] == "shared"]) is None
+        for nothing in (
+            make_summary(attacks=[("identity", "blind")]),
+            frame[frame["mechanism"] == "raw"],
+            frame[frame["consumer"] == "shared"],
+        ):
+            assert attacked(nothing) is None
         only = attacked(frame[frame["mechanism"] == "fixed"])
         assert len(only.axes) == 1
         assert named(only) == ["as shared", "averaging (oracle), a reference", "95 % interval"]
@@ -327,7 +298,7 @@ class TestAfterAttack:
 
 
 class TestTheHeadline:
-    def test_it_has_a_panel_for_each_scheme_and_three_lines(self):
+    def test_it_has_a_panel_for_each_scheme_and_three_lines_and_is_told_in_numbers(self):
         run = make_run(at=STRANGERS)
         figure = draw(run, "headline")
         assert [ax.get_title(loc="left") for ax in figure.axes] == [
@@ -338,20 +309,20 @@ class TestTheHeadline:
             "PLR after radial_rts (informed)",
             "found again (rerelease, rank 1): shape@radial_rts (informed)",
         ]
-        shared, after, linked = [one for one in lines_of(figure.axes[0])
-                                 if one.get_linestyle() != ":"]  # fmt: skip
-        for line, source in ((shared, ("shared", "")), (after, ("radial_rts", "informed"))):
-            of = rows_where(run.ours, mechanism="fid", metric="plr", consumer=source[0])
-            of &= run.ours["knowledge"] == source[1]
+        lines = [one for one in lines_of(figure.axes[0]) if one.get_linestyle() != ":"]
+        shared, after, linked = lines
+        for line, (consumer, knowledge) in (
+            (shared, ("shared", "")),
+            (after, ("radial_rts", "informed")),
+        ):
+            of = rows_where(run.ours, mechanism="fid", metric="plr", consumer=consumer)
+            of &= run.ours["knowledge"] == knowledge
             np.testing.assert_allclose(line.get_ydata(), 100 * run.ours[of]["value"])
         block = run.tasks[0].cells["fid", 1.0][STRONGEST["rerelease"]]
         assert linked.get_ydata()[0] == pytest.approx(100 * block["rank1"])
-
-    def test_it_is_told_in_numbers(self):
         run = make_run(at=LINEAR, strongest={"": STRONGEST[""]})
         (said,) = [one.words(run) for one in figures_of(run) if one.name == "headline"]
         of = {"consumer": "radial_rts", "knowledge": "informed", "mechanism": "fid"}
         plr = run.ours[rows_where(run.ours, metric="plr", **of)]["value"]
         told = f"{100 * plr.iloc[0]:.1f} % at η = 1 to {100 * plr.iloc[-1]:.1f} % at η = 100000"
         assert f"PLR after radial_rts (informed) {told}" in said
-        assert "mine 1" not in said

@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from helpers.recordings import same, tracks_of
 
@@ -13,7 +14,7 @@ import isac_track
 from isac_track import datasets
 from isac_track.datasets import crowd
 from isac_track.datasets.crowd import CrowdSettings, __main__, model, plan
-from isac_track.errors import DataError, SettingsError
+from isac_track.errors import DataError
 
 ROOT = Path(isac_track.__file__).parent.parent
 
@@ -23,7 +24,7 @@ CONSTANT_DENSITY = CrowdSettings(duration_s=150.0, n_people=280)
 
 @pytest.fixture(scope="module")
 def plaza():
-    return crowd.bundled(1)
+    return datasets.load("plaza").tracks
 
 
 @pytest.fixture(scope="module")
@@ -87,12 +88,6 @@ def test_trait_strength_scales_the_spread_about_the_same_median():
         assert np.allclose(getattr(alike, name), median)
 
 
-def test_everybody_walks_once_in_every_session():
-    for session in (1, 2):
-        tracks = short(session=session)
-        assert tracks.source == tuple(plan.person_id(row) for row in range(SHORT.n_people))
-
-
 @pytest.mark.slow
 def test_without_traits_nobody_is_recognised_by_speed(stats):
     settings = replace(CONSTANT_DENSITY, trait_strength=0.0)
@@ -102,25 +97,6 @@ def test_without_traits_nobody_is_recognised_by_speed(stats):
     )
     walked = np.isfinite(one) & np.isfinite(two)
     assert abs(np.corrcoef(one[walked], two[walked])[0, 1]) < 0.17  # 3 standard errors are 0.18
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        *({"n_people": 0}, {"trait_strength": -1.0}, {"trait_strength": float("nan")}),
-        *({"duration_s": 4.0}, {"frame_s": 0.0}, {"area_m": (1.0, 0.0, 0.0, 1.0)}),
-    ],
-)
-def test_settings_that_make_no_crowd_are_refused(wrong):
-    with pytest.raises(SettingsError):
-        CrowdSettings(**wrong)
-
-
-def test_sessions_that_are_not():
-    with pytest.raises(ValueError, match="numbered from 1"):
-        crowd.generate(SHORT, seed=5, session=0)
-    with pytest.raises(ValueError, match="sessions 1 and 2"):
-        crowd.bundled_path(3)
 
 
 # the forces
@@ -156,18 +132,12 @@ def test_people_who_walk_together_or_apart_do_not_anticipate():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("session", crowd.SESSIONS)
+@pytest.mark.parametrize("session", crowd.FILES)
 def test_the_bundled_sessions_are_the_generators_output(session):
     made = crowd.generate(CrowdSettings(), seed=crowd.BUNDLED_SEED, session=session)
-    assert same(crowd.bundled(session), made)
-
-
-@pytest.mark.parametrize("session", crowd.SESSIONS)
-def test_the_bundled_files_are_small_and_load_without_pickle(session):
     path = crowd.bundled_path(session)
+    assert same(crowd.read_npz(path), made)
     assert path.stat().st_size < 400_000
-    with np.load(path, allow_pickle=False) as file:
-        assert all(file[name].dtype.kind in "ifU" for name in file.files)
 
 
 def test_plaza_is_in_metres_near_the_place_of_the_real_crowd(plaza):
@@ -185,17 +155,14 @@ def test_plaza_offers_a_few_hundred_long_tracks(plaza, stats):
 
 
 def test_people_keep_their_speed_between_the_bundled_sessions(plaza, stats):
-    second = crowd.bundled(2)
+    second = datasets.load("plaza-session2").tracks
     assert second.source == plaza.source
     one, two = stats.moving_speeds_mps(plaza), stats.moving_speeds_mps(second)
-    sizes = [Counter(tracks.group) for tracks in (plaza, second)]
     walked = np.isfinite(one) & np.isfinite(two)
-    alone = np.array(
-        [
-            sizes[0][first] == 1 and sizes[1][then] == 1
-            for first, then in zip(plaza.group, second.group, strict=True)
-        ]
-    )
+    alone = np.ones(len(plaza), dtype=bool)
+    for tracks in (plaza, second):
+        sizes = Counter(tracks.group)
+        alone &= [sizes[name] == 1 for name in tracks.group]
     assert np.corrcoef(one[walked], two[walked])[0, 1] > 0.2
     assert np.corrcoef(one[walked & alone], two[walked & alone])[0, 1] > 0.5
 
@@ -218,13 +185,11 @@ def test_groups_walk_together(plaza):
 
 
 def test_company_is_new_in_the_second_session(plaza):
-    def companions(tracks):
-        parties = {}
-        for person, party in zip(tracks.source, tracks.group, strict=True):
-            parties.setdefault(party, []).append(person)
-        return {tuple(members) for members in parties.values() if len(members) > 1}
-
-    assert len(companions(plaza) & companions(crowd.bundled(2))) <= 2
+    both = [
+        set(pd.DataFrame({"who": one.source, "party": one.group}).groupby("party").who.agg(tuple))
+        for one in (plaza, datasets.load("plaza-session2").tracks)
+    ]
+    assert sum(len(members) > 1 for members in both[0] & both[1]) <= 2
 
 
 def documented(column):
@@ -251,27 +216,16 @@ def test_the_document_tells_students03(stats):
 # the file
 
 
-def test_a_file_gives_back_the_millimetres(tmp_path):
-    tracks = tracks_of([(32.767, -32.767), (0.0, 1.0)], [(-32.767, 32.767)] * 3)
-    crowd.write_npz(tmp_path / "a.npz", tracks)
-    assert same(crowd.read_npz(tmp_path / "a.npz"), tracks)
-
-
-@pytest.mark.parametrize(
-    ("x", "frame_s", "message"),
-    [
-        (32.768, 0.4, "not fit in int16"),
-        (-32.768, 0.4, "not fit in int16"),
-        (100.0, 0.4, "not fit in int16"),
-        (1.0, 0.3, "without gaps"),
-        (1.0, 0.8, "without gaps"),
-    ],
-)
-def test_a_walk_that_does_not_fit_or_is_off_the_clock_is_refused(tmp_path, x, frame_s, message):
-    tracks = tracks_of([(0.0, 0.0), (x, 0.0)], frame_s=frame_s)
-    with pytest.raises(DataError, match=message):
-        crowd.write_npz(tmp_path / "a.npz", tracks, frame_s=0.4)
-    assert not (tmp_path / "a.npz").exists()
+def test_the_command_writes_both_sessions_and_a_file_gives_back_the_millimetres(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(__main__, "CrowdSettings", lambda **changes: replace(SHORT, **changes))
+    assert __main__.main(["--out", str(tmp_path / "new"), "--seed", "5"]) == 0
+    for session, name in crowd.FILES.items():
+        made = short(session=session)
+        assert same(crowd.read_npz(tmp_path / "new" / name), made)
+        assert made.source == tuple(plan.person_id(row) for row in range(SHORT.n_people))
+    assert capsys.readouterr().out.count("70 tracks") == 2
 
 
 @pytest.mark.parametrize("name", ["text.npz", "other.npz", "missing.npz"])
@@ -280,14 +234,6 @@ def test_a_file_of_another_kind_is_an_error_that_names_it(tmp_path, name):
     np.savez(tmp_path / "other.npz", x=np.zeros(2))
     with pytest.raises(DataError, match=name):
         crowd.read_npz(tmp_path / name)
-
-
-def test_the_command_writes_both_sessions(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(__main__, "CrowdSettings", lambda **changes: replace(SHORT, **changes))
-    assert __main__.main(["--out", str(tmp_path / "new"), "--seed", "5"]) == 0
-    made = crowd.read_npz(tmp_path / "new" / "plaza_session2.npz")
-    assert same(made, short(session=2))
-    assert capsys.readouterr().out.count("70 tracks") == 2
 
 
 # the statistics, by hand

@@ -1,4 +1,4 @@
-"""Compiled loop of `attacks.reconstruction.savgol`: parabolas over a sliding window."""
+"""Compiled loops of what slides a window along a track: `moving_average` and `savgol`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,23 @@ from isac_track.compiling import FLOATS1, FLOATS2, INTS1, OUT_FLOATS2, compiled,
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
+
+
+@compiled(FLOATS2, INTS1, INTS1, OUT_FLOATS2)
+def centred_means(xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
+    """Fill `out` with the mean over up to `half` neighbours on each side, fewer near the ends."""
+    total = np.zeros((len(xy) + 1, 2))
+    for i in range(half.size):
+        first, last = offsets[i], offsets[i + 1] - 1
+        for axis in range(2):
+            # Sums of small numbers lose less: every track is summed up from its first position.
+            origin = xy[first, axis]
+            for k in range(first, last + 1):
+                total[k + 1, axis] = total[k, axis] + (xy[k, axis] - origin)
+            for k in range(first, last + 1):
+                side = min(half[i], k - first, last - k)
+                within = total[k + side + 1, axis] - total[k - side, axis]
+                out[k, axis] = within / (2 * side + 1) + origin
 
 
 @part_of_loop

@@ -1,0 +1,44 @@
+"""What several attacks make of one release, or one attack for several adversaries, is made once."""
+
+from __future__ import annotations
+
+from functools import wraps
+from typing import TYPE_CHECKING, TypeVar
+from weakref import WeakKeyDictionary
+
+from isac_track.noise import innovation_variance_m2
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Concatenate, ParamSpec
+
+    from isac_track.types import Floats, Release
+
+    _Rest = ParamSpec("_Rest")
+_Source = TypeVar("_Source")
+_Found = TypeVar("_Found")
+
+
+def remembered(
+    function: Callable[Concatenate[_Source, _Rest], _Found],
+) -> Callable[Concatenate[_Source, _Rest], _Found]:
+    """Return a function that keeps what it makes of a release for as long as that is alive.
+
+    What else it takes can be hashed: numbers, functions, other releases.
+    """
+    known: WeakKeyDictionary[_Source, dict[object, _Found]] = WeakKeyDictionary()
+
+    @wraps(function)
+    def recalled(source: _Source, /, *rest: _Rest.args, **none: _Rest.kwargs) -> _Found:
+        of_this = known.setdefault(source, {})
+        if rest not in of_this:
+            of_this[rest] = function(source, *rest, **none)
+        return of_this[rest]
+
+    return recalled
+
+
+@remembered
+def noise_m2(release: Release) -> Floats:
+    """Return the error variance per axis of each track, (N,) m^2, as its innovations have it."""
+    return innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)

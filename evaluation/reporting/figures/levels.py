@@ -1,0 +1,320 @@
+"""Figures over the level: what is shared and missed, what attacks leave, and the headline."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evaluation.analysis.families import FID, FIXED
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
+from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
+from evaluation.analysis.strongest import most_knowing
+from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.reporting.figures import style
+from evaluation.reporting.figures.drawing import Drawing
+from evaluation.reporting.figures.style import LOOKS, Line, Look
+from evaluation.reporting.result_tables import after_attack, sources_of
+from evaluation.reporting.rows import Scheme, of_source, rank1_rows, rules_of, schemes
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from evaluation.reporting.rows import Results
+
+_FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
+_EXPOSURE_LABEL = "Exposure, shared (s)"
+_MOST_BANDS = 2
+_MOST_CHARACTERS = 80
+"""Of a file's name."""
+_MOST_SINGLE = 2
+"""Panels that fit into one column of a journal."""
+_SHARED_LOOK = Look("#000000", "o", "-")
+# Apart from the looks of the predictors, with which they share a legend.
+_SWEPT_LOOKS = {
+    EXPOSURE: _SHARED_LOOK,
+    "ael": Look("#56B4E9", "v", "-"),
+    "mel": Look("#000000", "D", "--"),
+}
+_HEADLINE_LOOKS = _SHARED_LOOK, Look("#0072B2", "s", "--"), Look("#D55E00", "^", "-.")
+# The oracle is set apart: grey, thin and hollow.
+_ORACLE: dict[str, Any] = {"linewidth": 0.8, "markerfacecolor": "white"}
+_ORACLE_LOOKS = Look("#777777", "D", (0, (2, 1.5))), Look("#999999", "v", (0, (4, 1.5)))
+
+
+def drawings(run: Results) -> list[Drawing]:
+    """Return those of the first screen and after attack, and one of each swept mechanism."""
+    about = "What the descriptor says, and what an adversary gets"
+    caption = "If the descriptor told linkability, the lines would fall together."
+    every = "PLR as shared and after each attack, over the level"
+    found = {
+        "after_attack": Drawing("after_attack", "after", every, _attack_figure, _attack_words),
+        "headline": Drawing(
+            "headline", "answer", about, _headline_figure, _headline_words, caption
+        ),
+    }
+    for one in schemes(run.ours):
+        plain = f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', one.name)[:_MOST_CHARACTERS]}"
+        name = _FILES.get(one.name, plain)
+        name += f"-{one.place}" * (name in found)
+        title = f"Missed conflicts, PLR and exposure over the level: {one.title}"
+        draw, words = partial(_sweep_figure, scheme=one), partial(_sweep_words, scheme=one)
+        found[name] = Drawing(name, "figures", title, draw, words)
+    return list(found.values())
+
+
+def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
+    """Return a column for each adding rule, a row for each quantity; None without levels."""
+    lines = {of: line for of, line in _swept_lines(run).items() if scheme.rules_in(line.rows)}
+    rules = scheme.rules_in(*(line.rows for line in lines.values()))
+    if not rules:
+        return None
+    labels = list(dict.fromkeys(_axis(metric) for _, metric in lines))
+    has_paper = run.dataset == DATASET and scheme.name in _FILES and "linear" in rules
+    figure, panels = style.panels(
+        len(labels), len(rules), height_in=1.35 * len(labels) + 0.9, sharex=True, sharey="row"
+    )
+    for rule, axes in zip(rules, panels.T, strict=True):
+        axes[0].set_title(scheme.rule_text(rule))
+        axes[-1].set_xlabel(scheme.label)
+        for (consumer, metric), line in lines.items():
+            ax = axes[labels.index(_axis(metric))]
+            line.draw(ax, scheme, rule)
+            if has_paper and rule == "linear" and consumer in (SHARED, PREDICTOR):
+                _draw_paper(ax, metric, look=line.look, scheme=scheme)
+    style.level_axis(panels[0, 0], log=scheme.log)
+    for label, ax in zip(labels, panels[:, 0], strict=True):
+        ax.set_ylabel(label)
+        drawn = [line for (_, metric), line in lines.items() if _axis(metric) == label]
+        values = [
+            line.scale * scheme.of(line.rows, rule)["value"].to_numpy()
+            for line in drawn
+            for rule in rules
+        ]
+        values += [np.array([line.raw]) for line in drawn if line.raw is not None]
+        style.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
+    predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
+    # An only predictor is in the title, and PLR has its own axis.
+    named = predictors if len(predictors) > 1 else []
+    named += [line for (_, metric), line in lines.items() if metric in ("ael", "mel")]
+    banded = "" if all(line.has_band for line in predictors) else predictors[0].label
+    handles = [
+        *(line.handle for line in named),
+        any(line.raw is not None for line in lines.values())
+        and style.black_handle("raw", dashes=":"),
+        style.band_handle("95 % interval" + f" (predictors: {banded})" * bool(banded)),
+        has_paper and style.black_handle("paper (raw at the edge)", marker="o", hollow=True),
+    ]
+    what = f", predictor {predictors[0].label}" if len(predictors) == 1 else ""
+    return style.finish(figure, handles, dataset=run.dataset, what=f"{scheme.title}{what}")
+
+
+def _sweep_words(run: Results, *, scheme: Scheme) -> str:
+    of = run.ours[~is_attack(run.ours)]
+    first = of.loc[of["metric"] == MISSED_RATE, "consumer"].head(1)
+    consumers = dict.fromkeys((MISSED_RATE, *DESCRIPTORS), SHARED)
+    consumers |= dict.fromkeys([MISSED_RATE] * len(first), next(iter(first), ""))
+    parts = []
+    for rule in scheme.rules:
+        said = []
+        for metric, consumer in consumers.items():
+            name = METRICS[metric].head if consumer == SHARED else f"missed conflicts of {consumer}"
+            rows = of[(of["metric"] == metric) & (of["consumer"] == consumer)]
+            said += [f"{name} from {ends}"] if (ends := scheme.ends(rows, rule, metric)) else []
+        parts += [f"{scheme.rule_text(rule)}: {'; '.join(said)}."] if said else []
+    return f"Panels over the level, with 95 % bands. {' '.join(parts)}"
+
+
+def _axis(metric: str) -> str:
+    return _EXPOSURE_LABEL if metric in ("ael", "mel") else style.label(metric)
+
+
+def _swept_lines(run: Results) -> dict[tuple[str, str], Line]:
+    """Return what may be drawn, by consumer and metric."""
+    known = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
+    predictors = list(known.loc[known["metric"] == MISSED_RATE, "consumer"].unique())[: len(LOOKS)]
+    # The bands of many predictors would hide each other.
+    n_bands = len(predictors) if len(predictors) <= _MOST_BANDS else 1
+    looks = {(name, MISSED_RATE): look for name, look in zip(predictors, LOOKS, strict=False)}
+    looks |= {(SHARED, metric): look for metric, look in _SWEPT_LOOKS.items()}
+    return {
+        (consumer, metric): Line(
+            METRICS[metric].head if consumer == SHARED else consumer,
+            look,
+            known[(known["consumer"] == consumer) & (known["metric"] == metric)],
+            METRICS[metric].scale,
+            has_band=metric != MISSED_RATE or consumer in predictors[:n_bands],
+            is_raw_across=True,
+        )
+        for (consumer, metric), look in looks.items()
+    }
+
+
+def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: Scheme) -> None:
+    """Mark the paper's numbers; raw, which has no level, goes to the edge next to it."""
+    for mechanism, level, of, value in PUBLISHED:
+        if of == metric and mechanism in ("raw", scheme.name):
+            edge = 1.0 if scheme.log else 0.0
+            transform = ax.get_yaxis_transform() if level is None else ax.transData
+            ax.plot(
+                *([edge if level is None else level], [value * METRICS[metric].scale]),
+                marker=look.marker,
+                markersize=5,
+                zorder=5,
+                clip_on=False,
+                markerfacecolor="white",
+                markeredgecolor="black",
+                transform=transform,
+            )
+
+
+def _attack_figure(run: Results) -> Figure | None:
+    """Return PLR over the level, as shared and after each attack; None without attacks or levels.
+
+    Of each attack the adversary is drawn that knows most short of the oracle; an attack that only
+    the oracle can run is drawn as a reference. The control, which repeats what was shared, is left
+    out, and so is what lies beyond the looks that there are.
+    """
+    rows = _exposure(after_attack(run.ours))
+    known = schemes(rows)
+    lines = {
+        of: line
+        for of, line in _attack_lines(rows).items()
+        if any(one.rules_in(line.rows) for one in known)
+    }
+    if not lines.keys() - {AS_SHARED}:
+        return None
+    known = [one for one in known if one.rules_in(*(line.rows for line in lines.values()))]
+    columns, height_in = rules_of(known), 2.0 * len(known) + 0.9
+    figure, panels = style.panels(
+        len(known), len(columns), height_in=height_in, sharex="row", sharey=True
+    )
+    for scheme, axes in zip(known, panels, strict=True):
+        for rule, ax in zip(columns, axes, strict=True):
+            if rule not in scheme.mechanisms:
+                ax.set_axis_off()
+                continue
+            ax.set_title(f"{scheme.title}, {scheme.rule_text(rule)}")
+            ax.set_xlabel(scheme.label)
+            for line in lines.values():
+                line.draw(ax, scheme, rule)
+        style.level_axis(axes[0], log=scheme.log)
+        axes[0].set_ylabel("PLR, shared or attacked (%)")
+    # A share: the whole axis, with a little room for markers at its ends.
+    panels[0, 0].set_ylim(-3.0, 103.0)
+    has_raw = any(line.raw is not None for line in lines.values())
+    handles = [
+        *(line.handle for line in lines.values()),
+        has_raw and style.black_handle("raw (attacks: at its edge)", dashes=":"),
+        style.band_handle("95 % interval"),
+    ]
+    what = "what an adversary who filters gets back"
+    return style.finish(figure, handles, dataset=run.dataset, what=what)
+
+
+def _attack_words(run: Results) -> str:
+    strongest, rows = run.strongest.get(""), _exposure(after_attack(run.ours))
+    if strongest is None:
+        return ""
+    shared, after = of_source(rows, AS_SHARED), of_source(rows, strongest)
+    parts = [
+        f"{scheme.title}, {scheme.rule_text(rule)}: as shared {before}; after {strongest.label} "
+        f"{scheme.ends(after, rule, EXPOSURE)}."
+        for scheme in schemes(run.ours)
+        for rule in scheme.rules
+        if (before := scheme.ends(shared, rule, EXPOSURE))
+    ]
+    return f"Lines of PLR over the level. {' '.join(parts)}"
+
+
+def _exposure(rows: pd.DataFrame) -> pd.DataFrame:
+    found: pd.DataFrame = rows[(rows["metric"] == EXPOSURE) & np.isfinite(rows["value"])]
+    return found
+
+
+def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
+    """Return what is drawn, with its looks."""
+    chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
+    oracle = [source for source in chosen if source.knowledge == ORACLE]
+    others = [source for source in chosen if source.knowledge and source not in oracle]
+    looks = {AS_SHARED: _SHARED_LOOK} if AS_SHARED in chosen else {}
+    looks |= dict(zip(others, LOOKS, strict=False))
+    # Raw after attacks would crowd each other.
+    lines = {
+        of: Line(of.label, look, of_source(rows, of), is_raw_across=of == AS_SHARED)
+        for of, look in looks.items()
+    }
+    for of, look in zip(oracle, _ORACLE_LOOKS, strict=False):
+        label = f"{of.label}, a reference"
+        lines[of] = Line(label, look, of_source(rows, of), apart=_ORACLE)
+    if AS_SHARED in lines:
+        lines[AS_SHARED] = replace(lines[AS_SHARED], label="as shared")
+    return lines
+
+
+def _headline_figure(run: Results) -> Figure | None:
+    """Return PLR as shared, after the strongest attack, and the strongest link, over the level.
+
+    Under the paper's adding rule if it was run; None without levels.
+    """
+    lines, known = headline_lines(run), schemes(run.ours)
+    rule = next(iter(rules_of(known)), "")
+    known = [scheme for scheme in known if not scheme.of(lines[0].rows, rule).empty]
+    if not known:
+        return None
+    widths = style.SINGLE_COLUMN_IN, style.DOUBLE_COLUMN_IN
+    figure, ((*panels,),) = style.panels(
+        *(1, len(known)),
+        width_in=widths[len(known) > _MOST_SINGLE],
+        height_in=2.65,
+        margins_in=(0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines)),
+        gaps_in=(0.22, 0.0),
+        sharey=True,
+    )
+    for scheme, ax in zip(known, panels, strict=True):
+        ax.set_title(scheme.title)
+        ax.set_xlabel(scheme.label)
+        for line in lines:
+            line.draw(ax, scheme, rule)
+        style.level_axis(ax, log=scheme.log)
+    panels[0].set_ylim(0.0, 103.0)
+    panels[0].set_ylabel("%")
+    raw = style.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
+    handles = [*(line.handle for line in lines), raw]
+    what = f"{rule} adding"
+    return style.finish(figure, handles, dataset=run.dataset, what=what, columns=1)
+
+
+def headline_lines(run: Results) -> list[Line]:
+    """Return the lines of the headline, those as shared first."""
+    plr = _exposure(run.ours)
+    rows = {"PLR as shared: the descriptor": of_source(plr, AS_SHARED)}
+    attack = run.strongest.get("")
+    if attack is not None:
+        rows[f"PLR after {style.short(attack)}"] = of_source(plr, attack)
+    # A walk that was shared twice, or whatever was linked first.
+    for task in sorted(run.tasks, key=lambda one: one.name != "rerelease")[:1]:
+        source = run.link_of(task)
+        label = f"found again ({task.name}, rank 1): {style.short(source)}"
+        rows[label] = rank1_rows(task, source)
+    return [
+        Line(label, look, of)
+        for (label, of), look in zip(rows.items(), _HEADLINE_LOOKS, strict=False)
+    ]
+
+
+def _headline_words(run: Results) -> str:
+    known, lines = schemes(run.ours), headline_lines(run)
+    rule = next(iter(rules_of(known)), "")
+    parts = []
+    for scheme in known:
+        ends = {line.label: scheme.ends(line.rows, rule, EXPOSURE) for line in lines}
+        said = [f"{label} {text}" for label, text in ends.items() if text]
+        parts += [f"{scheme.title}: {'; '.join(said)}."] if said else []
+    return f"Lines over the level, {rule} adding. {' '.join(parts)}"

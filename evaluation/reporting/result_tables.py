@@ -1,0 +1,377 @@
+"""Tables of what was measured: every level as shared, after each attack, and linked."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import partial
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from attacks.tasks.controls import CONTROLS
+from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack, level_text
+from evaluation.analysis.linkability import INVALID, REMARKS, remarks
+from evaluation.analysis.metrics import (
+    DESCRIPTORS,
+    EXPOSURE,
+    METRICS,
+    MISSED_RATE,
+    RECONSTRUCTION,
+    SUCCESS,
+    UTILITY,
+)
+from evaluation.analysis.strongest import most_knowing
+from evaluation.cells.link_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
+from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.reporting.rows import (
+    by_level,
+    family_of,
+    mechanism_columns,
+    of_source,
+    sources_at,
+    telling,
+)
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    amount,
+    built,
+    counted,
+    held,
+    measured,
+    metric_column,
+    said,
+    shortened,
+)
+from isac_track.linkability import LEVEL
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from collections.abc import Set as AbstractSet
+
+    import pandas as pd
+
+    from evaluation.analysis.families import Family
+    from evaluation.analysis.keys import Where
+    from evaluation.analysis.linkability import LinkedTask
+    from evaluation.reporting.rows import Results
+    from evaluation.reporting.table import Table
+
+_WEIGHTS = {MISSED_RATE: 3.0, EXPOSURE: 3.0, "rmse": 2.5, "ael": 2.0, "mel": 2.0}
+SCOPE = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
+"""What the levels are."""
+MARKS = dict(zip(REMARKS, "~?!", strict=True))
+"""Of what is to be said of a cell that does not simply link."""
+MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
+TOO_WEAK = "attack too weak"
+_USUAL = "informed"
+_COHORTS = {WITHOUT_GROUPS: "walking groups", WITHOUT_FROZEN: "frozen annotations"}
+_LABEL_WIDTH = 30
+
+
+def sweep_tables(summary: pd.DataFrame) -> list[Table]:
+    """Return every level: descriptors as shared with the first predictor, then the others'."""
+    others = summary[~is_attack(summary)]
+    is_shared = others["consumer"] == SHARED
+    others = others[
+        others["metric"].isin(DESCRIPTORS).where(is_shared, others["metric"].isin(UTILITY))
+    ]
+    predictors = list(others.loc[others["consumer"] != SHARED, "consumer"].unique())
+    found = []
+    for place, predictor in enumerate(predictors or [SHARED]):
+        # As shared stands beside the first.
+        drawn = {Source(predictor): UTILITY} | ({} if place else {AS_SHARED: DESCRIPTORS})
+        rows = others[others["consumer"].isin([one.consumer for one in drawn])]
+        columns = [
+            _column(one, metric, f"{METRICS[metric].head}{', shared' * (one == AS_SHARED)}")
+            for one, metrics in drawn.items()
+            for metric in metrics
+            if (rows["metric"] == metric).any()
+        ]
+        name, title = (f"sweep-{place}", "") if place else ("sweep", " as shared")
+        title += f", predictor {predictor}" if predictor != SHARED else ""
+        notes = [] if place else [f"Levels: {SCOPE}."]
+        found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
+    return [one for one in found if one.rows]
+
+
+def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source, str]]) -> Table:
+    """Return the levels that tell, a column for each metric of some positions or a predictor."""
+    known, found = families_in(summary), by_level(summary)
+    records = [
+        {"mechanism": mechanism, "level": at, "of": sources}
+        for mechanism, at in telling(found, known, controls=False)
+        if (sources := sources_at(found[mechanism, at]))
+        and any(metric in sources.get(one, {}) for one, metric in of)
+    ]
+    columns = [_column(one, metric, f"{METRICS[metric].head}, {one.label}") for one, metric in of]
+    return built(name, "", records, [*mechanism_columns(known), *columns], n_keys=3)
+
+
+def _by_level(
+    name: str, title: str, rows: pd.DataFrame, columns: list[Column], *, notes: list[str]
+) -> Table:
+    """Return a table with a row for each mechanism level."""
+    records = [
+        {"mechanism": mechanism, "level": at, "of": sources_at(of)}
+        for (mechanism, at), of in by_level(rows).items()
+    ]
+    columns = [*mechanism_columns(families_in(rows)), *columns]
+    title = f"{title}; 95 % intervals"
+    return built(name, title, records, columns, notes=notes, n_headings=2, n_keys=3)
+
+
+def _column(source: Source, metric: str, name: str) -> Column:
+    """Return the column of a metric of some positions."""
+    weight = _WEIGHTS.get(metric, 1.0)
+    return metric_column(metric, partial(_cell, source, metric), name=name, weight=weight)
+
+
+def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
+    """Return the cell of a metric of some positions at a level with its rows."""
+    row = level["of"].get(source, {}).get(metric)
+    return amount(metric, row["value"], row["ci_low"], row["ci_high"]) if row else Cell()
+
+
+def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of descriptors as shared and after attacks; none without attacks."""
+    is_attacked = is_attack(summary)
+    rows = summary.assign(knowledge=summary["knowledge"].where(is_attacked, ""))
+    is_shown = (is_attacked | (rows["consumer"] == SHARED)) & bool(is_attacked.any())
+    return rows[is_shown & rows["metric"].isin(RECONSTRUCTION)]
+
+
+def sources_of(rows: pd.DataFrame) -> list[Source]:
+    """Return whose positions the rows are of, in the order of the run."""
+    return list(sources_at(rows.drop_duplicates(["consumer", "knowledge"]).to_dict("records")))
+
+
+def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset()) -> Table:
+    """Return PLR as shared and after each attack, all levels.
+
+    Of each attack the adversary is shown that knows most, short of the oracle. `slow` attacks saw
+    one release of each source track only; a note says so.
+    """
+    rows = after_attack(summary)
+    rows = rows[rows["metric"] == EXPOSURE]
+    shown = most_knowing(sources_of(rows))
+    columns = []
+    for source in shown:
+        # The strongest keep their intervals longest.
+        weight = np.inf if source == AS_SHARED else float(of_source(rows, source)["value"].mean())
+        columns.append(Column(source.label, partial(_cell, source, EXPOSURE), weight=weight))
+    oracle = "The oracle is a reference: it stands where nobody less can run the attack."
+    notes = [oracle] * any(source.knowledge == ORACLE for source in shown)
+    ran = [source.consumer for source in shown if source.consumer in slow]
+    notes += [f"{name} saw only the first release of each source track." for name in ran]
+    title = "After attack: PLR in % at all levels"
+    return _by_level("exposure", title, rows if len(shown) > 1 else rows[:0], columns, notes=notes)
+
+
+def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
+    """Return what is left after every attack and adversary, at the levels that tell.
+
+    Adversaries whose numbers are the same share a row; the control is left out where it says what
+    was shared. With `only` of this one alone, but all levels.
+    """
+    rows = after_attack(summary)
+    known, blocks = families_in(rows), by_level(rows)
+    title = "After attack, every adversary" if only is None else f"After {only.label}"
+    title = "As shared" if only == AS_SHARED else title
+    records = [
+        {"mechanism": where[0], "level": where[1]} | row
+        for where in (telling(blocks, known) if only is None else blocks)
+        for row in _merged(
+            {of: found for of, found in sources_at(blocks[where]).items() if only in (None, of)}
+        )
+    ]
+    columns = [
+        *mechanism_columns(known),
+        *map(said, ("positions", "adversary")),
+        *(
+            held(METRICS[one].head, one, unit=METRICS[one].unit, weight=_WEIGHTS.get(one, 1.0))
+            for one in RECONSTRUCTION
+        ),
+    ]
+    title = f"{title}; 95 % intervals"
+    return built("attacks", title, records, columns, n_headings=3, n_keys=5)
+
+
+def _merged(found: Mapping[Source, Any]) -> list[dict[str, Any]]:
+    """Return the rows of a level; one for adversaries whose numbers are the same."""
+    cells = {
+        source: {metric: _cell(source, metric, {"of": found}) for metric in RECONSTRUCTION}
+        for source in found
+    }
+    consumers = [source.consumer for source in found]
+    shared = cells.get(AS_SHARED, {})
+    groups: dict[tuple[str, tuple[str, ...]], list[Source]] = {}
+    for source, of in cells.items():
+        # Only an attack has a ratio to the benchmark.
+        is_same = all(of[one].text == cell.text for one, cell in shared.items() if cell.text)
+        if source.consumer != IDENTITY or not (shared and is_same):
+            key = source.consumer, tuple(cell.full for cell in of.values())
+            groups.setdefault(key, []).append(source)
+    rows = []
+    for (consumer, _), sources in groups.items():
+        knows = [source.knowledge for source in sources]
+        is_any = len(sources) == consumers.count(consumer) > 1
+        positions = "as shared" if knows == [""] else consumer
+        adversary = "any" if is_any else ", ".join(knows)
+        rows.append({"positions": positions, "adversary": adversary, **cells[sources[0]]})
+    return rows
+
+
+def rank_table(run: Results, task: LinkedTask) -> Table:
+    """Return rank 1 of the attacks of a task, a row each, at the levels that tell."""
+    known = run.families
+    wheres = telling(task.cells, known, controls=False)
+    columns = [said("attack", itemgetter(0))]
+    for place, (name, at) in enumerate(wheres, start=1):
+        one = family_of(known, name)
+        # A level of the default rule keeps its interval longest.
+        weight = 2.0 * (one.adding != "independent") + (at is not None)
+        heading = f"{one.name} {level_text(at)}".rstrip()
+        columns.append(Column(heading, itemgetter(place), above=one.adding, weight=weight))
+    records: list[list[Any]] = [
+        [
+            shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH),
+            *(_rank(task.cells[where].get(source)) for where in wheres),
+        ]
+        for source in task.attacks
+    ]
+    some = [next(iter(task.cells[where].values())) for where in wheres]
+    records.append(["chance", *(amount(SUCCESS, row["chance"]) for row in some)])
+    about = "Unmarked cells link, by the ranks of all mates."
+    if (CLEAN, None) in wheres:
+        about += " clean: no error at all, the ceiling."
+    people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
+    notes = _size(some[0], people=people), _confounders(task, wheres, known), _controls(task), about
+    title = f"{_title(task)}; rank 1 in %, 95 % intervals"
+    options = {"notes": list(filter(None, notes)), "marks": MEANING}
+    return built(f"linkage-{task.name}", title, records, columns, **options)
+
+
+def cells_table(run: Results, task: LinkedTask) -> Table:
+    """Return every attack and adversary of a task at the levels that tell, a row each."""
+    records = [
+        {**row, "attack": source.consumer}
+        for where in telling(task.cells, run.families)
+        for source, row in task.cells[where].items()
+    ]
+    columns = [
+        *mechanism_columns(run.families),
+        said("attack"),
+        said("adversary", "knowledge"),
+        measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
+        measured("chance", "chance", metric=SUCCESS),
+        said("outcome"),
+        said("shortcut", "invalid"),
+        counted("candidates", "", "gallery_mean", digits=0),
+        counted("people", "", "n_clusters", digits=0),
+    ]
+    title = f"{_title(task)}, every adversary; 95 % intervals"
+    return built(f"cells-{task.name}", title, records, columns, n_headings=3, n_keys=5)
+
+
+def doubt_table(run: Results) -> Table:
+    """Return the linkage cells that measure nothing: invalid ones, and too weak attacks."""
+    of = run.linkability[run.linkability["cohort"] == "all"]
+    of = of.assign(**of[["knowledge", "outcome", "invalid"]].astype(object).fillna(""))
+    of = of[(of["knowledge"] != "") & ((of["invalid"] != "") | (of["outcome"] == TOO_WEAK))]
+
+    def why(row: Mapping[str, Any]) -> str:
+        shortcut = row["invalid"] and f"invalid: {row['invalid']} tells people apart"
+        return shortcut or REMARKS[TOO_WEAK]
+
+    columns = [
+        said("task/attack", "consumer"),
+        said("adversary", "knowledge"),
+        *mechanism_columns(run.families),
+        said("why", why),
+    ]
+    title = "Linkage cells that measure nothing"
+    return built("doubts", title, of.to_dict("records"), columns, n_keys=5)
+
+
+def _title(task: LinkedTask) -> str:
+    return f"{task.name}: {task.about}" if task.about else task.name
+
+
+def _rank(row: Mapping[str, Any] | None) -> Cell:
+    if row is None:
+        return Cell()
+    mark = "".join(MARKS[one] for one in remarks(row))
+    return amount(SUCCESS, row["rank1"], row["ci_low"], row["ci_high"], mark=mark)
+
+
+def _size(row: Mapping[str, Any], *, people: int | None) -> str:
+    """Return how many people and candidates there are."""
+    low, high, probes, mated = (
+        int(row[key]) for key in ("gallery_min", "gallery_max", "n_probes", "n_mated")
+    )
+    candidates = str(low) if low == high else f"{low} to {high} (mean {row['gallery_mean']:.1f})"
+    who = "" if people is None else f"{people} people; "
+    return (
+        f"{who}{'all' if probes == mated else f'{mated} of'} {probes} releases have a mate among "
+        f"{candidates} candidates. The adversary is {_USUAL} where none is named."
+    )
+
+
+def _confounders(task: LinkedTask, wheres: Sequence[Where], known: Mapping[str, Family]) -> str:
+    """Return what the best attack of one level links without each confounder."""
+    # A level of the mechanisms under test before raw and the ceiling.
+    for where in sorted(wheres, key=lambda where: where[1] is None):
+        block = task.cells[where]
+        ran = [one for one in task.attacks if one in block and block[one]["rank1"] >= 0]
+        best = max(ran, key=lambda one: block[one]["rank1"], default=None)
+        if best is None:
+            continue
+        parts = [
+            f"without {what} {_against_chance(cohort)}"
+            for name, what in _COHORTS.items()
+            if (cohort := task.cohorts.get(name, {}).get(where, {}).get(best)) is not None
+        ]
+        if parts:
+            one = family_of(known, where[0])
+            rule = f" ({one.adding})" if one.adding == "independent" else ""
+            place = f"{one.name} {level_text(where[1])}".rstrip()
+            value = _against_chance(block[best], before="chance ")
+            return f"{place}{rule}, {best.consumer}: {value}; {', '.join(parts)}"
+    return ""
+
+
+def _against_chance(row: Mapping[str, Any], *, before: str = "") -> str:
+    value, chance = (amount(SUCCESS, row[key]).text or "-" for key in ("rank1", "chance"))
+    return f"{value} ({before}{chance})"
+
+
+def _controls(task: LinkedTask) -> str:
+    """Return how many controls beat chance, and which audits leak at how many levels."""
+    tests: dict[str, list[bool]] = {}
+    for row in task.controls:
+        name = row["consumer"].partition("/control-")[2]
+        found = tests.setdefault(name, [])
+        # One that only sees times says the same at every level.
+        if not (found and name in CONTROLS and CONTROLS[name].sees_times_only):
+            found.append(row["p_value"] <= LEVEL)
+    every = [one for found in tests.values() for one in found]
+    often = [
+        f"{name} {sum(found)} of {len(found)}"
+        for name, found in tests.items()
+        if sum(found) > len(found) / 2
+    ]
+    told = "; ".join([f"{LEVEL * len(every):.1f} expected", *often])
+    count = f"{sum(every)} of {len(every)}"
+    parts = [f"controls: {count} beat chance at {100 * LEVEL:g} % ({told})"] * bool(tests)
+    blocks = task.cells.values()
+    said = ({row[INVALID] for row in block.values()} for block in blocks)
+    leaks = Counter(
+        name for of in said for name in sorted({n for one in of for n in one.split(", ") if n})
+    )
+    leaky = [f"{name} at {count} of {len(task.cells)} levels" for name, count in leaks.items()]
+    if leaky or tests:
+        parts.append(f"audits that leak: {', '.join(leaky) or 'none'}")
+    return "; ".join(parts)
