@@ -210,7 +210,7 @@ class TestResults:
         settings = replace(
             settings,
             mechanisms=("raw", "fixed:0.7"),
-            attacks=("kalman_rts", "shape"),
+            attacks=("moving_average", "shape"),
             tasks=("rerelease",),
         )
         there = sent(settings, cluster, out=tmp_path / "there")
