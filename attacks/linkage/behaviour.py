@@ -95,27 +95,23 @@ def _score(probe: Release, gallery: Release, *, metric: Floats) -> Floats:
 
 def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     """Return W^-1 - T^-1 as far as it is positive, (F, F); see `Behaviour`."""
-    from sklearn.covariance import shrunk_covariance  # noqa: PLC0415 - half a second, for one fit
-
     a, b = features(train.probe), features(train.gallery)
     rows = mated(train)
     between = a[rows] - b[train.mate[rows]]
     scale = np.maximum(np.sqrt((between**2).mean(axis=0)), _LEAST_SCALE)
     everybody = np.concatenate([a, b])
     spread = np.maximum(everybody.std(axis=0), _LEAST_SCALE)
-    # With units in the diagonal, its mean is what scikit-learn shrinks towards.
     apart = (everybody - everybody.mean(axis=0)) / spread
-    within, total = (
-        shrunk_covariance(_second_moments(each), shrinkage) for each in (between / scale, apart)
-    )
+    within, total = (_shrunk_moments(each, shrinkage) for each in (between / scale, apart))
     strangers = 2.0 * total * np.outer(spread / scale, spread / scale)
     value, vector = np.linalg.eigh(np.linalg.inv(within) - np.linalg.inv(strangers))
     metric: Floats = (vector * np.maximum(value, 0.0)) @ vector.T / np.outer(scale, scale)
     return metric
 
 
-def _second_moments(x: Floats) -> Floats:
-    moments: Floats = x.T @ x / len(x)
+def _shrunk_moments(x: Floats, shrinkage: float) -> Floats:
+    """Return second moments of scaled features, shrunk as by `sklearn.covariance`."""
+    moments: Floats = (1.0 - shrinkage) * (x.T @ x / len(x))
     # One in which hardly anybody varies counts as if it had the least scale.
     np.fill_diagonal(moments, 1.0)
     return moments
