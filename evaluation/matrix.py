@@ -107,10 +107,7 @@ def parser() -> argparse.ArgumentParser:
 def settings_from(options: argparse.Namespace) -> Settings:
     """Return the settings of a command line, over those of its --config file.
 
-    Raises
-    ------
-    SettingsError
-        For anything unknown, malformed or contradictory.
+    Raises SettingsError for anything unknown, malformed or contradictory.
     """
     stage_values: dict[str, Any] = {}
     given = [_read_config(options.config, stage_values), options] if options.config else [options]

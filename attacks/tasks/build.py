@@ -9,6 +9,7 @@ the noise depends. `attacks.tasks.task_list` says which tasks there are.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,11 @@ LEAST_PEOPLE = 24
 """Fewer cannot be split into people to learn from, to calibrate on and to attack, twice."""
 CLOCK_S = 1e-9
 """Room for the rounding of a frame clock: 12 s at 25 Hz is 300 frames."""
+
+
+@lru_cache(maxsize=2048)  # all tasks of a recording cut their windows from the same walks
+def _walk(tracks: Tracks, row: int) -> Callable[[Floats], Floats]:
+    return walk(tracks[row])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -104,7 +110,6 @@ class Draft:
         `rows`, (N,), may hold a track more than once, each time with another of `keys`; `start_s`,
         `person` and `search`, (N,), are those of each window.
         """
-        walks = {row: walk(self.tracks[row]) for row in np.unique(rows).tolist()}
         # A recorded duration carries the rounding of the frame clock, and so may the last window.
         end_s = np.minimum(start_s + length_s, self.end_s[rows])
         t_parts, xy_parts = [], []
@@ -114,7 +119,7 @@ class Draft:
             rng = self.rng("sampling", side, self.tracks.source[row], key)
             t = sampling_times(start_s=start, end_s=end, settings=self.settings.resample, rng=rng)
             t_parts.append(t)
-            xy_parts.append(walks[row](t))
+            xy_parts.append(_walk(self.tracks, row)(t))
         return Windows(
             t=np.concatenate(t_parts),
             xy=np.concatenate(xy_parts),

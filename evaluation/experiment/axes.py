@@ -157,12 +157,8 @@ class Axes:
 def axes(settings: Settings) -> Axes:
     """Return the plug-ins of a run, each once.
 
-    Raises
-    ------
-    SettingsError
-        If a SPEC is wrong, no mechanism is left, or a task and the attacks do not fit.
-    PluginError
-        If a named plug-in cannot be loaded.
+    Raises SettingsError if a SPEC is wrong, no mechanism is left, or a task and the attacks do not
+    fit, and PluginError if a named plug-in cannot be loaded.
     """
     preset = PRESETS[settings.preset]
     names: dict[str, tuple[str, ...]] = {

@@ -98,10 +98,7 @@ class Plan:
 def plan(settings: Settings) -> Plan:
     """Check the settings, find the data set and lay out the cells.
 
-    Raises
-    ------
-    IsacTrackError
-        For anything that a user can mend.
+    Raises IsacTrackError for anything that a user can mend.
     """
     crossed = axes(settings)
     dataset = datasets.load(settings.dataset, format=settings.format, fps=settings.fps)

@@ -108,10 +108,7 @@ def chosen(
 
     By default they are those of `variants`; `also` names further ones by STAGE.KEY=VALUE.
 
-    Raises
-    ------
-    IsacTrackError
-        For an unknown one, or one that is what the run did.
+    Raises IsacTrackError for an unknown one, or one that is what the run did.
     """
     added = {text: parse(text) for text in also}
     for text, one in added.items():
@@ -128,10 +125,7 @@ def chosen(
 def parse(name: str) -> Variant:
     """Return the variant of a name.
 
-    Raises
-    ------
-    IsacTrackError
-        If there is none, its setting is unknown or its value is out of range.
+    Raises IsacTrackError if there is none, its setting is unknown or its value is out of range.
     """
     name = name.strip()
     key, equals, value = (part.strip() for part in name.partition("="))
@@ -174,10 +168,7 @@ def settings_of(
     `attacks` are the SPECs of those to run, each with its tasks; a reconstruction has the task "".
     `trust` names classes of one's own that may be imported although a file names them.
 
-    Raises
-    ------
-    IsacTrackError
-        If its recording is not at hand, or a setting is unknown.
+    Raises IsacTrackError if its recording is not at hand, or a setting is unknown.
     """
     from attacks.tasks.build import sessions_of  # noqa: PLC0415 - a list of variants needs none
     from attacks.tasks.task_list import TASKS  # noqa: PLC0415

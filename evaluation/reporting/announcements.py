@@ -60,6 +60,7 @@ def broken() -> list[str]:
 
 def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
+    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415
     from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415
     from evaluation.runs.folder import usable  # noqa: PLC0415
     from evaluation.runs.pieces import n_finished  # noqa: PLC0415
@@ -77,14 +78,9 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     )
     for why in ready.axes.skipped.values():
         yield f"notice: left out: {why}"
-    slow = [one for one in ready.axes.consumers if one.is_slow]
-    if not slow:
-        return
-    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415
-
     n_levels = len(ready.axes.mechanisms)
-    for spec in dict.fromkeys(one.spec for one in slow):
-        rows = [one for one in slow if one.spec == spec]
+    for spec in dict.fromkeys(one.spec for one in ready.axes.consumers if one.is_slow):
+        rows = [one for one in ready.axes.consumers if one.is_slow and one.spec == spec]
         cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)
         is_short = cost_s < _MOST_SECONDS
         about = f"about {cost_s:.0f} s" if is_short else f"about {cost_s / 60:.0f} min"

@@ -74,11 +74,8 @@ def spread_on_cluster(
     modules : iterable of str
         Those that are not of the project are the user's own: the workers must have the same.
 
-    Raises
-    ------
-    SettingsError
-        If the scheduler cannot be reached or is gone, no worker is there, or a worker would not
-        compute the same.
+    Raises SettingsError if the scheduler cannot be reached or is gone, no worker is there, or a
+    worker would not compute the same.
     """
     expected = _about(tuple(one for one in modules if one.partition(".")[0] not in _OURS), seen={})
     with _connected(scheduler) as client:

@@ -62,10 +62,7 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     tell : callable
         Called with cells finished, cells to do, and what is under way.
 
-    Raises
-    ------
-    IsacTrackError
-        For anything that a user can mend; finished cells are kept.
+    Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     started, out = time.monotonic(), ready.out
     manifest, held, damaged = open_run(out, identity=ready.identity, fresh=ready.settings.fresh)
@@ -123,12 +120,8 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
 
     Each is taken from the first of the source folders that has it: what is keyed alike is the same.
 
-    Raises
-    ------
-    DataError
-        If the folder cannot be written or another process runs in it.
-    SettingsError
-        If it holds another run, which `fresh` replaces.
+    Raises DataError if the folder cannot be written or another process runs in it, and
+    SettingsError if it holds another run, which `fresh` replaces.
     """
     check_folder(ready.out)
     with locked(ready.out):

@@ -68,13 +68,9 @@ def open_run(
     others. Cells that another version of the code computed are dropped from it and counted.
     `SHA256SUMS` has no line then for which there is no cell.
 
-    Raises
-    ------
-    SettingsError
-        If the folder holds another run (what differs is named) or something else, or cannot be
-        used.
-    DataError
-        If its manifest cannot be read, or is damaged and not to be replaced.
+    Raises SettingsError if the folder holds another run (what differs is named) or something else,
+    or cannot be used, and DataError if its manifest cannot be read, or is damaged and not to be
+    replaced.
     """
     manifest: dict[str, Any] = {"identity": identity, "cells": [], "dropped_cells": 0}
     with usable(out):

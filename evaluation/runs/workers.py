@@ -75,10 +75,7 @@ def spread(
     limit_s : float, optional
         Longest time between two notes; a worker that takes longer is killed.
 
-    Raises
-    ------
-    Exception
-        What the function raises.
+    Raises what the function raises.
     """
     if limit_s is None and jobs == 1:
         with threadpool_limits(limits=1):
@@ -157,7 +154,7 @@ class _Lane(Generic[W, R]):
         with theirs:
             number = theirs.fileno()
             self._process = subprocess.Popen(  # noqa: S603 - this very Python
-                [sys.executable, "-c", _WORKER, str(number), str(os.getpid())],
+                [sys.executable, "-P", "-c", _WORKER, str(number), str(os.getpid())],
                 env=os.environ | _ONE_THREAD,
                 pass_fds=[number],
                 process_group=0,

@@ -399,9 +399,10 @@ class TestCommand:
             assert process.stderr.read() == b""
         assert process.returncode == 141
 
-    @pytest.mark.parametrize("missing", ["groups", "settings", "environment"])
-    def test_a_manifest_of_another_version_is_named(self, edited, command, missing):
-        old = edited("narrow", lambda manifest: manifest.pop(missing))
+    def test_a_manifest_of_another_version_is_named(self, run, command, tmp_path):
+        old = shutil.copytree(run("narrow"), tmp_path / "old")
+        path = old / "manifest.json"
+        path.write_text(path.read_text().replace('"groups"', '"people"'))
         code, _, errors = command("{base}", old)
         assert code == 2
         assert f"{old} was written by another version" in errors

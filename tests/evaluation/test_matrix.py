@@ -84,7 +84,9 @@ def settings_of(*arguments):
 
 def test_options_become_settings():
     words = "--preset=full --seed=3 --jobs=2 --mechanism=raw --mechanism=fid:1 --predictor=none"
+    words += " --dataset=walks.txt --format=obsmat --fps=25"
     settings = settings_of(*words.split(), "--set=privacy.epsilon_m=0.5", "--fresh")
+    assert (settings.dataset, settings.format, settings.fps) == ("walks.txt", "obsmat", 25.0)
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ()
     assert settings.n_scenes == 5000
@@ -187,24 +189,6 @@ def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, cap
     assert "plaza" in shown.out
     assert "plaza" in (out / "manifest.json").read_text(encoding="utf-8")
     assert set(pd.read_csv(out / "summary.csv")["dataset"]) == {"plaza"}
-
-
-def test_a_file_in_another_format_gives_the_same_result(tracks, tmp_path):
-    rows = [
-        (round(t * 25), name, round(x, 4), round(y, 4))
-        for name, track in enumerate(tracks)
-        for t, (x, y) in zip(track.t, track.xy, strict=True)
-    ]
-    obsmat, csv = tmp_path / "walks.txt", tmp_path / "walks.csv"
-    obsmat.write_text("".join(f"{f} {i} {x} 0 {y} 0 0 0\n" for f, i, x, y in rows))
-    csv.write_text("t,id,x,y\n" + "".join(f"{f / 25},{i},{x},{y}\n" for f, i, x, y in rows))
-    values = []
-    for path, options in ((obsmat, ("--format", "obsmat", "--fps", 25)), (csv, ())):
-        out = tmp_path / path.suffix[1:]
-        small = ("--scenes", 8, "--mechanism", "fixed:0.5", "--task", "none", "--out")
-        assert run("--dataset", path, *options, *small, out) == 0
-        values.append(pd.read_csv(out / "summary.csv")["value"].tolist())
-    assert values[0] == values[1]
 
 
 def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, capsys):

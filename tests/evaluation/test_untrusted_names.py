@@ -279,6 +279,7 @@ class TestTheSource:
             "evaluation/reporting/figures/drawing.py",
             "evaluation/runs/dask.py",
             "evaluation/runs/execute.py",
+            "isac_track/kalman/__init__.py",
             "isac_track/plugins.py",
             "isac_track/testing/__main__.py",
         }

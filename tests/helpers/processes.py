@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
@@ -20,3 +21,11 @@ def run_python(folder, *arguments, timeout_s=120):
         timeout=timeout_s,
         check=False,
     )
+
+
+def wait_for(condition, *, most_s):
+    """Wait until something is so; it must be soon."""
+    until = time.monotonic() + most_s
+    while not condition():
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.01)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from helpers.processes import ROOT
+from helpers.processes import ROOT, wait_for
 from helpers.runs import rows_of
 from helpers.small_runs import write_walks
 
@@ -80,12 +80,6 @@ class ShareHolds(Shared):
     def begin(self, sensed):
         is_first("held")
         hold_on()
-
-
-class HangsWithFew(Shared):
-    def begin(self, sensed):
-        if len(sensed) < 10:
-            time.sleep(3600)
 
 
 class DiesWhenIdle(LeastSquares):
@@ -226,14 +220,6 @@ def end(process):
     process.communicate()
 
 
-def seconds_until(condition, *, most_s):
-    started = time.monotonic()
-    while not condition():
-        assert time.monotonic() - started < most_s
-        time.sleep(0.01)
-    return time.monotonic() - started
-
-
 def content(out, *, but=()):
     """Everything that a run computed, by file; the manifest tells times and the page shows them."""
     files = [
@@ -310,7 +296,7 @@ class TestKilled:
                 continue
             assert process.returncode == -signal.SIGKILL
             number += 1
-            seconds_until(lambda: not in_session(process.pid), most_s=END_S)  # noqa: B023
+            wait_for(lambda: not in_session(process.pid), most_s=END_S)  # noqa: B023
             process.communicate()
         code, _, errors = place.run(out, *FEW, scenes=SCENES, jobs=1, drawn=drawn)
         assert code == 0, errors
@@ -341,7 +327,7 @@ def hanging(place):
         flag.unlink(missing_ok=True)
         mechanisms = ("raw", "faulty:ShareHolds:0.5")
         started.append(place.start(out, *FEW, mechanisms=mechanisms))
-        seconds_until(flag.exists, most_s=60)
+        wait_for(flag.exists, most_s=60)
         return started[-1]
 
     yield start
@@ -358,7 +344,7 @@ def interrupt(process):
     assert process.returncode == 130, errors
     assert errors.splitlines()[-1].startswith("interrupted; finished cells are kept, the same")
     assert "Traceback" not in errors
-    seconds_until(lambda: not in_session(process.pid), most_s=END_S)
+    wait_for(lambda: not in_session(process.pid), most_s=END_S)
 
 
 class TestInterrupted:
@@ -382,7 +368,7 @@ class TestInterrupted:
     def test_it_ends_at_once_and_the_same_command_continues(self, place, many_scenes, sign, jobs):
         out = place.folder / "interrupted"
         process = place.start(out, *FEW, scenes=SCENES, jobs=jobs)
-        seconds_until(lambda: any(out.glob(sign)) or process.poll() is not None, most_s=60)
+        wait_for(lambda: any(out.glob(sign)) or process.poll() is not None, most_s=60)
         assert process.poll() is None, process.stderr.read()
         interrupt(process)
         if sign == "summary.csv":  # the last of three, each of which began where one was ended
@@ -395,7 +381,7 @@ class TestInterrupted:
         assert len(in_session(process.pid)) >= 3
         process.kill()
         process.wait()
-        seconds_until(lambda: not in_session(process.pid), most_s=END_S)
+        wait_for(lambda: not in_session(process.pid), most_s=END_S)
 
 
 def cut(path):
@@ -558,17 +544,6 @@ class TestPlugins:
         assert rows["faulty:DiesOnce"] == usual["least_squares"].replace(
             "least_squares", "faulty:DiesOnce"
         )
-
-    def test_what_hangs_in_the_gallery_alone_costs_its_panels_alone(self, place):
-        out = place.folder / "gallery"
-        options = ("--attack", "none", "--task", "none", "--predictor", "none")
-        options += ("--cell-timeout", "3")
-        mechanisms = ("raw", "faulty:HangsWithFew:0.5")
-        code, _, errors = place.run(out, *options, mechanisms=mechanisms)
-        assert code == 0, errors
-        assert "track gallery without faulty:HangsWithFew:0.5" in errors
-        assert set(pd.read_parquet(out / "gallery.parquet")["mechanism"]) == {"raw"}
-        assert "faulty:HangsWithFew,0.5," in (out / "summary.csv").read_text()
 
     def test_a_worker_that_dies_with_nothing_to_do_is_replaced(self, place):
         out = place.folder / "idle"

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections import deque
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from helpers.processes import ROOT, TESTS
+from helpers.processes import ROOT, TESTS, wait_for
 
 import evaluation
 from evaluation import matrix
@@ -131,13 +130,6 @@ def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
             process.wait()
 
 
-def wait_for(condition, *, most_s):
-    until = time.monotonic() + most_s
-    while not condition():
-        assert time.monotonic() < until, "it never came"
-        time.sleep(0.02)
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cluster")
@@ -218,7 +210,7 @@ class TestResults:
         settings = replace(
             settings,
             mechanisms=("raw", "fixed:0.7"),
-            attacks=("kalman_rts", "shape"),
+            attacks=("moving_average", "shape"),
             tasks=("rerelease",),
         )
         there = sent(settings, cluster, out=tmp_path / "there")

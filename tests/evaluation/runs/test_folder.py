@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from helpers.runs import change_code
+from helpers.small_runs import write_walks
 from helpers.summaries import edit_manifest
 
 import evaluation
@@ -24,45 +25,58 @@ from evaluation.runs.files import locked
 from evaluation.runs.manifest import read_manifest, write_manifest
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
-TINY = evaluation.Settings(
-    dataset="plaza",
-    preset="smoke",
-    scenes=8,
-    mechanisms=("raw", "fixed:0.7"),
-    predictors=("least_squares",),
-    attacks=(),
-    tasks=(),
-    jobs=1,
-)
-OPTIONS = ("--dataset", "plaza", "--preset", "smoke", "--scenes", "8", "--mechanism", "raw")
-OPTIONS += ("--mechanism", "fixed:0.7")
-OPTIONS += ("--predictor", "least_squares", "--attack", "none", "--task", "none", "--jobs", "1")
 NOBODY = 65534
 
 
 def one_line(capsys):
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("error: ")
-    return line
+    """The one error that was said, last of all."""
+    said = capsys.readouterr().err.splitlines()
+    assert [line for line in said if line.startswith("error: ")] == said[-1:]
+    return said[-1]
 
 
 @contextlib.contextmanager
-def without_rights():
-    """Root may enter every folder; within, it is nobody."""
-    if os.geteuid() != 0:
-        yield
-        return
-    os.seteuid(NOBODY)
+def forbidden(out, name=".", mode=0):
+    """What is so named in a folder has other rights; root, who may do everything, is nobody."""
+    is_root = os.geteuid() == 0
+    for path in (out, *out.rglob("*")) if is_root else ():
+        os.chown(path, NOBODY, NOBODY)
+    (out / name).chmod(mode)
+    os.seteuid(NOBODY if is_root else os.geteuid())
     try:
         yield
     finally:
-        os.seteuid(0)
+        os.seteuid(0 if is_root else os.geteuid())
+        (out / name).chmod(0o755)
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def tiny(tmp_path_factory):
+    """The settings of a run that takes less than a second."""
+    return evaluation.Settings(
+        dataset=str(write_walks(tmp_path_factory.mktemp("walks") / "walks.csv", n_people=12)),
+        preset="smoke",
+        scenes=8,
+        mechanisms=("raw", "fixed:0.7"),
+        predictors=("least_squares",),
+        attacks=(),
+        tasks=(),
+        jobs=1,
+    )
+
+
+@pytest.fixture(scope="module")
+def options(tiny):
+    """The same for the command."""
+    words = f"--dataset={tiny.dataset} --preset=smoke --scenes=8 --mechanism=raw --jobs=1"
+    words += " --mechanism=fixed:0.7 --predictor=least_squares --attack=none --task=none"
+    return words.split()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, tiny):
     out = tmp_path_factory.mktemp("folder") / "finished"
-    evaluation.run(replace(TINY, out=out), pictures=False)
+    evaluation.run(replace(tiny, out=out), pictures=False)
     return out
 
 
@@ -80,12 +94,6 @@ def everybodys():
         yield Path(folder)
 
 
-def own_by_nobody(folder):
-    if os.geteuid() == 0:
-        for path in (folder, *folder.rglob("*")):
-            os.chown(path, NOBODY, NOBODY)
-
-
 class TestWhereTheFolderCannotBeUsed:
     @pytest.mark.parametrize("dry", [True, False])
     @pytest.mark.parametrize(
@@ -96,65 +104,55 @@ class TestWhereTheFolderCannotBeUsed:
             ("/proc/run", "No such file or directory; "),
         ],
     )
-    def test_it_is_one_line(self, dry, name, said, tmp_path, capsys):
+    def test_it_is_one_line(self, dry, name, said, tmp_path, capsys, options):
         (tmp_path / "file").touch()
         out = tmp_path / name
-        code = matrix.main([*OPTIONS, "--out", str(out), *["--dry-run"] * dry])
+        code = matrix.main([*options, "--out", str(out), *["--dry-run"] * dry])
         if dry and code == 0:  # nothing is there, and what cannot be made is told when it is
             return
         assert code == 2
-        errors = capsys.readouterr().err.splitlines()
-        assert said in errors[-1]
-        assert str(out) in errors[-1]
-        assert [line for line in errors if line.startswith("error: ")] == errors[-1:]
+        line = one_line(capsys)
+        assert said in line
+        assert str(out) in line
 
     @pytest.mark.parametrize("dry", [True, False])
-    def test_a_name_that_no_folder_can_have_is_one_line(self, dry, tmp_path, capsys):
+    def test_a_name_that_no_folder_can_have_is_one_line(self, dry, tmp_path, capsys, options):
         config = tmp_path / "run.toml"
         config.write_text(r'out = "a\u0000b"')
-        assert matrix.main([*OPTIONS, "--config", str(config), *["--dry-run"] * dry]) == 2
+        assert matrix.main([*options, "--config", str(config), *["--dry-run"] * dry]) == 2
         assert r"'a\x00b' cannot be the name of a folder; choose another" in one_line(capsys)
 
     def test_half_a_surrogate_pair_is_no_name(self):
         with pytest.raises(SettingsError, match=r"'\\ud800' cannot be the name of a folder"):
             store.check_folder(Path("\ud800"))
 
-    def test_somebody_elses_folder_is_named(self, tmp_path):
-        tmp_path.chmod(0o700 if os.geteuid() == 0 else 0)
+    def test_somebody_elses_folder_is_named(self, tmp_path, tiny):
         out = tmp_path / "run"
-        ready = plan(replace(TINY, out=out))
-        try:
-            with without_rights():
-                for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
-                    with pytest.raises(SettingsError, match="Permission denied; choose another"):
-                        look()
-                with pytest.raises(DataError, match=f"{out}.*Permission denied"):
-                    read_manifest(out)
-        finally:
-            tmp_path.chmod(0o700)
+        ready = plan(replace(tiny, out=out))
+        with forbidden(tmp_path):
+            for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
+                with pytest.raises(SettingsError, match="Permission denied; choose another"):
+                    look()
+            with pytest.raises(DataError, match=f"{out}.*Permission denied"):
+                read_manifest(out)
 
     @pytest.mark.parametrize("name", ["cells", "SHA256SUMS", "."])
-    def test_what_may_not_be_read_in_a_run_is_named(self, name, finished, everybodys):
+    def test_what_may_not_be_read_in_a_run_is_named(self, name, finished, everybodys, tiny):
         out = Path(shutil.copytree(finished, everybodys / "run"))
-        own_by_nobody(out)
-        (out / name).chmod(0)
-        ready = plan(replace(TINY, out=out))
-        try:
-            with without_rights():
-                for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
-                    with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
-                        look()
-        finally:
-            (out / name).chmod(0o755)
+        ready = plan(replace(tiny, out=out))
+        with forbidden(out, name):
+            for look in (lambda: [*plan_lines(ready)], lambda: evaluation.run(ready=ready)):
+                with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
+                    look()
 
-    def test_a_cell_that_cannot_be_dropped_is_named(self, out, monkeypatch):
+    def test_a_cell_that_cannot_be_dropped_is_named(self, out, monkeypatch, tiny):
         def refuse(path, **_):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
         change_code(monkeypatch, "isac_track.sensing")
         monkeypatch.setattr(Path, "unlink", refuse)
         with pytest.raises(SettingsError, match=f"cannot use {out}/cells/.*: Permission denied"):
-            evaluation.run(replace(TINY, out=out), pictures=False)
+            evaluation.run(replace(tiny, out=out), pictures=False)
 
     @pytest.mark.parametrize(
         ("name", "command", "said"),
@@ -166,7 +164,9 @@ class TestWhereTheFolderCannotBeUsed:
             ("SHA256SUMS", "matrix", "{path} cannot be read: Is a directory"),
         ],
     )
-    def test_what_is_in_place_of_something_else_is_named(self, out, name, command, said, capsys):
+    def test_what_is_in_place_of_something_else_is_named(
+        self, out, name, command, said, capsys, options
+    ):
         path = min(out.glob(name), default=out / name)
         if name == "cells":
             shutil.rmtree(path)
@@ -174,35 +174,29 @@ class TestWhereTheFolderCannotBeUsed:
         else:
             path.unlink(missing_ok=True)
             path.mkdir()
-        words = [str(out)] if command == "report" else [*OPTIONS, "--out", str(out)]
+        words = [str(out)] if command == "report" else [*options, "--out", str(out)]
         assert {"report": report, "matrix": matrix}[command].main(words) == 2
-        errors = capsys.readouterr().err.splitlines()
-        assert said.format(path=path) in errors[-1]
-        assert [line for line in errors if line.startswith("error: ")] == errors[-1:]
+        assert said.format(path=path) in one_line(capsys)
         assert path.is_dir() is (name != "cells")
 
-    def test_where_nothing_can_be_locked_the_run_is_refused(self, out, capsys, monkeypatch):
+    def test_where_nothing_can_be_locked_the_run_is_refused(
+        self, out, capsys, monkeypatch, options
+    ):
         def refuse(*_):
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
         monkeypatch.setattr("evaluation.runs.files.fcntl.flock", refuse)
-        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
-        errors = capsys.readouterr().err.splitlines()
-        assert errors[-1].startswith(f"error: cannot lock {out / '.lock'}: No locks available; ")
+        assert matrix.main([*options, "--out", str(out)]) == 2
+        assert f"error: cannot lock {out / '.lock'}: No locks available; " in one_line(capsys)
 
     def test_a_folder_that_may_not_be_written_has_no_lock(self, finished, everybodys):
         out = Path(shutil.copytree(finished, everybodys / "run"))
-        own_by_nobody(out)
-        out.chmod(0o500)
-        try:
-            with (
-                without_rights(),
-                pytest.raises(SettingsError, match=r"run/\.lock: Permission denied; make the"),
-                locked(out),
-            ):
-                raise AssertionError("it is locked")
-        finally:
-            out.chmod(0o755)
+        with (
+            forbidden(out, mode=0o500),
+            pytest.raises(SettingsError, match=r"run/\.lock: Permission denied; make the"),
+            locked(out),
+        ):
+            raise AssertionError("it is locked")
 
 
 def edited(out, change):
@@ -213,9 +207,9 @@ def edited(out, change):
 
 
 def places(value, at=()):
-    """Every path in a JSON value but its root."""
+    """Every path in a JSON value but its root, and of a list its first members alone."""
     inner = value.items() if isinstance(value, dict) else ()
-    inner = enumerate(value) if isinstance(value, list) else inner
+    inner = enumerate(value[:2]) if isinstance(value, list) else inner
     for key, one in inner:
         yield (*at, key)
         yield from places(one, (*at, key))
@@ -246,31 +240,35 @@ class TestManifest:
         with pytest.raises(DataError, match="is damaged"):
             store.open_run(out, identity={}, fresh=False)
 
-    def test_that_is_damaged_is_replaced_by_fresh_and_by_nothing_else(self, out, capsys):
+    def test_that_is_damaged_is_replaced_by_fresh_and_by_nothing_else(
+        self, out, capsys, tiny, options
+    ):
         edited(out, lambda one: (one.clear(), one.update(identity={}, cells=[])))
         (out / "notes.txt").write_text("mine")
         assert report.main([str(out)]) == 2
         said = one_line(capsys)
         assert f"{out} was written by another version, or its manifest.json is damaged" in said
-        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
-        assert "run the matrix again with --fresh" in capsys.readouterr().err.splitlines()[-1]
-        evaluation.run(replace(TINY, out=out, fresh=True), pictures=False)
+        assert matrix.main([*options, "--out", str(out)]) == 2
+        assert "run the matrix again with --fresh" in one_line(capsys)
+        evaluation.run(replace(tiny, out=out, fresh=True), pictures=False)
         assert len(list((out / "cells").iterdir())) == 2
         assert (out / "notes.txt").read_text() == "mine"
 
     @pytest.mark.parametrize("held", [b"", b"[]", b'{"cells": 1}', b"\xff\xfe", b"[" * 100_000])
-    def test_that_nothing_can_be_made_of_is_one_line(self, held, out, capsys):
+    def test_that_nothing_can_be_made_of_is_one_line(self, held, out, capsys, options):
         (out / "manifest.json").write_bytes(held)
         assert report.main([str(out)]) == 2
         said = one_line(capsys)
         path = out / "manifest.json"
         assert f"{path} cannot be read" in said or f"{path} is not the manifest" in said
-        assert matrix.main([*OPTIONS, "--out", str(out)]) == 2
-        assert str(path) in capsys.readouterr().err.splitlines()[-1]
+        assert matrix.main([*options, "--out", str(out)]) == 2
+        assert str(path) in one_line(capsys)
 
-    def test_of_a_run_that_never_started_is_continued_but_has_no_report(self, tmp_path, capsys):
+    def test_of_a_run_that_never_started_is_continued_but_has_no_report(
+        self, tmp_path, capsys, tiny
+    ):
         out = tmp_path / "run"
-        ready = plan(replace(TINY, out=out))
+        ready = plan(replace(tiny, out=out))
         manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)
         write_manifest(out, manifest | {"code": ready.code, "state": "running"})
         assert report.main([str(out)]) == 2
@@ -297,40 +295,40 @@ class TestChecksums:
             assert hashlib.sha256((out / name).read_bytes()).hexdigest() == checksum
         return {line.partition("/")[2] for line in lines}
 
-    def test_have_no_lines_of_cells_that_were_dropped(self, out, monkeypatch):
+    def test_have_no_lines_of_cells_that_were_dropped(self, out, monkeypatch, tiny):
         before = self.check(out)
         change_code(monkeypatch, "isac_track.sensing")
-        results = evaluation.run(replace(TINY, out=out), pictures=False)
+        results = evaluation.run(replace(tiny, out=out), pictures=False)
         assert results.manifest["dropped_cells"] == 4
         after = self.check(out)
         assert after == {path.name for path in (out / "cells").iterdir()}
         assert after.isdisjoint(before)
 
-    def test_have_one_line_of_a_cell_whose_first_line_was_damaged(self, out):
+    def test_have_one_line_of_a_cell_whose_first_line_was_damaged(self, out, tiny):
         path = out / "SHA256SUMS"
         first, second = path.read_text().splitlines()
         path.write_text(f"{'0' * 64}{first[64:]}\n{second}\n{first}\n")
         stamps = {cell: cell.stat().st_mtime_ns for cell in (out / "cells").iterdir()}
-        evaluation.run(replace(TINY, out=out), pictures=False)
+        evaluation.run(replace(tiny, out=out), pictures=False)
         assert len(self.check(out)) == 2
         assert all(cell.stat().st_mtime_ns == stamp for cell, stamp in stamps.items())
 
-    def test_keep_the_lines_of_finished_cells_that_another_axis_has(self, out):
+    def test_keep_the_lines_of_finished_cells_that_another_axis_has(self, out, tiny):
         before = self.check(out)
         lost = min((out / "cells").iterdir())
         lost.unlink()
-        evaluation.run(replace(TINY, out=out, mechanisms=("clean",)), pictures=False)
+        evaluation.run(replace(tiny, out=out, mechanisms=("clean",)), pictures=False)
         assert self.check(out) >= before - {lost.name}
         assert lost.name not in self.check(out)
 
-    def test_are_not_touched_where_they_are_as_they_should_be(self, out):
+    def test_are_not_touched_where_they_are_as_they_should_be(self, out, tiny):
         stamp = (out / "SHA256SUMS").stat().st_mtime_ns
         inode = (out / "SHA256SUMS").stat().st_ino
-        evaluation.run(replace(TINY, out=out), pictures=False)
+        evaluation.run(replace(tiny, out=out), pictures=False)
         assert (out / "SHA256SUMS").stat().st_mtime_ns == stamp
         assert (out / "SHA256SUMS").stat().st_ino == inode
 
-    def test_stay_as_they_were_where_they_cannot_be_written_anew(self, out, monkeypatch):
+    def test_stay_as_they_were_where_they_cannot_be_written_anew(self, out, monkeypatch, tiny):
         (cell, *_) = sorted((out / "cells").iterdir())
         cell.unlink()
         before = (out / "SHA256SUMS").read_bytes()
@@ -340,13 +338,13 @@ class TestChecksums:
 
         monkeypatch.setattr(os, "replace", full)
         with pytest.raises(DataError, match=r"SHA256SUMS: No space left on device"):
-            evaluation.run(replace(TINY, out=out), pictures=False)
+            evaluation.run(replace(tiny, out=out), pictures=False)
         assert (out / "SHA256SUMS").read_bytes() == before
 
 
 class TestAnnounced:
-    def test_cells_without_a_checksum_do_not_count_as_finished(self, out, capsys):
-        arguments = [*OPTIONS, "--out", str(out), "--dry-run"]
+    def test_cells_without_a_checksum_do_not_count_as_finished(self, out, capsys, options):
+        arguments = [*options, "--out", str(out), "--dry-run"]
         assert matrix.main(arguments) == 0
         assert "4 cells, 4 of them finished by SHA256SUMS, in" in capsys.readouterr().err
         first, second = (out / "SHA256SUMS").read_text().splitlines()
