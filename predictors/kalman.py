@@ -66,7 +66,7 @@ class KalmanCV:
             last = kalman_last(batch, q=self.q, gate=self.gate)
             mean, cov = last.mean, last.cov
         planar = np.einsum("ab,nde->nadbe", np.eye(2), cov)
-        elapsed_s = _elapsed(release, t_future)
+        elapsed_s = t_future - release.t[release.offsets[1:] - 1, None]
         return Prediction(*_ahead(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s))
 
     def log_likelihood(self, release: Release) -> Floats:
@@ -143,7 +143,7 @@ class KalmanIMM(KalmanCV):
             mean,
             cov.reshape(*cov.shape[:2], 2, 2, 2, 2),
             q=np.array(self.moods.q)[:, None],
-            elapsed_s=_elapsed(release, t_future)[:, None],
+            elapsed_s=(t_future - release.t[release.offsets[1:] - 1, None])[:, None],
         )
         mixed = np.einsum("nj,njha->nha", probability, mean)
         gap = mean - mixed[:, None]
@@ -153,11 +153,6 @@ class KalmanIMM(KalmanCV):
     def log_likelihood(self, release: Release) -> Floats:
         """Return the log density of what was shared, (N,), over the window."""
         return imm_last(self.batch(release), self.moods, gate=self.gate).log_likelihood
-
-
-def _elapsed(release: Release, t_future: Floats) -> Floats:
-    elapsed: Floats = t_future - release.t[release.offsets[1:] - 1][:, None]
-    return elapsed
 
 
 def _ahead(mean: Floats, cov: Floats, *, q: Floats, elapsed_s: Floats) -> tuple[Floats, Floats]:

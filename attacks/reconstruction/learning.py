@@ -81,17 +81,18 @@ def smoother(
             for candidate in candidates
         ]
         choice = candidates[int(np.argmin(losses))]
-    return lambda release: _smoothed(release, smooth, variance, choice)
+    if variance is _estimated:  # two adversaries may well choose alike
+        return lambda release: _smoothed(release, smooth, choice)
+    return lambda release: smooth(release, variance(release), choice)
 
 
 @remembered
 def _smoothed(
     release: Release,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
-    variance: Callable[[Release], Floats],
     choice: _Choice,
 ) -> Reconstruction:
-    return smooth(release, variance(release), choice)
+    return smooth(release, _estimated(release), choice)
 
 
 def exposure_loss(*, xy: Floats, truth: Floats, offsets: Ints, epsilon_m: float) -> float:

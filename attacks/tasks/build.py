@@ -173,8 +173,9 @@ def sessions_of(
     SettingsError
         If there is no task of this name.
     """
-    module, _, function = task_named(task.name).maker.partition(":")
-    make: Callable[[Draft], Sessions] = getattr(import_module(module), function)
+    make: Callable[[Draft], Sessions] = getattr(
+        import_module("attacks.tasks.makers"), task_named(task.name).family
+    )
     if task.simulated and later is None:
         tracks, later = _crowd(stages.linkage.trait_strength)
     found = make(Draft(task=task, tracks=tracks, later=later, settings=stages, seed=seed))

@@ -25,8 +25,6 @@ class Task:
 
     name: str
     about: str
-    maker: str
-    """``module:function`` that makes its sessions from an `attacks.tasks.build.Draft`."""
     shows_scene: bool = False
     """Whether the releases come in the true frame and on the true clock."""
     gap_s: float = 0.0
@@ -36,7 +34,10 @@ class Task:
 
     @property
     def family(self) -> str:
-        """Name without the gap: tasks that differ in that alone share their draws."""
+        """Name without the gap, and of what makes its sessions, in `attacks.tasks.makers`.
+
+        Tasks that differ in the gap alone share their draws.
+        """
         return self.name.partition("-")[0]
 
     @property
@@ -57,32 +58,18 @@ class Task:
 TASKS: Final[Mapping[str, Task]] = {
     task.name: task
     for task in (
-        Task(
-            "rerelease",
-            "one walk sensed and shared twice: an upper bound",
-            "attacks.tasks.closed_set:rerelease",
-        ),
-        Task(
-            "split",
-            "two windows of one walk that do not touch: behaviour only",
-            "attacks.tasks.closed_set:split",
-        ),
+        Task("rerelease", "one walk sensed and shared twice: an upper bound"),
+        Task("split", "two windows of one walk that do not touch: behaviour only"),
         *(
             Task(
                 f"handover-{gap_s:g}s",
                 f"all pseudonyms rotate after {gap_s:g} s of silence, in the true frame",
-                "attacks.tasks.handover:handover",
                 shows_scene=True,
                 gap_s=gap_s,
             )
             for gap_s in (1.0, 2.0, 5.0)
         ),
-        Task(
-            "new_traversal",
-            "the same person on another day, simulated",
-            "attacks.tasks.closed_set:new_traversal",
-            simulated=True,
-        ),
+        Task("new_traversal", "the same person on another day, simulated", simulated=True),
     )
 }
 

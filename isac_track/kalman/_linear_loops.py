@@ -264,12 +264,7 @@ def ca_last(
 
 @part_of_loop
 def _forward(buffer: Floats, n: int, q: float) -> None:
-    """Filter as `cv_last`; row 0 is the prior at the first sample, which is row 1.
-
-    Beside each state gain G and open covariance C of the smoother are laid, multiplied out: little
-    cancels. With P the filtered covariance, B = F^-1 Q F^-T and P' = F P F' + Q the smoothed one is
-    C + G Ps G', where C = (|Q| P + |P| B) / |P'| (two-dimensional matrices only).
-    """
+    """Filter as `cv_last`; row 0 is the prior at the first sample, which is row 1."""
     for k in range(n):
         rows = buffer[k * _ROW : (k + 2) * _ROW]
         for lane in range(LANES):
@@ -301,7 +296,13 @@ def _forward(buffer: Floats, n: int, q: float) -> None:
 
 @part_of_loop
 def _backward(buffer: Floats, n: int, q: float) -> None:
-    """Smooth: the filtered state of each row gives way to the smoothed one."""
+    """Smooth: the filtered state of each row gives way to the smoothed one.
+
+    With P the filtered covariance, B = F^-1 Q F^-T and P' = F P F' + Q the smoothed one is
+    C + G Ps G', with the gain G and C = (|Q| P + |P| B) / |P'| (two-dimensional matrices only).
+    Both are multiplied out, so that little cancels, and made anew: to lay them beside the states
+    would take longer, since that fills the cache.
+    """
     for step in range(1, n):
         first = (n - step) * _ROW
         rows = buffer[first : first + 2 * _ROW]

@@ -2,18 +2,8 @@
 
 Two constant-velocity models, each with a spectral density of its own; which one holds is a Markov
 chain in continuous time. One cycle is Blom and Bar-Shalom's: mix, predict, update, weigh.
-It equals filterpy's `IMMEstimator` except where that departs from the textbook:
-
-- filterpy works out the mixing weights at the end of ``update``, from the M of that moment: with
-  irregular steps M lags one step behind, unless the caller sets M and calls
-  ``_compute_mixing_probabilities`` before ``predict``. Here M belongs to the step it is used in.
-- Before its first measurement filterpy has already moved the mode probabilities by one M.
-- ``x_prior`` and ``P_prior`` are mixed by the probabilities before the step, not by those
-  predicted to its end.
-- Likelihoods below 1e-308 are raised to it, so that far outliers count the same under every mode;
-  here they are compared as logarithms.
-- ``update(None)`` still weighs the modes, by the likelihood of an innovation of zero. A sample that
-  the gate rejects here leaves the predicted probabilities alone.
+It equals filterpy's `IMMEstimator` except where that departs from the textbook: `docs/kernels.md`
+lists where, and why.
 
 References
 ----------

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from isac_track.kalman.batch import Batch
     from isac_track.types import Floats
 
-_MODELS = {2: "cv_last", 3: "ca_last"}
-"""Loop by the number of states per axis."""
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LastState:
@@ -65,10 +62,11 @@ def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
         If q or the gate is not positive, or for a prior of another number of states.
     """
     d = len(batch.prior_std)
-    if d not in _MODELS:
+    if d not in (2, 3):
         raise ValueError(f"prior_std must have two or three numbers, got {d}")
     out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
-    getattr(import_module("isac_track.kalman._linear_loops"), _MODELS[d])(
+    loops = import_module("isac_track.kalman._linear_loops")
+    (loops.cv_last if d == 2 else loops.ca_last)(  # noqa: PLR2004 - position and velocity
         *(batch.t, batch.xy, batch.variance, batch.offsets, np.square(batch.prior_std)),
         *(positive("q", q), positive("gate", gate, finite=False), MAX_REJECTIONS),
         *(out.mean, out.cov, out.log_likelihood),

@@ -95,9 +95,9 @@ class Person:
         phase = rng.uniform(0, 2 * np.pi, 4)
         return np.sin(2 * np.pi * hz * t[:, None] + phase).mean(axis=1) * 2.0
 
-    def seen(self, rng, *, start_s, length_s, noise_m=0.0, even=False):
+    def seen(self, rng, *, start_s, length_s, noise_m=0.0):
         """(t, xy) at 8 to 16 irregular samples a second."""
-        step = np.full(400, 0.1) if even else rng.uniform(1 / 16, 1 / 8, 400)
+        step = rng.uniform(1 / 16, 1 / 8, 400)
         t = start_s + np.cumsum(step) - step[0]
         t = t[t <= start_s + length_s]
         xy = np.stack([np.interp(t, self.t, axis) for axis in self.xy.T], axis=1)

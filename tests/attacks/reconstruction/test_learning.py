@@ -110,35 +110,25 @@ def test_training_chooses_for_the_walk_and_the_blind_take_the_default(attack):
     assert place(attack().fit(context())) == 1
 
 
-NOT_POSITIVE = (0.0, -1.0, np.nan, np.inf)
+REFUSED = [
+    *((MovingAverage, {"width_s": one}, "width_s must be positive") for one in (0.0, np.nan)),
+    *((Savgol, {"width_s": one}, "width_s must be positive") for one in (-1.0, np.inf)),
+    *((one, {"q": 0.0}, "q must be positive") for one in (KalmanRTS, RadialRTS)),
+    *((ImmRTS, {name: 0.0}, f"{name} must be positive") for name in ("walk_s", "turn_s")),
+    (RadialRTS, {"passes": 0}, "passes must be at least 1"),
+    *((RadialRTS, {"anneal": one}, r"anneal must lie in \[0, 1\)") for one in (1, -0.1, np.nan)),
+    (ImmRTS, {"q": 0.1}, "both q and q_turn"),
+    (ImmRTS, {"q": 0.0, "q_turn": 0.1}, "q must be positive"),
+    (ImmRTS, {"q": 0.1, "q_turn": np.nan}, "q_turn must be positive"),
+    (GaussianProcess, {"length_s": 1.0}, "both length_s and scale_m"),
+    (GaussianProcess, {"length_s": 0.0, "scale_m": 1.0}, "length_s must be positive"),
+    (GaussianProcess, {"length_s": 1.0, "scale_m": np.nan}, "scale_m must be positive"),
+    (GaussianProcess, {"smoothness": "rbf"}, "smoothness must be one of"),
+    (GaussianProcess, {"engine": "gpy"}, "engine must be one of"),
+]
 
 
-@pytest.mark.parametrize(
-    ("attack", "parameters", "message"),
-    [
-        *(
-            (attack, {name: value}, f"{name} must be positive")
-            for attack, name in (
-                *((MovingAverage, "width_s"), (Savgol, "width_s"), (KalmanRTS, "q")),
-                *((RadialRTS, "q"), (ImmRTS, "walk_s"), (ImmRTS, "turn_s")),
-            )
-            for value in NOT_POSITIVE
-        ),
-        (RadialRTS, {"passes": 0}, "passes must be at least 1"),
-        *(
-            (RadialRTS, {"anneal": one}, r"anneal must lie in \[0, 1\)")
-            for one in (1, -0.1, np.nan)
-        ),
-        (ImmRTS, {"q": 0.1}, "both q and q_turn"),
-        (ImmRTS, {"q": 0.0, "q_turn": 0.1}, "q must be positive"),
-        (ImmRTS, {"q": 0.1, "q_turn": np.nan}, "q_turn must be positive"),
-        (GaussianProcess, {"length_s": 1.0}, "both length_s and scale_m"),
-        (GaussianProcess, {"length_s": 0.0, "scale_m": 1.0}, "length_s must be positive"),
-        (GaussianProcess, {"length_s": 1.0, "scale_m": np.nan}, "scale_m must be positive"),
-        (GaussianProcess, {"smoothness": "rbf"}, "smoothness must be one of"),
-        (GaussianProcess, {"engine": "gpy"}, "engine must be one of"),
-    ],
-)
+@pytest.mark.parametrize(("attack", "parameters", "message"), REFUSED)
 def test_impossible_parameters_are_refused(attack, parameters, message):
     with pytest.raises(ValueError, match=message):
         attack(**parameters)

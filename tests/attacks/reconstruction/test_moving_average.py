@@ -13,7 +13,6 @@ from attacks.reconstruction.moving_average import (
     centred_means,
     half_windows,
 )
-from isac_track.rng import stream
 
 
 def by_loop(xy, offsets, half):
@@ -50,21 +49,3 @@ def test_the_window_follows_its_law(bias_order, exponent):
     interval_s = (release.t[last] - release.t[first]) / (last - first)
     wanted_s = 2.0 * (np.sqrt(variance[first]) / REFERENCE_STD_M) ** exponent
     assert (np.abs((2 * half + 1) * interval_s - wanted_s) <= interval_s * (1 + 1e-9)).all()
-
-
-def test_the_best_window_grows_by_the_two_fifths_power():
-    """On a parabola the width of least error, found by trial, follows the stated law."""
-    rng = stream(0, "test", "parabola")
-    t = np.arange(20000) * 0.05
-    truth = np.stack([np.sin(0.6 * t), np.cos(0.6 * t)], axis=1) / 0.6**2  # 1 m/s^2 throughout
-    widths = np.arange(1, 60)
-    best = []
-    for noise_m in (0.05, 0.8):
-        xy = truth + noise_m * rng.standard_normal(truth.shape)
-        offsets = np.array([0, t.size])
-        errors = [
-            np.square(centred_means(xy=xy, offsets=offsets, half=np.array([half])) - truth).mean()
-            for half in widths
-        ]
-        best.append(2 * widths[np.argmin(errors)] + 1)
-    assert np.log(best[1] / best[0]) / np.log(16) == pytest.approx(0.4, abs=0.06)

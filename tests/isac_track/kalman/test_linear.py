@@ -152,18 +152,6 @@ class TestNumerics:
         result = after_every_sample(replace(hard[0], prior_std=VAGUE_STD[:d]), q=hard[1])
         sound(result.mean, result.cov)
 
-    def test_a_thousand_samples_at_a_millisecond_after_one_day(self, d):
-        case = kalman.Batch(
-            t=np.concatenate([[0.0], 86400 + np.arange(1000) * 1e-3]),
-            xy=np.repeat([[0.0, 0.0], [1.0, 1.0]], [1, 1000], axis=0),
-            variance=np.full(1001, 1e-6),
-            offsets=np.array([0, 1001]),
-            prior_std=(1.0, 1.0, 1.0)[:d],
-        )
-        result = after_every_sample(case)
-        sound(result.mean, result.cov)
-        close(result.mean[-1, :, :2], [[1.0, 0.0]] * 2, 0.02)
-
     def test_a_long_likelihood_neither_overflows_nor_underflows(self, d):
         n = 400  # products of innovation variances: 1e4^200, then 1e-6^200
         case = kalman.Batch(

@@ -1,6 +1,5 @@
 """The smoother of positions: against filterpy, fractions, dense solutions, alone."""
 
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -143,14 +142,3 @@ def test_any_noise_and_any_step_give_a_sound_result(
     # A sample's weight is at least 1 / sigma^2 per axis in every pass, 2 / sigma^2 in the first.
     bound = case.variance * (1.0 if passes == 1 else 2.0)
     assert (variance <= bound * (1 + 1e-9)).all()
-
-
-@pytest.mark.parametrize("passes", [1, 5])
-def test_turned_and_shifted_walks_are_turned_and_shifted_alike(passes):
-    case = batch(sizes=SIZES, prior_std=VAGUE)
-    turn = np.array([[np.cos(2.1), -np.sin(2.1)], [np.sin(2.1), np.cos(2.1)]])
-    moved = replace(case, xy=case.xy @ turn.T + [300.0, -70.0])
-    position, variance = kalman.smooth_positions(case, q=Q, passes=passes, anneal=0.15)
-    there, spread = kalman.smooth_positions(moved, q=Q, passes=passes, anneal=0.15)
-    np.testing.assert_allclose(there, position @ turn.T + [300.0, -70.0], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(spread, variance, rtol=1e-9)

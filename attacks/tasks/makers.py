@@ -1,6 +1,6 @@
-"""Tasks in which everybody is in both releases: a closed set.
+"""The sessions of each task: of a closed set, where everybody is in both, and of handovers.
 
-Each raises `DataError` if too few tracks are long enough.
+Each raises `DataError` if too few tracks are long enough, or too few people there.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import numpy as np
 
 from attacks.tasks.build import rows_of
 from attacks.tasks.sessions import N_FOLDS, halves, joined
+from attacks.tasks.task_list import TASKS
+from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
     from attacks.tasks.build import Draft
     from attacks.tasks.sessions import Sessions, Windows
-    from isac_track.types import Floats, Ints
+    from isac_track.types import Bools, Floats, Ints
 
 
 def rerelease(draft: Draft) -> Sessions:
@@ -125,4 +127,81 @@ def _closed(
         searches=("half 1", "half 2"),
         too_short=len(tracks) - long.size,
         not_drawn=long.size - rows.size,
+    )
+
+
+def handover(draft: Draft) -> Sessions:
+    """Return windows before and after each instant at which every pseudonym rotates at once.
+
+    Some people come or go meanwhile. Too few instants are refused, too.
+    """
+    tracks, settings, gap_s = draft.tracks, draft.settings.linkage, draft.task.gap_s
+    least_s, window_s = settings.handover_least_s, settings.handover_window_s
+    # The same instants whatever the gap, so that the gaps can be compared.
+    longest_gap_s = max(task.gap_s for task in TASKS.values())
+    first_s, last_s = float(tracks.t.min()), float(tracks.t.max())
+    count = int((last_s - first_s - longest_gap_s - least_s) / settings.handover_period_s)
+    every_s = settings.handover_period_s * max(1.0, count / settings.handover_instants)
+    at_s = first_s + every_s * np.arange(1.0, min(count, settings.handover_instants) + 1)
+    # Which tracks are there until then, and after the gap, (S, N).
+    from_s, until_s = at_s[:, None], at_s[:, None] + gap_s
+    before = (draft.start_s <= from_s - least_s) & (draft.end_s >= from_s)
+    after = (draft.start_s <= until_s) & (draft.end_s >= until_s + least_s)
+    # Where nobody is to be linked there is nothing to search.
+    used = np.flatnonzero((before & after).any(axis=1))
+    there = (before | after)[used]
+    rows = np.flatnonzero(there.any(axis=0))
+    draft.need_people(rows.size, "people are there when pseudonyms rotate")
+    if used.size < N_FOLDS:
+        raise DataError(
+            f"task {draft.task.name}: pseudonyms rotate {used.size} times with somebody to link, "
+            "but it takes 2; use a longer recording or a shorter linkage.handover_period_s"
+        )
+    labels = [f"{at:g} s" for at in at_s[used]]
+
+    def windows(side: str, present: Bools) -> Windows:
+        """Return those of one side of every rotation, those of each in an order of its own."""
+        # By number among all instants: whatever the gap, the same instant has the same draws.
+        order = [
+            draft.rng("order", side, n).permutation(np.flatnonzero(present[n]))
+            for n in used.tolist()
+        ]
+        row = np.concatenate(order)
+        search = np.repeat(np.arange(used.size), [part.size for part in order])
+        rotates_s = at_s[used][search]
+        if side == "probe":
+            start_s, end_s = np.maximum(draft.start_s[row], rotates_s - window_s), rotates_s
+        else:
+            start_s = rotates_s + gap_s
+            end_s = np.minimum(draft.end_s[row], start_s + window_s)
+        return draft.windows(
+            side,
+            row,
+            start_s=start_s,
+            length_s=end_s - start_s,
+            person=np.searchsorted(rows, row),
+            search=search,
+            keys=[labels[n] for n in search],
+        )
+
+    probe, gallery = windows("probe", before), windows("gallery", after)
+    place = np.full((used.size, rows.size), -1)
+    place[gallery.search, gallery.person] = np.arange(len(gallery))
+    fold = (np.arange(used.size) * N_FOLDS) // used.size
+    # Whoever is seen in the other half alone may teach, company included.
+    group = tuple(tracks.group[row] for row in rows)
+    cluster = np.unique(group, return_inverse=True)[1]
+    seen = np.stack([there[fold == half][:, rows].any(axis=0) for half in range(N_FOLDS)])
+    company = np.stack([np.bincount(cluster, one) > 0 for one in seen])[:, cluster]
+    return draft.sessions(
+        rows,
+        group=group,
+        may_teach=seen[::-1] & ~company,
+        probe=probe,
+        gallery=gallery,
+        mate=place[probe.search, probe.person],
+        fold=fold,
+        searches=tuple(labels),
+        too_short=len(tracks) - rows.size,
+        not_drawn=0,
     )
