@@ -40,12 +40,6 @@ class Heir(Fixed):
 
 
 @dataclass(frozen=True)
-class LaterHeir(Heir):
-    d_sigma: int = 2
-    extra: float | None = None
-
-
-@dataclass(frozen=True)
 class Unknown(Shares):
     width: "Somewhere" = 1  # noqa: F821 - as under TYPE_CHECKING
 
@@ -225,10 +219,6 @@ def test_inherited_parameters_are_read_where_they_are_declared(here):
     plugin = one("mechanisms", f"{here}:Heir:0.5,adding=independent,law=isotropic,extra=3")
     assert plugin.instance == Heir(0.5, adding="independent", law="isotropic", extra=3.0)
     assert one("mechanisms", plugin.spec) == plugin
-    later = one("mechanisms", f"{here}:LaterHeir:3,extra=none,law=none")
-    assert later.instance == LaterHeir(3, extra=None)
-    with pytest.raises(SettingsError, match="d_sigma must be a whole number"):  # its own, now
-        plugins.parse("mechanisms", f"{here}:LaterHeir:0.5")
 
 
 @pytest.mark.parametrize(

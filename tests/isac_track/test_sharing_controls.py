@@ -38,17 +38,14 @@ def many_tracks(law, *, tau_s=TAU_S):
 
 @pytest.mark.parametrize("law", LAWS)
 class TestSlowErrors:
-    def test_fall_off_exponentially_at_any_instants(self, law):
+    def test_fall_off_exponentially_at_any_instants_and_end_with_the_track(self, law):
         errors = many_tracks(law)
         for k in range(INSTANTS_S.size):
             for later in range(k, INSTANTS_S.size):
                 product = (errors[:, k] * errors[:, later]).sum(axis=1) / SQUARE[law]
                 expected = exp(-(INSTANTS_S[later] - INSTANTS_S[k]) / TAU_S)
                 assert abs(product.mean() - expected) < 5 * product.std() / sqrt(N_TRACKS)
-
-    def test_are_unrelated_from_track_to_track(self, law):
-        errors = many_tracks(law)
-        product = (errors[:-1, -1] * errors[1:, 0]).sum(axis=1)
+        product = (errors[:-1, -1] * errors[1:, 0]).sum(axis=1)  # of one track with the next
         assert abs(product.mean()) < 5 * product.std() / sqrt(N_TRACKS)
 
     def test_have_the_law_of_the_sensing_error_from_the_first_sample_to_the_last(self, law):
@@ -159,30 +156,17 @@ class TestOffset:
 
 class TestThin:
     @pytest.mark.parametrize("adding", ADDING)
-    @pytest.mark.parametrize("d_sigma", [0.0, 0.75])
-    def test_of_every_sample_is_fixed_sample_by_sample(self, adding, d_sigma):
-        batch = sensed()
-        one = Thin(1, adding, d_sigma).share(batch, rng())
-        fixed = Fixed(d_sigma, adding).share(batch, rng())
-        for name in ("t", "xy", "sigma", "offsets"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(fixed, name))
-
-    @pytest.mark.parametrize("adding", ADDING)
-    def test_keeps_every_third_counted_back_from_the_last(self, adding):
+    @pytest.mark.parametrize(
+        ("every", "kept"), [(1, range(16)), (3, [1, 4, 5, 6, 9, 12, 15]), (1000, [4, 5, 12, 15])]
+    )
+    def test_keeps_of_fixed_what_is_counted_back_from_the_last(self, adding, every, kept):
         batch = sensed(sizes=(5, 1, 7, 3))
-        by_hand = [1, 4, 5, 6, 9, 12, 15]
-        thin = Thin(3, adding, 0.75).share(batch, rng())
+        thin = Thin(every, adding, 0.75).share(batch, rng())
         fixed = Fixed(0.75, adding).share(batch, rng())
-        assert thin.offsets.tolist() == [0, 2, 3, 6, 7]
+        assert thin.offsets.tolist() == np.searchsorted(kept, batch.offsets).tolist()
+        assert thin.pseudonym == fixed.pseudonym
         for name in ("t", "xy", "sigma"):
-            np.testing.assert_array_equal(getattr(thin, name), getattr(fixed, name)[by_hand])
-
-    def test_leaves_the_last_sample_of_each_track_at_least(self):
-        batch = sensed(sizes=(5, 1, 7))
-        thin = Thin(1000).share(batch, rng())
-        np.testing.assert_array_equal(thin.t, batch.t[[4, 5, 12]])
-        np.testing.assert_array_equal(thin.xy, batch.xy[[4, 5, 12]])
-        assert len(set(thin.pseudonym)) == 3
+            np.testing.assert_array_equal(getattr(thin, name), getattr(fixed, name)[list(kept)])
 
 
 @pytest.mark.parametrize(
