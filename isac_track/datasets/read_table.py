@@ -100,7 +100,9 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
     try:
         used = [name for name in names if name in _USED]
         # Each text once: a long one that stands in every row would not fit into the memory.
-        file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=used)
+        kinds = {pa.string(), pa.large_string()}
+        texts = [name for name in used if file.schema_arrow.field(name).type in kinds]
+        file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=texts)
         table = file.read(columns=used, use_threads=False)
         columns = {name: table[name] for name in table.column_names}
         del table
