@@ -159,7 +159,7 @@ def main() -> None:
     columns = {}
     for name in COLUMNS:
         known = registry.known(name)
-        if known.simulated or not registry.missing(known, registry.locate(known)):
+        if not registry.locate(known)[1]:
             columns[name] = statistics(load(name).tracks)
         else:
             print(f"{name}: not found, left out")

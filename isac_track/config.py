@@ -12,15 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from numbers import Integral, Real
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Literal,
-    TypeVar,
-    dataclass_transform,
-    get_args,
-    get_type_hints,
-)
+from typing import TYPE_CHECKING, Any, Literal, dataclass_transform, get_args, get_type_hints
 
 from isac_track.errors import SettingsError, did_you_mean, quoted
 
@@ -28,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _types_of = cache(get_type_hints)
-_Stage = TypeVar("_Stage")
 
 
 def _number(default: float, low: float, high: float, *, is_open: bool = False) -> Any:  # noqa: ANN401 - a field of any type of number
@@ -71,9 +62,9 @@ _ORDERED = {
 
 
 @dataclass_transform(frozen_default=True)
-def _stage(cls: type[_Stage]) -> type[_Stage]:
+def _stage(cls: Any) -> Any:  # noqa: ANN401 - a class, as it stands below
     """Make a frozen dataclass that checks its fields."""
-    cls.__post_init__ = _check_fields  # type: ignore[attr-defined]  # what dataclass calls
+    cls.__post_init__ = _check_fields
     return dataclass(frozen=True, slots=True)(cls)
 
 

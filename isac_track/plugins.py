@@ -13,30 +13,16 @@ import importlib
 import math
 import sys
 import types
+import typing
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Literal,
-    TypeAlias,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, Union
 
+from isac_track import errors
 from isac_track.command_line import may_be_ctrl_c
-from isac_track.errors import (
-    IsacTrackError,
-    PluginError,
-    SettingsError,
-    did_you_mean,
-    quoted,
-    told,
-)
+from isac_track.errors import IsacTrackError, PluginError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -143,7 +129,9 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
         given: dict[str, Any] = {}
         for key, text in options.items():
             if key not in hints:
-                raise SettingsError(f"{name} has no parameter {quoted(key)}{_nearest(key, hints)}")
+                raise SettingsError(
+                    f"{name} has no parameter {errors.quoted(key)}{_nearest(key, hints)}"
+                )
             given[key] = _read(text, hints[key], key)
         changes = [given]
         if value is not None:
@@ -177,7 +165,7 @@ def _naming(spec: str) -> Iterator[None]:
         yield
     except IsacTrackError as error:
         kind = PluginError if isinstance(error, PluginError) else SettingsError
-        raise kind(f"{quoted(spec)}: {error}") from error.__cause__
+        raise kind(f"{errors.quoted(spec)}: {error}") from error.__cause__
 
 
 def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
@@ -204,7 +192,7 @@ def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
             elif not equals and position == 0 and key:
                 value = key
             else:
-                raise SettingsError(f"{quoted(part)} is not key=value")
+                raise SettingsError(f"{errors.quoted(part)} is not key=value")
     return name, value, options
 
 
@@ -214,7 +202,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     origin = name if ":" in name else known.get(name)
     singular, method = _SINGULAR_AND_METHOD[kind]
     if origin is None:
-        raise SettingsError(f"unknown {singular} {quoted(name)}{_nearest(name, known)}")
+        raise SettingsError(f"unknown {singular} {errors.quoted(name)}{_nearest(name, known)}")
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
@@ -222,7 +210,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
         raise PluginError(
-            f"{singular} {name!r} cannot be loaded from {origin}: {told(error)}"
+            f"{singular} {name!r} cannot be loaded from {origin}: {errors.told(error)}"
         ) from error
     declared = getattr(cls, "__dataclass_params__", None)
     if not (isinstance(cls, type) and declared and declared.frozen):
@@ -242,14 +230,14 @@ def _hints(cls: type, origin: str) -> dict[str, Any]:
     for item in _parameters(cls):
         holder = type("Parameter", (), {"__annotations__": {item.name: item.type}})
         try:
-            hints |= get_type_hints(holder, globalns=known)
+            hints |= typing.get_type_hints(holder, globalns=known)
         except NameError as error:
             raise PluginError(
                 f"{origin}: {error}; a parameter's type must be imported at run time, "
                 "not under TYPE_CHECKING"
             ) from error
         except Exception as error:  # an annotation is code
-            raise PluginError(f"{origin}: the type of {item.name}: {told(error)}") from error
+            raise PluginError(f"{origin}: the type of {item.name}: {errors.told(error)}") from error
     return hints
 
 
@@ -259,21 +247,21 @@ def _parameters(cls: type) -> list[dataclasses.Field[Any]]:
 
 def _read(text: str, annotation: Any, key: str) -> Any:  # noqa: ANN401 - as annotated
     """Return what text stands for as a parameter of this type."""
-    if get_origin(annotation) in (Union, types.UnionType):
-        kinds = [kind for kind in get_args(annotation) if kind is not type(None)]
-        if text.lower() == "none" and type(None) in get_args(annotation):
+    if typing.get_origin(annotation) in (Union, types.UnionType):
+        kinds = [kind for kind in typing.get_args(annotation) if kind is not type(None)]
+        if text.lower() == "none" and type(None) in typing.get_args(annotation):
             return None
         for kind in kinds[:-1]:
             with contextlib.suppress(IsacTrackError):
                 return _read(text, kind, key)
         return _read(text, kinds[-1], key)
-    if annotation is bool or get_origin(annotation) is Literal:
-        choices = (True, False) if annotation is bool else get_args(annotation)
+    if annotation is bool or typing.get_origin(annotation) is Literal:
+        choices = (True, False) if annotation is bool else typing.get_args(annotation)
         for choice in choices:
             if text.lower() == str(choice).lower():
                 return choice
         known = ", ".join(map(str, choices)).lower()
-        raise SettingsError(f"{key} must be one of {known}, got {quoted(text)}")
+        raise SettingsError(f"{key} must be one of {known}, got {errors.quoted(text)}")
     if annotation is str:
         return text
     if annotation in (int, float):
@@ -286,11 +274,11 @@ def _read_number(text: str, kind: type[int | float], key: str) -> float:
         number = kind(text)
     except ValueError:
         noun = "a whole number" if kind is int else "a number"
-        raise SettingsError(f"{key} must be {noun}, got {quoted(text)}") from None
+        raise SettingsError(f"{key} must be {noun}, got {errors.quoted(text)}") from None
     if kind is int and abs(number) >= _WHOLE_LIMIT:
-        raise SettingsError(f"{key} must have at most 12 digits, got {quoted(text)}")
+        raise SettingsError(f"{key} must have at most 12 digits, got {errors.quoted(text)}")
     if not math.isfinite(number):
-        raise SettingsError(f"{key} must be finite, got {quoted(text)}")
+        raise SettingsError(f"{key} must be finite, got {errors.quoted(text)}")
     # The 12 digits that names show: what two spellings share is one level, not two.
     return number if kind is int else float(f"{number:.12g}")
 
@@ -303,7 +291,7 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
         count = int(count_text)
     except ValueError:
         usage = "a sweep is LOW..HIGH/COUNT, as in fid:1..1000/10"
-        raise SettingsError(f"{usage}, got {quoted(value)}") from None
+        raise SettingsError(f"{usage}, got {errors.quoted(value)}") from None
     if count > _MOST_LEVELS:
         raise SettingsError(f"a sweep has at most {_MOST_LEVELS} levels, got {count}")
     if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004
@@ -341,7 +329,7 @@ def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  #
     except IsacTrackError:
         raise
     except ValueError as error:
-        raise SettingsError(told(error).removeprefix("ValueError: ")) from None
+        raise SettingsError(errors.told(error).removeprefix("ValueError: ")) from None
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
@@ -356,7 +344,7 @@ def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  #
             raise SettingsError(
                 f"{name} needs a value for {', '.join(needed)}, {example}"
             ) from None
-        why = f"{told(error)}; a plug-in refuses a value by a ValueError"
+        why = f"{errors.told(error)}; a plug-in refuses a value by a ValueError"
         raise PluginError(f"{origin} cannot be made: {why}") from error
 
 
@@ -369,12 +357,12 @@ def _check_declared(kind: Kind, instance: object, origin: str) -> str:
         try:
             return getattr(instance, attribute, default)
         except Exception as error:  # it may be a property
-            raise PluginError(f"{origin}.{attribute}: {told(error)}") from error
+            raise PluginError(f"{origin}.{attribute}: {errors.told(error)}") from error
 
     if kind == "mechanisms":
         # A rule for an error that is not there is none.
         adding = declared("adding") if declared("adds_error", default=True) else ""
-        return adding if isinstance(adding, str) and adding in get_args(Adding) else ""
+        return adding if isinstance(adding, str) and adding in typing.get_args(Adding) else ""
     for attribute in ("requires", "uses") if kind == "attacks" else ("requires",):
         needs = declared(attribute)
         if not isinstance(needs, frozenset) or not all(isinstance(one, Knowledge) for one in needs):
@@ -401,4 +389,4 @@ def _text(value: object) -> str:
 
 def _nearest(name: str, known: Collection[str]) -> str:
     listed = f"; known: {', '.join(sorted(known))}" if known else "; it has none"
-    return did_you_mean(name, known, quote="'") or listed
+    return errors.did_you_mean(name, known, quote="'") or listed

@@ -126,8 +126,6 @@ class Fixed:
     law: ErrorLaw | None = None
     """Law of the added error; None: that of the raw error."""
 
-    sweep: ClassVar[str] = "linear"
-
     def __post_init__(self) -> None:
         check_at_least("d_sigma", self.d_sigma, 0, " m")
 

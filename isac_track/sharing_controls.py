@@ -92,7 +92,6 @@ class Correlated:
     """Time over which the error's correlation falls to 1/e, s."""
     adding: Adding = "linear"
 
-    sweep: ClassVar[str] = "linear"
     errors_are_independent: ClassVar[bool] = False
     """From sample to sample: without that the linear benchmark does not hold."""
 
@@ -126,7 +125,6 @@ class Offset:
     distance: float
     """m"""
 
-    sweep: ClassVar[str] = "linear"
     adds_error: ClassVar[bool] = False
     errors_are_independent: ClassVar[bool] = False
 
@@ -154,8 +152,6 @@ class Thin:
     adding: Adding = "linear"
     d_sigma: float = 0.0
     """m"""
-
-    sweep: ClassVar[str] = "linear"
 
     def __post_init__(self) -> None:
         check_at_least("every", self.every, 1)

@@ -7,16 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from isac_track import datasets
 from isac_track.command_line import DONE, WRONG, Parser, exit_code
-from isac_track.datasets import (
-    FROZEN_SHARE,
-    SLOW_MPS,
-    load,
-    n_lasting,
-    registry,
-    still_share,
-    summarise,
-)
+from isac_track.datasets import registry
 from isac_track.datasets.recording import listed
 from isac_track.datasets.registry import KNOWN, shown
 from isac_track.errors import IsacTrackError
@@ -30,6 +23,7 @@ if TYPE_CHECKING:
 
 _LONG_S = (12.0, 21.6)
 """Durations of interest: 21.6 s are the tracks that scenes are made of."""
+_FROZEN = f"{datasets.FROZEN_SHARE:.0%}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,15 +82,15 @@ def _list(_: argparse.Namespace) -> int:
         where = f"not here; `python -m isac_track.datasets fetch {data_set.name}`"
         try:
             if not registry.locate(data_set)[1]:
-                found = load(data_set.name, download=False)
-                summary = summarise(found.tracks)
+                found = datasets.load(data_set.name, download=False)
+                summary = datasets.summarise(found.tracks)
                 where = found.path
                 cells = [
                     f"{len(summary)}",
-                    *(f"{n_lasting(summary, duration_s)}" for duration_s in _LONG_S),
+                    *(f"{datasets.n_lasting(summary, duration_s)}" for duration_s in _LONG_S),
                     f"{summary.duration_s.median():.1f}",
                     f"{summary.speed_mean_mps.median():.2f}",
-                    f"{still_share(summary):.1%}",
+                    f"{datasets.still_share(summary):.1%}",
                     f"{summary.frozen.sum()}",
                 ]
         except IsacTrackError as error:
@@ -109,17 +103,17 @@ def _list(_: argparse.Namespace) -> int:
     console.print("", *notes, registry.searched(), sep="\n")
     console.print(
         f"m/s: median of the tracks' mean speeds. zero: share of steps of exactly no "
-        f"length. frozen: tracks with at least {FROZEN_SHARE:.0%} such steps.",
+        f"length. frozen: tracks with at least {_FROZEN} such steps.",
         soft_wrap=False,
     )
     return status
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    found = load(arguments.name, format=arguments.format, fps=arguments.fps)
-    tracks, summary = found.tracks, summarise(found.tracks)
+    found = datasets.load(arguments.name, format=arguments.format, fps=arguments.fps)
+    tracks, summary = found.tracks, datasets.summarise(found.tracks)
     frozen = [tracks.source[row] for row in np.flatnonzero(summary.frozen)]
-    lasting = (f"{n_lasting(summary, one_s)} of at least {one_s:g} s" for one_s in _LONG_S)
+    lasting = (f"{datasets.n_lasting(summary, one_s)} of at least {one_s:g} s" for one_s in _LONG_S)
     facts = {
         "name": found.name + (" (simulated)" if found.simulated else ""),
         "path": found.path,
@@ -127,8 +121,8 @@ def _show(arguments: argparse.Namespace) -> int:
         "sha256": found.sha256,
         "tracks": f"{len(tracks)} in {len(set(tracks.group))} groups, {tracks.t.size} samples",
         "long tracks": ", ".join(lasting),
-        "zero steps": f"{still_share(summary):.1%} of all steps have exactly no length",
-        "frozen": f"{len(frozen)} tracks with at least {FROZEN_SHARE:.0%} steps of no length"
+        "zero steps": f"{datasets.still_share(summary):.1%} of all steps have exactly no length",
+        "frozen": f"{len(frozen)} tracks with at least {_FROZEN} steps of no length"
         + (f": {listed(frozen)}" if frozen else ""),
         "repairs": f"{len(found.repairs)} kind(s), see below" if found.repairs else "none",
         "credit": found.citation,
@@ -139,7 +133,7 @@ def _show(arguments: argparse.Namespace) -> int:
         ("duration, s", "duration_s", ".2f"),
         ("mean speed, m/s", "speed_mean_mps", ".2f"),
         ("sd of step speed, m/s", "speed_sd_mps", ".2f"),
-        (f"steps below {SLOW_MPS:g} m/s", "slow_share", ".1%"),
+        (f"steps below {datasets.SLOW_MPS:g} m/s", "slow_share", ".1%"),
         ("steps of no length", "still_share", ".1%"),
     ):
         quantiles = summary[column].quantile([0.0, 0.05, 0.5, 0.95, 1.0])

@@ -84,8 +84,7 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
         raise DataError(f"{path}: the file is empty")
     try:
         file = parquet.ParquetFile(pa.BufferReader(data))
-        schema, metadata = file.schema_arrow, file.metadata
-        names = tuple(schema.names)
+        metadata, names = file.metadata, tuple(file.schema_arrow.names)
         groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
         n_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
         unpacked_bytes = sum(group.total_byte_size for group in groups)
@@ -99,11 +98,10 @@ def read_parquet(*, data: bytes, path: str) -> Rows:
             f"{path}: {unpacked_bytes} bytes when unpacked, over {_MOST_UNPACKING} times its size"
         )
     try:
-        # Each text once: a long one that stands in every row would not fit into the memory.
         used = [name for name in names if name in _USED]
-        texts = [
-            name for name in used if schema.field(name).type in {pa.string(), pa.large_string()}
-        ]
+        # Each text once: a long one that stands in every row would not fit into the memory.
+        kinds = {pa.string(), pa.large_string()}
+        texts = [name for name in used if file.schema_arrow.field(name).type in kinds]
         file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=texts)
         table = file.read(columns=used, use_threads=False)
         columns = {name: table[name] for name in table.column_names}

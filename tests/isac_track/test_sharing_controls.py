@@ -38,17 +38,14 @@ def many_tracks(law, *, tau_s=TAU_S):
 
 @pytest.mark.parametrize("law", LAWS)
 class TestSlowErrors:
-    def test_fall_off_exponentially_at_any_instants(self, law):
+    def test_fall_off_exponentially_at_any_instants_and_end_with_the_track(self, law):
         errors = many_tracks(law)
         for k in range(INSTANTS_S.size):
             for later in range(k, INSTANTS_S.size):
                 product = (errors[:, k] * errors[:, later]).sum(axis=1) / SQUARE[law]
                 expected = exp(-(INSTANTS_S[later] - INSTANTS_S[k]) / TAU_S)
                 assert abs(product.mean() - expected) < 5 * product.std() / sqrt(N_TRACKS)
-
-    def test_are_unrelated_from_track_to_track(self, law):
-        errors = many_tracks(law)
-        product = (errors[:-1, -1] * errors[1:, 0]).sum(axis=1)
+        product = (errors[:-1, -1] * errors[1:, 0]).sum(axis=1)  # of one track with the next
         assert abs(product.mean()) < 5 * product.std() / sqrt(N_TRACKS)
 
     def test_have_the_law_of_the_sensing_error_from_the_first_sample_to_the_last(self, law):
@@ -94,9 +91,9 @@ class TestSlowErrors:
         assert nothing.shape == (0, 2)
 
 
-def slow_errors(batch, law="radial"):
+def slow_errors(batch, law="radial", tau_s=TAU_S):
     """The errors that a mechanism draws for a batch."""
-    return correlated_errors(t=batch.t, offsets=batch.offsets, law=law, tau_s=TAU_S, rng=rng())
+    return correlated_errors(t=batch.t, offsets=batch.offsets, law=law, tau_s=tau_s, rng=rng())
 
 
 def test_an_unknown_law_is_refused():
@@ -118,36 +115,23 @@ class TestCorrelated:
         unit = error_of(Correlated(0.75).share(batch, rng()), batch) / 1.15
         np.testing.assert_allclose(unit, slow_errors(batch), rtol=0, atol=1e-12)
 
-    @pytest.mark.parametrize("level", [0.2, 1.0])
-    def test_independent_leaves_the_raw_error_and_adds_to_it(self, level):
+    @pytest.mark.parametrize(("level", "tau_s"), [(0.2, 2.0), (1.0, 50.0)])
+    def test_independent_leaves_the_raw_error_and_adds_to_it(self, level, tau_s):
         batch = sensed()
-        added = Correlated(level, adding="independent").share(batch, rng()).xy - batch.xy
-        np.testing.assert_allclose(added, level * slow_errors(batch), rtol=0, atol=1e-12)
-
-    def test_the_time_constant_matters(self):
-        batch = sensed(sizes=(200,), sigma_raw=0.4)
-        steps = [
-            np.abs(np.diff(Correlated(1.0, tau_s).share(batch, rng()).xy - batch.xy, axis=0)).mean()
-            for tau_s in (0.1, 50.0)
-        ]
-        assert steps[0] > steps[1]
+        added = Correlated(level, tau_s, "independent").share(batch, rng()).xy - batch.xy
+        expected = level * slow_errors(batch, tau_s=tau_s)
+        np.testing.assert_allclose(added, expected, rtol=0, atol=1e-12)
 
 
 class TestOffset:
-    SIZES = (7, 1, 30)
-
-    def test_moves_each_track_as_a_whole(self):
-        batch = sensed(sizes=self.SIZES)
+    def test_moves_each_track_as_a_whole_in_any_direction_alike(self):
+        batch = sensed(sizes=(7, 1, 30) * 1000)
         moved = Offset(0.4).share(batch, rng()).xy - batch.xy
-        for lo, hi in pairwise(batch.offsets):
-            np.testing.assert_allclose(moved[lo:hi], moved[[lo] * (hi - lo)], rtol=0, atol=1e-12)
+        each = moved[batch.offsets[:-1]]
+        repeated = np.repeat(each, np.diff(batch.offsets), axis=0)
+        np.testing.assert_allclose(moved, repeated, rtol=0, atol=1e-12)
         np.testing.assert_allclose(np.hypot(*moved.T), 0.4, rtol=0, atol=1e-12)
-        assert len(np.unique(moved[batch.offsets[:-1]].round(6), axis=0)) == len(self.SIZES)
-
-    def test_in_any_direction_alike(self):
-        batch = sensed(sizes=(1,) * 4000)
-        moved = Offset(2.0).share(batch, rng()).xy - batch.xy
-        angle = np.arctan2(moved[:, 1], moved[:, 0])
+        angle = np.arctan2(each[:, 1], each[:, 0])
         assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
 
     def test_levels_share_their_directions_and_declare_the_raw_uncertainty(self):
@@ -159,30 +143,17 @@ class TestOffset:
 
 class TestThin:
     @pytest.mark.parametrize("adding", ADDING)
-    @pytest.mark.parametrize("d_sigma", [0.0, 0.75])
-    def test_of_every_sample_is_fixed_sample_by_sample(self, adding, d_sigma):
-        batch = sensed()
-        one = Thin(1, adding, d_sigma).share(batch, rng())
-        fixed = Fixed(d_sigma, adding).share(batch, rng())
-        for name in ("t", "xy", "sigma", "offsets"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(fixed, name))
-
-    @pytest.mark.parametrize("adding", ADDING)
-    def test_keeps_every_third_counted_back_from_the_last(self, adding):
+    @pytest.mark.parametrize(
+        ("every", "kept"), [(1, range(16)), (3, [1, 4, 5, 6, 9, 12, 15]), (1000, [4, 5, 12, 15])]
+    )
+    def test_keeps_of_fixed_what_is_counted_back_from_the_last(self, adding, every, kept):
         batch = sensed(sizes=(5, 1, 7, 3))
-        by_hand = [1, 4, 5, 6, 9, 12, 15]
-        thin = Thin(3, adding, 0.75).share(batch, rng())
+        thin = Thin(every, adding, 0.75).share(batch, rng())
         fixed = Fixed(0.75, adding).share(batch, rng())
-        assert thin.offsets.tolist() == [0, 2, 3, 6, 7]
+        assert thin.offsets.tolist() == np.searchsorted(kept, batch.offsets).tolist()
+        assert thin.pseudonym == fixed.pseudonym
         for name in ("t", "xy", "sigma"):
-            np.testing.assert_array_equal(getattr(thin, name), getattr(fixed, name)[by_hand])
-
-    def test_leaves_the_last_sample_of_each_track_at_least(self):
-        batch = sensed(sizes=(5, 1, 7))
-        thin = Thin(1000).share(batch, rng())
-        np.testing.assert_array_equal(thin.t, batch.t[[4, 5, 12]])
-        np.testing.assert_array_equal(thin.xy, batch.xy[[4, 5, 12]])
-        assert len(set(thin.pseudonym)) == 3
+            np.testing.assert_array_equal(getattr(thin, name), getattr(fixed, name)[list(kept)])
 
 
 @pytest.mark.parametrize(

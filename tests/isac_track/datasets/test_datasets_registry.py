@@ -112,13 +112,10 @@ def test_what_is_neither_a_name_nor_a_file(empty_machine, name, message, tmp_pat
         load(name)
 
 
-@pytest.mark.parametrize("name", [None, "plaza", "students03"])
-def test_a_known_data_set_takes_no_format(name, empty_machine):
-    with pytest.raises(DataError, match=r"leave --format and --fps out"):
-        load(name, fps=25)
-
-
-def test_named_but_not_here_and_not_to_be_downloaded(mirror):
+def test_a_known_data_set_takes_no_format_and_is_only_downloaded_if_it_may_be(mirror):
+    for name in (None, "plaza", "students03"):
+        with pytest.raises(DataError, match=r"leave --format and --fps out"):
+            load(name, fps=25)
     with pytest.raises(DataError, match=r"zara01: obsmat.txt not found .*fetch zara01"):
         load("zara01", download=False)
     assert mirror.asked == []
