@@ -315,6 +315,6 @@ def _headline_words(run: Results) -> str:
     parts = []
     for scheme in known:
         ends = {line.label: scheme.ends(line.rows, rule, EXPOSURE) for line in lines}
-        said = [f"{label} {text}" for label, text in ends.items() if text]
-        parts += [f"{scheme.title}: {'; '.join(said)}."] if said else []
+        said = "; ".join(f"{label} {text}" for label, text in ends.items() if text)
+        parts += [f"{scheme.title}: {said}."] if said else []
     return f"Lines over the level, {rule} adding. {' '.join(parts)}"
