@@ -1,6 +1,7 @@
 """Figures of a run, drawn, and what every one must keep to."""
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 
 from evaluation.reporting.figures.drawing import figures_of
 from evaluation.reporting.figures.style import style
@@ -54,7 +55,8 @@ def described(figure):
                 lines.append(f"  {look}: {data}")
         for one in ax.collections:
             ends = one.get_datalim(ax.transData).extents
-            lines.append(f"  {type(one).__name__}: {' '.join(f'{end:.4g}' for end in ends)}")
+            kind = "bars" if isinstance(one, LineCollection) else "band"
+            lines.append(f"  {kind}: {' '.join(f'{end:.4g}' for end in ends)}")
         lines += [f"  text {text.get_text()!r}" for text in ax.texts]
         for image in ax.images:
             lines.append(f"  heads {[text.get_text() for text in ax.get_xticklabels()]}")

@@ -25,7 +25,6 @@ from evaluation.reporting.rows import compared_levels, schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
 BOTH = levels(swept=SWEPT)
-PANELS = ["fid", f"fid{INDEPENDENT}", "fixed", f"fixed{INDEPENDENT}"]
 LINEAR = levels(swept=SWEPT, rules=("",), others=[])
 STRANGERS = [
     *levels(swept=SWEPT, rules=("",), others=[]),
