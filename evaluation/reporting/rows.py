@@ -65,8 +65,7 @@ class Results:
     @cached_property
     def dataset(self) -> str:
         """Name of the data set."""
-        name: str = self.manifest["dataset"]["name"]
-        return name
+        return str(self.manifest["dataset"]["name"])
 
     @cached_property
     def ours(self) -> pd.DataFrame:

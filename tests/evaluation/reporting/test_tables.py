@@ -18,6 +18,7 @@ from helpers.finished_runs import (
     make_summary,
     rows_where,
 )
+from helpers.pages import assert_as_approved
 from rich.console import Console
 
 from evaluation.analysis.families import families_in
@@ -71,7 +72,6 @@ def ranks(frame=None, people=MappingProxyType({})):
 
 
 def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(tmp_path):
-    """Of a change that is meant, `shown.txt` is written anew from `text`, and read."""
     run = everything()
     tables.write_tex(run, folder=tmp_path)
     found = tables.page_tables(run)
@@ -80,7 +80,7 @@ def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(
     parts += [(tmp_path / f"{name}.tex").read_text("utf-8") for name in ("linkability", "verdict")]
     parts += [f"{one.name}: {one.words(run)}\n" for one in figures_of(run)]
     text = "\n".join(parts)
-    assert text == Path(__file__).with_name("shown.txt").read_text(encoding="utf-8")
+    assert_as_approved(text, Path(__file__).with_name("shown.txt"))
 
 
 class TestTheTerminal:

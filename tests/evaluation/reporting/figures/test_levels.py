@@ -17,6 +17,7 @@ from helpers.finished_runs import (
     make_run,
     make_summary,
 )
+from helpers.pages import assert_as_approved
 
 from evaluation.analysis import matching
 from evaluation.reporting.figures import style as figure_style
@@ -67,11 +68,10 @@ def lines_of(ax, linestyle=None):
 
 
 def test_what_is_drawn_of_a_run_is_what_was_read_and_approved():
-    """Of a change that is meant, `drawn.txt` is written anew from `text`, and read."""
     run = everything()
     drawn = {one.name: draw(run, one.name) for one in figures_of(run)}
     text = "\n".join(f"{name}: {described(one)}" for name, one in drawn.items() if one)
-    assert text == Path(__file__).with_name("drawn.txt").read_text(encoding="utf-8")
+    assert_as_approved(text, Path(__file__).with_name("drawn.txt"))
 
 
 class TestEveryFigure:
