@@ -18,7 +18,6 @@ from helpers.finished_runs import (
 from evaluation.reporting.figures.drawing import draw_all, figures_of
 
 LEVELS = levels(swept=(("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0))), others=[])
-STRANGERS = [*levels(), *[("ou", at) for at in (0.2, 0.4, 0.8)]]
 ATTACKS = {"shape@radial_rts": 0.6, "shape": 0.5, "histogram": 0.3}
 TASKS = {
     "rerelease": ATTACKS,
@@ -180,10 +179,6 @@ def heat(frame=None, at=None):
     run = make_run(at=at, linkability=make_linkability(at) if frame is None else frame)
     (words,) = [one.words(run) for one in figures_of(run) if one.name == "heat_map-rerelease"]
     return draw(run, "heat_map-rerelease"), words
-
-
-def heads(ax):
-    return [label.get_text() for label in ax.get_xticklabels()]
 
 
 def n_printed(ax):
