@@ -248,8 +248,7 @@ def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
         label = f"{of.label}, a reference"
         lines[of] = Line(label, look, of_source(rows, of), apart=_ORACLE)
     if AS_SHARED in lines:
-        as_shared = {"label": "as shared", "is_raw_across": True}
-        lines[AS_SHARED] = replace(lines[AS_SHARED], **as_shared)
+        lines[AS_SHARED] = replace(lines[AS_SHARED], label="as shared", is_raw_across=True)
     return lines
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import cycle, repeat, zip_longest
+from itertools import cycle, zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -225,7 +225,7 @@ def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
     if not rules:
         return None
     controls = dict.fromkeys(one.family for one in families_in(points).values() if is_control(one))
-    marks = map(Look, cycle(_COLOURS), cycle(_MARKERS), repeat(""))
+    marks = (Look(*mark, "") for mark in zip(cycle(_COLOURS), cycle(_MARKERS), strict=False))
     looks = dict(zip(controls, marks, strict=False))
     figure, panels = style.panels(
         *(len(rules), len(DESCRIPTORS)),
