@@ -225,28 +225,27 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
         aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
         columns = [
             decided("decision"),
-            said("what it says", _sentence),
+            said("what it says"),
             _EFFECT,
             said("adding"),
-            *(said(key, partial(_aspect, key)) for key in aspects),
+            *map(said, aspects),
             said("about", "subject"),
             counted("people", "", "n", digits=0),
         ]
-        found[section] = built(f"verdict-{section}", section.capitalize(), of, columns)
+        records = map(_told, of)
+        found[section] = built(f"verdict-{section}", section.capitalize(), records, columns)
     return found
 
 
 def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
     """Return the contrasts with the dissociation controls that validity rests on."""
     records = [
-        {**item, **contrast, "subject": contrast.get("subject") or item["subject"]}
+        {**_told(item), **contrast, "subject": contrast.get("subject") or item["subject"]}
         for item in items
         for contrast in item.get("contrasts") or ()
     ]
     columns = [
-        said("adding"),
-        said("descriptor", partial(_aspect, "descriptor")),
-        said("task"),
+        *map(said, ("adding", "descriptor", "task")),
         said("attack", "subject"),
         said("against", "mechanism"),
         Column("level", lambda row: level(row["level"])),
@@ -278,13 +277,12 @@ def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:
     return (one["adding"], name), one["task"]
 
 
-def _sentence(item: Mapping[str, Any]) -> str:
-    why = item.get("why_undecided")
-    return f"{item['sentence']} Undecided: {why.rstrip('.')}." if why else str(item["sentence"])
-
-
-def _aspect(key: str, item: Mapping[str, Any]) -> str:
-    value: str = item[key]
-    if key == "criterion":
-        return CRITERIA.get(value, value)
-    return METRICS[value].head if key == "descriptor" and value in METRICS else value
+def _told(item: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an item with what it says in one sentence, and what it is about as over a column."""
+    why, descriptor = item.get("why_undecided"), item["descriptor"]
+    return {
+        **item,
+        "what it says": item["sentence"] + (f" Undecided: {why.rstrip('.')}." if why else ""),
+        "descriptor": METRICS[descriptor].head if descriptor in METRICS else descriptor,
+        "criterion": CRITERIA.get(item["criterion"], item["criterion"]),
+    }

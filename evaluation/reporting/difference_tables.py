@@ -88,7 +88,11 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         yield f"{name}: {text}", "bold"
     yield ""
     changed = [
-        [f"{kind}:", name, " -> ".join(map(_value, pair))]
+        [
+            f"{kind}:",
+            name,
+            " -> ".join("-" if one is None else shortened(str(one), room=_ROOM) for one in pair),
+        ]
         for kind, values in comparison.changed.items()
         for name, pair in values.items()
     ]
@@ -173,7 +177,3 @@ def _heading(row: Mapping[Any, Any], *, room: int) -> str:
 def _apart(row: Mapping[Any, Any]) -> bool:
     """Return whether the two levels are not the same."""
     return level_text(row["level_a"]) != level_text(row["level_b"])
-
-
-def _value(value: object) -> str:
-    return "-" if value is None else shortened(str(value), room=_ROOM)

@@ -76,8 +76,7 @@ def latex(tables: Iterable[Table]) -> str:
 def _pages(table: Table) -> list[list[int]]:
     """Return which columns go into each tabular."""
     places = [place for place, column in enumerate(table.columns) if not column.is_long]
-    keys = [place for place in places if place < table.n_keys]
-    others = places[len(keys) :]
+    keys, others = places[: table.n_keys], places[table.n_keys :]
     starts = range(0, max(1, len(others)), _MOST_COLUMNS)
     return [[*keys, *others[start : start + _MOST_COLUMNS]] for start in starts]
 

@@ -180,13 +180,11 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     known, blocks = families_in(rows), by_level(rows)
     title = "After attack, every adversary" if only is None else f"After {only.label}"
     title = "As shared" if only == AS_SHARED else title
-    records = [
-        {"mechanism": where[0], "level": where[1]} | row
-        for where in (telling(blocks, known) if only is None else blocks)
-        for row in _merged(
-            {of: found for of, found in sources_at(blocks[where]).items() if only in (None, of)}
-        )
-    ]
+    records = []
+    for where in telling(blocks, known) if only is None else blocks:
+        found = sources_at(blocks[where])
+        told = _merged(found if only is None else {only: found[only]} if only in found else {})
+        records += [{"mechanism": where[0], "level": where[1]} | row for row in told]
     columns = [
         *mechanism_columns(known),
         *map(said, ("positions", "adversary")),
@@ -309,9 +307,8 @@ def _rank(row: Mapping[str, Any] | None) -> Cell:
 
 def _size(row: Mapping[str, Any], *, people: int | None) -> str:
     """Return how many people and candidates there are."""
-    low, high, probes, mated = (
-        int(row[key]) for key in ("gallery_min", "gallery_max", "n_probes", "n_mated")
-    )
+    keys = ("gallery_min", "gallery_max", "n_probes", "n_mated")
+    low, high, probes, mated = (int(row[key]) for key in keys)
     candidates = str(low) if low == high else f"{low} to {high} (mean {row['gallery_mean']:.1f})"
     who = "" if people is None else f"{people} people; "
     return (
@@ -358,11 +355,8 @@ def _controls(task: LinkedTask) -> str:
         if not (found and name in CONTROLS and CONTROLS[name].sees_times_only):
             found.append(row["p_value"] <= LEVEL)
     every = [one for found in tests.values() for one in found]
-    often = [
-        f"{name} {sum(found)} of {len(found)}"
-        for name, found in tests.items()
-        if sum(found) > len(found) / 2
-    ]
+    beaten = {name: (sum(found), len(found)) for name, found in tests.items()}
+    often = [f"{name} {n} of {of}" for name, (n, of) in beaten.items() if n > of / 2]
     told = "; ".join([f"{LEVEL * len(every):.1f} expected", *often])
     count = f"{sum(every)} of {len(every)}"
     parts = [f"controls: {count} beat chance at {100 * LEVEL:g} % ({told})"] * bool(tests)

@@ -65,8 +65,7 @@ class Results:
     @cached_property
     def dataset(self) -> str:
         """Name of the data set."""
-        name: str = self.manifest["dataset"]["name"]
-        return name
+        return str(self.manifest["dataset"]["name"])
 
     @cached_property
     def ours(self) -> pd.DataFrame:
@@ -281,13 +280,11 @@ def compared_levels(summary: pd.DataFrame) -> list[Where]:
     for rule in rules_of(known):
         target = np.inf
         for one in known:
-            rows = one.of(rates, rule)
-            if rows.empty or any(name == one.mechanisms[rule] for name, _ in wheres):
+            rows, mechanism = one.of(rates, rule), one.mechanisms.get(rule, "")
+            if rows.empty or any(name == mechanism for name, _ in wheres):
                 continue
-            row = rows.iloc[0]
-            if one.name == FID:
-                target = row["value"]
-            else:
-                row = rows.loc[(rows["value"] - min(target, rows["value"].max())).abs().idxmin()]
-            wheres.append((one.mechanisms[rule], float(row["level"])))
+            nearest = (rows["value"] - min(target, rows["value"].max())).abs().idxmin()
+            row = rows.iloc[0] if one.name == FID else rows.loc[nearest]
+            target = row["value"] if one.name == FID else target
+            wheres.append((mechanism, float(row["level"])))
     return wheres

@@ -146,9 +146,8 @@ def _lines(table: Table, columns: list[int], *, intervals: set[int], width: int)
     lines: Lines = []
     above = ""
     wrapped = _wrapped(grid, left=left, width=width)
-    for line, (at, _) in zip(
-        aligned([cells for _, cells in wrapped], left=left), wrapped, strict=True
-    ):
+    lined_up = aligned([cells for _, cells in wrapped], left=left)
+    for (at, _), line in zip(wrapped, lined_up, strict=True):
         heading = headings[at - depth] if at >= depth else ""
         if heading and heading != above:
             lines.append((heading, "bold cyan"))

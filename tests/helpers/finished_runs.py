@@ -215,3 +215,55 @@ def rows_where(frame, **values):
 def emptied(run):
     """All frames of a run without rows."""
     return {name: getattr(run, name).head(0) for name in (*FRAMES, "flags")}
+
+
+def everything():
+    """A run with all that a table may say: marks, leaks, strangers, flags, several predictors."""
+    at = levels(swept=(("fid", (1.0, 1000.0)), ("fixed", (0.7,))), others=[("offset", 0.4)])
+    at += [("ou", level) for level in (0.2, 0.4, 0.8)]
+    some = [*(ATTACKS[n] for n in (0, 1, 2)), *ATTACKS[-2:]]
+    linked = make_linkability(
+        at, tasks={"rerelease": {"shape": 0.4, "shape@radial_rts": 0.6},
+                   "handover-2s": {"kinematic": 0.8, "dtw@averaging": 0.1}}
+    )  # fmt: skip
+
+    def change(values, **where):
+        linked.loc[rows_where(linked, **where), list(values)] = list(values.values())
+
+    sizes = {"gallery_min": 21, "gallery_mean": 37.66, "gallery_max": 52, "n_mated": 201}
+    linked.loc[linked["consumer"].str.startswith("handover"), list(sizes)] = list(sizes.values())
+    # A less knowing adversary is not shown, nor is what it fails at; who knows all is named.
+    change({"outcome": "no link detected"}, consumer="handover-2s/kinematic", knowledge="blind")
+    only = (linked["consumer"] == "handover-2s/dtw@averaging") & (linked["knowledge"] != "oracle")
+    linked = linked[~only]
+    shape = {"consumer": "rerelease/shape", "knowledge": "informed"}
+    change({"outcome": "no link detected"}, mechanism="fid", level=1.0, **shape)
+    change({"outcome": "attack too weak"}, mechanism="raw", **shape)
+    change({"invalid": "duration"}, mechanism="clean")
+    best = shape | {"consumer": "rerelease/shape@radial_rts", "mechanism": "fid", "level": 1.0}
+    for cohort, rank1 in (("all", 0.5), ("without_groups", 0.6), ("without_frozen", 0.49)):
+        change({"rank1": rank1}, cohort=cohort, **best)
+    # Of a control that sees times alone one level counts.
+    for name, p_value in (("duration", 0.03), ("noise_level", 0.05)):
+        change({"p_value": p_value}, consumer=f"rerelease/control-{name}")
+    change({"p_value": 0.01}, consumer="rerelease/control-random", level=0.7)
+    matched = make_matched()
+    others = [
+        matched[matched["metric"] == "plr"].assign(consumer=name, knowledge=knows, metric="rank1")
+        for name in ("rerelease/shape", "rerelease/shape@radial_rts")
+        for knows in ("blind", "informed")
+    ]
+    claim = ITEM | {"section": "claim", "of": "as-shared", "criterion": "missed"}
+    alarms = {"criterion": "missed_at_equal_false_alarms", "decision": "holds"}
+    items = [*VERDICT["items"], claim | {"decision": "reversed"}, claim | alarms]
+    run = make_run(
+        at=at,
+        summary=make_summary(at, predictors=("least_squares", "kalman_cv"), attacks=some),
+        linkability=linked,
+        flags=make_flags(),
+        matched=pd.concat([matched, *others]),
+        verdict=VERDICT | {"items": items},
+    )
+    run.manifest["linkage"]["tasks"] = {"handover-2s": {"people": 275}}
+    run.manifest["cells"] = [{"consumer": "radial_rts", "slow": True}, {}]
+    return run

@@ -1,5 +1,6 @@
-"""Pages as a reader's program sees them."""
+"""What a reader sees: pages as programs see them, and texts that somebody has read."""
 
+import os
 from html.parser import HTMLParser
 
 
@@ -21,3 +22,10 @@ class Tags(HTMLParser):
 
     def of(self, name):
         return [attributes for tag, attributes in self.found if tag == name]
+
+
+def assert_as_approved(text, path):
+    """A text is that of a file; with APPROVE=1 the file is written anew, and is to be read."""
+    if os.environ.get("APPROVE"):
+        path.write_text(text, encoding="utf-8")
+    assert text == path.read_text(encoding="utf-8")

@@ -60,7 +60,7 @@ def drawings(run: Results) -> list[Drawing]:
     return [
         Drawing(
             *(f"heat_map-{task.name}", "linkability", f"{task.name}: who links at which level"),
-            *(partial(heat_figure, task=task), partial(_words, task=task)),
+            *(partial(_heat_figure, task=task), partial(_words, task=task)),
             caption=caption,
             task=task.name,
         )
@@ -68,7 +68,7 @@ def drawings(run: Results) -> list[Drawing]:
     ]
 
 
-def heat_figure(run: Results, *, task: LinkedTask) -> Figure:
+def _heat_figure(run: Results, *, task: LinkedTask) -> Figure:
     """Return rank 1 of every attack and adversary at every level of a task, one block a rule."""
     cells, known = task.cells, run.families
     # Names of what is swept, longest first.

@@ -92,11 +92,8 @@ def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
     for label, ax in zip(labels, panels[:, 0], strict=True):
         ax.set_ylabel(label)
         drawn = [line for (_, metric), line in lines.items() if _axis(metric) == label]
-        values = [
-            line.scale * scheme.of(line.rows, rule)["value"].to_numpy()
-            for line in drawn
-            for rule in rules
-        ]
+        of = [(line.scale, scheme.of(line.rows, rule)) for line in drawn for rule in rules]
+        values = [scale * rows["value"].to_numpy() for scale, rows in of]
         values += [np.array([line.raw]) for line in drawn if line.raw is not None]
         style.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
     predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
@@ -246,24 +243,18 @@ def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
     looks = {AS_SHARED: _SHARED_LOOK} if AS_SHARED in chosen else {}
     looks |= dict(zip(others, LOOKS, strict=False))
     # Raw after attacks would crowd each other.
-    lines = {
-        of: Line(of.label, look, of_source(rows, of), is_raw_across=of == AS_SHARED)
-        for of, look in looks.items()
-    }
+    lines = {of: Line(of.label, look, of_source(rows, of)) for of, look in looks.items()}
     for of, look in zip(oracle, _ORACLE_LOOKS, strict=False):
         label = f"{of.label}, a reference"
         lines[of] = Line(label, look, of_source(rows, of), apart=_ORACLE)
     if AS_SHARED in lines:
-        lines[AS_SHARED] = replace(lines[AS_SHARED], label="as shared")
+        lines[AS_SHARED] = replace(lines[AS_SHARED], label="as shared", is_raw_across=True)
     return lines
 
 
 def _headline_figure(run: Results) -> Figure | None:
-    """Return PLR as shared, after the strongest attack, and the strongest link, over the level.
-
-    Under the paper's adding rule if it was run; None without levels.
-    """
-    lines, known = headline_lines(run), schemes(run.ours)
+    """Return PLR as shared and after attack, and the strongest link, under one adding rule."""
+    lines, known = _headline_lines(run), schemes(run.ours)
     rule = next(iter(rules_of(known)), "")
     known = [scheme for scheme in known if not scheme.of(lines[0].rows, rule).empty]
     if not known:
@@ -291,7 +282,7 @@ def _headline_figure(run: Results) -> Figure | None:
     return style.finish(figure, handles, dataset=run.dataset, what=what, columns=1)
 
 
-def headline_lines(run: Results) -> list[Line]:
+def _headline_lines(run: Results) -> list[Line]:
     """Return the lines of the headline, those as shared first."""
     plr = _exposure(run.ours)
     rows = {"PLR as shared: the descriptor": of_source(plr, AS_SHARED)}
@@ -303,18 +294,16 @@ def headline_lines(run: Results) -> list[Line]:
         source = run.link_of(task)
         label = f"found again ({task.name}, rank 1): {style.short(source)}"
         rows[label] = rank1_rows(task, source)
-    return [
-        Line(label, look, of)
-        for (label, of), look in zip(rows.items(), _HEADLINE_LOOKS, strict=False)
-    ]
+    looked = zip(rows.items(), _HEADLINE_LOOKS, strict=False)
+    return [Line(label, look, of) for (label, of), look in looked]
 
 
 def _headline_words(run: Results) -> str:
-    known, lines = schemes(run.ours), headline_lines(run)
+    known, lines = schemes(run.ours), _headline_lines(run)
     rule = next(iter(rules_of(known)), "")
     parts = []
     for scheme in known:
         ends = {line.label: scheme.ends(line.rows, rule, EXPOSURE) for line in lines}
-        said = [f"{label} {text}" for label, text in ends.items() if text]
-        parts += [f"{scheme.title}: {'; '.join(said)}."] if said else []
+        said = "; ".join(f"{label} {text}" for label, text in ends.items() if text)
+        parts += [f"{scheme.title}: {said}."] if said else []
     return f"Lines over the level, {rule} adding. {' '.join(parts)}"

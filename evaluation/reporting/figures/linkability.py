@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import zip_longest
+from itertools import cycle, zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -75,12 +75,12 @@ def drawings(run: Results) -> list[Drawing]:
     """Return the figure of all tasks, and one of each in which the same walk is found again."""
     title = "Rank 1 of the strongest attacks over the level, task by task"
     return [
-        Drawing("linkability", "linkability", title, linkage_figure, _level_words),
+        Drawing("linkability", "linkability", title, _linkage_figure, _level_words),
         *(
             Drawing(
                 *(f"dissociation-{task.name}", "against"),
                 f"{task.name}: rank 1 over each descriptor, controls marked",
-                *(partial(dissociation_figure, task=task), partial(_descriptor_words, task=task)),
+                *(partial(_dissociation_figure, task=task), partial(_descriptor_words, task=task)),
                 task=task.name,
             )
             for task in run.tasks
@@ -89,22 +89,15 @@ def drawings(run: Results) -> list[Drawing]:
     ]
 
 
-def linkage_figure(run: Results) -> Figure | None:
-    """Return rank 1 over the level, one row for each task; None without linkage or levels.
-
-    One column for each way of adding error and adding rule. At most five attacks are drawn, each
-    alike in every task.
-    """
+def _linkage_figure(run: Results) -> Figure | None:
+    """Return rank 1 over the level, a row for each task; at most five attacks, alike everywhere."""
     known = [(scheme, rule) for scheme in schemes(run.summary) for rule in scheme.rules]
     looks = dict(zip(_strongest(run.tasks), LOOKS, strict=False))
     rows = [row for task in run.tasks if (row := _row(task, looks, known)).lines]
     if not rows:
         return None
-    columns = [
-        (scheme, rule)
-        for scheme, rule in known
-        if scheme.of(pd.concat(row.points for row in rows), rule).size
-    ]
+    points = pd.concat(row.points for row in rows)
+    columns = [(scheme, rule) for scheme, rule in known if len(scheme.of(points, rule))]
     figure, panels = style.panels(
         len(rows), len(columns), height_in=1.05 * len(rows) + 1.3, sharex="col", sharey="row"
     )
@@ -222,24 +215,18 @@ def _handles(rows: Sequence[_Row], looks: Mapping[Source, Look]) -> list[Any]:
     ]
 
 
-def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
-    """Return rank 1 of the strongest attack of a task over PLR, AEL and MEL as shared.
-
-    What is swept is a line over its levels; a dissociation control is a marker with its level. None
-    without two levels of anything swept.
-    """
+def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
+    """Return rank 1 over each descriptor: a line for what is swept, a marker for each control."""
     source = run.link_of(task)
-    points = dissociation_points(run.ours, task, source=source)
+    points = _points(run.ours, task, source=source)
     known = schemes(points) if len(points) else []
     n_levels = {rule: sum(len(one.of(points, rule)) for one in known) for rule in rules_of(known)}
     rules = [rule for rule, n in n_levels.items() if n > 1]
     if not rules:
         return None
     controls = dict.fromkeys(one.family for one in families_in(points).values() if is_control(one))
-    looks = {
-        name: Look(_COLOURS[place % len(_COLOURS)], _MARKERS[place % len(_MARKERS)], "")
-        for place, name in enumerate(controls)
-    }
+    marks = (Look(*mark, "") for mark in zip(cycle(_COLOURS), cycle(_MARKERS), strict=False))
+    looks = dict(zip(controls, marks, strict=False))
     figure, panels = style.panels(
         *(len(rules), len(DESCRIPTORS)),
         height_in=1.75 * len(rules) + 1.0,
@@ -291,11 +278,8 @@ def dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
     return style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
-def dissociation_points(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
-    """Return the descriptors as shared with rank 1 of an attack, a row for each level.
-
-    Columns: those of `rank1_rows`, family, adding; each descriptor, its `_low` and `_high`.
-    """
+def _points(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
+    """Return the descriptors as shared (with `_low` and `_high`) beside `rank1_rows`."""
     known = families_in(summary)
     points = rank1_rows(task, source)
     for metric in DESCRIPTORS:
@@ -309,7 +293,7 @@ def dissociation_points(summary: pd.DataFrame, task: LinkedTask, *, source: Sour
 
 def _descriptor_words(run: Results, *, task: LinkedTask) -> str:
     source = run.link_of(task)
-    points = dissociation_points(run.ours, task, source=source)
+    points = _points(run.ours, task, source=source)
     known = families_in(points)
     marked = points["mechanism"].map(lambda name: is_control(known[name]) or name == RAW)
     said = [

@@ -29,15 +29,12 @@ def drawings(run: Results) -> list[Drawing]:
         return []
     title = "Tracks: true, shared and rebuilt"
     caption = "The people of the run's first scene, not chosen by how they look."
-    draw, words = partial(gallery_figure, rows=run.gallery), partial(_words, rows=run.gallery)
+    draw, words = partial(_gallery_figure, rows=run.gallery), partial(_words, rows=run.gallery)
     return [Drawing("track_gallery", "gallery", title, draw, words, caption)]
 
 
-def gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
-    """Return a panel for each person and mechanism; None without rows.
-
-    Shared samples that leak are dots, stretches of the reconstruction that leak are thick.
-    """
+def _gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
+    """Return a panel for each person and mechanism: dots and thick stretches leak."""
     if rows.empty:
         return None
     people, mechanisms = (list(rows[name].unique()) for name in ("track", "mechanism"))

@@ -34,17 +34,13 @@ def drawings(_: Results) -> list[Drawing]:
     points = "Operating points: each descriptor as shared against missed conflicts"
     better, curves = "Down and to the left is better.", "Missed conflicts against false alarms"
     return [
-        Drawing("operating_points", "plane", points, operating_figure, _operating_words, better),
-        Drawing("false_alarms", "alarms", curves, curves_figure, _curves_words),
+        Drawing("operating_points", "plane", points, _operating_figure, _operating_words, better),
+        Drawing("false_alarms", "alarms", curves, _curves_figure, _curves_words),
     ]
 
 
-def operating_figure(run: Results) -> Figure | None:
-    """Return the privacy-utility plane of the first predictor; None if it has no points.
-
-    One row for each adding rule, one column for each descriptor. Markers are measured; the
-    curves are those that `matching` compares.
-    """
+def _operating_figure(run: Results) -> Figure | None:
+    """Return the privacy-utility plane of the first predictor: points, and curves as matched."""
     ours = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
     rates = ours[ours["metric"] == MISSED_RATE]
     known = schemes(ours)
@@ -151,11 +147,8 @@ def _draw_points(ax: Axes, found: pd.DataFrame, *, scheme: Scheme, named: bool) 
         )
 
 
-def curves_figure(run: Results) -> Figure | None:
-    """Return misses against false alarms of every predictor, at levels that cost alike.
-
-    A marker is where a robot stands that decides as the paper's. None without curves.
-    """
+def _curves_figure(run: Results) -> Figure | None:
+    """Return misses against false alarms of every predictor, marked where the paper's robot is."""
     of = run.curves[run.curves["dataset"] == run.dataset]
     wheres = [where for where in compared_levels(run.ours) if not _at(of, where).empty]
     if not wheres:

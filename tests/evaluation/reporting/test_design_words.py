@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from helpers.pages import assert_as_approved
 from helpers.summaries import FID, USUAL, asked, edit_manifest, edited, scheme, write_run
 from rich.console import Console
 
@@ -30,10 +31,7 @@ def made(tmp_path):
 
 
 def test_the_answer_is_letter_for_letter_what_was_read_and_approved(made, tmp_path):
-    """Of a change that is meant, `design.txt` is written anew from `text`, and read.
-
-    Limits stand above what they are about, but not above a simulated task; a mark is explained.
-    """
+    # Limits stand above what they are about, but not above a simulated task.
     cells = {
         ("split", "shape", "informed"): {"rank1": 0.01, "outcome": "no link detected"},
         ("rerelease", "shape", "informed"): {"rank1": 0.40},
@@ -44,7 +42,7 @@ def test_the_answer_is_letter_for_letter_what_was_read_and_approved(made, tmp_pa
     after = asked(out, missed=0.23, plr=0.9, after_attack=True, adding=("linear",))
     parts = [shown(answer, width=80), shown(after), json.dumps(to_json(after), indent=1)]
     text = "\n".join(parts).replace(str(tmp_path), "")
-    assert text == Path(__file__).with_name("design.txt").read_text(encoding="utf-8")
+    assert_as_approved(text, Path(__file__).with_name("design.txt"))
 
 
 class TestCloser:

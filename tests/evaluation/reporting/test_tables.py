@@ -10,17 +10,15 @@ import pandas as pd
 import pytest
 from helpers.finished_runs import (
     ATTACKS,
-    ITEM,
-    VERDICT,
     emptied,
+    everything,
     levels,
-    make_flags,
     make_linkability,
-    make_matched,
     make_run,
     make_summary,
     rows_where,
 )
+from helpers.pages import assert_as_approved
 from rich.console import Console
 
 from evaluation.analysis.families import families_in
@@ -30,6 +28,7 @@ from evaluation.reporting.answer_tables import (
     effect,
     paper_table,
 )
+from evaluation.reporting.figures.drawing import figures_of
 from evaluation.reporting.markup import markdown
 from evaluation.reporting.result_tables import (
     attack_table,
@@ -72,68 +71,16 @@ def ranks(frame=None, people=MappingProxyType({})):
     return rank_table(run, linked_tasks(frame)[0])
 
 
-def everything():
-    """A run with all that a table may say: marks, leaks, strangers, flags, several predictors."""
-    at = levels(swept=(("fid", (1.0, 1000.0)), ("fixed", (0.7,))), others=[("offset", 0.4)])
-    at += [("ou", level) for level in (0.2, 0.4, 0.8)]
-    some = [*(ATTACKS[n] for n in (0, 1, 2)), *ATTACKS[-2:]]
-    linked = make_linkability(
-        at, tasks={"rerelease": {"shape": 0.4, "shape@radial_rts": 0.6},
-                   "handover-2s": {"kinematic": 0.8, "dtw@averaging": 0.1}}
-    )  # fmt: skip
-
-    def change(values, **where):
-        linked.loc[rows_where(linked, **where), list(values)] = list(values.values())
-
-    sizes = {"gallery_min": 21, "gallery_mean": 37.66, "gallery_max": 52, "n_mated": 201}
-    linked.loc[linked["consumer"].str.startswith("handover"), list(sizes)] = list(sizes.values())
-    # A less knowing adversary is not shown, nor is what it fails at; who knows all is named.
-    change({"outcome": "no link detected"}, consumer="handover-2s/kinematic", knowledge="blind")
-    only = (linked["consumer"] == "handover-2s/dtw@averaging") & (linked["knowledge"] != "oracle")
-    linked = linked[~only]
-    shape = {"consumer": "rerelease/shape", "knowledge": "informed"}
-    change({"outcome": "no link detected"}, mechanism="fid", level=1.0, **shape)
-    change({"outcome": "attack too weak"}, mechanism="raw", **shape)
-    change({"invalid": "duration"}, mechanism="clean")
-    best = shape | {"consumer": "rerelease/shape@radial_rts", "mechanism": "fid", "level": 1.0}
-    for cohort, rank1 in (("all", 0.5), ("without_groups", 0.6), ("without_frozen", 0.49)):
-        change({"rank1": rank1}, cohort=cohort, **best)
-    # Of a control that sees times alone one level counts.
-    for name, p_value in (("duration", 0.03), ("noise_level", 0.05)):
-        change({"p_value": p_value}, consumer=f"rerelease/control-{name}")
-    change({"p_value": 0.01}, consumer="rerelease/control-random", level=0.7)
-    matched = make_matched()
-    others = [
-        matched[matched["metric"] == "plr"].assign(consumer=name, knowledge=knows, metric="rank1")
-        for name in ("rerelease/shape", "rerelease/shape@radial_rts")
-        for knows in ("blind", "informed")
-    ]
-    claim = ITEM | {"section": "claim", "of": "as-shared", "criterion": "missed"}
-    alarms = {"criterion": "missed_at_equal_false_alarms", "decision": "holds"}
-    items = [*VERDICT["items"], claim | {"decision": "reversed"}, claim | alarms]
-    run = make_run(
-        at=at,
-        summary=make_summary(at, predictors=("least_squares", "kalman_cv"), attacks=some),
-        linkability=linked,
-        flags=make_flags(),
-        matched=pd.concat([matched, *others]),
-        verdict=VERDICT | {"items": items},
-    )
-    run.manifest["linkage"]["tasks"] = {"handover-2s": {"people": 275}}
-    run.manifest["cells"] = [{"consumer": "radial_rts", "slow": True}, {}]
-    return run
-
-
 def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(tmp_path):
-    """Of a change that is meant, `shown.txt` is written anew from `text`, and read."""
     run = everything()
     tables.write_tex(run, folder=tmp_path)
     found = tables.page_tables(run)
     told = [name for name in found if re.match("matched|cells-h|doubts|flags|contr|verd", name)]
     parts = [shown(run, width=100), *(f"{name}\n{markdown(found[name])}" for name in told)]
     parts += [(tmp_path / f"{name}.tex").read_text("utf-8") for name in ("linkability", "verdict")]
+    parts += [f"{one.name}: {one.words(run)}\n" for one in figures_of(run)]
     text = "\n".join(parts)
-    assert text == Path(__file__).with_name("shown.txt").read_text(encoding="utf-8")
+    assert_as_approved(text, Path(__file__).with_name("shown.txt"))
 
 
 class TestTheTerminal:

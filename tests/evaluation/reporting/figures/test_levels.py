@@ -7,27 +7,25 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.drawn import assert_is_readable, draw, named
+from helpers.drawn import assert_is_readable, described, draw, named
 from helpers.finished_runs import (
     INDEPENDENT,
-    STRONGEST,
     emptied,
+    everything,
     levels,
     make_matched,
     make_run,
     make_summary,
-    rows_where,
 )
+from helpers.pages import assert_as_approved
 
 from evaluation.analysis import matching
 from evaluation.reporting.figures import style as figure_style
 from evaluation.reporting.figures.drawing import draw_all, figures_of
-from evaluation.reporting.figures.levels import headline_lines
 from evaluation.reporting.rows import compared_levels, schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
 BOTH = levels(swept=SWEPT)
-PANELS = ["fid", f"fid{INDEPENDENT}", "fixed", f"fixed{INDEPENDENT}"]
 LINEAR = levels(swept=SWEPT, rules=("",), others=[])
 STRANGERS = [
     *levels(swept=SWEPT, rules=("",), others=[]),
@@ -69,16 +67,14 @@ def lines_of(ax, linestyle=None):
     ]
 
 
-class TestEveryFigure:
-    def test_axes_have_labels_with_a_unit_that_say_whose_positions_it_is_of(self, drawn):
-        for figure in drawn:
-            y = [ax.get_ylabel() for ax in figure.axes if ax.get_subplotspec().is_first_col()]
-            x = [ax.get_xlabel() for ax in figure.axes if ax.get_subplotspec().is_last_row()]
-            assert all(label.endswith(("(%)", "(s)", "(m)", "(1/(m² s))")) for label in [*x, *y])
-            private = [label for label in y if label != "Missed conflicts (%)"]
-            assert private
-            assert all("shared" in label for label in private)
+def test_what_is_drawn_of_a_run_is_what_was_read_and_approved():
+    run = everything()
+    drawn = {one.name: draw(run, one.name) for one in figures_of(run)}
+    text = "\n".join(f"{name}: {described(one)}" for name, one in drawn.items() if one)
+    assert_as_approved(text, Path(__file__).with_name("drawn.txt"))
 
+
+class TestEveryFigure:
     def test_text_is_readable(self, drawn, strangers):
         for figure in [*drawn, *strangers]:
             assert_is_readable(figure)
@@ -179,16 +175,6 @@ class TestSchemes:
 
 
 class TestTheSweep:
-    def test_the_lines_are_the_numbers_of_the_frame_in_percent_and_raw_is_dotted(self, drawn):
-        frame = make_summary(BOTH)
-        rows = frame[(frame["mechanism"] == "fid") & (frame["metric"] == "missed_conflict_rate")]
-        line = lines_of(drawn[0].axes[0], "-")[0]
-        np.testing.assert_array_equal(line.get_xdata(), [1.0, 1000.0, 1e5])
-        np.testing.assert_allclose(line.get_ydata(), 100 * rows["value"])
-        assert [figure.axes[0].get_xscale() for figure in drawn[:2]] == ["log", "linear"]
-        (raw,) = lines_of(drawn[0].axes[0], ":")
-        assert raw.get_ydata()[0] == pytest.approx(12.0)
-
     def test_the_paper_is_marked_on_its_own_recording_in_linear_panels_only(self, drawn):
         def hollow(axes):
             lines = [line for ax in axes for line in ax.lines]
@@ -206,13 +192,6 @@ class TestTheSweep:
         drawn = [line for line in lines_of(figure.axes[0]) if line.get_linestyle() != ":"]
         assert len(drawn) == len({(one.get_color(), one.get_marker()) for one in drawn}) == 5
 
-    def test_a_strangers_mechanism_has_one_of_its_own(self):
-        figure = sweep(make_summary(STRANGERS), "sweep-ou")
-        assert [ax.get_title(loc="left") for ax in figure.axes[:1]] == ["any adding"]
-        assert list(lines_of(figure.axes[0], "-")[0].get_xdata()) == [0.2, 0.4, 0.8]
-        names = {one.name for one in figures_of(make_run(at=STRANGERS))}
-        assert {"fid_threshold", "fixed_error", "sweep-ou", "sweep-mine"} <= names
-
     def test_an_attack_that_bears_the_name_of_a_predictor_is_not_drawn_as_one(self):
         odd = make_summary(LINEAR, attacks=[("least_squares", "blind"), ("shared", "blind")])
         more = odd[odd["knowledge"] != ""].assign(metric="missed_conflict_rate")
@@ -224,59 +203,14 @@ class TestTheSweep:
 
 
 class TestThePlane:
-    def test_it_shows_the_matched_curve_and_the_measured_points(self, drawn):
-        ax = drawn[2].axes[0]
-        fid, fixed = lines_of(ax, "-")[0], lines_of(ax, "--")[0]
-        np.testing.assert_allclose(fid.get_xdata(), [12, 18, 22])
-        np.testing.assert_allclose(fid.get_ydata(), 20)
-        np.testing.assert_allclose(fixed.get_ydata(), 40)
-        markers = [line for line in ax.lines if line.get_linestyle() == "None"]
-        assert [len(line.get_xdata()) for line in markers] == [3, 3, 1]
-
     def test_without_any_matched_point_the_measured_ones_are_there(self):
         nothing = pd.DataFrame(columns=matching.COLUMNS)
         run = make_run(summary=make_summary(LINEAR), matched=nothing)
         lines = draw(run, "operating_points").axes[0].lines
         assert {line.get_linestyle() for line in lines} == {"None"}
 
-    def test_strangers_are_on_it_one_without_a_rule_in_both_rows(self, strangers):
-        assert {"ou", "mine"} <= set(named(strangers[2]))
-        points = [[line for line in ax.lines if line.get_linestyle() == "None"]
-                  for ax in strangers[2].axes[::3]]  # fmt: skip
-        assert [len(of) for of in points] == [5, 2]  # raw is one of each
-
 
 class TestAfterAttack:
-    def test_drawn_is_the_adversary_who_knows_most_short_of_the_oracle(self, drawn):
-        assert named(drawn[3])[:6] == [
-            "as shared",
-            "moving_average (informed)",
-            "savgol (informed)",
-            "kalman_rts (informed)",
-            "radial_rts (informed)",
-            "averaging (oracle), a reference",
-        ]
-
-    def test_the_lines_are_the_numbers_of_the_frame_and_the_oracle_is_set_apart(self, drawn):
-        frame = make_summary(BOTH)
-        for ax, mechanism in zip(drawn[3].axes, PANELS, strict=True):
-            lines = [line for line in lines_of(ax) if line.get_linestyle() != ":"]
-            hollow = [line.get_markerfacecolor() == "white" for line in lines]
-            assert hollow == [False] * 5 + [True]
-            assert len({(line.get_color(), line.get_marker()) for line in lines}) == 6
-            attack = {"consumer": "kalman_rts", "knowledge": "informed"}
-            kalman = frame[rows_where(frame, mechanism=mechanism, metric="plr", **attack)]
-            np.testing.assert_allclose(lines[3].get_ydata(), 100 * kalman["value"])
-            raws = lines_of(ax, ":")
-            assert len(raws) == 6
-            assert tuple(raws[0].get_xdata()) == (0.0, 1.0)
-
-    def test_strangers_have_a_row_each(self, strangers):
-        titles = [ax.get_title(loc="left") for ax in strangers[3].axes]
-        assert [title for title in titles if title.startswith(("ou", "mine"))] == (
-            ["ou, any adding"] * 2 + ["mine, linear adding"]
-        )
-
     def test_without_an_attack_or_a_level_there_is_none(self):
         frame = make_summary(LINEAR, attacks=[("averaging", "oracle")])
         for nothing in (
@@ -295,34 +229,3 @@ class TestAfterAttack:
         frame["ci_low"] = np.nan
         figure = attacked(frame)
         assert len(lines_of(figure.axes[0])) == 2 * (1 + 5 + 2)
-
-
-class TestTheHeadline:
-    def test_it_has_a_panel_for_each_scheme_and_three_lines_and_is_told_in_numbers(self):
-        run = make_run(at=STRANGERS)
-        figure = draw(run, "headline")
-        assert [ax.get_title(loc="left") for ax in figure.axes] == [
-            "FID-controlled sharing", "fixed added error", "ou", "mine"
-        ]  # fmt: skip
-        assert [line.label for line in headline_lines(run)] == [
-            "PLR as shared: the descriptor",
-            "PLR after radial_rts (informed)",
-            "found again (rerelease, rank 1): shape@radial_rts (informed)",
-        ]
-        lines = [one for one in lines_of(figure.axes[0]) if one.get_linestyle() != ":"]
-        shared, after, linked = lines
-        for line, (consumer, knowledge) in (
-            (shared, ("shared", "")),
-            (after, ("radial_rts", "informed")),
-        ):
-            of = rows_where(run.ours, mechanism="fid", metric="plr", consumer=consumer)
-            of &= run.ours["knowledge"] == knowledge
-            np.testing.assert_allclose(line.get_ydata(), 100 * run.ours[of]["value"])
-        block = run.tasks[0].cells["fid", 1.0][STRONGEST["rerelease"]]
-        assert linked.get_ydata()[0] == pytest.approx(100 * block["rank1"])
-        run = make_run(at=LINEAR, strongest={"": STRONGEST[""]})
-        (said,) = [one.words(run) for one in figures_of(run) if one.name == "headline"]
-        of = {"consumer": "radial_rts", "knowledge": "informed", "mechanism": "fid"}
-        plr = run.ours[rows_where(run.ours, metric="plr", **of)]["value"]
-        told = f"{100 * plr.iloc[0]:.1f} % at η = 1 to {100 * plr.iloc[-1]:.1f} % at η = 100000"
-        assert f"PLR after radial_rts (informed) {told}" in said
