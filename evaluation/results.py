@@ -16,7 +16,7 @@ from evaluation.analysis.matching import comparisons, matched
 from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.sweeps import Sweeps
-from evaluation.experiment.plan import plan
+from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex
@@ -32,9 +32,6 @@ from evaluation.verdict.within_level import read_levels
 if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
-
-    from evaluation.experiment.plan import Plan
-
 
 __all__ = ["Results", "build", "load", "run"]
 

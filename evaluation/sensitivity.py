@@ -14,15 +14,13 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evaluation.experiment.variants import BASE, chosen, settings_of
+from evaluation.experiment.variants import BASE, Variant, chosen, settings_of
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, check_interrupt, exit_code
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
-
-    from evaluation.experiment.variants import Variant
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 a variant failed (the others are done), 130 interrupted

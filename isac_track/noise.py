@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.types import check_offsets, check_times
-
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints, check_offsets, check_times
 
 MIN_VARIANCE_M2 = 1e-6
 """(1 mm)^2: below it a filter would trust rounding."""

@@ -13,14 +13,21 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_che
 import numpy as np
 
 from isac_track.errors import KnowledgeDenied
-from isac_track.types import Knowledge, read_only
+from isac_track.types import (
+    Floats,
+    Ints,
+    Knowledge,
+    Prediction,
+    Reconstruction,
+    Release,
+    Sensed,
+    read_only,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.random import Generator
-
-    from isac_track.types import Floats, Ints, Prediction, Reconstruction, Release, Sensed
 
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """What turns a release into a reconstruction, sample for sample."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from isac_track.rng import stream
-from isac_track.types import Tracks
+from isac_track.types import Floats, Tracks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from isac_track.config import ResampleSettings
-    from isac_track.types import Floats
 
 
 def walk(track: Tracks) -> Callable[[Floats], Floats]:

@@ -15,13 +15,12 @@ from isac_track.conflict import is_conflict, minimum_separation, prediction_grid
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
 from isac_track.rng import stream
-from isac_track.types import Scenes
+from isac_track.types import Floats, Ints, Scenes, Tracks
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
     from isac_track.config import ConflictSettings, StageSettings
-    from isac_track.types import Floats, Ints, Tracks
 
 
 @dataclass(frozen=True, eq=False, slots=True)

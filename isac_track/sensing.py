@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.rng import stream
-from isac_track.types import Sensed
+from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
     from isac_track.config import SensingSettings
-    from isac_track.types import ErrorLaw, Floats, Ints, Scenes
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 

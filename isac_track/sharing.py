@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from isac_track.sensing import unit_errors
-from isac_track.types import Adding, ErrorLaw, Release
+from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.random import Generator
-
-    from isac_track.types import Floats, Sensed
 
 
 def perturb(

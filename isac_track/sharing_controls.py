@@ -14,14 +14,12 @@ import numpy as np
 
 from isac_track.sensing import track_directions
 from isac_track.sharing import check_at_least, perturb
-from isac_track.types import Adding, ErrorLaw, Release
+from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.random import Generator
-
-    from isac_track.types import Floats, Ints, Sensed
 
 
 def correlated_errors(

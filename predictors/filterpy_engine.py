@@ -16,12 +16,11 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import expm
 
-from isac_track.kalman import MAX_REJECTIONS
+from isac_track.kalman import MAX_REJECTIONS, Batch, Moods
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from isac_track.kalman import Batch, Moods
     from isac_track.types import Floats
 
 

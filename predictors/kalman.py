@@ -8,16 +8,13 @@ innovations, since a robot is not told how accurate a sample is, or taken as dec
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from isac_track.kalman import Batch, Moods, imm_last, kalman_last
 from isac_track.noise import innovation_variance_m2
-from isac_track.types import ErrorLaw, Knowledge, Prediction
-
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Release
+from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release
 
 GATE = 18.4
 """Chi-square quantile of 0.9999 with two degrees of freedom."""

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from isac_track.types import Prediction
-
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Knowledge, Release
+from isac_track.types import Floats, Knowledge, Prediction, Release
 
 
 @dataclass(frozen=True, slots=True)

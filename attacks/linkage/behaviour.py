@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from attacks.linkage.learning import mated, teaches
-from attacks.linkage.signals import STEP_S, motion_of, on_grid
+from attacks.linkage.signals import STEP_S, Signals, motion_of, on_grid
 from attacks.remembered import noise_m2, remembered
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
-    from attacks.linkage.signals import Signals
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-    from isac_track.types import Floats, Release
 
 _STOPPED_M_S = 0.3
 _BANDS_HZ = ((0.4, 0.7), (0.7, 1.0), (1.0, 1.4), (1.4, 2.0))

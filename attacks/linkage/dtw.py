@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, learn, linker, tried
+from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
 from attacks.linkage.signals import EXPONENT, FACTORS, FULL_CELLS, Signals, blocks, loops, motions
 from attacks.parameters import positive
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
-    from attacks.linkage.learning import Few
     from isac_track.protocols import AttackContext, Linker
-    from isac_track.types import Floats, Release
 
 _STRIDE = 2
 """Cells between those compared: 2 Hz of signals that are smoothed over more than that."""

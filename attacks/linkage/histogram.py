@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, learn, linker, tried
-from attacks.linkage.signals import FACTORS, loops, motions
+from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
+from attacks.linkage.signals import FACTORS, Signals, loops, motions
 from attacks.parameters import positive
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Ints, Knowledge, Release
 
 if TYPE_CHECKING:
-    from attacks.linkage.learning import Few
-    from attacks.linkage.signals import Signals
     from isac_track.protocols import AttackContext, Linker
-    from isac_track.types import Floats, Ints, Release
 
 _FASTEST_M_S = 2.2
 _TAUGHT_BY = 64

@@ -8,20 +8,18 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker, mated, tried
+from attacks.linkage.learning import Few, learn, linker, mated, tried
 from attacks.linkage.signals import loops
 from attacks.parameters import positive
 from attacks.remembered import remembered
 from isac_track.kalman import Batch, kalman_last
 from isac_track.noise import innovation_variance_m2
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from attacks.linkage.learning import Few
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-    from isac_track.types import Floats, Release
 
 _PRIOR_STD = (100.0, 1.4)
 """m around the first sample and m/s around rest: people walk, they do not run."""

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 
 from attacks.remembered import remembered
-from isac_track.types import Ints, Knowledge, read_only
+from isac_track.types import Floats, Ints, Knowledge, Release, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-    from isac_track.types import Floats, Release
 
 Rows: TypeAlias = Ints | slice
 Few: TypeAlias = tuple[Rows, Rows]

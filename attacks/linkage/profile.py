@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY, learn, linker, tried
+from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
 from attacks.linkage.signals import FACTORS, aligned_costs, motions
 from attacks.parameters import positive
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from attacks.linkage.learning import Few
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-    from isac_track.types import Floats, Release
 
 _RANK = 8
 _TAUGHT_BY = 80

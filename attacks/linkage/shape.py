@@ -10,13 +10,12 @@ import numpy as np
 from attacks.linkage.learning import learn, linker, tried
 from attacks.linkage.signals import aligned_costs, on_grid
 from attacks.parameters import positive
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from isac_track.protocols import AttackContext, Linker
-    from isac_track.types import Floats, Release
 
 
 @dataclass(frozen=True, slots=True)

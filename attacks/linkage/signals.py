@@ -12,16 +12,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from attacks.linkage.learning import EVERYBODY
+from attacks.linkage.learning import EVERYBODY, Few, Rows
 from attacks.remembered import noise_m2, remembered
-from isac_track.types import Floats, Ints, read_only
+from isac_track.types import Floats, Ints, Release, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from types import ModuleType
-
-    from attacks.linkage.learning import Few, Rows
-    from isac_track.types import Release
 
 STEP_S = 0.25
 """Of the grid: 4 Hz, above what is left of a walk behind the noise of any network."""

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from isac_track.types import Knowledge, Reconstruction
+from isac_track.types import Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
-    from isac_track.types import Release
 
 
 @dataclass(frozen=True, slots=True)

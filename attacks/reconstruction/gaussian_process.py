@@ -12,11 +12,10 @@ from scipy.special import comb
 
 from attacks.parameters import positive
 from attacks.reconstruction.learning import around, smoother
-from isac_track.types import Knowledge, Reconstruction
+from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
-    from isac_track.types import Floats, Ints, Release
 
 Smoothness: TypeAlias = Literal["matern32", "matern52"]
 Engine: TypeAlias = Literal["state_space", "sklearn"]

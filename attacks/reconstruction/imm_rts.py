@@ -12,11 +12,10 @@ from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import PRIOR_STD
 from attacks.reconstruction.learning import around, smoother
 from isac_track.kalman import Batch, Moods, imm_smoother
-from isac_track.types import Knowledge, Reconstruction
+from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
-    from isac_track.types import Floats, Release
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,10 @@ import numpy as np
 from attacks.parameters import positive
 from attacks.reconstruction.learning import around, smoother
 from isac_track.kalman import Batch, smooth_positions
-from isac_track.types import Knowledge, Reconstruction
+from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
-    from isac_track.types import Floats, Release
 
 PRIOR_STD = (100.0, 10.0)
 """m around the first sample and m/s around rest: far more than any walk."""

@@ -20,13 +20,12 @@ from attacks.remembered import noise_m2, remembered
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.sensing import intervals_before
 from isac_track.sharing import Fid, fid_d_sigma
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from isac_track.protocols import AttackContext, Reconstructor, TrainingSet
-    from isac_track.types import Floats, Ints, Reconstruction, Release
 
 _Choice = TypeVar("_Choice")
 _POWERS = (-1.0, 0.0, 1.0)

@@ -10,11 +10,10 @@ import numpy as np
 
 from attacks.parameters import positive
 from attacks.reconstruction.learning import around, smoother
-from isac_track.types import Knowledge, Reconstruction
+from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
-    from isac_track.types import Floats, Ints, Release
 
 REFERENCE_STD_M = 0.5
 """Noise per axis at which a window has its nominal width; no matter but a scale."""

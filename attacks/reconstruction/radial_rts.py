@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, ClassVar
 from attacks.parameters import positive
 from attacks.reconstruction.kalman_rts import smooth
 from attacks.reconstruction.learning import around, smoother
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
-    from isac_track.types import Floats, Reconstruction, Release
 
 
 @dataclass(frozen=True, slots=True)

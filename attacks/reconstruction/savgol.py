@@ -11,11 +11,10 @@ import numpy as np
 from attacks.parameters import positive
 from attacks.reconstruction.learning import around, smoother
 from attacks.reconstruction.moving_average import half_windows
-from isac_track.types import Knowledge, Reconstruction
+from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
-    from isac_track.types import Floats, Ints, Release
 
 
 @dataclass(frozen=True, slots=True)

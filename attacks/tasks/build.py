@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, roles
-from attacks.tasks.task_list import task_named
+from attacks.tasks.task_list import Task, task_named
 from isac_track.datasets import load, summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from attacks.tasks.task_list import Task
     from isac_track.config import StageSettings
     from isac_track.types import Bools, Floats, Ints, Tracks
 

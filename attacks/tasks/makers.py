@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from attacks.tasks.build import rows_of
-from attacks.tasks.sessions import N_FOLDS, halves, joined
+from attacks.tasks.build import Draft, rows_of
+from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, halves, joined
 from attacks.tasks.task_list import TASKS
 from isac_track.errors import DataError
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-    from attacks.tasks.build import Draft
-    from attacks.tasks.sessions import Sessions, Windows
     from isac_track.types import Bools, Floats, Ints
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from isac_track.types import read_only
+from isac_track.types import Bools, Floats, Ints, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from attacks.tasks.task_list import Task
-    from isac_track.types import Bools, Floats, Ints
 
 N_FOLDS = 2
 CALIBRATING_SHARE = 1 / 3

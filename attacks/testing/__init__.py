@@ -19,13 +19,13 @@ are seeded: a check never flickers.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from unittest import SkipTest
 
 from attacks.testing import _linkage_checks, _reconstruction_checks
-from attacks.testing._checks import Row
+from attacks.testing._checks import Attack, Row
 from attacks.testing._releases import copied
 from isac_track.errors import PluginError, SettingsError
 from isac_track.protocols import ADVERSARIES, grants, kind_of
@@ -33,11 +33,6 @@ from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
 from isac_track.types import Knowledge
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from attacks.testing._checks import Attack
 
 __all__ = [
     "CHECKS",

@@ -8,7 +8,7 @@ import traceback
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 from unittest import SkipTest
 
 import numpy as np
@@ -16,13 +16,9 @@ from scipy.special import bdtrc
 
 from attacks.testing._releases import EPSILON_M, arrays_of, copied, of_each, renamed
 from isac_track.errors import told
-from isac_track.protocols import AttackContext
+from isac_track.protocols import AttackContext, LinkageAttack, ReconstructionAttack
 from isac_track.rng import stream
-from isac_track.types import Knowledge, Release
-
-if TYPE_CHECKING:
-    from isac_track.protocols import LinkageAttack, ReconstructionAttack
-    from isac_track.types import Floats
+from isac_track.types import Floats, Knowledge, Release
 
 Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"
 Case: TypeAlias = Any

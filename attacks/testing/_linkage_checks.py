@@ -15,13 +15,12 @@ from attacks.testing._releases import RAW_SIGMA_M, draws
 from isac_track.linkability import log_rank, rank1
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.sharing import Fixed
-from isac_track.types import Knowledge
+from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from attacks.testing._checks import Row
-    from isac_track.types import ErrorLaw, Floats, Ints, Release
 
 GAP_S = 1.0
 """Silence before the gallery goes on, where the scene is shown."""

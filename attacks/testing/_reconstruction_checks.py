@@ -11,18 +11,16 @@ import numpy as np
 
 from attacks.testing import _checks as common
 from attacks.testing import _releases as made
-from attacks.testing._releases import BOX_M, EPSILON_M, RAW_SIGMA_M, draws
+from attacks.testing._releases import BOX_M, EPSILON_M, RAW_SIGMA_M, Walk, draws
 from isac_track.privacy import exposure, leakage_indicator
 from isac_track.protocols import TrainingSet
 from isac_track.sharing import Fixed
-from isac_track.types import Knowledge, Reconstruction, stretches
+from isac_track.types import ErrorLaw, Floats, Knowledge, Reconstruction, Release, stretches
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from attacks.testing._checks import Row
-    from attacks.testing._releases import Walk
-    from isac_track.types import ErrorLaw, Floats, Release
 
 N_TRACKS = 24
 FRAMES: tuple[made.Frame, ...] = (

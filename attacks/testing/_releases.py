@@ -12,7 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 from isac_track.protocols import LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
-from isac_track.types import Release, Sensed
+from isac_track.types import Floats, Release, Sensed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from isac_track.sharing import Fixed
-    from isac_track.types import Floats
 
     Person = Callable[[Floats], Floats]
 

@@ -22,19 +22,17 @@ from scipy.optimize import brentq
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
 from evaluation.analysis.paper import PREDICTOR, PUBLISHED
 from evaluation.cells.tables import ROWS
-from evaluation.cells.work import Block, cells
+from evaluation.cells.work import Block, Levels, cells
 from evaluation.experiment.axes import Consumer, n_blocks
 from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import plugins, privacy, sensing, sharing
 from isac_track.config import SensingSettings, StageSettings
 from isac_track.errors import DataError
-from isac_track.scenes import cut, make_scenes, track_order
+from isac_track.scenes import Cut, cut, make_scenes, track_order
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from evaluation.cells.work import Levels
-    from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Tracks
 
 FITTED = ("processing_gain_db", "large_scale_db", "crb_gap_db")

@@ -16,17 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.keys import Measure
+from evaluation.analysis.keys import Key, Measure, Where
 from evaluation.analysis.metrics import EQUAL_ALARMS
-from evaluation.analysis.summary import weights_of
-from isac_track.intervals import estimate_of, percentile_interval
+from evaluation.analysis.summary import Scored, weights_of
+from isac_track.intervals import Estimate, estimate_of, percentile_interval
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from evaluation.analysis.keys import Key, Where
-    from evaluation.analysis.summary import Scored
-    from isac_track.intervals import Estimate
     from isac_track.types import Bools, Floats, Ints
 
 N_BINS = 100

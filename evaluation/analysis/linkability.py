@@ -18,18 +18,15 @@ import pandas as pd
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import CLEAN
-from evaluation.analysis.keys import Source
+from evaluation.analysis.keys import Source, Where
 from evaluation.analysis.significance import holm
 from evaluation.analysis.strongest import most_knowing
-from evaluation.runs.cell_files import read_outcome
+from evaluation.runs.cell_files import LinkageOutcome, read_outcome
 from isac_track.linkability import LEVEL, outcome
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
-
-    from evaluation.analysis.keys import Where
-    from evaluation.runs.cell_files import LinkageOutcome
 
 AUDIT_LEVEL: Final = 0.01
 """Of the shortcut audit, two-sided, over all audits of a cell (Holm): set before any was run."""

@@ -14,19 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import ADDING_RULES, FIXED
+from evaluation.analysis.families import ADDING_RULES, FIXED, Family
 from evaluation.analysis.keys import AS_SHARED, Measure
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.metrics import ACHIEVED, DESCRIPTORS, EQUAL_ALARMS, EXPOSURE, MISSED_RATE
-from evaluation.analysis.sweeps import interpolated, places
+from evaluation.analysis.sweeps import Sweeps, interpolated, places
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from evaluation.analysis.families import Family
-    from evaluation.analysis.sweeps import Sweeps
     from isac_track.types import Floats
 
 MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT
-from evaluation.analysis.keys import AS_SHARED, ORACLE
+from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT, Family
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Key, Source, Where
 from evaluation.analysis.metrics import EXPOSURE, SUCCESS
 from evaluation.experiment.presets import IDENTITY
 from isac_track.protocols import ADVERSARIES
@@ -24,8 +24,6 @@ from isac_track.protocols import ADVERSARIES
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Key, Source, Where
     from isac_track.intervals import Estimate
 
     Levels = dict[Where, dict[Source, float]]

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.keys import Key
-from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.linkability import Cards, dataset_of
 from evaluation.analysis.metrics import METRICS, RECONSTRUCTION
 from evaluation.runs.cell_files import read_rows
 from isac_track.errors import DataError
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from evaluation.analysis.families import Family
-    from evaluation.analysis.linkability import Cards
     from isac_track.types import Floats, Ints
 
 N_REPLICATES = 1000

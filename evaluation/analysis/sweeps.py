@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.keys import AS_SHARED
+from evaluation.analysis.families import FID, FIXED, RAW, Family
+from evaluation.analysis.keys import AS_SHARED, Key, Measure
 from evaluation.analysis.metrics import EQUAL_ALARMS, EXPOSURE, MISSED_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Key, Measure
     from isac_track.intervals import Estimate
     from isac_track.types import Floats, Ints
 

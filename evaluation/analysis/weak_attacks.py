@@ -30,22 +30,19 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import CLEAN, RAW
-from evaluation.analysis.keys import AS_SHARED, Source, level_text
+from evaluation.analysis.keys import AS_SHARED, Key, Source, Where, level_text
 from evaluation.analysis.metrics import EXPOSURE
 from evaluation.analysis.paper import MIN_CLUSTERS
 from evaluation.analysis.summary import clusters, estimate, key_of, weights_of
 from evaluation.experiment.presets import IDENTITY
 from evaluation.runs.cell_files import read_rows
-from isac_track.intervals import difference
+from isac_track.intervals import Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from collections.abc import Set as AbstractSet
     from pathlib import Path
-
-    from evaluation.analysis.keys import Key, Where
-    from isac_track.intervals import Estimate
 
     Found = Mapping[Key, Estimate]
     Levels = Mapping[Where, Mapping[Source, Estimate]]

@@ -12,7 +12,7 @@ import numpy as np
 
 from evaluation.cells.sharing import guarded
 from isac_track.errors import PluginError
-from isac_track.types import Knowledge, Reconstruction
+from isac_track.types import Complexes, Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
-    from isac_track.types import Complexes, Floats, Ints, Release
 
 SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})
 """Knowledge that shows in the release itself."""

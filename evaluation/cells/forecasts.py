@@ -8,17 +8,15 @@ import numpy as np
 
 from evaluation.cells.adversary import showing
 from evaluation.cells.sharing import guarded, handed
-from evaluation.cells.tables import descriptors, track_columns
+from evaluation.cells.tables import Rows, descriptors, track_columns
 from isac_track.conflict import conflict_probability, is_conflict
 from isac_track.errors import PluginError, SettingsError
 from isac_track.scenes import predicted_separation, robot_positions
-from isac_track.types import Prediction
+from isac_track.types import Prediction, Release, Scenes
 
 if TYPE_CHECKING:
-    from evaluation.cells.tables import Rows
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
-    from isac_track.types import Release, Scenes
 
 
 def sharing_rows(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pyarrow as pa
 
-from evaluation.cells.tables import ROWS, names_column
+from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, ratio_estimates
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from attacks.tasks.controls import Control
     from evaluation.cells.link_setup import Pairing, SensedSessions
-    from evaluation.cells.tables import Tables
     from isac_track.types import Bools, Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"

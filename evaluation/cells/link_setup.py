@@ -15,14 +15,13 @@ from evaluation.cells.adversary import FAR_M, LONG_S, Frame
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
 from isac_track.sensing import draw_channel, sense
-from isac_track.types import read_only
+from isac_track.types import Bools, Floats, Ints, Sensed, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from attacks.tasks.sessions import Sessions
     from isac_track.config import StageSettings
-    from isac_track.types import Bools, Floats, Ints, Sensed
 
 N_REPLICATES = 1000
 SIDES = ("probe", "gallery")

@@ -16,22 +16,19 @@ from attacks.linkage.shape import Shape
 from attacks.tasks.controls import CONTROLS
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
-from evaluation.cells.link_scores import calibrated, no_match_score, read_off
-from evaluation.cells.link_setup import SIDES
+from evaluation.cells.link_scores import Linked, calibrated, no_match_score, read_off
+from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
-from isac_track.types import Knowledge, Release, derived
+from isac_track.types import Floats, Knowledge, Release, derived
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from evaluation.cells.link_scores import Linked
-    from evaluation.cells.link_setup import Pairing, SensedSessions
     from evaluation.experiment.axes import Consumer
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
-    from isac_track.types import Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)

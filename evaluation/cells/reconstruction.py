@@ -16,26 +16,22 @@ import numpy as np
 from attacks.reconstruction.kalman_rts import KalmanRTS, smooth
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.cells import sharing
-from evaluation.cells.adversary import SHOWS, granted_at, reconstructed, view_of
-from evaluation.cells.tables import descriptors, track_columns, track_means
+from evaluation.cells.adversary import SHOWS, Frame, granted_at, reconstructed, view_of
+from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, TrainingSet
 from isac_track.rng import stream
-from isac_track.scenes import make_scenes
+from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import sense_scenes
-from isac_track.types import Knowledge
+from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from evaluation.cells.adversary import Frame
-    from evaluation.cells.tables import Rows
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
-    from isac_track.scenes import Cut
-    from isac_track.types import Floats, Ints, Release, Scenes, Sensed
 
 N_REPEATS = 2
 """Further releases of the same walks, for who is granted REPEATS."""

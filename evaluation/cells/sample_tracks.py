@@ -17,7 +17,7 @@ from evaluation.experiment.constants import IDENTITY
 from isac_track.privacy import leakage_indicator
 from isac_track.protocols import AttackContext
 from isac_track.rng import stream
-from isac_track.scenes import make_scenes, track_order
+from isac_track.scenes import Cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
-    from isac_track.scenes import Cut
     from isac_track.types import Release
 
 COLUMNS = [

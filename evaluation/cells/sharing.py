@@ -18,6 +18,7 @@ from isac_track.errors import PluginError, told
 from isac_track.rng import stream
 from isac_track.types import (
     SHARED_LIMIT_M,
+    Ints,
     Knowledge,
     Release,
     Scenes,
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
-    from isac_track.types import Ints
 
 _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
 OURS = ("isac_track.", "attacks.", "predictors.")

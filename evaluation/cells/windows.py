@@ -12,12 +12,19 @@ import numpy as np
 import pyarrow as pa
 
 from evaluation.cells.link_setup import SIDES
-from evaluation.cells.tables import DESCRIPTORS, ROWS, descriptors, names_column, track_means
+from evaluation.cells.tables import (
+    DESCRIPTORS,
+    ROWS,
+    Rows,
+    Tables,
+    descriptors,
+    names_column,
+    track_means,
+)
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Windows
     from evaluation.cells.linkage import LinkedLevel
-    from evaluation.cells.tables import Rows, Tables
 
 COLUMNS = (
     *("side", "search", "source", "group"),

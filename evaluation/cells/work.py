@@ -14,30 +14,31 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from evaluation.cells import sharing
 from evaluation.cells.forecasts import sharing_rows
-from evaluation.cells.link_scores import linkage_tables
+from evaluation.cells.link_scores import Linked, linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.linkage import link, linked_level
-from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
+from evaluation.cells.reconstruction import (
+    AttackedBlock,
+    AttackedLevel,
+    attack_rows,
+    attacked_block,
+    attacked_level,
+)
 from evaluation.cells.sharing import release_digest, sees_release_alone
-from evaluation.cells.tables import ROWS, rows_table
+from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.cells.windows import window_tables
 from isac_track.errors import IsacTrackError, PluginError, told
-from isac_track.scenes import make_scenes
+from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import sense_scenes
-from isac_track.types import Knowledge
+from isac_track.types import Ints, Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from attacks.tasks.sessions import Sessions
-    from evaluation.cells.link_scores import Linked
-    from evaluation.cells.reconstruction import AttackedBlock, AttackedLevel
-    from evaluation.cells.tables import Tables
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
-    from isac_track.scenes import Cut
-    from isac_track.types import Ints
 
 _OURS = ("isac_track", "predictors", "attacks", "evaluation")
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from attacks.tasks.controls import CONTROLS
-from attacks.tasks.task_list import task_named
+from attacks.tasks.task_list import Task, task_named
 from evaluation.experiment.constants import BLOCK_SCENES, SHARED, WINDOWS
 from evaluation.experiment.presets import PRESETS
 from isac_track import plugins
@@ -17,7 +17,6 @@ from isac_track.types import Knowledge
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from attacks.tasks.task_list import Task
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
 

@@ -11,22 +11,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 from attacks.tasks.build import sessions_of
 from evaluation.experiment import fingerprint
-from evaluation.experiment.axes import Axes, axes, n_blocks
+from evaluation.experiment.axes import Axes, Consumer, axes, n_blocks
 from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import datasets
-from isac_track.datasets import crowd
+from isac_track.datasets import Dataset, crowd
 from isac_track.errors import DataError, PluginError, told
-from isac_track.scenes import cut
+from isac_track.scenes import Cut, cut
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from attacks.tasks.sessions import Sessions
-    from evaluation.experiment.axes import Consumer
     from evaluation.experiment.settings import Settings
-    from isac_track.datasets import Dataset
     from isac_track.plugins import Plugin
-    from isac_track.scenes import Cut
 
 MOST_DEFAULT_JOBS: Final = 8
 """Unless more are asked for: each takes a few hundred MB."""

@@ -13,10 +13,11 @@ from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, tolerance
 from evaluation.experiment.presets import SHARED
-from evaluation.reporting.rows import by_level, compared_levels, mechanism_columns
+from evaluation.reporting.rows import Results, by_level, compared_levels, mechanism_columns
 from evaluation.reporting.table import (
     Cell,
     Column,
+    Table,
     amount,
     built,
     counted,
@@ -33,9 +34,6 @@ from evaluation.verdict import rules
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from evaluation.reporting.rows import Results
-    from evaluation.reporting.table import Table
 
 CRITERIA = {
     MISSED: "equal rise of missed conflicts",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from evaluation.analysis.calibration import FITTED
+from evaluation.analysis.calibration import FITTED, Calibration
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
 from evaluation.reporting import terminal
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import pandas as pd
-
-    from evaluation.analysis.calibration import Calibration
 
 _ABOUT_ITEMS = (
     "(Signs of decisions: base against the run's own verdict, all others against base. lost: "

@@ -21,6 +21,7 @@ from evaluation.reporting.result_tables import MARKS, MEANING
 from evaluation.reporting.table import (
     Cell,
     Column,
+    Table,
     amount,
     built,
     estimated,
@@ -29,16 +30,24 @@ from evaluation.reporting.table import (
     word,
 )
 from evaluation.reporting.terminal import literal, say, show_table, standard_output
-from evaluation.verdict.choose_level import ASKED, METRIC_OF, TARGETS, UNKNOWN
+from evaluation.verdict.choose_level import (
+    ASKED,
+    METRIC_OF,
+    TARGETS,
+    UNKNOWN,
+    Attacked,
+    Check,
+    Choice,
+    Level,
+    Linked,
+    Scheme,
+)
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from rich.console import Console
-
-    from evaluation.reporting.table import Table
-    from evaluation.verdict.choose_level import Attacked, Check, Choice, Level, Linked, Scheme
 
 _Row: TypeAlias = "tuple[str, str, str, Level | None]"
 """Adding rule, mechanism, level, and what it comes to."""

@@ -11,6 +11,7 @@ from evaluation.analysis.differences import (
     SIGNIFICANCE,
     UNDECIDED,
     UNTESTED,
+    Comparison,
     counts,
 )
 from evaluation.analysis.families import with_unit
@@ -18,7 +19,17 @@ from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
 from evaluation.reporting import terminal
-from evaluation.reporting.table import Cell, Column, amount, built, level, measured, said, shortened
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    Table,
+    amount,
+    built,
+    level,
+    measured,
+    said,
+    shortened,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -26,8 +37,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
 
-    from evaluation.analysis.differences import Comparison
-    from evaluation.reporting.table import Table
     from evaluation.reporting.terminal import Part
 
 _MOST_SHOWN = 20

@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from evaluation.reporting.table import printable
+from evaluation.reporting.table import Cell, Column, Table, printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-
-    from evaluation.reporting.table import Cell, Column, Table
 
 TEMPLATES: Final = Path(__file__).with_name("templates")
 _OPTIONS: dict[str, Any] = {

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from attacks.tasks.controls import CONTROLS
-from evaluation.analysis.families import CLEAN, LEVEL_UNITS, families_in
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack, level_text
-from evaluation.analysis.linkability import INVALID, REMARKS, remarks
+from evaluation.analysis.families import CLEAN, LEVEL_UNITS, Family, families_in
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, Where, is_attack, level_text
+from evaluation.analysis.linkability import INVALID, REMARKS, LinkedTask, remarks
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
     EXPOSURE,
@@ -26,6 +26,7 @@ from evaluation.analysis.strongest import most_knowing
 from evaluation.cells.link_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting.rows import (
+    Results,
     by_level,
     family_of,
     mechanism_columns,
@@ -36,6 +37,7 @@ from evaluation.reporting.rows import (
 from evaluation.reporting.table import (
     Cell,
     Column,
+    Table,
     amount,
     built,
     counted,
@@ -52,12 +54,6 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
     import pandas as pd
-
-    from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Where
-    from evaluation.analysis.linkability import LinkedTask
-    from evaluation.reporting.rows import Results
-    from evaluation.reporting.table import Table
 
 _WEIGHTS = {MISSED_RATE: 3.0, EXPOSURE: 3.0, "rmse": 2.5, "ael": 2.0, "mel": 2.0}
 SCOPE = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
-from evaluation.analysis.keys import Source, level_text
-from evaluation.analysis.linkability import dataset_of, linked_tasks, remarks
+from evaluation.analysis.keys import Source, Where, level_text
+from evaluation.analysis.linkability import LinkedTask, dataset_of, linked_tasks, remarks
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.reporting.table import Column, level, said
@@ -20,9 +20,6 @@ from evaluation.reporting.table import Column, level, said
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
-
-    from evaluation.analysis.keys import Where
-    from evaluation.analysis.linkability import LinkedTask
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""

@@ -24,8 +24,8 @@ from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
 from evaluation.reporting.markup import latex, markdown
-from evaluation.reporting.rows import ENDS, by_level, telling
-from evaluation.reporting.table import amount, built, held, said
+from evaluation.reporting.rows import ENDS, Results, by_level, telling
+from evaluation.reporting.table import Table, amount, built, held, said
 from evaluation.runs.files import write_whole
 from evaluation.runs.pieces import failed_lines
 from isac_track.errors import DataError
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from evaluation.reporting.rows import Results
-    from evaluation.reporting.table import Table
     from evaluation.reporting.terminal import Part
 
 _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)

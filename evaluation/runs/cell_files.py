@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, REPLICATES
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
-from evaluation.cells.tables import ROWS
+from evaluation.cells.tables import ROWS, Tables
 from evaluation.runs.files import FOLDER, GALLERY, checked, write_whole, written_down
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.cells.tables import Tables
     from evaluation.experiment.axes import Consumer
     from isac_track.types import Floats, Ints
 

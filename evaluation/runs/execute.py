@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from evaluation.cells.sample_tracks import chosen, gallery_rows
-from evaluation.cells.work import Failed, LinkWork, attempt, note, noted
+from evaluation.cells.work import Failed, Item, LinkWork, attempt, note, noted
 from evaluation.experiment.fingerprint import sources
 from evaluation.runs.cell_files import packed, places_of, read_rows, sound_files, write_gallery
 from evaluation.runs.files import FOLDER, locked, write_checked
@@ -24,7 +24,7 @@ from evaluation.runs.manifest import (
     with_ceiling,
     write_manifest,
 )
-from evaluation.runs.pieces import Failures, cut_for_cluster, missing_of, pieces_of
+from evaluation.runs.pieces import Cell, Failures, Work, cut_for_cluster, missing_of, pieces_of
 from evaluation.runs.workers import spread
 from isac_track import kalman
 from isac_track.command_line import check_interrupt
@@ -37,9 +37,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from evaluation.cells.tables import Tables
-    from evaluation.cells.work import Item
     from evaluation.experiment.plan import Plan, Unit
-    from evaluation.runs.pieces import Cell, Work
     from isac_track.plugins import Plugin
 
 _LOOPS = (

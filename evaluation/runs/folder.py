@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluation.experiment.fingerprint import can_be_found, source_digest
-from evaluation.runs.cell_files import label_of, sound_files
+from evaluation.runs.cell_files import Index, label_of, sound_files
 from evaluation.runs.files import FOLDER, LOCK, MANIFEST, PAGE, WRITTEN, forget_missing
 from evaluation.runs.manifest import (
     CELL_NAME,
@@ -21,8 +21,6 @@ from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-
-    from evaluation.runs.cell_files import Index
 
 _SHOWN_DIFFERENCES = 3
 

@@ -25,7 +25,7 @@ import numpy as np
 
 import isac_track
 from evaluation.experiment.fingerprint import digest
-from evaluation.runs.cell_files import label_of
+from evaluation.runs.cell_files import Index, label_of
 from evaluation.runs.files import MANIFEST, write_whole
 from isac_track.errors import DataError
 from isac_track.privacy import mean_interval_s
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from evaluation.experiment.plan import Plan, Unit
-    from evaluation.runs.cell_files import Index
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 LAYOUT: Final = 3

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from evaluation.cells.work import Block, LinkWork
+from evaluation.cells.work import Block, Failed, Levels, LinkWork
 from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.runs.cell_files import index_of, places_of
 from evaluation.runs.files import FOLDER, written_down
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from evaluation.cells.work import Failed, Levels
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan, Unit
     from isac_track.plugins import Plugin

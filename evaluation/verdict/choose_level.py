@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
 
-from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, families_in
-from evaluation.analysis.keys import AS_SHARED, Source
-from evaluation.analysis.linkability import dataset_of, linked_tasks
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family, families_in
+from evaluation.analysis.keys import AS_SHARED, Source, Where
+from evaluation.analysis.linkability import LinkedTask, dataset_of, linked_tasks
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.analysis.strongest import strongest_of
 from evaluation.experiment.fingerprint import code_hash
@@ -27,10 +27,6 @@ from isac_track.intervals import Estimate
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
-
-    from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Where
-    from evaluation.analysis.linkability import LinkedTask
 
 TARGETS: Final = ("missed", "false_alarm")
 """What chooses a level."""

@@ -13,25 +13,22 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, FID
-from evaluation.analysis.matching import MISSED
+from evaluation.analysis.matching import MISSED, Comparison
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import rules
 from evaluation.verdict.claim import AFTER, AS_IS, LINKED, claims, inflation
 from evaluation.verdict.rules import DOES_NOT, NAME, TRACKS, UNDECIDED, WEAKLY
 from evaluation.verdict.validity import validity
-from evaluation.verdict.within_level import within
+from evaluation.verdict.within_level import LevelTracks, within
 from isac_track.intervals import CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from evaluation.analysis.keys import Source
-    from evaluation.analysis.matching import Comparison
     from evaluation.analysis.sweeps import Sweeps
-    from evaluation.verdict.within_level import LevelTracks
 
     Items = Sequence[dict[str, Any]]
-
 
 _ORDER: Final = (DOES_NOT, WEAKLY, TRACKS)
 """What is said of a descriptor that fares differently in different tasks: the worst."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from isac_track.datasets import crowd, read_frames, read_table, registry
-from isac_track.datasets.recording import Repair, checked_fps, steps_within
+from isac_track.datasets.recording import Repair, Rows, checked_fps, steps_within
 from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, MAIN_FILE, shown
 from isac_track.datasets.repair import to_tracks
 from isac_track.errors import DataError, did_you_mean
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from isac_track.datasets.recording import Rows
     from isac_track.types import Bools, Floats, Tracks
 
 __all__ = ["FORMATS", "Dataset", "Repair", "load", "read", "summarise"]

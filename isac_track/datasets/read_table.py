@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isac_track.datasets import recording
-from isac_track.datasets.recording import brief
+from isac_track.datasets.recording import Place, Rows, brief
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from isac_track.datasets.recording import Place, Rows
     from isac_track.types import Floats, Ints
 
 _NEEDED = ("t", "id", "x", "y")

@@ -8,15 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets.recording import listed, steps_within
+from isac_track.datasets.recording import Repair, Rows, listed, steps_within
 from isac_track.errors import DataError
-from isac_track.types import Tracks
+from isac_track.types import Bools, Ints, Tracks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-    from isac_track.datasets.recording import Repair, Rows
-    from isac_track.types import Bools, Ints
 
 SAME_TIME_S = 1e-7
 """Samples of one id closer than this are at one time: no recording has a frame rate above 1 MHz,

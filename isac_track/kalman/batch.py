@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.types import check_offsets, within
-
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints, check_offsets, within
 
 MAX_REJECTIONS = 3
 """After so many rejected samples in a row the next is accepted whatever it says: a gate may

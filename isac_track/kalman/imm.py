@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isac_track.kalman.batch import MAX_REJECTIONS, positive
+from isac_track.kalman.batch import MAX_REJECTIONS, Batch, positive
 from isac_track.kalman.linear import velocity_prior
 
 if TYPE_CHECKING:
-    from isac_track.kalman.batch import Batch
     from isac_track.types import Floats
 
 

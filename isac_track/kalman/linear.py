@@ -22,10 +22,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.kalman.batch import MAX_REJECTIONS, positive
+from isac_track.kalman.batch import MAX_REJECTIONS, Batch, positive
 
 if TYPE_CHECKING:
-    from isac_track.kalman.batch import Batch
     from isac_track.types import Floats
 
 

@@ -26,12 +26,14 @@ from isac_track.intervals import (
     wilson,
 )
 from isac_track.linkability.ranks import (
+    Search,
     assign,
     expected_hit,
     expected_reciprocal,
     residual_risk,
 )
 from isac_track.linkability.scores import (
+    Calibration,
     default_bins,
     inner_edges,
     is_refused,
@@ -52,8 +54,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from isac_track.linkability.ranks import Search
-    from isac_track.linkability.scores import Calibration
     from isac_track.types import Floats, Ints
 
 SCORE_REPLICATES = 200

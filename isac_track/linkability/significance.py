@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from scipy.special import bdtrc, betaincinv, gammaln, xlog1py, xlogy
 
-from isac_track.linkability.ranks import log_factorials
+from isac_track.linkability.ranks import Search, log_factorials
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from isac_track.linkability.ranks import Search
     from isac_track.types import Floats, Ints
 
 Outcome: TypeAlias = Literal["links", "no link detected", "attack too weak"]

@@ -15,13 +15,13 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath, text_to_path
 from matplotlib.transforms import Affine2D
 
-from evaluation.analysis.families import ADDING_RULES, CLEAN, FID, FIXED, RAW
-from evaluation.analysis.keys import level_text
-from evaluation.analysis.linkability import INVALID
+from evaluation.analysis.families import ADDING_RULES, CLEAN, FID, FIXED, RAW, Family
+from evaluation.analysis.keys import Where, level_text
+from evaluation.analysis.linkability import INVALID, LinkedTask
 from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import PERCENT, Look
-from evaluation.reporting.rows import family_of, is_control, parameters_text, schemes
+from evaluation.reporting.rows import Results, family_of, is_control, parameters_text, schemes
 from evaluation.reporting.table import shortened
 
 if TYPE_CHECKING:
@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.path import Path
 
-    from evaluation.analysis.families import Family
-    from evaluation.analysis.keys import Where
-    from evaluation.analysis.linkability import LinkedTask
-    from evaluation.reporting.rows import Results
     from isac_track.types import Floats
 
 # The page turns pure black and white over in the dark; what stands on a colour must stay.

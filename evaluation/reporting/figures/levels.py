@@ -19,14 +19,12 @@ from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, Line, Look
 from evaluation.reporting.result_tables import after_attack, sources_of
-from evaluation.reporting.rows import Scheme, of_source, rank1_rows, rules_of, schemes
+from evaluation.reporting.rows import Results, Scheme, of_source, rank1_rows, rules_of, schemes
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from evaluation.reporting.rows import Results
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _EXPOSURE_LABEL = "Exposure, shared (s)"

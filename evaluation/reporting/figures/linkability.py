@@ -13,8 +13,8 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import CLEAN, RAW, families_in
-from evaluation.analysis.keys import level_text
-from evaluation.analysis.linkability import dataset_of
+from evaluation.analysis.keys import Source, level_text
+from evaluation.analysis.linkability import LinkedTask, dataset_of
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting.figures import style
@@ -22,6 +22,8 @@ from evaluation.reporting.figures.drawing import Drawing
 from evaluation.reporting.figures.style import LOOKS, PERCENT, Line, Look
 from evaluation.reporting.rows import (
     ENDS,
+    Results,
+    Scheme,
     family_of,
     is_control,
     parameters_text,
@@ -35,10 +37,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from evaluation.analysis.keys import Source
-    from evaluation.analysis.linkability import LinkedTask
-    from evaluation.reporting.rows import Results, Scheme
 
 _CHANCE_LOOK = Look("#777777", "", "-")
 _CEILING_LOOK = Look("#000000", "", (0, (6, 2)))

@@ -7,23 +7,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.keys import is_attack, level_text
+from evaluation.analysis.keys import Where, is_attack, level_text
 from evaluation.analysis.matching import MISSED
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting.figures import style
 from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import LOOKS, PERCENT, Look
-from evaluation.reporting.rows import Scheme, compared_levels, rules_of, schemes
+from evaluation.reporting.figures.style import LOOKS, PERCENT, Dashes, Look
+from evaluation.reporting.rows import Results, Scheme, compared_levels, rules_of, schemes
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from evaluation.analysis.keys import Where
-    from evaluation.reporting.figures.style import Dashes
-    from evaluation.reporting.rows import Results
 
 _FALSE_ALARMS = "false_alarm_rate"
 _DASHES: dict[str, Dashes] = {"separation": "-", "probability": (0, (3, 1.5))}

@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets.crowd.plan import person_id
+from isac_track.datasets.crowd.plan import CrowdSettings, Plan, Traits, person_id
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from isac_track.datasets.crowd.plan import CrowdSettings, Plan, Traits
     from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6
