@@ -17,7 +17,7 @@ from evaluation.analysis import run_changes
 from evaluation.analysis.families import LEVEL_UNITS, families_in
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import METRICS
-from evaluation.analysis.run_changes import Apart, Manifest, manifest_of, mechanisms, short_list
+from evaluation.analysis.run_changes import manifest_of, mechanisms, short_list
 from evaluation.analysis.significance import holm
 from evaluation.analysis.summary import estimates, linkage_estimates
 from isac_track.errors import DataError, SettingsError
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from evaluation.analysis.keys import Key
+    from evaluation.analysis.run_changes import Apart, Manifest
     from isac_track.types import Floats
 
 IDENTICAL, DIFFERS, UNDECIDED, UNTESTED = "identical", "differs", "undecided", "untested"

@@ -16,7 +16,7 @@ from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
 from evaluation.analysis.keys import AS_SHARED, Measure, Source
 from evaluation.analysis.matching import MIN_DEFINED, compare
 from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
-from evaluation.analysis.strongest import Levels, by_task, strongest_of
+from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.analysis.sweeps import Sweeps, interpolated, places
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, Draft, known, with_interval
@@ -24,6 +24,8 @@ from isac_track.intervals import Estimate, estimate_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+
+    from evaluation.analysis.strongest import Levels
 
 _UNADJUSTED: Final = 0.05
 """For what is told beside a decision."""
