@@ -316,7 +316,7 @@ def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, An
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if position == 0 and kind == "mechanisms" and is_number:
             level = float(value)
-        elif item.name in changes and value != _default(item):
+        elif item.name in changes and value != item.default:
             parameters.append(f"{item.name}={_text(value)}")
     column = ":".join([name, *([",".join(parameters)] if parameters else [])])
     spec = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
@@ -376,11 +376,6 @@ def _check_declared(kind: Kind, instance: object, origin: str) -> str:
         except ValueError as error:
             raise PluginError(f"{origin}: {error}") from None
     return ""
-
-
-def _default(item: dataclasses.Field[Any]) -> Any:  # noqa: ANN401 - of any type
-    made = item.default_factory
-    return item.default if made is dataclasses.MISSING else made()
 
 
 def _text(value: object) -> str:

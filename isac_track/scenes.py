@@ -190,15 +190,6 @@ def make_scenes(
     )
 
 
-def predicted_separation(scenes: Scenes, *, mean: Floats, settings: ConflictSettings) -> Floats:
-    """Return the minimum separation of each scene that a robot foresees, (S,) m.
-
-    `mean` are the predicted positions on the grid, (S * A, H, 2) m.
-    """
-    robot = robot_positions(scenes, settings=settings)
-    return minimum_separation(robot=robot, agents=mean.reshape(robot.shape))
-
-
 def robot_positions(scenes: Scenes, *, settings: ConflictSettings) -> Floats:
     """Return the robot's nominal positions on each agent's grid, (S, A, H, 2) m."""
     elapsed_s = scenes.t_future - scenes.t_future[:, :1]

@@ -118,8 +118,6 @@ def test_both_ends_of_a_range_may_be_taken():
         (SceneSettings, {"agents": 4.0}, "scenes.agents must be a whole number, got 4.0"),
         (SensingSettings, {"law": ["radial"]}, "sensing.law must be one of radial, iso"),
         (ConflictSettings, {"window": 10**9}, "conflict.window must lie within 2 to 100000"),
-        (StageSettings, {"privacy": "wide"}, "privacy must be PrivacySettings, got str"),
-        (StageSettings, {"scenes": PrivacySettings()}, "scenes must be SceneSettings, got P"),
     ],
 )
 def test_a_wrong_type_given_in_python_is_an_error_that_names_the_setting(kind, values, message):
