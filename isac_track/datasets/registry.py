@@ -45,8 +45,7 @@ class Known:
     about: str = ""
     citation: str = ""
     licence: str = ""
-    session: int | None = None
-    """Number of the bundled session, if this is the bundled crowd."""
+    session: int | None = None  # Number of the bundled session, if this is the bundled crowd.
     format: str = ""
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
