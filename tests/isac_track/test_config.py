@@ -7,12 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from isac_track.config import (
-    PrivacySettings,
-    SceneSettings,
-    SensingSettings,
-    StageSettings,
-)
+from isac_track.config import PrivacySettings, SceneSettings, SensingSettings, StageSettings
 from isac_track.errors import SettingsError
 
 PAPER = """
