@@ -61,8 +61,7 @@ _SINGULAR_AND_METHOD: dict[Kind, tuple[str, str]] = {
     "attacks": ("attack", "fit"),
 }
 _MOST_LEVELS = 1000
-_WHOLE_LIMIT = 10**12
-"""Names show 12 digits."""
+_WHOLE_LIMIT = 10**12  # Names show 12 digits.
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,11 +100,9 @@ class Raw:
 class Fixed:
     """Add the same standard deviation to every sample (the paper's baseline)."""
 
-    d_sigma: float
-    """m"""
+    d_sigma: float  # m
     adding: Adding = "linear"
-    law: ErrorLaw | None = None
-    """Law of the added error; None: that of the raw error."""
+    law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
 
     def __post_init__(self) -> None:
         check_at_least("d_sigma", self.d_sigma, 0, " m")
@@ -118,14 +116,11 @@ class Fixed:
 class Fid:
     """Add error where the Fisher information density exceeds eta (the paper's mechanism)."""
 
-    eta: float
-    """1/(m^2 s)"""
-    alpha: float = 0.5
-    """m"""
+    eta: float  # 1/(m^2 s)
+    alpha: float = 0.5  # m
     beta: float = 1.5
     adding: Adding = "linear"
-    law: ErrorLaw | None = None
-    """Law of the added error; None: that of the raw error."""
+    law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
 
     sweep: ClassVar[str] = "log"
 

@@ -42,8 +42,7 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
 }
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
-SLOW_MPS = 0.2
-"""Slower steps than this are not walking."""
+SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
 """A track with at least this share of exactly-zero steps is nearly frozen: an annotation
 that was left standing rather than a person, whose last position tells the whole walk."""

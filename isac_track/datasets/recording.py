@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
     from isac_track.types import Bools, Floats, Ints
 
-WHOLE_LIMIT = 2.0**53
-"""Frames and ids are read as float64, which holds every whole number below this."""
+WHOLE_LIMIT = 2.0**53  # Frames and ids are float64, which holds every whole number below this.
 _LIMITS = {
     **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
     # About 30,000 years: a larger clock is not in seconds.
@@ -26,8 +25,7 @@ _LIMITS = {
     "x": 1e9,
     "y": 1e9,
 }
-FPS_LIMITS = (1e-3, 1e6)
-"""Frames per second outside are a mistake, and would overflow the clock."""
+FPS_LIMITS = (1e-3, 1e6)  # Frames per second outside are a mistake, and would overflow the clock.
 _SHOWN = 5
 
 
