@@ -112,9 +112,7 @@ def test_the_bundled_sessions_are_the_generators_output(session):
     assert path.stat().st_size < 400_000
 
 
-def test_plaza_is_in_metres_near_the_place_of_the_real_crowd(plaza, stats):
-    assert 1000 <= len(plaza) <= 1200
-    assert 200 < stats.line_errors_m(plaza).size < 400  # long enough for scenes
+def test_plaza_is_in_metres_near_the_place_of_the_real_crowd(plaza):
     assert (plaza.t.min(), plaza.t.max()) == (0.0, pytest.approx(600.0))
     assert np.allclose(np.diff(plaza[0].t), 0.4)
     low, high = np.quantile(plaza.xy, [0.01, 0.99], axis=0)
