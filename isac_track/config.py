@@ -72,78 +72,55 @@ def _stage(cls: Any) -> Any:  # noqa: ANN401 - a class, as it stands below
 class ResampleSettings:
     """Cubic interpolation of the recorded tracks and their adaptive sampling."""
 
-    rate_min_hz: float = _number(8.0, 0.01, 1e3)
-    """paper: slowest update rate"""
-    rate_max_hz: float = _number(16.0, 0.01, 1e3)
-    """paper: fastest update rate"""
-    rate_hold_s: float = _number(1.0, 1e-3, 1e6)
-    """reading: a rate is drawn anew after this much of the track"""
-    min_duration_s: float = _number(21.6, 0.1, 1e6)
-    """reading: shorter tracks are left out (gives the paper's 366 history points)"""
+    rate_min_hz: float = _number(8.0, 0.01, 1e3)  # paper: slowest update rate
+    rate_max_hz: float = _number(16.0, 0.01, 1e3)  # paper: fastest update rate
+    rate_hold_s: float = _number(1.0, 1e-3, 1e6)  # reading: drawn anew after so much of a track
+    min_duration_s: float = _number(21.6, 0.1, 1e6)  # reading: of a track; gives the 366 points
 
 
 @_stage
 class SceneSettings:
     """How a scene is cut and placed."""
 
-    agents: int = _number(4, 1, 100)
-    """paper: pedestrians per scene"""
+    agents: int = _number(4, 1, 100)  # paper: pedestrians per scene
     history_ratio: float = _number(0.7, 0, 1, is_open=True)
     """paper: share of a track that is shared history; the rest is hidden future"""
-    robot_x_m: float = _number(0.7, -1e6, 1e6)
-    """reading: centre of the robot's start square"""
-    robot_y_m: float = _number(0.65, -1e6, 1e6)
-    """reading: centre of the robot's start square"""
-    robot_spread_m: float = _number(4.0, 0, 1e4)
-    """reading: half side of the start square"""
-    near_miss_max_m: float = _number(1.4, 1e-3, 1e4)
-    """reading: a near miss passes at conflict.safety_radius_m to this distance"""
+    robot_x_m: float = _number(0.7, -1e6, 1e6)  # reading: centre of the robot's start square
+    robot_y_m: float = _number(0.65, -1e6, 1e6)  # reading: centre of the robot's start square
+    robot_spread_m: float = _number(4.0, 0, 1e4)  # reading: half side of the start square
+    near_miss_max_m: float = _number(1.4, 1e-3, 1e4)  # reading: a near miss passes within this
     ring_min_m: float = _number(2.0, 0, 1e4)
     """reading: the other agents stand at least this far from the robot now"""
-    ring_max_m: float = _number(6.0, 1e-3, 1e4)
-    """reading: ... and at most this far"""
-    clearance_m: float = _number(1.5, 0, 1e4)
-    """reading: ... and stay this far from it over the horizon"""
-    max_redraws: int = _number(100, 1, 10_000)
-    """reading: draws of a place before the last one is kept and counted"""
+    ring_max_m: float = _number(6.0, 1e-3, 1e4)  # reading: ... and at most this far
+    clearance_m: float = _number(1.5, 0, 1e4)  # reading: ... and stay so far over the horizon
+    max_redraws: int = _number(100, 1, 10_000)  # reading: of a place; the last is kept and counted
 
 
 @_stage
 class SensingSettings:
     """Link budget of the base station, and the step from the Cramer-Rao bound to an error."""
 
-    bs_x_m: float = _number(5.0, -1e6, 1e6)
-    """paper: base station"""
-    bs_y_m: float = _number(30.0, -1e6, 1e6)
-    """paper: base station"""
-    carrier_ghz: float = _number(3.5, 1e-3, 1e4)
-    """paper"""
-    bandwidth_mhz: float = _number(100.0, 1e-3, 1e6)
-    """paper: sensing bandwidth, taken as a flat spectrum"""
-    n_paths: int = _number(4, 1, 1000)
-    """paper: multipath number N_p"""
-    delay_spread_s: float = _number(2e-7, 0, 1e-3)
-    """paper: largest excess delay of a path"""
+    bs_x_m: float = _number(5.0, -1e6, 1e6)  # paper: base station
+    bs_y_m: float = _number(30.0, -1e6, 1e6)  # paper: base station
+    carrier_ghz: float = _number(3.5, 1e-3, 1e4)  # paper
+    bandwidth_mhz: float = _number(100.0, 1e-3, 1e6)  # paper: of sensing, taken as a flat spectrum
+    n_paths: int = _number(4, 1, 1000)  # paper: multipath number N_p
+    delay_spread_s: float = _number(2e-7, 0, 1e-3)  # paper: largest excess delay of a path
     power_dbm: float = _number(30.0, -200, 200)
     """paper: effective power, as it arrives in the beam: a^H Q a"""
-    noise_dbm: float = _number(-91.0, -300, 100)
-    """paper: noise floor N_0"""
+    noise_dbm: float = _number(-91.0, -300, 100)  # paper: noise floor N_0
     path_loss_exponent: float = _number(2.7, 0.1, 10)
     """paper; each way (reading: monostatic, two-way)"""
-    beam_fluctuation_db: float = _number(2.0, 0, 50)
-    """paper: N(0, 2) dB per sample (reading: 2 dB is the standard deviation)"""
+    beam_fluctuation_db: float = _number(2.0, 0, 50)  # paper: N(0, 2) dB a sample (reading: std)
     rcs_m2: float = _number(1.0, 1e-6, 1e6)
     """reading: radar cross-section of a pedestrian"""
-    resource_share: float = _number(1.0, 1e-6, 1e6)
-    """reading: m_s of eq. swarm_fi"""
+    resource_share: float = _number(1.0, 1e-6, 1e6)  # reading: m_s of eq. swarm_fi
     large_scale_db: float = _number(11.79, 0, 100)
     """fitted: two-way log-normal spread, drawn once per track"""
     processing_gain_db: float = _number(32.43, -200, 200)
     """fitted: integration gain of the sensing receiver"""
-    crb_gap_db: float = _number(13.27, -200, 200)
-    """fitted: sigma_raw over sqrt(CRB), in 20 log10"""
-    sigma_cap_m: float = _number(2.0, 1e-6, 1e6)
-    """reading, fixed before the fit: sigma_raw is capped here"""
+    crb_gap_db: float = _number(13.27, -200, 200)  # fitted: sigma_raw over sqrt(CRB), in 20 log10
+    sigma_cap_m: float = _number(2.0, 1e-6, 1e6)  # reading, fixed before the fit: caps sigma_raw
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
 
@@ -152,15 +129,12 @@ class SensingSettings:
 class ConflictSettings:
     """The robot's task."""
 
-    robot_speed_mps: float = _number(1.4, 1e-3, 100)
-    """paper: v_r"""
-    horizon_steps: int = _number(12, 1, 1000)
-    """paper: H"""
+    robot_speed_mps: float = _number(1.4, 1e-3, 100)  # paper: v_r
+    horizon_steps: int = _number(12, 1, 1000)  # paper: H
     window: int = _number(16, 2, 100_000)
     """paper: q, samples whose mean interval is the step of the prediction grid; how many samples
     a predictor uses is its own parameter, `least_squares:16`"""
-    safety_radius_m: float = _number(0.9, 1e-3, 1e3)
-    """paper: d_safe"""
+    safety_radius_m: float = _number(0.9, 1e-3, 1e3)  # paper: d_safe
     decision: Literal["mean", "probability"] = "mean"
     """paper: `mean`, the predicted positions alone; `probability` needs a covariance"""
     probability_threshold: float = _number(0.5, 0, 1, is_open=True)
@@ -179,16 +153,12 @@ class PrivacySettings:
 class LinkageSettings:
     """What an adversary is given to link: windows of walks (`attacks.tasks.build`)."""
 
-    window_s: float = _number(12.0, 0.1, 1e6)
-    """length of a release in rerelease and new_traversal, the same for everyone"""
+    window_s: float = _number(12.0, 0.1, 1e6)  # length of a release in rerelease and new_traversal
     rerelease_shift_s: float = _number(6.0, 0, 1e6)
     """the two releases of a walk start at most this far apart, so that most of it is shown twice"""
-    split_window_s: float = _number(5.0, 0.1, 1e6)
-    """length of either half in split"""
-    split_gap_s: float = _number(2.0, 0, 1e6)
-    """shortest gap between the halves; with the windows, 12 s of a track"""
-    handover_period_s: float = _number(20.0, 0.1, 1e6)
-    """time between two instants at which all pseudonyms rotate"""
+    split_window_s: float = _number(5.0, 0.1, 1e6)  # length of either half in split
+    split_gap_s: float = _number(2.0, 0, 1e6)  # shortest gap between them; in all 12 s of a track
+    handover_period_s: float = _number(20.0, 0.1, 1e6)  # between two rotations of all pseudonyms
     handover_window_s: float = _number(5.0, 0.1, 1e6)
     """how much of a walk an adversary sees on either side of the gap, at most"""
     handover_least_s: float = _number(1.0, 0.01, 1e6)
@@ -213,10 +183,6 @@ class StageSettings:
     linkage: LinkageSettings = field(default_factory=LinkageSettings)
 
     def __post_init__(self) -> None:
-        for name, wanted in _types_of(StageSettings).items():
-            given = type(getattr(self, name))
-            if not issubclass(given, wanted):
-                raise SettingsError(f"{name} must be {wanted.__name__}, got {given.__name__}")
         if self.scenes.near_miss_max_m <= self.conflict.safety_radius_m:
             raise SettingsError(
                 f"scenes.near_miss_max_m ({self.scenes.near_miss_max_m:g}) must exceed "

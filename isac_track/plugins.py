@@ -61,28 +61,20 @@ _SINGULAR_AND_METHOD: dict[Kind, tuple[str, str]] = {
     "attacks": ("attack", "fit"),
 }
 _MOST_LEVELS = 1000
-_WHOLE_LIMIT = 10**12
-"""Names show 12 digits."""
+_WHOLE_LIMIT = 10**12  # Names show 12 digits.
 
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
     """One configured plug-in: a mechanism at one level, a predictor or an attack."""
 
-    name: str
-    """As in the result columns: family and non-default parameters, without the level."""
-    level: float | None
-    """Level of a mechanism; None where it has none or it is not a number."""
-    spec: str
-    """Canonical SPEC that gives this very plug-in again."""
-    origin: str
-    """``module:Class``"""
-    instance: Any
-    """The frozen object."""
-    family: str = ""
-    """Its name without parameters."""
-    adding: str = ""
-    """Adding rule that a mechanism declares; empty if it has none."""
+    name: str  # As in the result columns: family and non-default parameters, without the level.
+    level: float | None  # Level of a mechanism; None where it has none or it is not a number.
+    spec: str  # Canonical SPEC that gives this very plug-in again.
+    origin: str  # ``module:Class``
+    instance: Any  # The frozen object.
+    family: str = ""  # Its name without parameters.
+    adding: str = ""  # Adding rule that a mechanism declares; empty if it has none.
 
 
 def names(kind: Kind) -> dict[str, str]:
@@ -316,7 +308,7 @@ def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, An
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if position == 0 and kind == "mechanisms" and is_number:
             level = float(value)
-        elif item.name in changes and value != _default(item):
+        elif item.name in changes and value != item.default:
             parameters.append(f"{item.name}={_text(value)}")
     column = ":".join([name, *([",".join(parameters)] if parameters else [])])
     spec = column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
@@ -376,11 +368,6 @@ def _check_declared(kind: Kind, instance: object, origin: str) -> str:
         except ValueError as error:
             raise PluginError(f"{origin}: {error}") from None
     return ""
-
-
-def _default(item: dataclasses.Field[Any]) -> Any:  # noqa: ANN401 - of any type
-    made = item.default_factory
-    return item.default if made is dataclasses.MISSING else made()
 
 
 def _text(value: object) -> str:

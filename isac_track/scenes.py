@@ -27,24 +27,15 @@ if TYPE_CHECKING:
 class Cut:
     """N resampled tracks, split at now: known history, and the hidden future on the grid."""
 
-    t: Floats
-    """(M,) s, history times."""
-    xy: Floats
-    """(M, 2) m, true history."""
-    offsets: Ints
-    """(N + 1,)"""
-    t_future: Floats
-    """(N, H) s, prediction grid; step 0 is the last history sample."""
-    xy_future: Floats
-    """(N, H, 2) m, true positions on the grid."""
-    source: tuple[str, ...]
-    """(N,) source track id."""
-    group: tuple[str, ...]
-    """(N,) cluster of the track."""
-    too_short: int
-    """Recorded tracks below `min_duration_s`."""
-    no_future: int
-    """Tracks that are long enough but do not cover the horizon after the split."""
+    t: Floats  # (M,) s, history times.
+    xy: Floats  # (M, 2) m, true history.
+    offsets: Ints  # (N + 1,)
+    t_future: Floats  # (N, H) s, prediction grid; step 0 is the last history sample.
+    xy_future: Floats  # (N, H, 2) m, true positions on the grid.
+    source: tuple[str, ...]  # (N,) source track id.
+    group: tuple[str, ...]  # (N,) cluster of the track.
+    too_short: int  # Recorded tracks below `min_duration_s`.
+    no_future: int  # Tracks that are long enough but do not cover the horizon after the split.
 
     def __len__(self) -> int:
         return self.offsets.size - 1
@@ -188,15 +179,6 @@ def make_scenes(
         conflict=is_conflict(separation_m=separation, safety_radius_m=safety_radius_m),
         exhausted=exhausted,
     )
-
-
-def predicted_separation(scenes: Scenes, *, mean: Floats, settings: ConflictSettings) -> Floats:
-    """Return the minimum separation of each scene that a robot foresees, (S,) m.
-
-    `mean` are the predicted positions on the grid, (S * A, H, 2) m.
-    """
-    robot = robot_positions(scenes, settings=settings)
-    return minimum_separation(robot=robot, agents=mean.reshape(robot.shape))
 
 
 def robot_positions(scenes: Scenes, *, settings: ConflictSettings) -> Floats:

@@ -20,15 +20,9 @@ TEXT = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 KEY = ["consumer", "metric", "mechanism", "level"]
 MINE = "geometric_median:GeometricMedian"
 FILES = (
-    "report.html",
-    "manifest.json",
-    "summary.csv",
-    "matched.csv",
-    "linkability.csv",
-    "verdict.json",
-    "flags.json",
-    "figures/after_attack.svg",
-    "tables/attacks.tex",
+    *("report.html", "figures/after_attack.svg", "tables/attacks.tex"),
+    *(f"{name}.csv" for name in ("summary", "matched", "linkability")),
+    *(f"{name}.json" for name in ("manifest", "verdict", "flags")),
 )
 
 
@@ -42,11 +36,8 @@ def finished(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.chdir(folder)
         patch.syspath_prepend(folder)
-        patch.setattr(
-            drawing,
-            "figures_of",
-            lambda run: [one for one in figures(run) if one.name == "after_attack"],
-        )
+        after = lambda run: [one for one in figures(run) if one.name == "after_attack"]  # noqa: E731
+        patch.setattr(drawing, "figures_of", after)
         runpy.run_path("tutorial.py")
     del sys.modules["geometric_median"]  # the name is free again
     return folder / "tutorial-run", said.getvalue()
@@ -105,12 +96,8 @@ def test_what_the_text_says_of_the_attack_is_so(summary):
 
 
 def test_verdict_and_design_question_are_answered(finished, verdict):
-    assert {one["section"] for one in verdict["items"]} == {
-        "validity",
-        "within",
-        "claim",
-        "inflation",
-    }
+    sections = {one["section"] for one in verdict["items"]}
+    assert sections == {"validity", "within", "claim", "inflation"}
     assert all(sentence in finished[1] for sentence in verdict["answer"])
     found = [one for one in verdict["items"] if one["section"] == "validity"]
     assert {one["decision"] for one in found} == {"does not track"}

@@ -8,10 +8,9 @@ who left has no mate, who is new is a candidate all the same. In the others ever
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -83,7 +82,6 @@ def task_named(name: str) -> Task:
         If there is none, with what may have been meant.
     """
     if name not in TASKS:
-        near = get_close_matches(name, TASKS, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(TASKS)}"
-        raise SettingsError(f"unknown task {name!r}; {hint}")
+        hint = did_you_mean(name, TASKS, quote="'") or f"; known: {', '.join(TASKS)}"
+        raise SettingsError(f"unknown task {name!r}{hint}")
     return TASKS[name]

@@ -9,9 +9,9 @@ import numpy as np
 from evaluation.cells.adversary import showing
 from evaluation.cells.sharing import guarded, handed
 from evaluation.cells.tables import Rows, descriptors, track_columns
-from isac_track.conflict import conflict_probability, is_conflict
+from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError
-from isac_track.scenes import predicted_separation, robot_positions
+from isac_track.scenes import robot_positions
 from isac_track.types import Prediction, Release, Scenes
 
 if TYPE_CHECKING:
@@ -51,13 +51,14 @@ def sharing_rows(
     expected = scenes.xy_future.shape
     if not isinstance(prediction, Prediction) or prediction.mean.shape != expected:
         raise PluginError(f"{who} must return a Prediction with mean {expected}")
-    separation_m = predicted_separation(scenes, mean=prediction.mean, settings=conflict)
+    robot = robot_positions(scenes, settings=conflict)
+    mean = prediction.mean.reshape(robot.shape)
+    separation_m = minimum_separation(robot=robot, agents=mean)
     probability = np.full(len(scenes), np.nan)
     if prediction.cov is not None:
-        robot = robot_positions(scenes, settings=conflict)
         probability = conflict_probability(
             robot=robot,
-            mean=prediction.mean.reshape(robot.shape),
+            mean=mean,
             cov=prediction.cov.reshape(*robot.shape, 2),
             radius_m=conflict.safety_radius_m,
         )

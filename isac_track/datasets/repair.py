@@ -20,16 +20,13 @@ SAME_TIME_S = 1e-7
 and the slope between them would overflow."""
 LONGEST_STEP_S = 10.0
 """With a longer usual step nobody's walk is seen, and to interpolate it would take any memory."""
-GAP_STEPS = 1.75
-"""A step longer than this many median steps of the file is a gap (a lost frame makes 2)."""
+GAP_STEPS = 1.75  # A step of more than so many median ones is a gap (a lost frame makes 2).
 SPLIT_S = 2.0
 """A gap longer than this, and than `SPLIT_STEPS`, ends the track: to bridge it invents a walk."""
-SPLIT_STEPS = 3.0
-"""Slow recordings may have longer gaps: this many median steps."""
+SPLIT_STEPS = 3.0  # Slow recordings may have longer gaps: this many median steps.
 SPEED_LIMITS_MPS = (0.01, 5.0)
 """Bounds on the median speed of all steps that move: beyond them the units are wrong."""
-FAST_STEP_MPS = 12.0
-"""Faster than a sprinter: a jump of the tracker, counted and kept."""
+FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker, counted and kept.
 
 
 def to_tracks(
@@ -43,19 +40,25 @@ def to_tracks(
     """
     place, ids, members = rows.place, rows.ids, (*rows.groups, *groups)
     notes = [*rows.notes]
+
+    def take(which: Ints | Bools) -> None:
+        nonlocal rows  # one column after the other is let go: files may be large
+        for name in ("person", "t", "xy"):
+            rows = replace(rows, **{name: getattr(rows, name)[which]})
+
     order = np.argsort(rows.person, kind="stable")
     late = (np.diff(rows.t[order]) < 0) & (np.diff(rows.person[order]) == 0)
     text = "earlier than the row before of the same id; sorted"
     notes += place.noted("unsorted", order[1:][late], text)
     order = np.lexsort((rows.t, rows.person))  # stable
-    # Under the one name, here and below, so that the rows before are let go: files may be large.
-    rows = _taken(rows, order)
+    take(order)
     again = _copies(rows, order)
     text = "the same id, time and position again; dropped"
     notes += place.noted("duplicate", order[1:][again], text)
     if again.any():
         keep = np.concatenate([[True], ~again])
-        rows, order = _taken(rows, keep), order[keep]
+        take(keep)
+        order = order[keep]
 
     cut, gaps = _cuts(rows, order)
     notes += gaps
@@ -64,7 +67,8 @@ def to_tracks(
     text = f"a single sample (id {listed([ids[index] for index in rows.person[single]])}); dropped"
     notes += place.noted("one-point", order[single], text)
     if single.any():
-        rows, order = _taken(rows, ~single), order[~single]
+        take(~single)
+        order = order[~single]
     offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
     t, owner = rows.t, rows.person[offsets[:-1]]
     if not t.size:
@@ -120,10 +124,6 @@ def walking_groups(*, ids: tuple[str, ...], members: Iterable[tuple[str, str]]) 
     while any(name.startswith(prefix) for name in ids):
         prefix = f"group{prefix}"
     return tuple(prefix + root(label_of[name]) if name in label_of else name for name in ids)
-
-
-def _taken(rows: Rows, which: Ints | Bools) -> Rows:
-    return replace(rows, person=rows.person[which], t=rows.t[which], xy=rows.xy[which])
 
 
 def _copies(rows: Rows, order: Ints) -> Bools:

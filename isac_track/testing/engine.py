@@ -8,12 +8,11 @@ pytest.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Literal
 from unittest import SkipTest
 
-from isac_track.errors import SettingsError
+from isac_track.errors import SettingsError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -86,9 +85,8 @@ def select(
     """
     for name in names or ():
         if name not in checks:
-            near = get_close_matches(name, checks, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else known
-            raise SettingsError(f"unknown check {name!r}{kit}; {hint}")
+            hint = did_you_mean(name, checks, quote="'") or f"; {known}"
+            raise SettingsError(f"unknown check {name!r}{kit}{hint}")
     return tuple(checks[name] for name in dict.fromkeys(checks if names is None else names))
 
 

@@ -7,13 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from isac_track.config import (
-    ConflictSettings,
-    PrivacySettings,
-    SceneSettings,
-    SensingSettings,
-    StageSettings,
-)
+from isac_track.config import PrivacySettings, SceneSettings, SensingSettings, StageSettings
 from isac_track.errors import SettingsError
 
 PAPER = """
@@ -112,14 +106,8 @@ def test_both_ends_of_a_range_may_be_taken():
     ("kind", "values", "message"),
     [
         (PrivacySettings, {"epsilon_m": "0.3"}, "privacy.epsilon_m must be a number, got '"),
-        (PrivacySettings, {"epsilon_m": True}, "privacy.epsilon_m must be a number, got Tr"),
-        (PrivacySettings, {"epsilon_m": float("nan")}, "must lie within 1e-06 to 10000"),
-        (PrivacySettings, {"epsilon_m": 10**400}, "must lie within 1e-06 to 10000, got 1000"),
         (SceneSettings, {"agents": 4.0}, "scenes.agents must be a whole number, got 4.0"),
         (SensingSettings, {"law": ["radial"]}, "sensing.law must be one of radial, iso"),
-        (ConflictSettings, {"window": 10**9}, "conflict.window must lie within 2 to 100000"),
-        (StageSettings, {"privacy": "wide"}, "privacy must be PrivacySettings, got str"),
-        (StageSettings, {"scenes": PrivacySettings()}, "scenes must be SceneSettings, got P"),
     ],
 )
 def test_a_wrong_type_given_in_python_is_an_error_that_names_the_setting(kind, values, message):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from isac_track.config import StageSettings
+from isac_track.conflict import minimum_separation
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
-from isac_track.scenes import cut, history_samples, make_scenes, predicted_separation, track_order
+from isac_track.scenes import cut, history_samples, make_scenes, robot_positions, track_order
 from isac_track.types import Release
 from predictors.least_squares import LeastSquares
 
@@ -115,7 +116,8 @@ def test_a_scene_is_the_same_in_any_block(known, scenes):
 
 
 def test_a_perfect_prediction_has_the_true_separation(scenes):
-    found = predicted_separation(scenes, mean=scenes.xy_future, settings=SETTINGS.conflict)
+    robot = robot_positions(scenes, settings=SETTINGS.conflict)
+    found = minimum_separation(robot=robot, agents=scenes.xy_future.reshape(robot.shape))
     assert np.allclose(found, scenes.separation)
 
 

@@ -19,22 +19,15 @@ if TYPE_CHECKING:
 class CrowdSettings:
     """Scenario of the simulated crowd. The physics are constants of `model`."""
 
-    duration_s: float = 600.0
-    """length of the recording"""
-    n_people: int = 1100
-    """people, each with one walk in every session"""
+    duration_s: float = 600.0  # length of the recording
+    n_people: int = 1100  # people, each with one walk in every session
     trait_strength: float = 1.0
     """scale of the between-person spread of every trait: 0 makes everybody alike"""
-    frame_s: float = 0.4
-    """time between recorded positions"""
-    substeps: int = 5
-    """simulated steps per recorded position"""
-    lead_s: float = 20.0
-    """arrivals this long before the start are already under way when it comes"""
-    tail_s: float = 4.0
-    """nobody arrives in the last seconds, so that every walk has some length"""
-    area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)
-    """plaza: x_min, y_min, x_max, y_max"""
+    frame_s: float = 0.4  # time between recorded positions
+    substeps: int = 5  # simulated steps per recorded position
+    lead_s: float = 20.0  # arrivals this long before the start are already under way when it comes
+    tail_s: float = 4.0  # nobody arrives in the last seconds, so that every walk has some length
+    area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)  # x_min, y_min, x_max, y_max
 
     @property
     def n_frames(self) -> int:
@@ -59,20 +52,16 @@ GROUP_SIZE_SHARES = (0.65, 0.28, 0.045, 0.025)
 """Shares of singles, pairs, threes and fours among the parties that arrive."""
 GROUP_PACE = (1.0, 0.82, 0.76, 0.72)
 """Speed of a party over the mean of its members: groups walk slower [Moussaid 2010]."""
-MOOD_SPREAD = 0.08
-"""Standard deviation of the logarithm of a person's speed from one session to the next."""
-SPACING_M = 0.58
-"""Shoulder to shoulder in a group that walks abreast."""
-VIA_CHANCE = 0.35
-"""Share of parties that do not walk straight through but by way of a place on the plaza."""
+MOOD_SPREAD = 0.08  # Standard deviation of the logarithm of one's speed between sessions.
+SPACING_M = 0.58  # Shoulder to shoulder in a group that walks abreast.
+VIA_CHANCE = 0.35  # Share of parties that walk by way of a place on the plaza.
 CHAT_CHANCE = (0.03, 0.14, 0.19, 0.19)
 """Chance, per party size, to stand and chat (or wait) at that place at the median habit."""
 CHAT_MEDIAN_S, CHAT_SPREAD, CHAT_MAX_S = 40.0, 0.7, 180.0
 STOP_MEAN_S, STOP_MIN_S = 0.9, 0.4
 SIDE_CENTRES = ((0, 0.65), (1, 0.25), (1, 0.75), (2, 0.45), (3, 0.3), (3, 0.72))
 """Gates: side (0 west, 1 south, 2 east, 3 north) and centre as a share of the side."""
-GATE_WIDTH = 0.4
-"""Width of a gate as a share of the side."""
+GATE_WIDTH = 0.4  # Width of a gate as a share of the side.
 GATE_WEIGHTS = (0.2, 0.18, 0.18, 0.12, 0.16, 0.16)
 
 
@@ -80,22 +69,15 @@ GATE_WEIGHTS = (0.2, 0.18, 0.18, 0.12, 0.16, 0.16)
 class Party:
     """People who walk together in one session, or one who walks alone."""
 
-    members: Ints
-    """(K,) row of each person"""
-    slots_m: Floats
-    """(K, 2) place in the formation: ahead of and left of its centre"""
+    members: Ints  # (K,) row of each person
+    slots_m: Floats  # (K, 2) place in the formation: ahead of and left of its centre
     arrival_s: float
-    entry_m: Floats
-    """(C, 2) candidate points of entry; the clearest one is taken on arrival"""
-    targets_m: Floats
-    """(T, 2) waypoints; the last lies beyond the gate of exit"""
+    entry_m: Floats  # (C, 2) candidate points of entry; the clearest one is taken on arrival
+    targets_m: Floats  # (T, 2) waypoints; the last lies beyond the gate of exit
     exit_side: int
-    chat_s: float
-    """time to stand at the first waypoint if there are two; 0 passes by"""
-    stop_at_m: Floats
-    """(S,) walked distances of short stops, increasing"""
-    stop_s: Floats
-    """(S,) and how long they last"""
+    chat_s: float  # time to stand at the first waypoint if there are two; 0 passes by
+    stop_at_m: Floats  # (S,) walked distances of short stops, increasing
+    stop_s: Floats  # (S,) and how long they last
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -103,8 +85,7 @@ class Plan:
     """A session: who walks with whom, from where to where, and when."""
 
     parties: tuple[Party, ...]
-    speed_mps: Floats
-    """(N,) desired speed in this session"""
+    speed_mps: Floats  # (N,) desired speed in this session
 
 
 def person_id(row: int) -> str:

@@ -18,9 +18,10 @@ from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
 from isac_track import plugins, privacy
 from isac_track.config import StageSettings
+from isac_track.conflict import minimum_separation
 from isac_track.errors import PluginError
 from isac_track.protocols import grants
-from isac_track.scenes import predicted_separation
+from isac_track.scenes import robot_positions
 from isac_track.sharing import Clean, Fixed, Raw
 from isac_track.types import Knowledge, Release, Sensed
 
@@ -172,7 +173,8 @@ class TestScenes:
             np.testing.assert_array_equal(thinned[same], whole[same])
         release = world.share(Sieve(Clean())).without_sigma()
         mean = forecaster.instance.predict(release, world.scenes.t_future).mean
-        expected = predicted_separation(world.scenes, mean=mean, settings=STAGES.conflict)
+        robot = robot_positions(world.scenes, settings=STAGES.conflict)
+        expected = minimum_separation(robot=robot, agents=mean.reshape(robot.shape))
         np.testing.assert_array_equal(thinned["predicted_separation_m"], expected)
         assert not np.array_equal(
             thinned["predicted_separation_m"], whole["predicted_separation_m"]

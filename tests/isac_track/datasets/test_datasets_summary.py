@@ -43,18 +43,6 @@ def test_lasting_forgives_the_rounding_of_the_clock():
     assert n_lasting(summarise(one_walk([0.4, end - 0.04], [0, 1])), 21.6) == 0
 
 
-@pytest.mark.usefixtures("ucy")
-def test_students03():
-    loaded = load("students03")
-    summary = summarise(loaded.tracks)
-    assert n_lasting(summary, 21.6) == 106
-    assert n_lasting(summary, 12) == 276
-    assert still_share(summary) == pytest.approx(0.187, abs=5e-4)
-    assert (summary.still_share > 0).sum() == 63
-    frozen = [loaded.tracks.source[row] for row in np.flatnonzero(summary.frozen)]
-    assert frozen == ["289", "453", "454", "468", "473"]
-
-
 def test_the_bundled_crowd_has_no_frozen_tracks():
     summary = summarise(load("plaza").tracks)
     assert summary.frozen.sum() == 0

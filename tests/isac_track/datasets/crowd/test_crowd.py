@@ -112,9 +112,7 @@ def test_the_bundled_sessions_are_the_generators_output(session):
     assert path.stat().st_size < 400_000
 
 
-def test_plaza_is_in_metres_near_the_place_of_the_real_crowd(plaza, stats):
-    assert 1000 <= len(plaza) <= 1200
-    assert 200 < stats.line_errors_m(plaza).size < 400  # long enough for scenes
+def test_plaza_is_in_metres_near_the_place_of_the_real_crowd(plaza):
     assert (plaza.t.min(), plaza.t.max()) == (0.0, pytest.approx(600.0))
     assert np.allclose(np.diff(plaza[0].t), 0.4)
     low, high = np.quantile(plaza.xy, [0.01, 0.99], axis=0)
@@ -202,38 +200,20 @@ def test_a_file_of_another_kind_is_an_error_that_names_it(tmp_path, name):
         crowd.read_npz(tmp_path / name)
 
 
-# the statistics, by hand
-
-
-def test_speeds_and_turns_of_a_square_corner_and_of_those_who_stand(stats):
+def test_the_statistics_by_hand(stats):
     # 1 m/s east for 1.6 s, then north: one turn of 90 degrees, sampled across the corner.
-    corner = tracks_of([(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)])
-    assert np.allclose(stats.step_speeds_mps(corner), 1.0)
+    corner = tracks_of([(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)], [(5, 5)] * 2)
+    assert np.allclose(stats.step_speeds_mps(corner), [1, 1, 1, 1, 0])
     assert np.allclose(stats.turn_rates_dps(corner), 90 / 0.8)
-    assert np.allclose(stats.moving_speeds_mps(corner), 1.0)
-    standing = tracks_of([(0, 0)] * 6, [(5, 5)] * 6)
-    assert stats.turn_rates_dps(standing).size == 0
-    assert stats.step_speeds_mps(standing).size == 10  # none from one track to the next
-    assert np.isnan(stats.moving_speeds_mps(standing)).all()
-
-
-def test_neighbours_are_counted_per_frame(stats):
-    nearest, present = stats.neighbour_distances_m(
-        tracks_of([(0, 0), (0, 0)], [(3, 4), (0, 1)], [(9, 9)])
-    )
+    assert np.allclose(stats.moving_speeds_mps(corner), [1.0, np.nan], equal_nan=True)
+    people = tracks_of([(0, 0), (0, 0)], [(3, 4), (0, 1)], [(9, 9)])
+    nearest, present = stats.neighbour_distances_m(people)
     assert present.tolist() == [3, 2]
     assert np.allclose(sorted(nearest), [1, 1, 5, 5, np.hypot(6, 5)])
-
-
-def test_a_straight_walk_is_predicted_by_a_line_and_a_bent_one_is_not(stats):
     t = 0.4 * np.arange(80)
-    straight = tracks_of(np.stack([t, -0.5 * t], axis=1))
+    straight, bent = (tracks_of(np.stack([x, -0.5 * t], axis=1)) for x in (t, 0.05 * t**2))
     assert stats.line_errors_m(straight) == pytest.approx([0.0], abs=1e-9)
-    assert stats.line_errors_m(straight, everywhere=True).size > 10
-    assert stats.line_errors_m(tracks_of([(0, 0)] * 54)).size == 0  # too short
     # x = a t^2 / 2: the line through a window of length w, at h past its end, errs by
     # a / 2 * (h^2 + h w + w^2 / 6) in the limit of many samples.
-    bent = tracks_of(np.stack([0.05 * t**2, 0 * t], axis=1))
-    assert stats.line_errors_m(bent)[0] == pytest.approx(
-        0.05 * (0.917**2 + 0.917 * 1.25 + 1.25**2 / 6), rel=0.25
-    )
+    expected = 0.05 * (0.917**2 + 0.917 * 1.25 + 1.25**2 / 6)
+    assert stats.line_errors_m(bent)[0] == pytest.approx(expected, rel=0.25)
