@@ -21,6 +21,7 @@ _Loop = TypeVar("_Loop", bound="Callable[..., object]")
 FLOATS1 = numba.types.Array(numba.float64, 1, "C", readonly=True)
 FLOATS2 = numba.types.Array(numba.float64, 2, "C", readonly=True)
 FLOATS3 = numba.types.Array(numba.float64, 3, "C", readonly=True)
+FLOATS4 = numba.types.Array(numba.float64, 4, "C", readonly=True)
 INTS1 = numba.types.Array(numba.int64, 1, "C", readonly=True)
 OUT_FLOATS1 = numba.float64[::1]
 OUT_FLOATS2 = numba.float64[:, ::1]

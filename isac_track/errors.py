@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-_MOST_TOLD = 300  # Characters of a stranger's message.
-_MOST_REPEATED = 100  # Characters of what a user typed.
+_MOST_TOLD = 300
+"""Characters of a stranger's message."""
+_MOST_REPEATED = 100
+"""Characters of what a user typed."""
 
 
 class IsacTrackError(Exception):

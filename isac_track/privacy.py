@@ -19,10 +19,14 @@ if TYPE_CHECKING:
 class Exposure:
     """Leakage of N trajectories."""
 
-    plr: Floats  # (N,) share of leaked samples, 0..1 (eq. plr_definition).
-    ael_s: Floats  # (N,) s, mean duration of a trajectory's leaked segments; 0 without one.
-    mel_s: Floats  # (N,) s, duration of its longest leaked segment; 0 without one.
-    segments: Ints  # (N,) number of leaked segments.
+    plr: Floats
+    """(N,) share of leaked samples, 0..1 (eq. plr_definition)."""
+    ael_s: Floats
+    """(N,) s, mean duration of a trajectory's leaked segments; 0 without one."""
+    mel_s: Floats
+    """(N,) s, duration of its longest leaked segment; 0 without one."""
+    segments: Ints
+    """(N,) number of leaked segments."""
 
 
 def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -> Bools:

@@ -124,7 +124,8 @@ class TrainingSet:
     """A release of other people, perturbed by the same mechanism, and where they truly were."""
 
     release: Release
-    truth: Floats  # (M, 2) m, in the frame of the release.
+    truth: Floats
+    """(M, 2) m, in the frame of the release."""
 
     def __post_init__(self) -> None:
         shape = self.release.xy.shape
@@ -139,7 +140,8 @@ class LinkageTrainingSet:
 
     probe: Release
     gallery: Release
-    mate: Ints  # (P,) track of the gallery that is the same person, or -1 if there is none.
+    mate: Ints
+    """(P,) track of the gallery that is the same person, or -1 if there is none."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mate", read_only(np.asarray(self.mate, dtype=np.int64)))

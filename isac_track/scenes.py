@@ -27,15 +27,24 @@ if TYPE_CHECKING:
 class Cut:
     """N resampled tracks, split at now: known history, and the hidden future on the grid."""
 
-    t: Floats  # (M,) s, history times.
-    xy: Floats  # (M, 2) m, true history.
-    offsets: Ints  # (N + 1,)
-    t_future: Floats  # (N, H) s, prediction grid; step 0 is the last history sample.
-    xy_future: Floats  # (N, H, 2) m, true positions on the grid.
-    source: tuple[str, ...]  # (N,) source track id.
-    group: tuple[str, ...]  # (N,) cluster of the track.
-    too_short: int  # Recorded tracks below `min_duration_s`.
-    no_future: int  # Tracks that are long enough but do not cover the horizon after the split.
+    t: Floats
+    """(M,) s, history times."""
+    xy: Floats
+    """(M, 2) m, true history."""
+    offsets: Ints
+    """(N + 1,)"""
+    t_future: Floats
+    """(N, H) s, prediction grid; step 0 is the last history sample."""
+    xy_future: Floats
+    """(N, H, 2) m, true positions on the grid."""
+    source: tuple[str, ...]
+    """(N,) source track id."""
+    group: tuple[str, ...]
+    """(N,) cluster of the track."""
+    too_short: int
+    """Recorded tracks below `min_duration_s`."""
+    no_future: int
+    """Tracks that are long enough but do not cover the horizon after the split."""
 
     def __len__(self) -> int:
         return self.offsets.size - 1

@@ -29,17 +29,35 @@ def perturb(
     law: ErrorLaw | None = None,
     unit_error: Floats | None = None,
 ) -> Release:
-    """Add an error of standard deviation `d_sigma`, (M,) m or one number, to the raw estimates.
+    """Add an error of standard deviation `d_sigma` to the raw estimates.
 
     `linear` (eq. shared_sigma): the standard deviations add, sigma_raw + d_sigma; the true
     error is scaled, which only somebody who knows the truth can do. `independent`
     (eq. swarm_shared): a fresh error is added and the variances add. The fresh error has a
     direction of its own: under the law `fixed_direction` one for each track of the release.
 
-    `law` is that of the fresh error, by default that of the raw one, and `unit_error`, (M, 2), is
-    the fresh standardised error itself instead of a draw (both for `independent` only); `rng` also
-    gives the pseudonyms. The release declares the standard deviation of every sample. ValueError
-    if `d_sigma` is negative, not finite or of the wrong shape, or a rule is unknown.
+    Parameters
+    ----------
+    sensed : Sensed
+        N tracks, M samples.
+    d_sigma : (M,) m, or one number
+    rng : Generator
+        Source of the fresh error (`independent` only) and of the pseudonyms.
+    adding : {"linear", "independent"}
+    law : {"radial", "isotropic", "fixed_direction"}, optional
+        Law of the fresh error; by default that of the raw error.
+    unit_error : (M, 2), optional
+        The fresh standardised error itself, instead of a draw (`independent` only).
+
+    Returns
+    -------
+    Release
+        With the declared standard deviation of every sample.
+
+    Raises
+    ------
+    ValueError
+        If `d_sigma` is negative, not finite or of the wrong shape, or a rule is unknown.
     """
     extra: Floats = np.broadcast_to(np.asarray(d_sigma, dtype=np.float64), sensed.t.shape)
     if not (np.isfinite(extra).all() and (extra >= 0).all()):
@@ -100,9 +118,11 @@ class Raw:
 class Fixed:
     """Add the same standard deviation to every sample (the paper's baseline)."""
 
-    d_sigma: float  # m
+    d_sigma: float
+    """m"""
     adding: Adding = "linear"
-    law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
+    law: ErrorLaw | None = None
+    """Law of the added error; None: that of the raw error."""
 
     def __post_init__(self) -> None:
         check_at_least("d_sigma", self.d_sigma, 0, " m")
@@ -116,11 +136,14 @@ class Fixed:
 class Fid:
     """Add error where the Fisher information density exceeds eta (the paper's mechanism)."""
 
-    eta: float  # 1/(m^2 s)
-    alpha: float = 0.5  # m
+    eta: float
+    """1/(m^2 s)"""
+    alpha: float = 0.5
+    """m"""
     beta: float = 1.5
     adding: Adding = "linear"
-    law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
+    law: ErrorLaw | None = None
+    """Law of the added error; None: that of the raw error."""
 
     sweep: ClassVar[str] = "log"
 

@@ -42,7 +42,8 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
 }
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
-SLOW_MPS = 0.2  # Slower steps than this are not walking.
+SLOW_MPS = 0.2
+"""Slower steps than this are not walking."""
 FROZEN_SHARE = 0.9
 """A track with at least this share of exactly-zero steps is nearly frozen: an annotation
 that was left standing rather than a person, whose last position tells the whole walk."""
@@ -53,16 +54,23 @@ _CLOCK_S = 1e-9
 class Dataset:
     """Tracks, where they come from, and what was done to them on reading."""
 
-    name: str  # Name in the registry, or of the file.
+    name: str
+    """Name in the registry, or of the file."""
     tracks: Tracks
-    path: str  # Where it was found; for bundled data relative to the package.
-    sha256: str  # Hash of the main file.
+    path: str
+    """Where it was found; for bundled data relative to the package."""
+    sha256: str
+    """Hash of the main file."""
     format: str
-    simulated: bool  # True for the bundled crowd; of a file of one's own nothing is known: False.
+    simulated: bool
+    """True for the bundled crowd; of a file of one's own nothing is known: False."""
     repairs: tuple[Repair, ...]
-    notice: str | None  # Says that another data set than the preferred one was taken; to be shown.
-    citation: str  # Whom to credit; empty if unknown.
-    licence: str  # Empty if unknown.
+    notice: str | None
+    """Says that another data set than the preferred one was taken; to be shown."""
+    citation: str
+    """Whom to credit; empty if unknown."""
+    licence: str
+    """Empty if unknown."""
 
 
 def load(

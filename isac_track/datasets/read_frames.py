@@ -32,7 +32,8 @@ COLUMNS = {
 _HEADER_CHARACTERS = 1000
 _METRES = {"m": 1.0, "cm": 0.01}
 _TRACK_FIELDS = ("f", "p", "x", "y")
-_LONGEST_LINE = 10_000  # Characters: what a line holds beyond its row only takes memory.
+_LONGEST_LINE = 10_000
+"""Characters: what a line holds beyond its row is not used, and takes memory."""
 
 
 def read_columns(format_name: str, *, data: bytes, path: str, fps: float | None) -> Rows:

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
     from isac_track.types import Bools, Floats, Ints
 
-WHOLE_LIMIT = 2.0**53  # Frames and ids are float64, which holds every whole number below this.
+WHOLE_LIMIT = 2.0**53
+"""Frames and ids are read as float64, which holds every whole number below this."""
 _LIMITS = {
     **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
     # About 30,000 years: a larger clock is not in seconds.
@@ -25,7 +26,8 @@ _LIMITS = {
     "x": 1e9,
     "y": 1e9,
 }
-FPS_LIMITS = (1e-3, 1e6)  # Frames per second outside are a mistake, and would overflow the clock.
+FPS_LIMITS = (1e-3, 1e6)
+"""Frames per second outside are a mistake, and would overflow the clock."""
 _SHOWN = 5
 
 
@@ -33,9 +35,12 @@ _SHOWN = 5
 class Repair:
     """Something that was mended, left out or let pass on reading, and how often."""
 
-    kind: str  # One of the kinds of ``docs/data.md``, such as `duplicate` or `gap`.
-    count: int  # Rows, steps or tracks, as `detail` says.
-    detail: str  # File, first line numbers, and what was done.
+    kind: str
+    """One of the kinds of ``docs/data.md``, such as `duplicate` or `gap`."""
+    count: int
+    """Rows, steps or tracks, as `detail` says."""
+    detail: str
+    """File, first line numbers, and what was done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +70,19 @@ class Place:
 class Rows:
     """M rows of a recording: numbers checked, nothing sorted or mended yet."""
 
-    person: Ints  # (M,) index into `ids`
-    ids: tuple[str, ...]  # Who was recorded, each id once, in the order of the tracks to be.
-    t: Floats  # (M,) s, on the file's own clock
-    xy: Floats  # (M, 2) m
+    person: Ints
+    """(M,) index into `ids`"""
+    ids: tuple[str, ...]
+    """Who was recorded, each id once, in the order of the tracks to be."""
+    t: Floats
+    """(M,) s, on the file's own clock"""
+    xy: Floats
+    """(M, 2) m"""
     place: Place
-    groups: tuple[tuple[str, str], ...] = ()  # (id, label of a walking group) pairs
-    notes: tuple[Repair, ...] = ()  # What the reader itself mended or left out.
+    groups: tuple[tuple[str, str], ...] = ()
+    """(id, label of a walking group) pairs"""
+    notes: tuple[Repair, ...] = ()
+    """What the reader itself mended or left out."""
 
 
 def framed(columns: Mapping[str, Floats], place: Place) -> Rows:

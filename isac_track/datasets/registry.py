@@ -16,8 +16,10 @@ from isac_track.errors import DataError, did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-DATA_VARIABLE = "ISAC_TRACK_DATA"  # Folder of the user's data sets: ``NAME/obsmat.txt``. Only read.
-CACHE_VARIABLE = "ISAC_TRACK_CACHE"  # Folder for downloads, instead of the user's cache.
+DATA_VARIABLE = "ISAC_TRACK_DATA"
+"""Folder of data sets that the user keeps: ``NAME/obsmat.txt``. Only read."""
+CACHE_VARIABLE = "ISAC_TRACK_CACHE"
+"""Folder for downloads, instead of the user's cache."""
 MIRROR_VARIABLE = "ISAC_TRACK_MIRROR"
 """Base URL to download from instead of GitHub; hashes are checked all the same."""
 DEFAULT = "students03"
@@ -31,7 +33,8 @@ _OPENTRAJ = (
 CONNECT_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 30.0
 _CHUNK_BYTES = 16_384
-_MOST_BYTES = 100_000_000  # Far more than any known file has: what goes on for longer is none.
+_MOST_BYTES = 100_000_000
+"""Far more than any known file: what goes on for longer is not one of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +45,8 @@ class Known:
     about: str = ""
     citation: str = ""
     licence: str = ""
-    session: int | None = None  # Number of the bundled session, if this is the bundled crowd.
+    session: int | None = None
+    """Number of the bundled session, if this is the bundled crowd."""
     format: str = ""
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)

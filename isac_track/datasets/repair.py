@@ -20,13 +20,16 @@ SAME_TIME_S = 1e-7
 and the slope between them would overflow."""
 LONGEST_STEP_S = 10.0
 """With a longer usual step nobody's walk is seen, and to interpolate it would take any memory."""
-GAP_STEPS = 1.75  # A step of more than so many median ones is a gap (a lost frame makes 2).
+GAP_STEPS = 1.75
+"""A step longer than this many median steps of the file is a gap (a lost frame makes 2)."""
 SPLIT_S = 2.0
 """A gap longer than this, and than `SPLIT_STEPS`, ends the track: to bridge it invents a walk."""
-SPLIT_STEPS = 3.0  # Slow recordings may have longer gaps: this many median steps.
+SPLIT_STEPS = 3.0
+"""Slow recordings may have longer gaps: this many median steps."""
 SPEED_LIMITS_MPS = (0.01, 5.0)
 """Bounds on the median speed of all steps that move: beyond them the units are wrong."""
-FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker, counted and kept.
+FAST_STEP_MPS = 12.0
+"""Faster than a sprinter: a jump of the tracker, counted and kept."""
 
 
 def to_tracks(
