@@ -16,6 +16,7 @@ from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
+from evaluation.reporting import terminal
 from evaluation.reporting.announcements import same_run
 from evaluation.reporting.result_tables import MARKS, MEANING
 from evaluation.reporting.table import (
@@ -29,7 +30,6 @@ from evaluation.reporting.table import (
     said,
     word,
 )
-from evaluation.reporting.terminal import literal, say, show_table, standard_output
 from evaluation.verdict.choose_level import (
     ASKED,
     METRIC_OF,
@@ -45,7 +45,7 @@ from evaluation.verdict.choose_level import (
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from rich.console import Console
 
@@ -261,44 +261,42 @@ def _ends(scheme: Scheme, *, hopeless: bool) -> str:
 
 def show(choice: Choice, *, console: Console | None = None) -> None:
     """Print the answer in one sentence, the levels behind it, and why."""
-    console = standard_output() if console is None else console
-    _say(sentence(choice), "bold green" if choice.met else "bold red", console=console)
-    console.print()
-    identity = choice.manifest["identity"]
-    about = (
-        f"{choice.manifest['dataset']['name']}: {identity['scenes']} scenes, seed "
-        f"{identity['seed']}; predictor {choice.predictor}; 95 % intervals, whose upper ends must "
-        "meet the limits"
-    )
-    _say(about, console=console)
-    units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
-    _say(f"(level: {units})", console=console)
-    for one in answer_tables(choice):
-        show_table(one, console=console, whole=True)
-    for scheme in choice.schemes:
-        console.print()
-        _say(f"{scheme.name}, {scheme.adding} adding", "bold cyan", console=console)
-        for reason in [*reasons(scheme), *["meets everything that was asked"] * scheme.met]:
-            _say(f"- {reason}", console=console)
-    for place, note in enumerate(notes(choice)):
-        if place == 0:
-            console.print()
-        _say(f"NOTICE: {note}", "yellow", console=console)
+    console = terminal.standard_output() if console is None else console
+    terminal.show(_printed(choice, width=console.width), console=console, whole=True)
     command = closer(choice)
     if command:
-        console.print()
-        _say("To look closer where the answer turns:", "bold", console=console)
+        told = "To look closer where the answer turns:", "bold"
+        terminal.show(["", told], console=console)
         # As one line, whatever the width: it is there to be copied.
-        console.print(Text(literal(console, command)), soft_wrap=True)
+        console.print(Text(terminal.literal(console, command)), soft_wrap=True)
 
 
-def _say(text: str, style: str = "", *, console: Console) -> None:
-    """Print a paragraph; the further lines of an item stand below its first word."""
-    indent = "  " * text.startswith("- ")
-    for line in textwrap.wrap(
-        text, console.width, subsequent_indent=indent, break_on_hyphens=False
-    ):
-        say(console, line, style)
+def _printed(choice: Choice, *, width: int) -> Iterator[terminal.Part]:
+    identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
+    about = (
+        f"{dataset['name']}: {identity['scenes']} scenes, seed {identity['seed']}; predictor "
+        f"{choice.predictor}; 95 % intervals, whose upper ends must meet the limits"
+    )
+    units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
+    parts: list[terminal.Part] = [
+        (sentence(choice), "bold green" if choice.met else "bold red"),
+        *("", about, f"(level: {units})", *answer_tables(choice)),
+    ]
+    for scheme in choice.schemes:
+        parts += ["", (f"{scheme.name}, {scheme.adding} adding", "bold cyan")]
+        parts += [f"- {reason}" for reason in reasons(scheme)]
+        parts += ["- meets everything that was asked"] * scheme.met
+    found = notes(choice)
+    parts += [*[""] * bool(found), *((f"NOTICE: {note}", "yellow") for note in found)]
+    for part in parts:
+        if isinstance(part, Table) or not part:
+            yield part
+            continue
+        text, style = (part, "") if isinstance(part, str) else part
+        # The further lines of an item stand below its first word.
+        options: dict[str, Any] = {"subsequent_indent": "  " * text.startswith("- ")}
+        for line in textwrap.wrap(text, width, break_on_hyphens=False, **options):
+            yield line, style
 
 
 def answer_tables(choice: Choice) -> list[Table]:

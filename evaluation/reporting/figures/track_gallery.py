@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.reporting.figures import style
-from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import PERCENT, Look
+from evaluation.reporting.figures import drawing
+from evaluation.reporting.figures.drawing import PERCENT, Drawing, Look
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,7 +37,7 @@ def _gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
     if rows.empty:
         return None
     people, mechanisms = (list(rows[name].unique()) for name in ("track", "mechanism"))
-    figure, panels = style.panels(
+    figure, panels = drawing.panels(
         *(len(people), len(mechanisms)),
         height_in=1.75 * len(people) + 0.85,
         margins_in=(0.3, 0.1, 0.6, 0.4),
@@ -60,16 +59,16 @@ def _gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
     black, blue = Look("black", "", "-"), Look(_REBUILT_COLOUR, "", "-")
     dot = Look(_SHARED_COLOUR, "o", "")
     handles = [
-        style.handle("true", black, linewidth=0.8),
-        style.handle("shared", dot, markersize=1.1, alpha=0.6),
-        style.handle("shared, leaks", dot, markersize=2.4),
-        style.handle("rebuilt", blue, linewidth=0.7),
-        style.handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
+        drawing.handle("true", black, linewidth=0.8),
+        drawing.handle("shared", dot, markersize=1.1, alpha=0.6),
+        drawing.handle("shared, leaks", dot, markersize=2.4),
+        drawing.handle("rebuilt", blue, linewidth=0.7),
+        drawing.handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
     ]
     first = rows.iloc[0]
     leak = f"a leak is closer than {first['epsilon_m']:g} m"
     what = f"true, shared, rebuilt by {first['attack']} (blind); {leak}"
-    return style.finish(figure, handles, dataset="tracks", what=what, columns=5)
+    return drawing.finish(figure, handles, dataset="tracks", what=what, columns=5)
 
 
 def _words(_: Results, *, rows: pd.DataFrame) -> str:

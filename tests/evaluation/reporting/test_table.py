@@ -102,19 +102,6 @@ class TestCells:
 
 
 class TestTheTerminal:
-    def test_rows_stand_below_their_heading_and_values_before_intervals(self):
-        lines = printed(make_table(n_columns=1)).splitlines()
-        assert lines[1] == "A title"
-        assert lines[3] == "fid"
-        assert lines[4].split() == ["1", "1.0", "1.0-2.0"]
-        assert lines[8] == "fixed"
-
-    def test_a_short_name_without_a_level_stands_in_its_own_row(self):
-        one = make_table(n_columns=1)
-        rows = [[word("raw"), Cell(), number(5.0)], *one.rows]
-        text = printed(Table("x", "x", one.columns, rows, n_headings=1, n_keys=2))
-        assert re.search(r"^ *raw +5\.0", text, flags=re.MULTILINE)
-
     @pytest.mark.parametrize("width", [40, 60, 80, 100, 116, 200])
     def test_no_line_is_wider_and_columns_line_up(self, width):
         text = printed(make_table(n_columns=8), width=width)
@@ -150,12 +137,6 @@ class TestTheTerminal:
     def test_signed_intervals_are_in_brackets(self):
         one = Table("x", "x", [Column("d")], [[number(-1.0, -2.0, 1.0, sign="+")]])
         assert "-1.0 [-2.0, +1.0]" in printed(one)
-
-    def test_missing_numbers_are_a_dash(self):
-        one = make_table(n_columns=1)
-        rows = [[*row[:2], number(None)] for row in one.rows]
-        text = printed(Table("x", "x", one.columns, rows, n_headings=1, n_keys=2))
-        assert len(re.findall(r"^ *\d +-$", text, flags=re.MULTILINE)) == 8
 
     def test_long_words_wrap_and_long_columns_are_left_out(self):
         columns = [NAME, Column("n"), Column("why", align="left", is_long=True)]
