@@ -7,7 +7,7 @@ import shlex
 import textwrap
 from dataclasses import fields, is_dataclass
 from functools import partial
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rich.text import Text
@@ -45,7 +45,7 @@ from evaluation.verdict.choose_level import (
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from rich.console import Console
 
@@ -311,14 +311,14 @@ def answer_tables(choice: Choice) -> list[Table]:
     limits = choice.limits.of(*METRIC_OF)
     after = choice.limits.of(*DESCRIPTORS) if choice.limits.after_attack else {}
     shared = {name: limit for name, limit in limits.items() if name not in after}
-    columns = [_number(name, lambda level: level, shared) for name in METRIC_OF]
-    title = "Utility, and privacy as shared"
-    found = [built("shared", title, rows, [*keys, *columns], **options)]
-    attacked = [None if level is None else level.after_attack for *_, level in rows]
+    columns = [*keys, *(_number(name, shared) for name in METRIC_OF)]
+    found = [built("shared", "Utility, and privacy as shared", rows, columns, **options)]
+    attacked = [level.after_attack if level else None for *_, level in rows]
     if any(attacked):
-        columns = [_number(name, attrgetter("after_attack"), after) for name in DESCRIPTORS]
+        columns = [*keys, *(_number(name, after) for name in DESCRIPTORS)]
         title = f"After the best reconstruction: {_attacks(attacked)}"
-        found.append(built("attacked", title, rows, [*keys, *columns], **options))
+        records = [(*row[:3], one) for row, one in zip(rows, attacked, strict=True)]
+        found.append(built("attacked", title, records, columns, **options))
     columns, about = [], []
     for place, task in enumerate(choice.tasks):
         limit = choice.limits.given.get(SUCCESS) if task.limited else None
@@ -334,15 +334,12 @@ def answer_tables(choice: Choice) -> list[Table]:
     return found
 
 
-def _number(
-    name: str, take: Callable[[Level], Level | Attacked | None], limits: Mapping[str, float]
-) -> Column:
-    """Return the column of a number of what is taken from a level."""
+def _number(name: str, limits: Mapping[str, float]) -> Column:
+    """Return the column of a number of a level, or of what attacks leave there."""
     metric = METRIC_OF[name]
 
-    def cell(row: _Row) -> Cell:
-        one = take(row[3]) if row[3] else None
-        return estimated(metric, one.numbers[name] if one else UNKNOWN)
+    def cell(row: tuple[str, str, str, Level | Attacked | None]) -> Cell:
+        return estimated(metric, row[3].numbers[name] if row[3] else UNKNOWN)
 
     return metric_column(metric, cell, above=_limit(metric, limits.get(name)))
 

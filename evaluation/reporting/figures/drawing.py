@@ -259,6 +259,18 @@ class Line:
             ax.plot(at, [self.raw] * 2, transform=ax.get_yaxis_transform(), **look)
 
 
+def note(
+    ax: Axes,
+    text: str,
+    at: Sequence[float],
+    offset_points: tuple[float, float],
+    **look: Any,  # noqa: ANN401 - matplotlib's
+) -> None:
+    """Write a text beside a point, in the middle unless `look` says otherwise."""
+    look = {"textcoords": "offset points", "ha": "center"} | look
+    ax.annotate(text, tuple(at), offset_points, **look)
+
+
 def band(ax: Axes, x: Floats, low: Floats, high: Floats, *, look: Look) -> None:
     """Fill the interval around a line."""
     ax.fill_between(x, low, high, color=look.colour, alpha=_BAND_ALPHA, linewidth=0)

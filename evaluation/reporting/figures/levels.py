@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -158,16 +157,9 @@ def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: Scheme) -> None:
         if of == metric and mechanism in ("raw", scheme.name):
             edge = 1.0 if scheme.log else 0.0
             transform = ax.get_yaxis_transform() if level is None else ax.transData
-            ax.plot(
-                *([edge if level is None else level], [value * METRICS[metric].scale]),
-                marker=look.marker,
-                markersize=5,
-                zorder=5,
-                clip_on=False,
-                markerfacecolor="white",
-                markeredgecolor="black",
-                transform=transform,
-            )
+            at = [edge if level is None else level], [value * METRICS[metric].scale]
+            hollow = {"marker": look.marker, "markerfacecolor": "white", "markeredgecolor": "black"}
+            ax.plot(*at, **hollow, markersize=5, zorder=5, clip_on=False, transform=transform)
 
 
 def _attack_figure(run: Results) -> Figure | None:
@@ -239,15 +231,14 @@ def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
     chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
     oracle = [source for source in chosen if source.knowledge == ORACLE]
     others = [source for source in chosen if source.knowledge and source not in oracle]
-    looks = {AS_SHARED: _SHARED_LOOK} if AS_SHARED in chosen else {}
-    looks |= dict(zip(others, LOOKS, strict=False))
     # Raw after attacks would crowd each other.
-    lines = {of: Line(of.label, look, of_source(rows, of)) for of, look in looks.items()}
+    shared = Line("as shared", _SHARED_LOOK, of_source(rows, AS_SHARED), is_raw_across=True)
+    lines = {AS_SHARED: shared} if AS_SHARED in chosen else {}
+    for of, look in zip(others, LOOKS, strict=False):
+        lines[of] = Line(of.label, look, of_source(rows, of))
     for of, look in zip(oracle, _ORACLE_LOOKS, strict=False):
         label = f"{of.label}, a reference"
         lines[of] = Line(label, look, of_source(rows, of), apart=_ORACLE)
-    if AS_SHARED in lines:
-        lines[AS_SHARED] = replace(lines[AS_SHARED], label="as shared", is_raw_across=True)
     return lines
 
 

@@ -328,15 +328,10 @@ def _draw_controls(ax: Axes, shown: pd.DataFrame, *, rule: str, looks: Mapping[s
             parts = drawing.number(row["level"]), parameters_text(known[row["mechanism"]])
             text = ", ".join(filter(None, parts))
             # To the side where there is room.
-            is_right = row["x"] > _RIGHT * float(shown["x"].max())
-            ax.annotate(
-                text,
-                (row["x"], row["y"]),
-                xytext=(-4.5 if is_right else 4.5, 3.0),
-                textcoords="offset points",
-                horizontalalignment="right" if is_right else "left",
-                zorder=6,
-            )
+            offset, side = (4.5, 3.0), "left"
+            if row["x"] > _RIGHT * float(shown["x"].max()):
+                offset, side = (-4.5, 3.0), "right"
+            drawing.note(ax, text, (row["x"], row["y"]), offset, ha=side, zorder=6)
 
 
 def _bars(ax: Axes, rows: pd.DataFrame, *, colour: str) -> None:

@@ -64,8 +64,7 @@ def _operating_figure(run: Results) -> Figure | None:
             ax.set_ylabel(drawing.label(metric))
             part = curves[(curves["adding"] == rule) & (curves["metric"] == metric)]
             for scheme in known:
-                _draw_matched(ax, part, scheme=scheme, rule=rule, metric=metric)
-                _draw_points(ax, scheme.of(plane, rule), scheme=scheme, named=metric == EXPOSURE)
+                _draw(ax, part, plane, scheme=scheme, rule=rule, metric=metric)
             raw = plane[plane["mechanism"] == RAW]
             ax.plot(raw["x"], raw["y"], "*", color="black", markersize=6, zorder=4)
     for (metric, plane), axes in zip(planes.items(), panels.T, strict=True):
@@ -108,38 +107,27 @@ def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:
     return x.merge(y[keys].assign(y=y["value"] * METRICS[metric].scale), on=keys)
 
 
-def _draw_matched(ax: Axes, part: pd.DataFrame, *, scheme: Scheme, rule: str, metric: str) -> None:
-    """Draw the curve of a mechanism, or of the fixed noise that it is held against."""
-    is_fixed = scheme.name == FIXED
-    mechanism = next(iter(part["mechanism"]), "") if is_fixed else scheme.mechanisms.get(rule)
-    rows = part[part["mechanism"] == mechanism].sort_values(MISSED_RATE)
-    if rows.empty:
-        return
-    look, scale = drawing.look_of(scheme), METRICS[metric].scale
-    column = FIXED if is_fixed else FID
-    x = rows[MISSED_RATE].to_numpy() * METRICS[MISSED_RATE].scale
-    ax.plot(x, rows[column] * scale, color=look.colour, linestyle=look.dashes)
-    ends = (rows[f"{column}_{end}"].to_numpy() * scale for end in ("low", "high"))
-    drawing.band(ax, x, *ends, look=look)
-
-
-def _draw_points(ax: Axes, found: pd.DataFrame, *, scheme: Scheme, named: bool) -> None:
-    """Mark the measured points; the level that costs most gives the curve a direction."""
-    if found.empty:
-        return
-    look = drawing.look_of(scheme)
+def _draw(
+    ax: Axes, curves: pd.DataFrame, plane: pd.DataFrame, *, scheme: Scheme, rule: str, metric: str
+) -> None:
+    """Draw a mechanism, or the fixed noise that it is held against: matched curve and points."""
+    look, scale, is_fixed = drawing.look_of(scheme), METRICS[metric].scale, scheme.name == FIXED
+    mechanism = next(iter(curves["mechanism"]), "") if is_fixed else scheme.mechanisms.get(rule)
+    rows = curves[curves["mechanism"] == mechanism].sort_values(MISSED_RATE)
+    if len(rows):
+        column = FIXED if is_fixed else FID
+        x = rows[MISSED_RATE].to_numpy() * METRICS[MISSED_RATE].scale
+        ax.plot(x, rows[column] * scale, color=look.colour, linestyle=look.dashes)
+        ends = (rows[f"{column}_{end}"].to_numpy() * scale for end in ("low", "high"))
+        drawing.band(ax, x, *ends, look=look)
+    points = scheme.of(plane, rule).sort_values("x", kind="stable")
     edge: dict[str, Any] = {"markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.4}
-    ax.plot(found["x"], found["y"], look.marker, color=look.colour, **edge)
-    if named:
-        noisiest = found.sort_values("x", kind="stable").iloc[-1]
-        ax.annotate(
-            scheme.at(float(noisiest["level"])),
-            (noisiest["x"], noisiest["y"]),
-            xytext=(0, -9 if scheme.log else 5),
-            textcoords="offset points",
-            horizontalalignment="center",
-            color=look.colour,
-        )
+    ax.plot(points["x"], points["y"], look.marker, color=look.colour, **edge)
+    if metric == EXPOSURE and len(points):
+        # The level that costs most gives the curve a direction.
+        noisiest = points.iloc[-1]
+        at, offset = noisiest[["x", "y"]], (0.0, -9.0 if scheme.log else 5.0)
+        drawing.note(ax, scheme.at(float(noisiest["level"])), at, offset, color=look.colour)
 
 
 def _curves_figure(run: Results) -> Figure | None:
