@@ -16,20 +16,11 @@ from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
+from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import same_run
 from evaluation.reporting.result_tables import MARKS, MEANING
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    Table,
-    amount,
-    built,
-    estimated,
-    metric_column,
-    said,
-    word,
-)
+from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict.choose_level import (
     ASKED,
     METRIC_OF,
@@ -120,7 +111,7 @@ def reason(check: Check) -> str:
     what = f"{shown.head} {check.whose}".strip()
     if check.why_unknown:
         return f"{what}: cannot say, {check.why_unknown}"
-    text = estimated(metric, check.measured)
+    text = make.estimated(metric, check.measured)
     excess = (check.measured.ci_high - check.limit) * shown.scale
     return (
         f"{what} {text.text} {shown.unit} {text.interval}: the upper end is "
@@ -305,32 +296,32 @@ def answer_tables(choice: Choice) -> list[Table]:
     for scheme in choice.schemes:
         at = "none" if scheme.chosen is None else level_text(scheme.chosen.level)
         rows.append((scheme.adding, scheme.name, at, scheme.chosen))
-    keys = [said("adding", itemgetter(0)), said("", itemgetter(1))]
-    keys.append(Column("level", lambda row: word(row[2])))
+    keys = [make.said("adding", itemgetter(0)), make.said("", itemgetter(1))]
+    keys.append(Column("level", lambda row: make.word(row[2])))
     options: dict[str, Any] = {"marks": MEANING, "n_headings": 1, "n_keys": 3}
     limits = choice.limits.of(*METRIC_OF)
     after = choice.limits.of(*DESCRIPTORS) if choice.limits.after_attack else {}
     shared = {name: limit for name, limit in limits.items() if name not in after}
     columns = [*keys, *(_number(name, shared) for name in METRIC_OF)]
-    found = [built("shared", "Utility, and privacy as shared", rows, columns, **options)]
+    found = [make.built("shared", "Utility, and privacy as shared", rows, columns, **options)]
     attacked = [level.after_attack if level else None for *_, level in rows]
     if any(attacked):
         columns = [*keys, *(_number(name, after) for name in DESCRIPTORS)]
         title = f"After the best reconstruction: {_attacks(attacked)}"
         records = [(*row[:3], one) for row, one in zip(rows, attacked, strict=True)]
-        found.append(built("attacked", title, records, columns, **options))
+        found.append(make.built("attacked", title, records, columns, **options))
     columns, about = [], []
     for place, task in enumerate(choice.tasks):
         limit = choice.limits.given.get(SUCCESS) if task.limited else None
         above, cell = _limit(SUCCESS, limit), partial(_rank1, place)
-        columns.append(metric_column(SUCCESS, cell, name=task.task, above=above))
+        columns.append(make.metric_column(SUCCESS, cell, name=task.task, above=above))
         ran = [one for *_, row in rows if row and (one := row.tasks[place]).attack]
-        chances = ", ".join(dict.fromkeys(amount(SUCCESS, one.chance).text for one in ran))
+        chances = ", ".join(dict.fromkeys(make.amount(SUCCESS, one.chance).text for one in ran))
         where = "" if task.limited else f", {task.dataset}"
         about += [f"{task.task}{where}: {_attacks(ran)}; chance {chances} %"] if ran else []
     if columns:
         title = "Rank 1 of the strongest attack"
-        found.append(built("linked", title, rows, [*keys, *columns], notes=about, **options))
+        found.append(make.built("linked", title, rows, [*keys, *columns], notes=about, **options))
     return found
 
 
@@ -339,9 +330,9 @@ def _number(name: str, limits: Mapping[str, float]) -> Column:
     metric = METRIC_OF[name]
 
     def cell(row: tuple[str, str, str, Level | Attacked | None]) -> Cell:
-        return estimated(metric, row[3].numbers[name] if row[3] else UNKNOWN)
+        return make.estimated(metric, row[3].numbers[name] if row[3] else UNKNOWN)
 
-    return metric_column(metric, cell, above=_limit(metric, limits.get(name)))
+    return make.metric_column(metric, cell, above=_limit(metric, limits.get(name)))
 
 
 def _limit(metric: str, limit: float | None) -> str:
@@ -353,7 +344,7 @@ def _rank1(place: int, row: _Row) -> Cell:
         return Cell()
     one = row[3].tasks[place]
     marks = (MARKS[name] for name in remarks({"outcome": one.outcome, "invalid": one.invalid}))
-    return estimated(SUCCESS, one.rank1, mark="".join(marks))
+    return make.estimated(SUCCESS, one.rank1, mark="".join(marks))
 
 
 def _attacks(found: Iterable[Attacked | Linked | None]) -> str:

@@ -20,21 +20,9 @@ from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
+from evaluation.reporting import table as make
 from evaluation.reporting import terminal
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    Table,
-    amount,
-    built,
-    held,
-    level,
-    measured,
-    number,
-    said,
-    shortened,
-    word,
-)
+from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import sensitivity
 from evaluation.verdict.rules import SECTIONS
 
@@ -118,7 +106,9 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         [
             f"{kind}:",
             name,
-            " -> ".join("-" if one is None else shortened(str(one), room=_ROOM) for one in pair),
+            " -> ".join(
+                "-" if one is None else make.shortened(str(one), room=_ROOM) for one in pair
+            ),
         ]
         for kind, values in comparison.changed.items()
         for name, pair in values.items()
@@ -167,25 +157,27 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
 
     def change(row: Mapping[Any, Any]) -> Cell:
         ends = (row[name] for name in ("difference", "ci_low", "ci_high"))
-        return amount(row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], ""))
+        return make.amount(row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], ""))
 
     def p_value(row: Mapping[Any, Any]) -> Cell:
         p = row["p_holm"]
         return Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p)
 
     columns = [
-        said("", lambda row: _heading(row, room=room)),
-        Column("level", lambda row: Cell() if _apart(row) else level(row["level_a"])),
-        said("metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()),
-        measured("A", "a"),
-        measured("B", "b"),
+        make.said("", lambda row: _heading(row, room=room)),
+        Column("level", lambda row: Cell() if _apart(row) else make.level(row["level_a"])),
+        make.said(
+            "metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()
+        ),
+        make.measured("A", "a"),
+        make.measured("B", "b"),
         Column("B - A", change),
         Column("p", p_value),
     ]
     options = {"marks": {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}}
     title = f"{which} differences, B - A with 95 % intervals, p after Holm"
     records = shown.to_dict("records")
-    return built("differences", title, records, columns, n_headings=1, n_keys=3, **options)
+    return make.built("differences", title, records, columns, n_headings=1, n_keys=3, **options)
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
@@ -198,7 +190,7 @@ def _heading(row: Mapping[Any, Any], *, room: int) -> str:
     )
     if a == b and len(full := f"{source}: {with_unit(a)}") <= room:
         return full
-    return shortened(f"{source}: {a if a == b else f'{a} -> {b}'}", room=room)
+    return make.shortened(f"{source}: {a if a == b else f'{a} -> {b}'}", room=room)
 
 
 def _apart(row: Mapping[Any, Any]) -> bool:
@@ -241,19 +233,19 @@ def variants_json(
 def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
     """Print the table, and what changed sign, in words."""
     records = [
-        {"variant": word(variant)}
+        {"variant": make.word(variant)}
         | {
-            section: word(", ".join(f"{n} {change}" for change, n in found.items()))
+            section: make.word(", ".join(f"{n} {change}" for change, n in found.items()))
             for section, found in of.items()
         }
         for variant, of in sensitivity.counts(rows).items()
     ]
     shown = [section for section in SECTIONS if section in set(rows["section"])]
-    columns = [held(name, align="left") for name in ("variant", *shown)]
+    columns = [make.held(name, align="left") for name in ("variant", *shown)]
     lines = turned(rows)
     terminal.show(
         [
-            built("sensitivity", "Items of the verdict, by section", records, columns),
+            make.built("sensitivity", "Items of the verdict, by section", records, columns),
             *("", _ABOUT_ITEMS),
             *(
                 f"left out: {name}: {why}; name it with --variant to run it"
@@ -268,8 +260,8 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
 def show_constants(found: Mapping[str, Calibration]) -> None:
     """Print constants and what they predict beside the paper's numbers, case by case."""
     records = [
-        {"constant or number": word(name)}
-        | {case: number(getattr(fit, name), digits=2) for case, (fit, _) in found.items()}
+        {"constant or number": make.word(name)}
+        | {case: make.number(getattr(fit, name), digits=2) for case, (fit, _) in found.items()}
         for name in FITTED
     ]
     for mechanism, at, metric, published in PUBLISHED:
@@ -280,9 +272,10 @@ def show_constants(found: Mapping[str, Calibration]) -> None:
         shown = METRICS[metric]
         digits = 1 if shown.is_share else 2
         cells = {
-            case: number(one, scale=shown.scale, digits=digits) for case, one in numbers.items()
+            case: make.number(one, scale=shown.scale, digits=digits)
+            for case, one in numbers.items()
         }
-        records.append({"constant or number": word(f"{spec} {metric}")} | cells)
-    columns = [held("constant or number", align="left"), *map(held, ("paper", *found))]
+        records.append({"constant or number": make.word(f"{spec} {metric}")} | cells)
+    columns = [make.held("constant or number", align="left"), *map(make.held, ("paper", *found))]
     title = "paper, and what each set of constants gives"
-    terminal.show([built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])])
+    terminal.show([make.built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])])
