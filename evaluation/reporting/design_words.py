@@ -271,7 +271,10 @@ def _printed(choice: Choice, *, width: int) -> Iterator[terminal.Part]:
     units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
     parts: list[terminal.Part] = [
         (sentence(choice), "bold green" if choice.met else "bold red"),
-        *("", about, f"(level: {units})", *answer_tables(choice)),
+        "",
+        about,
+        f"(level: {units})",
+        *answer_tables(choice),
     ]
     for scheme in choice.schemes:
         parts += ["", (f"{scheme.name}, {scheme.adding} adding", "bold cyan")]

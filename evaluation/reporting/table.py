@@ -112,11 +112,6 @@ class Table:
     n_keys: int = 1
     """Leading columns that say what a row is of: repeated where a table is split."""
 
-    def __post_init__(self) -> None:
-        n = len(self.columns)
-        if any(len(row) != n for row in self.rows):
-            raise ValueError(f"table {self.name}: rows need {n} cells each")
-
     @property
     def numeric(self) -> list[bool]:
         """Which columns hold numbers."""

@@ -168,23 +168,22 @@ def panels(
     columns: int,
     *,
     height_in: float,
-    margins_in: tuple[float, float, float, float] | None = None,
-    gaps_in: tuple[float, float] = (0.0, 0.0),
+    margins_in: tuple[float, float, float, float, float, float] | None = None,
     **sharing: Any,  # noqa: ANN401 - as matplotlib's subplots take it
 ) -> tuple[Figure, NDArray[Any]]:
     """Return a figure and its panels, (rows, columns).
 
     Without margins it makes room for its labels, legend and title; a single column of panels then
-    fits into one column of a journal. With margins (left, right, top and bottom) the panels stand
-    with gaps between columns and between rows. `sharing`: sharex, sharey; and width_in.
+    fits into one column of a journal. Margins are left, right, top and bottom, and the gaps
+    between columns and between rows. `sharing`: sharex, sharey; and width_in.
     """
     if margins_in is None:
         width_in = SINGLE_COLUMN_IN if columns == 1 else DOUBLE_COLUMN_IN
         figure = Figure(figsize=(width_in, height_in), layout="constrained")
         return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
     figure = blank(height_in=height_in, width_in=sharing.pop("width_in", DOUBLE_COLUMN_IN))
-    size_in, gaps = figure.get_size_inches(), np.array(gaps_in)
-    left, right, top, bottom = np.array(margins_in) / size_in[[0, 0, 1, 1]]
+    size_in, gaps = figure.get_size_inches(), np.array(margins_in[4:])
+    left, right, top, bottom = np.array(margins_in[:4]) / size_in[[0, 0, 1, 1]]
     n, share = np.array([columns, rows]), np.array([1.0 - left - right, 1.0 - top - bottom])
     wspace, hspace = gaps / ((share * size_in - gaps * (n - 1)) / n)
     figure.subplots_adjust(left, bottom, 1.0 - right, 1.0 - top, wspace, hspace)
@@ -262,13 +261,13 @@ class Line:
 def note(
     ax: Axes,
     text: str,
-    at: Sequence[float],
+    at: tuple[float, float],
     offset_points: tuple[float, float],
     **look: Any,  # noqa: ANN401 - matplotlib's
 ) -> None:
     """Write a text beside a point, in the middle unless `look` says otherwise."""
     look = {"textcoords": "offset points", "ha": "center"} | look
-    ax.annotate(text, tuple(at), offset_points, **look)
+    ax.annotate(text, at, offset_points, **look)
 
 
 def band(ax: Axes, x: Floats, low: Floats, high: Floats, *, look: Look) -> None:

@@ -158,8 +158,9 @@ def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: Scheme) -> None:
             edge = 1.0 if scheme.log else 0.0
             transform = ax.get_yaxis_transform() if level is None else ax.transData
             at = [edge if level is None else level], [value * METRICS[metric].scale]
-            hollow = {"marker": look.marker, "markerfacecolor": "white", "markeredgecolor": "black"}
-            ax.plot(*at, **hollow, markersize=5, zorder=5, clip_on=False, transform=transform)
+            mark: dict[str, Any] = {"marker": look.marker, "markersize": 5, "clip_on": False}
+            mark |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 5}
+            ax.plot(*at, **mark, transform=transform)
 
 
 def _attack_figure(run: Results) -> Figure | None:
@@ -254,8 +255,7 @@ def _headline_figure(run: Results) -> Figure | None:
         *(1, len(known)),
         width_in=widths[len(known) > _MOST_SINGLE],
         height_in=2.65,
-        margins_in=(0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines)),
-        gaps_in=(0.22, 0.0),
+        margins_in=(0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines), 0.22, 0.0),
         sharey=True,
     )
     for scheme, ax in zip(known, panels, strict=True):

@@ -157,8 +157,7 @@ def _strongest(tasks: Sequence[LinkedTask]) -> list[Source]:
 
 def _mean(rows: pd.DataFrame) -> float:
     """Return mean rank 1 over the levels; neither raw nor the ceiling has one."""
-    mean = float(rows.loc[rows["level"].notna(), "value"].mean())
-    return -1.0 if np.isnan(mean) else mean
+    return float(np.nan_to_num(rows.loc[rows["level"].notna(), "value"].mean(), nan=-1.0))
 
 
 def _row(
@@ -228,8 +227,7 @@ def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
     figure, panels = drawing.panels(
         *(len(rules), len(DESCRIPTORS)),
         height_in=1.75 * len(rules) + 1.0,
-        margins_in=(0.45, 0.1, 0.5, 0.85),
-        gaps_in=(0.18, 0.3),
+        margins_in=(0.45, 0.1, 0.5, 0.85, 0.18, 0.3),
         sharex="col",
         sharey=True,
     )

@@ -126,7 +126,7 @@ def _draw(
     if metric == EXPOSURE and len(points):
         # The level that costs most gives the curve a direction.
         noisiest = points.iloc[-1]
-        at, offset = noisiest[["x", "y"]], (0.0, -9.0 if scheme.log else 5.0)
+        at, offset = (noisiest["x"], noisiest["y"]), (0.0, -9.0 if scheme.log else 5.0)
         drawing.note(ax, scheme.at(float(noisiest["level"])), at, offset, color=look.colour)
 
 
@@ -141,8 +141,7 @@ def _curves_figure(run: Results) -> Figure | None:
     figure, panels = drawing.panels(
         *(n_rows, columns),
         height_in=1.85 * n_rows + 0.95,
-        margins_in=(0.45, 0.1, 0.5, 0.75),
-        gaps_in=(0.18, 0.28),
+        margins_in=(0.45, 0.1, 0.5, 0.75, 0.18, 0.28),
         sharex=True,
         sharey=True,
     )
