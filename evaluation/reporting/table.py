@@ -1,6 +1,6 @@
 """A table of results: built once from the frames of a run, rendered in four ways.
 
-`terminal.show_table` prints it, `markup` makes HTML, LaTeX, Markdown and CSV of it.
+`terminal.show_table` prints it, `markup` makes LaTeX and Markdown, the page's templates HTML of it.
 """
 
 from __future__ import annotations
