@@ -87,7 +87,7 @@ def _run(
     options: argparse.Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
 ) -> int:
     from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
-    from evaluation.reporting import assumption_tables  # noqa: PLC0415
+    from evaluation.reporting import difference_tables  # noqa: PLC0415
     from evaluation.results import run  # noqa: PLC0415
     from evaluation.runs.execute import borrow  # noqa: PLC0415
     from evaluation.runs.files import write_whole  # noqa: PLC0415
@@ -136,10 +136,10 @@ def _run(
         rows, not_shown = collect(options.out)
         write_whole(options.out / TABLE, rows.to_csv(index=False).encode())
     if options.json:
-        found = assumption_tables.to_json(rows, outcomes, out=options.out)
+        found = difference_tables.variants_json(rows, outcomes, out=options.out)
         print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True)
     else:
-        assumption_tables.show_variants(rows, left_out=not_shown)
+        difference_tables.show_variants(rows, left_out=not_shown)
     failed = [outcome for outcome in outcomes if outcome["why"]]
     for outcome in failed:
         print(f"failed: {outcome['name']}: {outcome['why']}", file=sys.stderr)

@@ -13,23 +13,9 @@ from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, tolerance
 from evaluation.experiment.presets import SHARED
+from evaluation.reporting import table as make
 from evaluation.reporting.rows import Results, by_level, compared_levels, mechanism_columns
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    Table,
-    amount,
-    built,
-    counted,
-    decided,
-    held,
-    level,
-    measured,
-    number,
-    points,
-    said,
-    word,
-)
+from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import rules
 
 if TYPE_CHECKING:
@@ -87,23 +73,23 @@ def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
     scale, digits, name = _EFFECTS.get(unit, (1.0, 1, unit))
     sign = "+" if signed and unit != "ratio" else "-"
     ends = (row[key] for key in ("effect", "ci_low", "ci_high"))
-    return number(*ends, scale=scale, digits=digits, unit=name, sign=sign)
+    return make.number(*ends, scale=scale, digits=digits, unit=name, sign=sign)
 
 
 def paper_table(run: Results) -> Table:
     """Return the paper's numbers beside ours; judged only on the paper's own recording."""
     columns = [
         *mechanism_columns(run.families),
-        said("metric", lambda row: METRICS[row["metric"]].title),
-        measured("paper", "paper"),
-        measured("ours", "ours", "ci_low", "ci_high"),
-        measured("ours - paper", "bias", sign="+"),
+        make.said("metric", lambda row: METRICS[row["metric"]].title),
+        make.measured("paper", "paper"),
+        make.measured("ours", "ours", "ci_low", "ci_high"),
+        make.measured("ours - paper", "bias", sign="+"),
     ]
     notes = [f"The paper used {DATASET}; ours are of {run.dataset}, so they need not agree."]
     if run.dataset == DATASET:
         notes = []
         judged = ("paper in our interval", "tolerance at 5,000 scenes")
-        columns += [replace(decided(name), align="right") for name in judged]
+        columns += [replace(make.decided(name), align="right") for name in judged]
     frame = run.paper_table
     records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
     for row in records:
@@ -112,23 +98,23 @@ def paper_table(run: Results) -> Table:
         allowed = tolerance(row["mechanism"], row["metric"], row["paper"])
         # A hair more: the difference of two rounded fractions may miss the limit itself.
         met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
-        text = f"{met} ({amount(row['metric'], allowed).text})"
+        text = f"{met} ({make.amount(row['metric'], allowed).text})"
         row["tolerance at 5,000 scenes"] = text if np.isfinite(row["ours"]) else ""
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
-    return built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
+    return make.built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
 
 
 def claims_table(run: Results) -> Table:
     """Return the paper's claims, and whether they hold."""
     columns = [
-        *map(said, ("adding", "claim")),
-        decided("answer"),
+        *map(make.said, ("adding", "claim")),
+        make.decided("answer"),
         Column("effect", effect),
-        replace(said("evidence"), is_long=True),
+        replace(make.said("evidence"), is_long=True),
     ]
     title, notes = "The paper's claims; 95 % intervals", ["Evidence: paper_claims.csv."]
     records = run.claims.to_dict("records")
-    return built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
+    return make.built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
 
 
 def matched_table(run: Results) -> Table:
@@ -146,20 +132,20 @@ def matched_table(run: Results) -> Table:
             whose = "as shared" if row["consumer"] == SHARED else row["consumer"]
             rows.append(row | {"positions or attack": whose})
     columns = [
-        said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
-        *map(said, ("adding", "predictor")),
-        said("positions or attack"),
-        said("adversary", "knowledge"),
-        said("metric", lambda row: METRICS[row["metric"]].title),
-        said("mechanism"),
-        counted("at", "%", "at", scale=100.0),
-        measured("of the mechanism", "fid", "fid_low", "fid_high"),
-        measured("of fixed noise", "fixed", "fixed_low", "fixed_high"),
-        measured("difference", "difference", "ci_low", "ci_high", sign="+"),
+        make.said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
+        *map(make.said, ("adding", "predictor")),
+        make.said("positions or attack"),
+        make.said("adversary", "knowledge"),
+        make.said("metric", lambda row: METRICS[row["metric"]].title),
+        make.said("mechanism"),
+        make.counted("at", "%", "at", scale=100.0),
+        make.measured("of the mechanism", "fid", "fid_low", "fid_high"),
+        make.measured("of fixed noise", "fixed", "fixed_low", "fixed_high"),
+        make.measured("difference", "difference", "ci_low", "ci_high", sign="+"),
     ]
     title = "Every mechanism against fixed noise, half way along each curve: the strongest attacks"
     notes = ["All points, attacks and intervals: matched.csv."]
-    return built("matched", title, rows, columns, notes=notes, n_headings=3, n_keys=7)
+    return make.built("matched", title, rows, columns, notes=notes, n_headings=3, n_keys=7)
 
 
 def decision_table(run: Results) -> Table:
@@ -167,29 +153,29 @@ def decision_table(run: Results) -> Table:
     told = by_level(run.decisions)
     columns = [
         *mechanism_columns(run.families),
-        said("predictor", "consumer"),
-        said("score"),
-        counted("area (0 perfect, 0.5 chance)", "", "area", "area_low", "area_high", digits=3),
-        counted("at false alarms", "%", "false_alarm_rate", scale=100.0),
-        measured("missed", MISSED_RATE, "missed_low", "missed_high", metric=MISSED_RATE),
-        points("missed - reference", "difference", "ci_low", "ci_high"),
+        make.said("predictor", "consumer"),
+        make.said("score"),
+        make.counted("area (0 perfect, 0.5 chance)", "", "area", "area_low", "area_high", digits=3),
+        make.counted("at false alarms", "%", "false_alarm_rate", scale=100.0),
+        make.measured("missed", MISSED_RATE, "missed_low", "missed_high", metric=MISSED_RATE),
+        make.points("missed - reference", "difference", "ci_low", "ci_high"),
     ]
     records = [row for where in compared_levels(run.ours) for row in told.get(where, ())]
     title = "Misses at equal false alarms"
-    return built("decisions", title, records, columns, n_headings=3, n_keys=5)
+    return make.built("decisions", title, records, columns, n_headings=3, n_keys=5)
 
 
 def flag_table(run: Results) -> Table:
     """Return the flags of weak attacks."""
     texts = run.flags.assign(**run.flags[["by", "by_knowledge"]].astype(object).fillna(""))
     columns = [
-        said("flag", lambda row: row["kind"].replace("_", " ")),
-        said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
-        said("beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label),
+        make.said("flag", lambda row: row["kind"].replace("_", " ")),
+        make.said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
+        make.said("beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label),
         *mechanism_columns(run.families),
-        points("PLR difference", "difference", "ci_low", "ci_high"),
+        make.points("PLR difference", "difference", "ci_low", "ci_high"),
     ]
-    return built("flags", "All flags", texts.to_dict("records"), columns, n_keys=6)
+    return make.built("flags", "All flags", texts.to_dict("records"), columns, n_keys=6)
 
 
 _EFFECT: Final = Column("effect", partial(effect, signed=True))
@@ -205,14 +191,18 @@ def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
         for one in items:
             row, head = _place(one)
             is_number = one["decision"] in (rules.INFLATED, rules.DEFLATED)
-            text = word(SHORT.get(one["decision"], one["decision"]))
-            start = {first: word(row[0]), "of": word(row[1])}
-            records.setdefault(row, start)[head] = number(one["effect"]) if is_number else text
+            text = make.word(SHORT.get(one["decision"], one["decision"]))
+            start = {first: make.word(row[0]), "of": make.word(row[1])}
+            records.setdefault(row, start)[head] = make.number(one["effect"]) if is_number else text
             heads[head] = None
         question, about = SECTIONS.get(name, (name, ""))
-        columns = [held(first, align="left"), held("of", align="left"), *map(held, heads)]
+        columns = [
+            make.held(first, align="left"),
+            make.held("of", align="left"),
+            *map(make.held, heads),
+        ]
         options = {"notes": [about], "n_keys": 2}
-        found.append(built(f"short-{name}", question, records.values(), columns, **options))
+        found.append(make.built(f"short-{name}", question, records.values(), columns, **options))
     return found
 
 
@@ -222,16 +212,16 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     for section, of in _by_section(items).items():
         aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
         columns = [
-            decided("decision"),
-            said("what it says"),
+            make.decided("decision"),
+            make.said("what it says"),
             _EFFECT,
-            said("adding"),
-            *map(said, aspects),
-            said("about", "subject"),
-            counted("people", "", "n", digits=0),
+            make.said("adding"),
+            *map(make.said, aspects),
+            make.said("about", "subject"),
+            make.counted("people", "", "n", digits=0),
         ]
         records = map(_told, of)
-        found[section] = built(f"verdict-{section}", section.capitalize(), records, columns)
+        found[section] = make.built(f"verdict-{section}", section.capitalize(), records, columns)
     return found
 
 
@@ -243,16 +233,16 @@ def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
         for contrast in item.get("contrasts") or ()
     ]
     columns = [
-        *map(said, ("adding", "descriptor", "task")),
-        said("attack", "subject"),
-        said("against", "mechanism"),
-        Column("level", lambda row: level(row["level"])),
-        decided("reading"),
+        *map(make.said, ("adding", "descriptor", "task")),
+        make.said("attack", "subject"),
+        make.said("against", "mechanism"),
+        Column("level", lambda row: make.level(row["level"])),
+        make.decided("reading"),
         _EFFECT,
     ]
     where = "FID and the controls against fixed noise where the descriptor is equal"
     title = f"The contrasts behind it: {where}"
-    return built("contrasts", title, records, columns, n_keys=6)
+    return make.built("contrasts", title, records, columns, n_keys=6)
 
 
 def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:

@@ -7,7 +7,7 @@ import shlex
 import textwrap
 from dataclasses import fields, is_dataclass
 from functools import partial
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rich.text import Text
@@ -16,20 +16,11 @@ from evaluation.analysis.families import FID, FIXED, LEVEL_UNITS
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
+from evaluation.reporting import table as make
+from evaluation.reporting import terminal
 from evaluation.reporting.announcements import same_run
 from evaluation.reporting.result_tables import MARKS, MEANING
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    Table,
-    amount,
-    built,
-    estimated,
-    metric_column,
-    said,
-    word,
-)
-from evaluation.reporting.terminal import literal, say, show_table, standard_output
+from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict.choose_level import (
     ASKED,
     METRIC_OF,
@@ -45,7 +36,7 @@ from evaluation.verdict.choose_level import (
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from rich.console import Console
 
@@ -120,7 +111,7 @@ def reason(check: Check) -> str:
     what = f"{shown.head} {check.whose}".strip()
     if check.why_unknown:
         return f"{what}: cannot say, {check.why_unknown}"
-    text = estimated(metric, check.measured)
+    text = make.estimated(metric, check.measured)
     excess = (check.measured.ci_high - check.limit) * shown.scale
     return (
         f"{what} {text.text} {shown.unit} {text.interval}: the upper end is "
@@ -261,44 +252,45 @@ def _ends(scheme: Scheme, *, hopeless: bool) -> str:
 
 def show(choice: Choice, *, console: Console | None = None) -> None:
     """Print the answer in one sentence, the levels behind it, and why."""
-    console = standard_output() if console is None else console
-    _say(sentence(choice), "bold green" if choice.met else "bold red", console=console)
-    console.print()
-    identity = choice.manifest["identity"]
-    about = (
-        f"{choice.manifest['dataset']['name']}: {identity['scenes']} scenes, seed "
-        f"{identity['seed']}; predictor {choice.predictor}; 95 % intervals, whose upper ends must "
-        "meet the limits"
-    )
-    _say(about, console=console)
-    units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
-    _say(f"(level: {units})", console=console)
-    for one in answer_tables(choice):
-        show_table(one, console=console, whole=True)
-    for scheme in choice.schemes:
-        console.print()
-        _say(f"{scheme.name}, {scheme.adding} adding", "bold cyan", console=console)
-        for reason in [*reasons(scheme), *["meets everything that was asked"] * scheme.met]:
-            _say(f"- {reason}", console=console)
-    for place, note in enumerate(notes(choice)):
-        if place == 0:
-            console.print()
-        _say(f"NOTICE: {note}", "yellow", console=console)
+    console = terminal.standard_output() if console is None else console
+    terminal.show(_printed(choice, width=console.width), console=console, whole=True)
     command = closer(choice)
     if command:
-        console.print()
-        _say("To look closer where the answer turns:", "bold", console=console)
+        told = "To look closer where the answer turns:", "bold"
+        terminal.show(["", told], console=console)
         # As one line, whatever the width: it is there to be copied.
-        console.print(Text(literal(console, command)), soft_wrap=True)
+        console.print(Text(terminal.literal(console, command)), soft_wrap=True)
 
 
-def _say(text: str, style: str = "", *, console: Console) -> None:
-    """Print a paragraph; the further lines of an item stand below its first word."""
-    indent = "  " * text.startswith("- ")
-    for line in textwrap.wrap(
-        text, console.width, subsequent_indent=indent, break_on_hyphens=False
-    ):
-        say(console, line, style)
+def _printed(choice: Choice, *, width: int) -> Iterator[terminal.Part]:
+    identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
+    about = (
+        f"{dataset['name']}: {identity['scenes']} scenes, seed {identity['seed']}; predictor "
+        f"{choice.predictor}; 95 % intervals, whose upper ends must meet the limits"
+    )
+    units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())
+    parts: list[terminal.Part] = [
+        (sentence(choice), "bold green" if choice.met else "bold red"),
+        "",
+        about,
+        f"(level: {units})",
+        *answer_tables(choice),
+    ]
+    for scheme in choice.schemes:
+        parts += ["", (f"{scheme.name}, {scheme.adding} adding", "bold cyan")]
+        parts += [f"- {reason}" for reason in reasons(scheme)]
+        parts += ["- meets everything that was asked"] * scheme.met
+    found = notes(choice)
+    parts += [*[""] * bool(found), *((f"NOTICE: {note}", "yellow") for note in found)]
+    for part in parts:
+        if isinstance(part, Table) or not part:
+            yield part
+            continue
+        text, style = (part, "") if isinstance(part, str) else part
+        # The further lines of an item stand below its first word.
+        options: dict[str, Any] = {"subsequent_indent": "  " * text.startswith("- ")}
+        for line in textwrap.wrap(text, width, break_on_hyphens=False, **options):
+            yield line, style
 
 
 def answer_tables(choice: Choice) -> list[Table]:
@@ -307,46 +299,43 @@ def answer_tables(choice: Choice) -> list[Table]:
     for scheme in choice.schemes:
         at = "none" if scheme.chosen is None else level_text(scheme.chosen.level)
         rows.append((scheme.adding, scheme.name, at, scheme.chosen))
-    keys = [said("adding", itemgetter(0)), said("", itemgetter(1))]
-    keys.append(Column("level", lambda row: word(row[2])))
+    keys = [make.said("adding", itemgetter(0)), make.said("", itemgetter(1))]
+    keys.append(Column("level", lambda row: make.word(row[2])))
     options: dict[str, Any] = {"marks": MEANING, "n_headings": 1, "n_keys": 3}
     limits = choice.limits.of(*METRIC_OF)
     after = choice.limits.of(*DESCRIPTORS) if choice.limits.after_attack else {}
     shared = {name: limit for name, limit in limits.items() if name not in after}
-    columns = [_number(name, lambda level: level, shared) for name in METRIC_OF]
-    title = "Utility, and privacy as shared"
-    found = [built("shared", title, rows, [*keys, *columns], **options)]
-    attacked = [None if level is None else level.after_attack for *_, level in rows]
+    columns = [*keys, *(_number(name, shared) for name in METRIC_OF)]
+    found = [make.built("shared", "Utility, and privacy as shared", rows, columns, **options)]
+    attacked = [level.after_attack if level else None for *_, level in rows]
     if any(attacked):
-        columns = [_number(name, attrgetter("after_attack"), after) for name in DESCRIPTORS]
+        columns = [*keys, *(_number(name, after) for name in DESCRIPTORS)]
         title = f"After the best reconstruction: {_attacks(attacked)}"
-        found.append(built("attacked", title, rows, [*keys, *columns], **options))
+        records = [(*row[:3], one) for row, one in zip(rows, attacked, strict=True)]
+        found.append(make.built("attacked", title, records, columns, **options))
     columns, about = [], []
     for place, task in enumerate(choice.tasks):
         limit = choice.limits.given.get(SUCCESS) if task.limited else None
         above, cell = _limit(SUCCESS, limit), partial(_rank1, place)
-        columns.append(metric_column(SUCCESS, cell, name=task.task, above=above))
+        columns.append(make.metric_column(SUCCESS, cell, name=task.task, above=above))
         ran = [one for *_, row in rows if row and (one := row.tasks[place]).attack]
-        chances = ", ".join(dict.fromkeys(amount(SUCCESS, one.chance).text for one in ran))
+        chances = ", ".join(dict.fromkeys(make.amount(SUCCESS, one.chance).text for one in ran))
         where = "" if task.limited else f", {task.dataset}"
         about += [f"{task.task}{where}: {_attacks(ran)}; chance {chances} %"] if ran else []
     if columns:
         title = "Rank 1 of the strongest attack"
-        found.append(built("linked", title, rows, [*keys, *columns], notes=about, **options))
+        found.append(make.built("linked", title, rows, [*keys, *columns], notes=about, **options))
     return found
 
 
-def _number(
-    name: str, take: Callable[[Level], Level | Attacked | None], limits: Mapping[str, float]
-) -> Column:
-    """Return the column of a number of what is taken from a level."""
+def _number(name: str, limits: Mapping[str, float]) -> Column:
+    """Return the column of a number of a level, or of what attacks leave there."""
     metric = METRIC_OF[name]
 
-    def cell(row: _Row) -> Cell:
-        one = take(row[3]) if row[3] else None
-        return estimated(metric, one.numbers[name] if one else UNKNOWN)
+    def cell(row: tuple[str, str, str, Level | Attacked | None]) -> Cell:
+        return make.estimated(metric, row[3].numbers[name] if row[3] else UNKNOWN)
 
-    return metric_column(metric, cell, above=_limit(metric, limits.get(name)))
+    return make.metric_column(metric, cell, above=_limit(metric, limits.get(name)))
 
 
 def _limit(metric: str, limit: float | None) -> str:
@@ -358,7 +347,7 @@ def _rank1(place: int, row: _Row) -> Cell:
         return Cell()
     one = row[3].tasks[place]
     marks = (MARKS[name] for name in remarks({"outcome": one.outcome, "invalid": one.invalid}))
-    return estimated(SUCCESS, one.rank1, mark="".join(marks))
+    return make.estimated(SUCCESS, one.rank1, mark="".join(marks))
 
 
 def _attacks(found: Iterable[Attacked | Linked | None]) -> str:

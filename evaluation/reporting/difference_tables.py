@@ -1,10 +1,11 @@
-"""Two runs side by side: on the terminal, and as JSON."""
+"""What differs, on the terminal and as JSON: two runs, other assumptions, other constants."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING, Any
 
+from evaluation.analysis.calibration import FITTED, Calibration
 from evaluation.analysis.differences import (
     DIFFERS,
     IDENTICAL,
@@ -17,22 +18,17 @@ from evaluation.analysis.differences import (
 from evaluation.analysis.families import with_unit
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
+from evaluation.analysis.paper import PUBLISHED
 from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
+from evaluation.reporting import table as make
 from evaluation.reporting import terminal
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    Table,
-    amount,
-    built,
-    level,
-    measured,
-    said,
-    shortened,
-)
+from evaluation.reporting.table import Cell, Column, Table
+from evaluation.verdict import sensitivity
+from evaluation.verdict.rules import SECTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
     import pandas as pd
     from rich.console import Console
@@ -50,6 +46,16 @@ _PAIRED = {
 }
 _MARKS = {PEOPLE: "~", NONE: "*"}
 """Of a difference that is not paired in full."""
+
+
+_ABOUT_ITEMS = (
+    "(Signs of decisions: base against the run's own verdict, all others against base. lost: "
+    "decided before, undecided now; gained: the reverse; missing: not tested there.)"
+)
+_ABOUT_CONSTANTS = (
+    "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of fid:1000; all "
+    "others (linear adding) are predictions"
+)
 
 
 def to_json(comparison: Comparison, *, every: bool = False) -> dict[str, Any]:
@@ -100,7 +106,9 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         [
             f"{kind}:",
             name,
-            " -> ".join("-" if one is None else shortened(str(one), room=_ROOM) for one in pair),
+            " -> ".join(
+                "-" if one is None else make.shortened(str(one), room=_ROOM) for one in pair
+            ),
         ]
         for kind, values in comparison.changed.items()
         for name, pair in values.items()
@@ -149,25 +157,27 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
 
     def change(row: Mapping[Any, Any]) -> Cell:
         ends = (row[name] for name in ("difference", "ci_low", "ci_high"))
-        return amount(row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], ""))
+        return make.amount(row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], ""))
 
     def p_value(row: Mapping[Any, Any]) -> Cell:
         p = row["p_holm"]
         return Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p)
 
     columns = [
-        said("", lambda row: _heading(row, room=room)),
-        Column("level", lambda row: Cell() if _apart(row) else level(row["level_a"])),
-        said("metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()),
-        measured("A", "a"),
-        measured("B", "b"),
+        make.said("", lambda row: _heading(row, room=room)),
+        Column("level", lambda row: Cell() if _apart(row) else make.level(row["level_a"])),
+        make.said(
+            "metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()
+        ),
+        make.measured("A", "a"),
+        make.measured("B", "b"),
         Column("B - A", change),
         Column("p", p_value),
     ]
     options = {"marks": {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}}
     title = f"{which} differences, B - A with 95 % intervals, p after Holm"
     records = shown.to_dict("records")
-    return built("differences", title, records, columns, n_headings=1, n_keys=3, **options)
+    return make.built("differences", title, records, columns, n_headings=1, n_keys=3, **options)
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
@@ -180,9 +190,92 @@ def _heading(row: Mapping[Any, Any], *, room: int) -> str:
     )
     if a == b and len(full := f"{source}: {with_unit(a)}") <= room:
         return full
-    return shortened(f"{source}: {a if a == b else f'{a} -> {b}'}", room=room)
+    return make.shortened(f"{source}: {a if a == b else f'{a} -> {b}'}", room=room)
 
 
 def _apart(row: Mapping[Any, Any]) -> bool:
     """Return whether the two levels are not the same."""
     return level_text(row["level_a"]) != level_text(row["level_b"])
+
+
+def turned(rows: pd.DataFrame) -> list[str]:
+    """Return every item whose decision changed sign, in words."""
+    return [
+        f"{one['variant']}: {one['id']}: {one['decision_base']} "
+        f"({_short(one['effect_base'], one['unit'])}) -> {one['decision']} "
+        f"({_short(one['effect'], one['unit'])} "
+        f"[{_short(one['ci_low'], '')}, {_short(one['ci_high'], '')}])"
+        for one in rows[rows["changed"] == sensitivity.TURNED].to_dict("records")
+    ]
+
+
+def _short(value: float, unit: str) -> str:
+    return f"{value:.3g}{' s' * (unit == 's')}" if math.isfinite(value) else "?"
+
+
+def variants_json(
+    rows: pd.DataFrame, variants: list[dict[str, Any]], *, out: Path
+) -> dict[str, Any]:
+    """Return the table as one object of plain values; what is unknown is None.
+
+    `variants` is what became of those that were asked for.
+    """
+    known = rows.astype(object)
+    return {
+        "out": str(out),
+        "variants": variants,
+        "counts": sensitivity.counts(rows),
+        "changed_sign": turned(rows),
+        "items": known.where(known.notna(), None).to_dict("records"),
+    }
+
+
+def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
+    """Print the table, and what changed sign, in words."""
+    records = [
+        {"variant": make.word(variant)}
+        | {
+            section: make.word(", ".join(f"{n} {change}" for change, n in found.items()))
+            for section, found in of.items()
+        }
+        for variant, of in sensitivity.counts(rows).items()
+    ]
+    shown = [section for section in SECTIONS if section in set(rows["section"])]
+    columns = [make.held(name, align="left") for name in ("variant", *shown)]
+    lines = turned(rows)
+    terminal.show(
+        [
+            make.built("sensitivity", "Items of the verdict, by section", records, columns),
+            *("", _ABOUT_ITEMS),
+            *(
+                f"left out: {name}: {why}; name it with --variant to run it"
+                for name, why in left_out.items()
+            ),
+            *("", ("Changed sign:" if lines else "No item changed sign.", "bold")),
+            *(f"- {line}" for line in lines),
+        ]
+    )
+
+
+def show_constants(found: Mapping[str, Calibration]) -> None:
+    """Print constants and what they predict beside the paper's numbers, case by case."""
+    records = [
+        {"constant or number": make.word(name)}
+        | {case: make.number(getattr(fit, name), digits=2) for case, (fit, _) in found.items()}
+        for name in FITTED
+    ]
+    for mechanism, at, metric, published in PUBLISHED:
+        spec = mechanism if at is None else f"{mechanism}:{at:g}"
+        numbers = {"paper": published} | {
+            case: ours[spec, metric] for case, (_, ours) in found.items()
+        }
+        shown = METRICS[metric]
+        digits = 1 if shown.is_share else 2
+        cells = {
+            case: make.number(one, scale=shown.scale, digits=digits)
+            for case, one in numbers.items()
+        }
+        records.append({"constant or number": make.word(f"{spec} {metric}")} | cells)
+    columns = [make.held("constant or number", align="left"), *map(make.held, ("paper", *found))]
+    title = "paper, and what each set of constants gives"
+    terminal.show([make.built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])])

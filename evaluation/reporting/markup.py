@@ -1,15 +1,12 @@
-"""A table as HTML, LaTeX (a booktabs tabular), Markdown and CSV."""
+"""A table as LaTeX (a booktabs tabular) and Markdown; `templates` has it for the page."""
 
 from __future__ import annotations
 
-import csv
-import io
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 
 from evaluation.reporting.table import Cell, Column, Table, printable
 
@@ -43,12 +40,6 @@ _WORDS = {"\\": "textbackslash", "~": "textasciitilde", "^": "textasciicircum"}
 _WORDS |= {"<": "textless", ">": "textgreater", "|": "textbar"}
 _SPECIAL = {one: f"\\{one}" for one in "{}$&%#_"}
 _SPECIAL |= {one: f"\\{word}{{}}" for one, word in _WORDS.items()}
-
-
-def html(table: Table) -> Markup:
-    """Return a table whose columns sort at a click, with a button that copies it as CSV."""
-    macros: Any = HTML.get_template("table.html.j2").module
-    return Markup(macros.table(table))  # noqa: S704 - the template escapes what it shows
 
 
 def escape(text: str) -> str:
@@ -114,12 +105,3 @@ def markdown(table: Table) -> str:
     text = str.maketrans({"&": "&amp;", "<": "&lt;", "|": r"\|"})
     plain = [[printable(cell).translate(text) for cell in row] for row in rows]
     return "".join(f"| {' | '.join(row)} |\n" for row in plain)
-
-
-def to_csv(table: Table) -> str:
-    """Return a table as it is shown, a line for each row."""
-    sink = io.StringIO()
-    rows = csv.writer(sink, lineterminator="\n")
-    rows.writerow([column.head for column in table.columns])
-    rows.writerows([[cell.full for cell in row] for row in table.rows])
-    return sink.getvalue()

@@ -170,9 +170,4 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
 
 def _rounded(text: str) -> str:
     """Return a text in which every number is short."""
-    return _NUMBER.sub(lambda one: _short(float(one[0])), text)
-
-
-def _short(number: float) -> str:
-    text = f"{number:.{_DIGITS}f}".rstrip("0").rstrip(".")
-    return "0" if text in {"-0", ""} else text
+    return _NUMBER.sub(lambda one: f"{round(float(one[0]), _DIGITS) + 0.0:.12g}", text)

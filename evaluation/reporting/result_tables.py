@@ -25,6 +25,7 @@ from evaluation.analysis.metrics import (
 from evaluation.analysis.strongest import most_knowing
 from evaluation.cells.link_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
 from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.reporting import table as make
 from evaluation.reporting.rows import (
     Results,
     by_level,
@@ -34,19 +35,7 @@ from evaluation.reporting.rows import (
     sources_at,
     telling,
 )
-from evaluation.reporting.table import (
-    Cell,
-    Column,
-    Table,
-    amount,
-    built,
-    counted,
-    held,
-    measured,
-    metric_column,
-    said,
-    shortened,
-)
+from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
 
 if TYPE_CHECKING:
@@ -103,7 +92,7 @@ def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source
         and any(metric in sources.get(one, {}) for one, metric in of)
     ]
     columns = [_column(one, metric, f"{METRICS[metric].head}, {one.label}") for one, metric in of]
-    return built(name, "", records, [*mechanism_columns(known), *columns], n_keys=3)
+    return make.built(name, "", records, [*mechanism_columns(known), *columns], n_keys=3)
 
 
 def _by_level(
@@ -116,19 +105,19 @@ def _by_level(
     ]
     columns = [*mechanism_columns(families_in(rows)), *columns]
     title = f"{title}; 95 % intervals"
-    return built(name, title, records, columns, notes=notes, n_headings=2, n_keys=3)
+    return make.built(name, title, records, columns, notes=notes, n_headings=2, n_keys=3)
 
 
 def _column(source: Source, metric: str, name: str) -> Column:
     """Return the column of a metric of some positions."""
     weight = _WEIGHTS.get(metric, 1.0)
-    return metric_column(metric, partial(_cell, source, metric), name=name, weight=weight)
+    return make.metric_column(metric, partial(_cell, source, metric), name=name, weight=weight)
 
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
     """Return the cell of a metric of some positions at a level with its rows."""
     row = level["of"].get(source, {}).get(metric)
-    return amount(metric, row["value"], row["ci_low"], row["ci_high"]) if row else Cell()
+    return make.amount(metric, row["value"], row["ci_low"], row["ci_high"]) if row else Cell()
 
 
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
@@ -183,14 +172,14 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
         records += [{"mechanism": where[0], "level": where[1]} | row for row in told]
     columns = [
         *mechanism_columns(known),
-        *map(said, ("positions", "adversary")),
+        *map(make.said, ("positions", "adversary")),
         *(
-            held(METRICS[one].head, one, unit=METRICS[one].unit, weight=_WEIGHTS.get(one, 1.0))
+            make.held(METRICS[one].head, one, unit=METRICS[one].unit, weight=_WEIGHTS.get(one, 1.0))
             for one in RECONSTRUCTION
         ),
     ]
     title = f"{title}; 95 % intervals"
-    return built("attacks", title, records, columns, n_headings=3, n_keys=5)
+    return make.built("attacks", title, records, columns, n_headings=3, n_keys=5)
 
 
 def _merged(found: Mapping[Source, Any]) -> list[dict[str, Any]]:
@@ -222,7 +211,7 @@ def rank_table(run: Results, task: LinkedTask) -> Table:
     """Return rank 1 of the attacks of a task, a row each, at the levels that tell."""
     known = run.families
     wheres = telling(task.cells, known, controls=False)
-    columns = [said("attack", itemgetter(0))]
+    columns = [make.said("attack", itemgetter(0))]
     for place, (name, at) in enumerate(wheres, start=1):
         one = family_of(known, name)
         # A level of the default rule keeps its interval longest.
@@ -231,13 +220,13 @@ def rank_table(run: Results, task: LinkedTask) -> Table:
         columns.append(Column(heading, itemgetter(place), above=one.adding, weight=weight))
     records: list[list[Any]] = [
         [
-            shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH),
+            make.shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH),
             *(_rank(task.cells[where].get(source)) for where in wheres),
         ]
         for source in task.attacks
     ]
     some = [next(iter(task.cells[where].values())) for where in wheres]
-    records.append(["chance", *(amount(SUCCESS, row["chance"]) for row in some)])
+    records.append(["chance", *(make.amount(SUCCESS, row["chance"]) for row in some)])
     about = "Unmarked cells link, by the ranks of all mates."
     if (CLEAN, None) in wheres:
         about += " clean: no error at all, the ceiling."
@@ -245,7 +234,7 @@ def rank_table(run: Results, task: LinkedTask) -> Table:
     notes = _size(some[0], people=people), _confounders(task, wheres, known), _controls(task), about
     title = f"{_title(task)}; rank 1 in %, 95 % intervals"
     options = {"notes": list(filter(None, notes)), "marks": MEANING}
-    return built(f"linkage-{task.name}", title, records, columns, **options)
+    return make.built(f"linkage-{task.name}", title, records, columns, **options)
 
 
 def cells_table(run: Results, task: LinkedTask) -> Table:
@@ -257,17 +246,17 @@ def cells_table(run: Results, task: LinkedTask) -> Table:
     ]
     columns = [
         *mechanism_columns(run.families),
-        said("attack"),
-        said("adversary", "knowledge"),
-        measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
-        measured("chance", "chance", metric=SUCCESS),
-        said("outcome"),
-        said("shortcut", "invalid"),
-        counted("candidates", "", "gallery_mean", digits=0),
-        counted("people", "", "n_clusters", digits=0),
+        make.said("attack"),
+        make.said("adversary", "knowledge"),
+        make.measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
+        make.measured("chance", "chance", metric=SUCCESS),
+        make.said("outcome"),
+        make.said("shortcut", "invalid"),
+        make.counted("candidates", "", "gallery_mean", digits=0),
+        make.counted("people", "", "n_clusters", digits=0),
     ]
     title = f"{_title(task)}, every adversary; 95 % intervals"
-    return built(f"cells-{task.name}", title, records, columns, n_headings=3, n_keys=5)
+    return make.built(f"cells-{task.name}", title, records, columns, n_headings=3, n_keys=5)
 
 
 def doubt_table(run: Results) -> Table:
@@ -281,13 +270,13 @@ def doubt_table(run: Results) -> Table:
         return shortcut or REMARKS[TOO_WEAK]
 
     columns = [
-        said("task/attack", "consumer"),
-        said("adversary", "knowledge"),
+        make.said("task/attack", "consumer"),
+        make.said("adversary", "knowledge"),
         *mechanism_columns(run.families),
-        said("why", why),
+        make.said("why", why),
     ]
     title = "Linkage cells that measure nothing"
-    return built("doubts", title, of.to_dict("records"), columns, n_keys=5)
+    return make.built("doubts", title, of.to_dict("records"), columns, n_keys=5)
 
 
 def _title(task: LinkedTask) -> str:
@@ -298,7 +287,7 @@ def _rank(row: Mapping[str, Any] | None) -> Cell:
     if row is None:
         return Cell()
     mark = "".join(MARKS[one] for one in remarks(row))
-    return amount(SUCCESS, row["rank1"], row["ci_low"], row["ci_high"], mark=mark)
+    return make.amount(SUCCESS, row["rank1"], row["ci_low"], row["ci_high"], mark=mark)
 
 
 def _size(row: Mapping[str, Any], *, people: int | None) -> str:
@@ -337,7 +326,7 @@ def _confounders(task: LinkedTask, wheres: Sequence[Where], known: Mapping[str, 
 
 
 def _against_chance(row: Mapping[str, Any], *, before: str = "") -> str:
-    value, chance = (amount(SUCCESS, row[key]).text or "-" for key in ("rank1", "chance"))
+    value, chance = (make.amount(SUCCESS, row[key]).text or "-" for key in ("rank1", "chance"))
     return f"{value} ({before}{chance})"
 
 

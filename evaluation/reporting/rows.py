@@ -27,7 +27,7 @@ HEADLINE: Final = (("raw", None), ("fid", 1.0), ("fid", 1000.0), ("fixed", 0.7),
 """The few levels that tell the story: mechanism without its adding rule, and level."""
 _LOG_SPAN = 30.0
 """An axis is logarithmic where the levels of a mechanism that we do not know span more."""
-_SYMBOLS: Final = {FID: ("η = ", ""), FIXED: ("", " m")}
+_LEVELS: Final = {FID: "η = {}", FIXED: "{} m"}
 _KNOWN: Final = {
     FID: ("FID-controlled sharing", "FID threshold η (1/(m² s))", True),
     FIXED: ("fixed added error", "Added error Δσ (m)", False),
@@ -218,8 +218,7 @@ class Scheme:
 
     def at(self, level: float) -> str:
         """Return a level with what it is."""
-        symbol, unit = _SYMBOLS.get(self.name, ("", ""))
-        return f"{symbol}{level_text(level)}{unit}"
+        return _LEVELS.get(self.name, "{}").format(level_text(level))
 
     def of(self, frame: pd.DataFrame, rule: str) -> pd.DataFrame:
         """Return the rows of its levels under a rule that its axis can show, levels rising."""
@@ -227,14 +226,20 @@ class Scheme:
         rows = rows[rows["level"] > 0 if self.log else rows["level"].notna()]
         return rows.sort_values("level")
 
-    def ends(self, rows: pd.DataFrame, rule: str, metric: str) -> str:
-        """Return both ends of its line in words: `18.7 % at η = 1 to 51.9 % at η = 1000`."""
-        of = self.of(rows[np.isfinite(rows["value"])], rule)
-        shown = METRICS[metric]
-        return " to ".join(
-            f"{shown.scale * row['value']:.{shown.digits}f} {shown.unit} at {self.at(row['level'])}"
-            for row in of.iloc[[0, -1] if len(of) > 1 else slice(None)].to_dict("records")
-        )
+    def ends(self, lines: Mapping[str, tuple[str, pd.DataFrame]], rule: str) -> str:
+        """Return the ends of lines in words, as `PLR 18.7 % at η = 1 to 51.9 % at η = 1000; ...`.
+
+        `lines` has a metric and its rows under the words before it; what has no rows is left out.
+        """
+        found = {}
+        for name, (metric, rows) in lines.items():
+            of, shown = self.of(rows[np.isfinite(rows["value"])], rule), METRICS[metric]
+            found[name] = " to ".join(
+                f"{row['value'] * shown.scale:.{shown.digits}f} {shown.unit} "
+                f"at {self.at(row['level'])}"
+                for row in of.iloc[[0, -1] if len(of) > 1 else slice(None)].to_dict("records")
+            )
+        return "; ".join(f"{name} {ends}" for name, ends in found.items() if ends)
 
 
 def schemes(summary: pd.DataFrame) -> list[Scheme]:

@@ -1,6 +1,6 @@
 """A table of results: built once from the frames of a run, rendered in four ways.
 
-`terminal.show_table` prints it, `markup` makes HTML, LaTeX, Markdown and CSV of it.
+`terminal.show_table` prints it, `markup` makes LaTeX and Markdown, the page's templates HTML of it.
 """
 
 from __future__ import annotations
@@ -111,11 +111,6 @@ class Table:
     """Leading columns that a terminal shows above the rows which agree in them."""
     n_keys: int = 1
     """Leading columns that say what a row is of: repeated where a table is split."""
-
-    def __post_init__(self) -> None:
-        n = len(self.columns)
-        if any(len(row) != n for row in self.rows):
-            raise ValueError(f"table {self.name}: rows need {n} cells each")
 
     @property
     def numeric(self) -> list[bool]:

@@ -36,13 +36,16 @@ def standard_output() -> Console:
     return Console(width=PIPE_WIDTH if piped else None, highlight=False)
 
 
-def show(parts: Iterable[Part], *, console: Console | None = None) -> None:
-    """Print tables, paragraphs with or without a style, and empty lines for empty texts."""
+def show(parts: Iterable[Part], *, console: Console | None = None, whole: bool = False) -> None:
+    """Print tables, paragraphs with or without a style, and empty lines for empty texts.
+
+    `whole` tables keep all of their intervals.
+    """
     console = standard_output() if console is None else console
     for part in parts:
         text, style = part if isinstance(part, tuple) else (part, "")
         if isinstance(text, Table):
-            show_table(text, console=console)
+            show_table(text, console=console, whole=whole)
         elif text:
             say(console, text, style, wrap=True)
         else:

@@ -17,7 +17,7 @@ from helpers.summaries import edit_manifest
 
 import evaluation
 from evaluation.experiment.variants import BASE, RIDGE, parse, settings_of, variants
-from evaluation.reporting.assumption_tables import turned
+from evaluation.reporting.difference_tables import turned
 from evaluation.runs.manifest import read_manifest
 from evaluation.sensitivity import main
 from evaluation.verdict.sensitivity import (

@@ -3,8 +3,7 @@
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 
-from evaluation.reporting.figures.drawing import figures_of
-from evaluation.reporting.figures.style import style
+from evaluation.reporting.figures.drawing import figures_of, style
 
 
 def draw(run, name, *, whole=False):
@@ -46,7 +45,9 @@ def described(figure):
         axes = [f"{get()}" for get in (ax.get_xlabel, ax.get_xscale, ax.get_ylabel, ax.get_yscale)]
         lines.append(f"panel {ax.get_title(loc='left')!r}: {axes}")
         glyphs = [line for line in ax.lines if not isinstance(line.get_marker(), str)]
-        lines += [f"  {sum(len(one.get_xdata()) for one in glyphs)} characters"] * bool(glyphs)
+        lines += [
+            f"  {sum(len(one.get_label()) * len(one.get_xdata()) for one in glyphs)} characters"
+        ] * bool(glyphs)
         for line in ax.lines:
             if line not in glyphs:
                 look = f"{line.get_color()} {line.get_marker()} {line.get_linestyle()}"

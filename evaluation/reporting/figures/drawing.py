@@ -1,28 +1,94 @@
-"""The figures of a run: a file in this folder with a function `drawings` makes some."""
+"""The figures of a run: how they look, and how they become files.
+
+A file in this folder with a function `drawings` makes some.
+
+The same figure gives the same bytes: no dates, no random ids, and nothing from the user's own
+matplotlib settings. Colours are those of Okabe and Ito; marker and line style tell the same in
+grey.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import io
+import warnings
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+from matplotlib import style as styles
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullLocator
+
+from evaluation.analysis.families import RAW
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
 from evaluation.cells.work import Failed
-from evaluation.reporting.figures.style import rendered, style
+from evaluation.reporting.table import shortened
 from evaluation.runs.files import write_whole
 from evaluation.runs.workers import spread
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from matplotlib.figure import Figure
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from numpy.typing import NDArray
 
-    from evaluation.reporting.rows import Results
+    from evaluation.analysis.keys import Source
+    from evaluation.reporting.rows import Results, Scheme
+    from isac_track.types import Floats
+
+Dashes = Literal["", "-", "--", "-.", ":"] | tuple[float, tuple[float, ...]]
+
+SINGLE_COLUMN_IN, DOUBLE_COLUMN_IN = 3.5, 7.16
+"""Widths of a figure in an IEEE journal."""
+CHARACTERS_PER_IN = 17.5
+"""At 7 to 8 points."""
+LOG_RATIO = 5.0
+"""A logarithmic axis has too few ticks where the data span less."""
+NAME_LENGTH = 40
+PERCENT = 100.0
+
+_BAND_ALPHA = 0.18
+_IMAGE_DPI = 200
+_HANDLE_CHARACTERS = 10
+_STYLE = Path(__file__).parents[1] / "templates" / "figures.mplstyle"
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Colour, marker and line style of a line."""
+
+    colour: str
+    marker: str
+    dashes: Dashes
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """As matplotlib's lines take it."""
+        return {"color": self.colour, "marker": self.marker, "linestyle": self.dashes}
+
+
+# Dotted is kept for the raw baseline.
+LOOKS = (
+    Look("#0072B2", "o", "-"),
+    Look("#D55E00", "s", "--"),
+    Look("#009E73", "^", "-."),
+    Look("#CC79A7", "X", (0, (5, 1, 1, 1, 1, 1))),
+    Look("#E69F00", "P", (0, (8, 2))),
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,3 +147,229 @@ def _drawn(first: int, *, run: Results, step: int, pdf: bool) -> Iterator[dict[s
             if figure is not None:
                 files = rendered(figure, pdf=pdf)
                 yield {f"{one.name}.{kind}": of for kind, of in files.items()}
+
+
+@contextlib.contextmanager
+def style() -> Iterator[None]:
+    """Set matplotlib's defaults and ours, whatever the user's own settings are."""
+    with styles.context(["default", _STYLE]), warnings.catch_warnings():
+        # A data set may be named in a script that the bundled font lacks.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        yield
+
+
+def blank(*, height_in: float, width_in: float = DOUBLE_COLUMN_IN) -> Figure:
+    """Return a figure whose panels are placed by hand."""
+    return Figure(figsize=(width_in, height_in), dpi=_IMAGE_DPI)
+
+
+def panels(
+    rows: int,
+    columns: int,
+    *,
+    height_in: float,
+    margins_in: tuple[float, float, float, float, float, float] | None = None,
+    **sharing: Any,  # noqa: ANN401 - as matplotlib's subplots take it
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure and its panels, (rows, columns).
+
+    Without margins it makes room for its labels, legend and title; a single column of panels then
+    fits into one column of a journal. Margins are left, right, top and bottom, and the gaps
+    between columns and between rows. `sharing`: sharex, sharey; and width_in.
+    """
+    if margins_in is None:
+        width_in = SINGLE_COLUMN_IN if columns == 1 else DOUBLE_COLUMN_IN
+        figure = Figure(figsize=(width_in, height_in), layout="constrained")
+        return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
+    figure = blank(height_in=height_in, width_in=sharing.pop("width_in", DOUBLE_COLUMN_IN))
+    size_in, gaps = figure.get_size_inches(), np.array(margins_in[4:])
+    left, right, top, bottom = np.array(margins_in[:4]) / size_in[[0, 0, 1, 1]]
+    n, share = np.array([columns, rows]), np.array([1.0 - left - right, 1.0 - top - bottom])
+    wspace, hspace = gaps / ((share * size_in - gaps * (n - 1)) / n)
+    figure.subplots_adjust(left, bottom, 1.0 - right, 1.0 - top, wspace, hspace)
+    return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
+
+
+def rendered(figure: Figure, *, pdf: bool) -> dict[str, bytes]:
+    """Return the figure as `svg`, and as `pdf` if asked for: fonts make that the slower one.
+
+    It is laid out once for both, and printed by the canvases themselves: `savefig` would find
+    the layout anew and draw everything twice each time.
+    """
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+    files = {"svg": io.BytesIO()}
+    FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
+        files["svg"], metadata={"Date": None, "Creator": None}
+    )
+    if pdf:
+        files["pdf"] = io.BytesIO()
+        FigureCanvasPdf(figure).print_pdf(  # type: ignore[no-untyped-call]
+            files["pdf"], metadata={"CreationDate": None, "Creator": None, "Producer": None}
+        )
+    return {kind: file.getvalue() for kind, file in files.items()}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Line:
+    """A line over the level, and what stands beside it in a legend."""
+
+    label: str
+    look: Look
+    rows: pd.DataFrame
+    """Columns mechanism, level, value, ci_low and ci_high, as in a summary."""
+    scale: float = PERCENT
+    """To the unit of the axis."""
+    has_band: bool = True
+    is_raw_across: bool = False
+    """Whether raw is drawn from side to side, not only at the edge where levels end in it."""
+    apart: Mapping[str, Any] = field(default_factory=dict)
+    """What sets it apart from the others, as matplotlib's lines take it."""
+
+    @property
+    def raw(self) -> float | None:
+        """Where it is without any added error, in the unit of the axis."""
+        found = self.rows.loc[self.rows["mechanism"] == RAW, "value"]
+        return self.scale * float(found.iloc[0]) if len(found) else None
+
+    @property
+    def handle(self) -> Line2D:
+        """The legend's entry of it."""
+        return handle(self.label, self.look, **self.apart)
+
+    def draw(self, ax: Axes, scheme: Scheme, rule: str) -> None:
+        """Draw it over the levels of a scheme, and raw dotted.
+
+        Its band has gaps where the interval is unknown.
+        """
+        rows = scheme.of(self.rows, rule)
+        if len(rows):
+            x = rows["level"].to_numpy()
+            y, *ends = (self.scale * rows[key].to_numpy() for key in ("value", "ci_low", "ci_high"))
+            ax.plot(x, y, **self.look.line, **self.apart)
+            if self.has_band:
+                band(ax, x, *ends, look=self.look)
+        if self.raw is not None:
+            at = (0.0, 1.0) if self.is_raw_across else (0.95, 1.0) if scheme.log else (0.0, 0.06)
+            # Above the axis itself, where the value is zero.
+            look: dict[str, Any] = {"color": self.look.colour, "linestyle": ":", "zorder": 2.6}
+            ax.plot(at, [self.raw] * 2, transform=ax.get_yaxis_transform(), **look)
+
+
+def note(
+    ax: Axes,
+    text: str,
+    at: tuple[float, float],
+    offset_points: tuple[float, float],
+    **look: Any,  # noqa: ANN401 - matplotlib's
+) -> None:
+    """Write a text beside a point, in the middle unless `look` says otherwise."""
+    look = {"textcoords": "offset points", "ha": "center"} | look
+    ax.annotate(text, at, offset_points, **look)
+
+
+def band(ax: Axes, x: Floats, low: Floats, high: Floats, *, look: Look) -> None:
+    """Fill the interval around a line."""
+    ax.fill_between(x, low, high, color=look.colour, alpha=_BAND_ALPHA, linewidth=0)
+
+
+def level_axis(ax: Axes, *, log: bool) -> None:
+    """Set the axis of a mechanism's level."""
+    if log:
+        ax.set_xscale("log")
+        _plain_ticks(ax.xaxis, LogLocator())
+    else:
+        ax.set_xlim(left=0)
+
+
+def value_axis(ax: Axes, values: Sequence[Floats], *, log: bool) -> None:
+    """Start at zero, or take a logarithmic axis where it is wanted and the data span it."""
+    known = np.concatenate(values)
+    if log and known.min() > 0 and known.max() > LOG_RATIO * known.min():
+        ax.set_yscale("log")
+        _plain_ticks(ax.yaxis, LogLocator(subs=(1.0, 2.0, 5.0)))
+    else:
+        # A little below zero, so that a marker at zero is whole.
+        ax.set_ylim(bottom=-0.03 * ax.get_ylim()[1])
+
+
+def look_of(scheme: Scheme) -> Look:
+    """Return the look of what is swept, the same in every figure."""
+    return LOOKS[scheme.place % len(LOOKS)]
+
+
+def label(metric: str) -> str:
+    """Return the label of a metric's axis; of a descriptor with whose positions it is of."""
+    if metric == MISSED_RATE:
+        return "Missed conflicts (%)"
+    shown = METRICS[metric]
+    return f"{shown.head}{', shared' * (metric in DESCRIPTORS)} ({shown.unit})"
+
+
+def number(value: float) -> str:
+    """Return a level or tick as a short number, large powers of ten as such."""
+    exponent = round(np.log10(value)) if value > 0 else 0
+    if exponent >= 4 and np.isclose(value, 10.0**exponent):  # noqa: PLR2004 - 1000 is short
+        return "10" + str(exponent).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{value:.4g}"
+
+
+def handle(text: str, look: Look, **more: Any) -> Line2D:  # noqa: ANN401 - matplotlib's
+    """Return the legend's entry of a line."""
+    return Line2D([], [], label=text, **look.line, **more)
+
+
+def black_handle(
+    text: str, *, marker: str = "", dashes: Dashes = "", hollow: bool = False
+) -> Line2D:
+    """Return the legend's entry of something that has no colour of its own."""
+    face = "white" if hollow else "black"
+    return handle(text, Look("black", marker, dashes), markersize=5, markerfacecolor=face)
+
+
+def band_handle(text: str) -> Patch:
+    """Return the legend's entry of a band."""
+    return Patch(color="black", alpha=_BAND_ALPHA, linewidth=0, label=text)
+
+
+def finish(
+    figure: Figure, handles: Sequence[Artist | bool], *, dataset: str, what: str, columns: int = 0
+) -> Figure:
+    """Put a legend below the panels, the data set's name and what is shown above them.
+
+    The legend has some columns, or as few rows as its words allow; of the handles a False is none.
+    """
+    entries = [one for one in handles if isinstance(one, Artist)]
+    is_placed = figure.get_layout_engine() is None
+    place: dict[str, Any] = {"loc": "outside lower center"}
+    if columns:
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.0)}
+        place |= {"borderaxespad": 0.2, "columnspacing": 1.4}
+    room = CHARACTERS_PER_IN * figure.get_figwidth()
+    widths = [len(str(one.get_label())) + _HANDLE_CHARACTERS for one in entries]
+    n = columns or len(entries)
+    while not columns and n > 1 and sum(map(max, np.array_split(widths, n))) > room:
+        n -= 1
+    figure.legend(handles=entries, ncols=n, **place)
+    name = "".join(character if character.isprintable() else " " for character in dataset)
+    if len(name) > NAME_LENGTH:
+        name = name[: NAME_LENGTH - 1] + "…"
+    separator = ": " if is_placed or figure.get_figwidth() > SINGLE_COLUMN_IN else "\n"
+    place = {"x": 0.01, "horizontalalignment": "left"}
+    if is_placed:
+        place |= {"y": 1.0 - 0.05 / figure.get_figheight(), "verticalalignment": "top"}
+    figure.suptitle(f"{name}{separator}{what}", **place)
+    return figure
+
+
+def short(source: Source) -> str:
+    """Return whose a line is, so short that it fits."""
+    return shortened(source.label, room=NAME_LENGTH)
+
+
+def _plain_ticks(axis: Axis, locator: LogLocator) -> None:
+    axis.set_major_locator(locator)
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(lambda value, _: number(value))

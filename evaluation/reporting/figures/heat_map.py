@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from collections import Counter
 from functools import partial
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,14 +12,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath, text_to_path
-from matplotlib.transforms import Affine2D
 
 from evaluation.analysis.families import ADDING_RULES, CLEAN, FID, FIXED, RAW, Family
 from evaluation.analysis.keys import Where, level_text
 from evaluation.analysis.linkability import INVALID, LinkedTask
-from evaluation.reporting.figures import style
-from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import PERCENT, Look
+from evaluation.reporting.figures import drawing
+from evaluation.reporting.figures.drawing import PERCENT, Drawing, Look
 from evaluation.reporting.rows import Results, family_of, is_control, parameters_text, schemes
 from evaluation.reporting.table import shortened
 
@@ -30,8 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.path import Path
-
-    from isac_track.types import Floats
 
 # The page turns pure black and white over in the dark; what stands on a colour must stay.
 _ON_DARK, _ON_BRIGHT = "#fefefe", "#010101"
@@ -84,36 +79,36 @@ def _heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         for rule in ADDING_RULES
         if rule in rules.values()
     } or {"": ordered}
-    names = [style.short(source) for source in sources]
+    names = [drawing.short(source) for source in sources]
     left_in = max(_width_in(name) for name in names) + 0.12
     n_columns = max(map(len, blocks.values()))
-    cell_in = min(2 * _CELL_IN, (style.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
+    cell_in = min(2 * _CELL_IN, (drawing.DOUBLE_COLUMN_IN - left_in - _ROOM_IN) / n_columns)
     # Above the numbers stand the levels, then the mechanisms that they are of.
     heads = {}
     for mechanism, level in cells:
-        one, at = family_of(known, mechanism), "" if level is None else style.number(level)
+        one, at = family_of(known, mechanism), "" if level is None else drawing.number(level)
         parts = [at] if mechanism in titles else [one.family, at, parameters_text(one)]
         heads[mechanism, level] = " ".join(filter(None, parts))
     head_in = 0.2 + max(0.5, *map(_width_in, heads.values()))
     top_in, block_in = 0.22, _CELL_IN * len(sources)
-    figure = style.blank(height_in=top_in + len(blocks) * (head_in + block_in) + 0.42)
+    figure = drawing.blank(height_in=top_in + len(blocks) * (head_in + block_in) + 0.42)
     width_in, height_in = figure.get_size_inches()
     for place, (rule, columns) in enumerate(blocks.items(), start=1):
         bottom = (height_in - top_in - place * (head_in + block_in)) / height_in
         size = cell_in * len(columns) / width_in, block_in / height_in
         ax = figure.add_axes((left_in / width_in, bottom, *size))
-        _draw_heat(ax, [[cells[where].get(one) for where in columns] for one in sources], cell_in)
+        _draw_heat(ax, [[cells[where].get(one) for where in columns] for one in sources])
         ax.set_yticks(np.arange(len(sources)), names)
         ax.xaxis.tick_top()
         ax.set_xticks(np.arange(len(columns)), [heads[where] for where in columns], rotation=90)
-        _name_swept(ax, columns, titles, sizes_in=(block_in, cell_in))
+        _name_swept(ax, columns, titles, (cell_in, block_in))
         if rule:
             # In the corner above the names.
             y = bottom + (block_in + _MECHANISMS_IN) / height_in
             figure.text(0.01, y, f"{rule} adding")
     rows = [row for block in cells.values() for row in block.values()]
     handles, what = _handles(rows), f"{task.name}, rank 1 in %"
-    return style.finish(
+    return drawing.finish(
         figure, handles, dataset=str(rows[0]["dataset"]), what=what, columns=len(handles)
     )
 
@@ -131,81 +126,60 @@ def _in_order(cells: Iterable[Where], known: Mapping[str, Family]) -> list[Where
     return sorted(cells, key=key)
 
 
-def _draw_heat(
-    ax: Axes, rows: Sequence[Sequence[Mapping[str, Any] | None]], cell_in: float
-) -> None:
+def _draw_heat(ax: Axes, rows: Sequence[Sequence[Mapping[str, Any] | None]]) -> None:
     """Draw the cells of a block: colours, numbers, crosses, and gaps between them."""
-    n_rows, n_columns = len(rows), len(rows[0])
-    values = np.full((n_rows, n_columns), np.nan)
-    texts: dict[tuple[int, int], str] = {}
+    values = np.full((len(rows), len(rows[0])), np.nan)
+    places: dict[tuple[str, str], list[tuple[int, int]]] = {}
     crossed = []
-    for x, y in product(range(n_columns), range(n_rows)):
+    for y, x in np.ndindex(values.shape):
         row = rows[y][x]
         if row is None or not np.isfinite(row["rank1"]):
             continue
         values[y, x] = PERCENT * row["rank1"]
         mark = _MARKS.get(row["outcome"], "")
-        texts[y, x] = mark if mark == "?" else f"{mark}{values[y, x]:.0f}"
+        text = mark if mark == "?" else f"{mark}{values[y, x]:.0f}"
+        colour = _ON_BRIGHT if values[y, x] > _BRIGHT * PERCENT else _ON_DARK
+        places.setdefault((text, colour), []).append((x, y))
         if row[INVALID]:
             crossed += [[(x - 0.5, y + end), (x + 0.5, y - end)] for end in (-0.5, 0.5)]
     look: dict[str, Any] = {"aspect": "auto", "cmap": "cividis", "interpolation": "nearest"}
     ax.imshow(values, vmin=0.0, vmax=PERCENT, **look)
     ax.add_collection(LineCollection(crossed, colors="#ff2222", linewidths=0.7))
-    _draw_texts(ax, texts, values, cell_in=cell_in)
+    # Equal numbers as the markers of one artist: texts would take seconds.
+    for (text, colour), at in places.items():
+        # In the middle by the height of a digit, whatever the character.
+        middle = 0.5 * _POINTS_PER_IN * _width_in(text, size=_CELL_POINTS), 0.365 * _CELL_POINTS
+        path: Path = TextPath((-middle[0], -middle[1]), text, size=_CELL_POINTS)
+        size = 2.0 * float(np.abs(path.vertices).max())
+        look = {"linestyle": "", "color": colour, "markeredgewidth": 0, "label": text}
+        ax.plot(*np.array(at).T, marker=path, markersize=size, **look)
     # Gaps in the colour of the page hide where the pixels of the image end.
-    lines = [[(x - 0.5, -0.5), (x - 0.5, n_rows - 0.5)] for x in range(n_columns + 1)]
-    lines += [[(-0.5, y - 0.5), (n_columns - 0.5, y - 0.5)] for y in range(n_rows + 1)]
+    bottom, right = np.array(values.shape) - 0.5
+    lines = [[(x - 0.5, -0.5), (x - 0.5, bottom)] for x in range(len(rows[0]) + 1)]
+    lines += [[(-0.5, y - 0.5), (right, y - 0.5)] for y in range(len(rows) + 1)]
     ax.add_collection(LineCollection(lines, colors="white", linewidths=0.5))
     ax.grid(visible=False)
     ax.spines[:].set_visible(False)
     ax.tick_params(length=0, pad=2)
 
 
-def _draw_texts(
-    ax: Axes, texts: Mapping[tuple[int, int], str], values: Floats, *, cell_in: float
-) -> None:
-    """Print the numbers as markers, one artist for each character: texts would take seconds."""
-    width = {one: _width_points(one, size=_CELL_POINTS) for one in set("".join(texts.values()))}
-    places: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    per_cell = cell_in * _POINTS_PER_IN
-    for (y, x), text in texts.items():
-        colour = _ON_BRIGHT if values[y, x] > _BRIGHT * PERCENT else _ON_DARK
-        start = x - 0.5 * sum(width[one] for one in text) / per_cell
-        for one in text:
-            middle = start + 0.5 * width[one] / per_cell
-            places.setdefault((one, colour), []).append((middle, y))
-            start += width[one] / per_cell
-    for (one, colour), at in places.items():
-        # In the middle by the height of a digit, whatever the character.
-        to_middle = Affine2D().translate(-0.5 * width[one], -0.365 * _CELL_POINTS)
-        path: Path = TextPath((0, 0), one, size=_CELL_POINTS).transformed(to_middle)
-        size = 2.0 * float(np.abs(path.vertices).max())
-        look: dict[str, Any] = {"linestyle": "", "color": colour, "markeredgewidth": 0}
-        ax.plot(*np.array(at).T, marker=path, markersize=size, **look)
-
-
 @functools.cache
-def _width_points(text: str, *, size: float) -> float:
-    """Return how wide a text is set."""
+def _width_in(text: str, *, size: float = 7.0) -> float:
+    """Return how wide a text of so many points is set."""
     font = FontProperties(family="DejaVu Sans", size=size)
     # Far quicker than the extent of the text's outline.
     width, _, _ = text_to_path.get_text_width_height_descent(text, font, ismath=False)
-    return float(width)
-
-
-def _width_in(text: str) -> float:
-    return _width_points(text, size=7.0) / _POINTS_PER_IN
+    return float(width) / _POINTS_PER_IN
 
 
 def _name_swept(
     ax: Axes,
     columns: Sequence[Where],
     titles: Mapping[str, list[str]],
-    *,
-    sizes_in: Sequence[float],
+    sizes_in: tuple[float, float],
 ) -> None:
     """Write the swept mechanisms above their levels."""
-    block_in, cell_in = sizes_in
+    cell_in, block_in = sizes_in
     where: dict[str, Any] = {"transform": ax.get_xaxis_transform()}
     line = 1.0 + (_MECHANISMS_IN - 0.03) / block_in
     for mechanism in dict.fromkeys(name for name, _ in columns if name in titles):
@@ -213,7 +187,7 @@ def _name_swept(
         ends = places[0] - 0.4, places[-1] + 0.4
         ax.plot(ends, [line, line], color="black", linewidth=0.5, clip_on=False, **where)
         room_in = cell_in * (len(places) - 0.3)
-        room = max(4, int(room_in * style.CHARACTERS_PER_IN))
+        room = max(4, int(room_in * drawing.CHARACTERS_PER_IN))
         fitting = (one for one in titles[mechanism] if _width_in(one) <= room_in)
         name = next(fitting, shortened(titles[mechanism][-1], room=room))
         ax.text(ends[0], 1.0 + _MECHANISMS_IN / block_in, name, **where)
@@ -243,6 +217,6 @@ def _handles(rows: Sequence[Mapping[str, Any]]) -> list[Any]:
     said += [f"{mark}  {outcome}" for outcome, mark in _MARKS.items() if outcome in outcomes]
     handles += [Rectangle((0, 0), 0, 0, alpha=0, label=text) for text in said]
     if any(row[INVALID] for row in rows):
-        leaks = style.handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
+        leaks = drawing.handle("crossed out: a shortcut leaks", Look("#ff2222", "x", ""))
         handles.append(leaks)
     return handles

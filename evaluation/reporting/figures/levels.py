@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +14,8 @@ from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_R
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
-from evaluation.reporting.figures import style
-from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import LOOKS, Line, Look
+from evaluation.reporting.figures import drawing
+from evaluation.reporting.figures.drawing import LOOKS, Drawing, Line, Look
 from evaluation.reporting.result_tables import after_attack, sources_of
 from evaluation.reporting.rows import Results, Scheme, of_source, rank1_rows, rules_of, schemes
 
@@ -75,7 +73,7 @@ def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
         return None
     labels = list(dict.fromkeys(_axis(metric) for _, metric in lines))
     has_paper = run.dataset == DATASET and scheme.name in _FILES and "linear" in rules
-    figure, panels = style.panels(
+    figure, panels = drawing.panels(
         len(labels), len(rules), height_in=1.35 * len(labels) + 0.9, sharex=True, sharey="row"
     )
     for rule, axes in zip(rules, panels.T, strict=True):
@@ -86,14 +84,14 @@ def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
             line.draw(ax, scheme, rule)
             if has_paper and rule == "linear" and consumer in (SHARED, PREDICTOR):
                 _draw_paper(ax, metric, look=line.look, scheme=scheme)
-    style.level_axis(panels[0, 0], log=scheme.log)
+    drawing.level_axis(panels[0, 0], log=scheme.log)
     for label, ax in zip(labels, panels[:, 0], strict=True):
         ax.set_ylabel(label)
         drawn = [line for (_, metric), line in lines.items() if _axis(metric) == label]
         of = [(line.scale, scheme.of(line.rows, rule)) for line in drawn for rule in rules]
         values = [scale * rows["value"].to_numpy() for scale, rows in of]
         values += [np.array([line.raw]) for line in drawn if line.raw is not None]
-        style.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
+        drawing.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
     predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
     # An only predictor is in the title, and PLR has its own axis.
     named = predictors if len(predictors) > 1 else []
@@ -102,32 +100,34 @@ def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
     handles = [
         *(line.handle for line in named),
         any(line.raw is not None for line in lines.values())
-        and style.black_handle("raw", dashes=":"),
-        style.band_handle("95 % interval" + f" (predictors: {banded})" * bool(banded)),
-        has_paper and style.black_handle("paper (raw at the edge)", marker="o", hollow=True),
+        and drawing.black_handle("raw", dashes=":"),
+        drawing.band_handle("95 % interval" + f" (predictors: {banded})" * bool(banded)),
+        has_paper and drawing.black_handle("paper (raw at the edge)", marker="o", hollow=True),
     ]
     what = f", predictor {predictors[0].label}" if len(predictors) == 1 else ""
-    return style.finish(figure, handles, dataset=run.dataset, what=f"{scheme.title}{what}")
+    return drawing.finish(figure, handles, dataset=run.dataset, what=f"{scheme.title}{what}")
 
 
 def _sweep_words(run: Results, *, scheme: Scheme) -> str:
     of = run.ours[~is_attack(run.ours)]
-    first = of.loc[of["metric"] == MISSED_RATE, "consumer"].head(1)
-    consumers = dict.fromkeys((MISSED_RATE, *DESCRIPTORS), SHARED)
-    consumers |= dict.fromkeys([MISSED_RATE] * len(first), next(iter(first), ""))
-    parts = []
-    for rule in scheme.rules:
-        said = []
-        for metric, consumer in consumers.items():
-            name = METRICS[metric].head if consumer == SHARED else f"missed conflicts of {consumer}"
-            rows = of[(of["metric"] == metric) & (of["consumer"] == consumer)]
-            said += [f"{name} from {ends}"] if (ends := scheme.ends(rows, rule, metric)) else []
-        parts += [f"{scheme.rule_text(rule)}: {'; '.join(said)}."] if said else []
+    missed = of[of["metric"] == MISSED_RATE]
+    lines = {
+        f"missed conflicts of {name} from": (MISSED_RATE, missed[missed["consumer"] == name])
+        for name in missed["consumer"].head(1)
+    }
+    for metric in DESCRIPTORS:
+        rows = of[(of["metric"] == metric) & (of["consumer"] == SHARED)]
+        lines[f"{METRICS[metric].head} from"] = metric, rows
+    parts = [
+        f"{scheme.rule_text(rule)}: {said}."
+        for rule in scheme.rules
+        if (said := scheme.ends(lines, rule))
+    ]
     return f"Panels over the level, with 95 % bands. {' '.join(parts)}"
 
 
 def _axis(metric: str) -> str:
-    return _EXPOSURE_LABEL if metric in ("ael", "mel") else style.label(metric)
+    return _EXPOSURE_LABEL if metric in ("ael", "mel") else drawing.label(metric)
 
 
 def _swept_lines(run: Results) -> dict[tuple[str, str], Line]:
@@ -157,16 +157,10 @@ def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: Scheme) -> None:
         if of == metric and mechanism in ("raw", scheme.name):
             edge = 1.0 if scheme.log else 0.0
             transform = ax.get_yaxis_transform() if level is None else ax.transData
-            ax.plot(
-                *([edge if level is None else level], [value * METRICS[metric].scale]),
-                marker=look.marker,
-                markersize=5,
-                zorder=5,
-                clip_on=False,
-                markerfacecolor="white",
-                markeredgecolor="black",
-                transform=transform,
-            )
+            at = [edge if level is None else level], [value * METRICS[metric].scale]
+            mark: dict[str, Any] = {"marker": look.marker, "markersize": 5, "clip_on": False}
+            mark |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 5}
+            ax.plot(*at, **mark, transform=transform)
 
 
 def _attack_figure(run: Results) -> Figure | None:
@@ -187,7 +181,7 @@ def _attack_figure(run: Results) -> Figure | None:
         return None
     known = [one for one in known if one.rules_in(*(line.rows for line in lines.values()))]
     columns, height_in = rules_of(known), 2.0 * len(known) + 0.9
-    figure, panels = style.panels(
+    figure, panels = drawing.panels(
         len(known), len(columns), height_in=height_in, sharex="row", sharey=True
     )
     for scheme, axes in zip(known, panels, strict=True):
@@ -199,31 +193,31 @@ def _attack_figure(run: Results) -> Figure | None:
             ax.set_xlabel(scheme.label)
             for line in lines.values():
                 line.draw(ax, scheme, rule)
-        style.level_axis(axes[0], log=scheme.log)
+        drawing.level_axis(axes[0], log=scheme.log)
         axes[0].set_ylabel("PLR, shared or attacked (%)")
     # A share: the whole axis, with a little room for markers at its ends.
     panels[0, 0].set_ylim(-3.0, 103.0)
     has_raw = any(line.raw is not None for line in lines.values())
     handles = [
         *(line.handle for line in lines.values()),
-        has_raw and style.black_handle("raw (attacks: at its edge)", dashes=":"),
-        style.band_handle("95 % interval"),
+        has_raw and drawing.black_handle("raw (attacks: at its edge)", dashes=":"),
+        drawing.band_handle("95 % interval"),
     ]
     what = "what an adversary who filters gets back"
-    return style.finish(figure, handles, dataset=run.dataset, what=what)
+    return drawing.finish(figure, handles, dataset=run.dataset, what=what)
 
 
 def _attack_words(run: Results) -> str:
     strongest, rows = run.strongest.get(""), _exposure(after_attack(run.ours))
     if strongest is None:
         return ""
-    shared, after = of_source(rows, AS_SHARED), of_source(rows, strongest)
+    of = {"as shared": AS_SHARED, f"after {strongest.label}": strongest}
+    lines = {name: (EXPOSURE, of_source(rows, source)) for name, source in of.items()}
     parts = [
-        f"{scheme.title}, {scheme.rule_text(rule)}: as shared {before}; after {strongest.label} "
-        f"{scheme.ends(after, rule, EXPOSURE)}."
+        f"{scheme.title}, {scheme.rule_text(rule)}: {said}."
         for scheme in schemes(run.ours)
         for rule in scheme.rules
-        if (before := scheme.ends(shared, rule, EXPOSURE))
+        if (said := scheme.ends(lines, rule))
     ]
     return f"Lines of PLR over the level. {' '.join(parts)}"
 
@@ -238,15 +232,14 @@ def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
     chosen = [source for source in most_knowing(sources_of(rows)) if source.consumer != IDENTITY]
     oracle = [source for source in chosen if source.knowledge == ORACLE]
     others = [source for source in chosen if source.knowledge and source not in oracle]
-    looks = {AS_SHARED: _SHARED_LOOK} if AS_SHARED in chosen else {}
-    looks |= dict(zip(others, LOOKS, strict=False))
     # Raw after attacks would crowd each other.
-    lines = {of: Line(of.label, look, of_source(rows, of)) for of, look in looks.items()}
+    shared = Line("as shared", _SHARED_LOOK, of_source(rows, AS_SHARED), is_raw_across=True)
+    lines = {AS_SHARED: shared} if AS_SHARED in chosen else {}
+    for of, look in zip(others, LOOKS, strict=False):
+        lines[of] = Line(of.label, look, of_source(rows, of))
     for of, look in zip(oracle, _ORACLE_LOOKS, strict=False):
         label = f"{of.label}, a reference"
         lines[of] = Line(label, look, of_source(rows, of), apart=_ORACLE)
-    if AS_SHARED in lines:
-        lines[AS_SHARED] = replace(lines[AS_SHARED], label="as shared", is_raw_across=True)
     return lines
 
 
@@ -257,13 +250,12 @@ def _headline_figure(run: Results) -> Figure | None:
     known = [scheme for scheme in known if not scheme.of(lines[0].rows, rule).empty]
     if not known:
         return None
-    widths = style.SINGLE_COLUMN_IN, style.DOUBLE_COLUMN_IN
-    figure, ((*panels,),) = style.panels(
+    widths = drawing.SINGLE_COLUMN_IN, drawing.DOUBLE_COLUMN_IN
+    figure, ((*panels,),) = drawing.panels(
         *(1, len(known)),
         width_in=widths[len(known) > _MOST_SINGLE],
         height_in=2.65,
-        margins_in=(0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines)),
-        gaps_in=(0.22, 0.0),
+        margins_in=(0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines), 0.22, 0.0),
         sharey=True,
     )
     for scheme, ax in zip(known, panels, strict=True):
@@ -271,13 +263,13 @@ def _headline_figure(run: Results) -> Figure | None:
         ax.set_xlabel(scheme.label)
         for line in lines:
             line.draw(ax, scheme, rule)
-        style.level_axis(ax, log=scheme.log)
+        drawing.level_axis(ax, log=scheme.log)
     panels[0].set_ylim(0.0, 103.0)
     panels[0].set_ylabel("%")
-    raw = style.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
+    raw = drawing.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
     handles = [*(line.handle for line in lines), raw]
     what = f"{rule} adding"
-    return style.finish(figure, handles, dataset=run.dataset, what=what, columns=1)
+    return drawing.finish(figure, handles, dataset=run.dataset, what=what, columns=1)
 
 
 def _headline_lines(run: Results) -> list[Line]:
@@ -286,22 +278,19 @@ def _headline_lines(run: Results) -> list[Line]:
     rows = {"PLR as shared: the descriptor": of_source(plr, AS_SHARED)}
     attack = run.strongest.get("")
     if attack is not None:
-        rows[f"PLR after {style.short(attack)}"] = of_source(plr, attack)
+        rows[f"PLR after {drawing.short(attack)}"] = of_source(plr, attack)
     # A walk that was shared twice, or whatever was linked first.
     for task in sorted(run.tasks, key=lambda one: one.name != "rerelease")[:1]:
         source = run.link_of(task)
-        label = f"found again ({task.name}, rank 1): {style.short(source)}"
+        label = f"found again ({task.name}, rank 1): {drawing.short(source)}"
         rows[label] = rank1_rows(task, source)
     looked = zip(rows.items(), _HEADLINE_LOOKS, strict=False)
     return [Line(label, look, of) for (label, of), look in looked]
 
 
 def _headline_words(run: Results) -> str:
-    known, lines = schemes(run.ours), _headline_lines(run)
+    known = schemes(run.ours)
     rule = next(iter(rules_of(known)), "")
-    parts = []
-    for scheme in known:
-        ends = {line.label: scheme.ends(line.rows, rule, EXPOSURE) for line in lines}
-        said = "; ".join(f"{label} {text}" for label, text in ends.items() if text)
-        parts += [f"{scheme.title}: {said}."] if said else []
+    lines = {line.label: (EXPOSURE, line.rows) for line in _headline_lines(run)}
+    parts = [f"{scheme.title}: {said}." for scheme in known if (said := scheme.ends(lines, rule))]
     return f"Lines over the level, {rule} adding. {' '.join(parts)}"

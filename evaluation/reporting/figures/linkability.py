@@ -17,9 +17,8 @@ from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import LinkedTask, dataset_of
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
 from evaluation.experiment.presets import SHARED
-from evaluation.reporting.figures import style
-from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import LOOKS, PERCENT, Line, Look
+from evaluation.reporting.figures import drawing
+from evaluation.reporting.figures.drawing import LOOKS, PERCENT, Drawing, Line, Look
 from evaluation.reporting.rows import (
     ENDS,
     Results,
@@ -96,7 +95,7 @@ def _linkage_figure(run: Results) -> Figure | None:
         return None
     points = pd.concat(row.points for row in rows)
     columns = [(scheme, rule) for scheme, rule in known if len(scheme.of(points, rule))]
-    figure, panels = style.panels(
+    figure, panels = drawing.panels(
         len(rows), len(columns), height_in=1.05 * len(rows) + 1.3, sharex="col", sharey="row"
     )
     for row, in_row in zip(rows, panels, strict=True):
@@ -116,7 +115,7 @@ def _linkage_figure(run: Results) -> Figure | None:
     for (scheme, rule), in_column in zip(columns, panels.T, strict=True):
         in_column[0].set_title(f"{scheme.title},\n{scheme.rule_text(rule)}")
         in_column[-1].set_xlabel(scheme.label)
-        style.level_axis(in_column[0], log=scheme.log)
+        drawing.level_axis(in_column[0], log=scheme.log)
         if not scheme.log:
             # Few, lest those of two panels meet.
             in_column[0].xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 5, 10]))
@@ -126,7 +125,7 @@ def _linkage_figure(run: Results) -> Figure | None:
     others = ", ".join(f"{task}: {one}" for one, task in of.items() if one != name)
     what = "linkage, the strongest attacks of each task by mean rank 1"
     what += f" ({others})" if others and name == run.dataset else ""
-    return style.finish(figure, _handles(rows, looks), dataset=name, what=what)
+    return drawing.finish(figure, _handles(rows, looks), dataset=name, what=what)
 
 
 def _level_words(run: Results) -> str:
@@ -158,8 +157,7 @@ def _strongest(tasks: Sequence[LinkedTask]) -> list[Source]:
 
 def _mean(rows: pd.DataFrame) -> float:
     """Return mean rank 1 over the levels; neither raw nor the ceiling has one."""
-    mean = float(rows.loc[rows["level"].notna(), "value"].mean())
-    return -1.0 if np.isnan(mean) else mean
+    return float(np.nan_to_num(rows.loc[rows["level"].notna(), "value"].mean(), nan=-1.0))
 
 
 def _row(
@@ -175,7 +173,7 @@ def _row(
     # The strongest: the bands of many would hide each other.
     banded = sorted(drawn, key=lambda source: -_mean(drawn[source]))[:_MOST_BANDS]
     lines = {
-        of: Line(style.short(of), looks[of], rows, has_band=of in banded)
+        of: Line(drawing.short(of), looks[of], rows, has_band=of in banded)
         for of, rows in drawn.items()
     }
     return _Row(task, lines, pd.concat(points) if points else pd.DataFrame())
@@ -205,11 +203,12 @@ def _handles(rows: Sequence[_Row], looks: Mapping[Source, Look]) -> list[Any]:
     only = "" if is_banded else f" (the {_MOST_BANDS} strongest)"
     return [
         *(lines[source].handle for source in looks if source in lines),
-        has_raw and style.black_handle("raw (at its edge)", dashes=":"),
-        has_ceiling and style.handle("ceiling (no error at all)", _CEILING_LOOK),
-        has_silent and style.black_handle("does not link, or is invalid", marker="o", hollow=True),
-        style.handle("chance", _CHANCE_LOOK),
-        style.band_handle(f"95 % interval{only}"),
+        has_raw and drawing.black_handle("raw (at its edge)", dashes=":"),
+        has_ceiling and drawing.handle("ceiling (no error at all)", _CEILING_LOOK),
+        has_silent
+        and drawing.black_handle("does not link, or is invalid", marker="o", hollow=True),
+        drawing.handle("chance", _CHANCE_LOOK),
+        drawing.band_handle(f"95 % interval{only}"),
     ]
 
 
@@ -225,11 +224,10 @@ def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
     controls = dict.fromkeys(one.family for one in families_in(points).values() if is_control(one))
     marks = (Look(*mark, "") for mark in zip(cycle(_COLOURS), cycle(_MARKERS), strict=False))
     looks = dict(zip(controls, marks, strict=False))
-    figure, panels = style.panels(
+    figure, panels = drawing.panels(
         *(len(rules), len(DESCRIPTORS)),
         height_in=1.75 * len(rules) + 1.0,
-        margins_in=(0.45, 0.1, 0.5, 0.85),
-        gaps_in=(0.18, 0.3),
+        margins_in=(0.45, 0.1, 0.5, 0.85, 0.18, 0.3),
         sharex="col",
         sharey=True,
     )
@@ -242,11 +240,11 @@ def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
         shown = points.assign(**axes)
         for rule, ax in zip(rules, in_column, strict=True):
             for scheme in known:
-                rows, look = scheme.of(shown, rule), style.look_of(scheme)
+                rows, look = scheme.of(shown, rule), drawing.look_of(scheme)
                 ax.plot(rows["x"], rows["y"], **look.line, zorder=2.5)
                 _bars(ax, rows, colour=look.colour)
             _draw_controls(ax, shown, rule=rule, looks=looks)
-        in_column[-1].set_xlabel(style.label(metric))
+        in_column[-1].set_xlabel(drawing.label(metric))
         x, ax = shown["x"], in_column[-1]
         if metric == EXPOSURE:
             ax.set_xlim(left=-2.0)
@@ -257,23 +255,23 @@ def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
             ax.set_xlim(-0.3 * threshold if zero else threshold, 1.5 * float(x.max()))
             ax.xaxis.set_major_locator(FixedLocator(zero + _SECONDS))
             ax.xaxis.set_minor_locator(NullLocator())
-            ax.xaxis.set_major_formatter(lambda value, _: style.number(value))
+            ax.xaxis.set_major_formatter(lambda value, _: drawing.number(value))
     for rule, in_row in zip(rules, panels, strict=True):
         in_row[0].set_title(f"{rule} adding")
         in_row[0].set_ylabel("rank 1 (%)")
     panels[0, 0].set_ylim(-3.0, min(103.0, 1.12 * PERCENT * float(points["ci_high"].max())))
     has_raw = bool((points["mechanism"] == RAW).any())
     handles = [
-        *(style.handle(one.title, style.look_of(one)) for one in known),
-        has_raw and style.black_handle("raw", marker="*"),
+        *(drawing.handle(one.title, drawing.look_of(one)) for one in known),
+        has_raw and drawing.black_handle("raw", marker="*"),
         *(
-            style.handle(f"control: {name}", look, markersize=6, **_EDGE)
+            drawing.handle(f"control: {name}", look, markersize=6, **_EDGE)
             for name, look in looks.items()
         ),
-        style.black_handle("bars: 95 % intervals; number: level", dashes="-"),
+        drawing.black_handle("bars: 95 % intervals; number: level", dashes="-"),
     ]
-    what = f"{task.name}, {style.short(source)}"
-    return style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
+    what = f"{task.name}, {drawing.short(source)}"
+    return drawing.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
 def _points(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
@@ -325,18 +323,13 @@ def _draw_controls(ax: Axes, shown: pd.DataFrame, *, rule: str, looks: Mapping[s
             labelled += 1
             if labelled > _MOST_LABELS or np.isnan(row["level"]):
                 continue
-            parts = style.number(row["level"]), parameters_text(known[row["mechanism"]])
+            parts = drawing.number(row["level"]), parameters_text(known[row["mechanism"]])
             text = ", ".join(filter(None, parts))
             # To the side where there is room.
-            is_right = row["x"] > _RIGHT * float(shown["x"].max())
-            ax.annotate(
-                text,
-                (row["x"], row["y"]),
-                xytext=(-4.5 if is_right else 4.5, 3.0),
-                textcoords="offset points",
-                horizontalalignment="right" if is_right else "left",
-                zorder=6,
-            )
+            offset, side = (4.5, 3.0), "left"
+            if row["x"] > _RIGHT * float(shown["x"].max()):
+                offset, side = (-4.5, 3.0), "right"
+            drawing.note(ax, text, (row["x"], row["y"]), offset, ha=side, zorder=6)
 
 
 def _bars(ax: Axes, rows: pd.DataFrame, *, colour: str) -> None:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.reporting.figures import style
-from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import PERCENT, Look
+from evaluation.reporting.figures import drawing
+from evaluation.reporting.figures.drawing import PERCENT, Drawing, Look
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,11 +37,10 @@ def _gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
     if rows.empty:
         return None
     people, mechanisms = (list(rows[name].unique()) for name in ("track", "mechanism"))
-    figure, panels = style.panels(
+    figure, panels = drawing.panels(
         *(len(people), len(mechanisms)),
         height_in=1.75 * len(people) + 0.85,
-        margins_in=(0.3, 0.1, 0.6, 0.4),
-        gaps_in=(0.12, 0.2),
+        margins_in=(0.3, 0.1, 0.6, 0.4, 0.12, 0.2),
     )
     width, height = panels[0, 0].get_position().size * figure.get_size_inches()
     for person, in_row in zip(people, panels, strict=True):
@@ -50,26 +48,22 @@ def _gallery_figure(_: Results, *, rows: pd.DataFrame) -> Figure | None:
         corners = _window(of, shape=width / height)
         in_row[0].set_ylabel(f"person {person + 1}")
         for mechanism, ax in zip(mechanisms, in_row, strict=True):
-            part = of[of["mechanism"] == mechanism]
-            _draw(ax, part)
-            ax.set_xlim(*corners[0])
-            ax.set_ylim(*corners[1])
-            _scale_bar(ax, span_m=corners[0][1] - corners[0][0])
+            _draw(ax, of[of["mechanism"] == mechanism], corners)
     for mechanism, ax in zip(mechanisms, panels[0], strict=True):
         ax.set_title(mechanism, fontweight="bold", pad=14)
     black, blue = Look("black", "", "-"), Look(_REBUILT_COLOUR, "", "-")
     dot = Look(_SHARED_COLOUR, "o", "")
     handles = [
-        style.handle("true", black, linewidth=0.8),
-        style.handle("shared", dot, markersize=1.1, alpha=0.6),
-        style.handle("shared, leaks", dot, markersize=2.4),
-        style.handle("rebuilt", blue, linewidth=0.7),
-        style.handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
+        drawing.handle("true", black, linewidth=0.8),
+        drawing.handle("shared", dot, markersize=1.1, alpha=0.6),
+        drawing.handle("shared, leaks", dot, markersize=2.4),
+        drawing.handle("rebuilt", blue, linewidth=0.7),
+        drawing.handle("rebuilt, leaks", blue, linewidth=3.2, alpha=0.35),
     ]
     first = rows.iloc[0]
     leak = f"a leak is closer than {first['epsilon_m']:g} m"
     what = f"true, shared, rebuilt by {first['attack']} (blind); {leak}"
-    return style.finish(figure, handles, dataset="tracks", what=what, columns=5)
+    return drawing.finish(figure, handles, dataset="tracks", what=what, columns=5)
 
 
 def _words(_: Results, *, rows: pd.DataFrame) -> str:
@@ -100,7 +94,8 @@ def _window(of: pd.DataFrame, *, shape: float) -> Floats:
     return limits
 
 
-def _draw(ax: Axes, part: pd.DataFrame) -> None:
+def _draw(ax: Axes, part: pd.DataFrame, corners: Floats) -> None:
+    """Draw a walk, and how long a metre is."""
     x, y, leaked = (part[f"{name}_shared"].to_numpy() for name in ("x", "y", "leaked"))
     look: dict[str, Any] = {"color": _SHARED_COLOUR, "linestyle": "", "markeredgewidth": 0}
     ax.plot(x[~leaked], y[~leaked], "o", markersize=1.1, alpha=0.45, zorder=1, **look)
@@ -117,11 +112,9 @@ def _draw(ax: Axes, part: pd.DataFrame) -> None:
     ax.set_xticks([])
     ax.set_yticks([])
     ax.spines[:].set(visible=True, color="#dddddd")
-
-
-def _scale_bar(ax: Axes, *, span_m: float) -> None:
+    ax.set(xlim=corners[0], ylim=corners[1])
+    (left, bottom), (span_m, height_m) = corners[:, 0], np.ptp(corners, axis=1)
     length = max((one for one in _BAR_M if one < 0.3 * span_m), default=_BAR_M[0])
-    left, bottom = ax.get_xlim()[0], ax.get_ylim()[0]
-    x, y = left + 0.03 * span_m, bottom + 0.06 * (ax.get_ylim()[1] - bottom)
+    x, y = left + 0.03 * span_m, bottom + 0.06 * height_m
     ax.plot([x, x + length], [y, y], color="#777777", linewidth=1.2, zorder=6)
     ax.text(x + length, y, f" {length:g} m", verticalalignment="center", color="#777777", zorder=6)

@@ -11,9 +11,8 @@ from evaluation.analysis.keys import Where, is_attack, level_text
 from evaluation.analysis.matching import MISSED
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
-from evaluation.reporting.figures import style
-from evaluation.reporting.figures.drawing import Drawing
-from evaluation.reporting.figures.style import LOOKS, PERCENT, Dashes, Look
+from evaluation.reporting.figures import drawing
+from evaluation.reporting.figures.drawing import LOOKS, PERCENT, Dashes, Drawing, Look
 from evaluation.reporting.rows import Results, Scheme, compared_levels, rules_of, schemes
 
 if TYPE_CHECKING:
@@ -56,33 +55,32 @@ def _operating_figure(run: Results) -> Figure | None:
     wanted = {"dataset": run.dataset, "predictor": predictor, "criterion": MISSED}
     wanted |= {"consumer": SHARED}
     curves = run.matched[(run.matched[list(wanted)] == list(wanted.values())).all(axis=1)]
-    figure, panels = style.panels(
+    figure, panels = drawing.panels(
         len(rules), len(planes), height_in=1.75 * len(rules) + 0.8, sharex=True, sharey="col"
     )
     for rule, axes in zip(rules, panels, strict=True):
         axes[0].set_title(f"{rule} adding")
         for (metric, plane), ax in zip(planes.items(), axes, strict=True):
-            ax.set_ylabel(style.label(metric))
+            ax.set_ylabel(drawing.label(metric))
             part = curves[(curves["adding"] == rule) & (curves["metric"] == metric)]
             for scheme in known:
-                _draw_matched(ax, part, scheme=scheme, rule=rule, metric=metric)
-                _draw_points(ax, scheme.of(plane, rule), scheme=scheme, named=metric == EXPOSURE)
+                _draw(ax, part, plane, scheme=scheme, rule=rule, metric=metric)
             raw = plane[plane["mechanism"] == RAW]
             ax.plot(raw["x"], raw["y"], "*", color="black", markersize=6, zorder=4)
     for (metric, plane), axes in zip(planes.items(), panels.T, strict=True):
-        axes[-1].set_xlabel(style.label(MISSED_RATE))
+        axes[-1].set_xlabel(drawing.label(MISSED_RATE))
         values = [scheme.of(plane, rule)["y"].to_numpy() for scheme in drawn for rule in rules]
         if any(map(len, values)):
             values.append(plane["y"][plane["mechanism"] == RAW].to_numpy())
-            style.value_axis(axes[0], values, log=metric != EXPOSURE)
+            drawing.value_axis(axes[0], values, log=metric != EXPOSURE)
     has_raw = any((plane["mechanism"] == RAW).any() for plane in planes.values())
     handles = [
-        *(style.handle(scheme.title, style.look_of(scheme)) for scheme in drawn),
-        has_raw and style.black_handle("raw", marker="*"),
-        not curves.empty and style.band_handle("95 % interval at matched rates"),
+        *(drawing.handle(scheme.title, drawing.look_of(scheme)) for scheme in drawn),
+        has_raw and drawing.black_handle("raw", marker="*"),
+        not curves.empty and drawing.band_handle("95 % interval at matched rates"),
     ]
     what = f"operating points, predictor {predictor}"
-    return style.finish(figure, handles, dataset=run.dataset, what=what)
+    return drawing.finish(figure, handles, dataset=run.dataset, what=what)
 
 
 def _operating_words(run: Results) -> str:
@@ -109,38 +107,27 @@ def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:
     return x.merge(y[keys].assign(y=y["value"] * METRICS[metric].scale), on=keys)
 
 
-def _draw_matched(ax: Axes, part: pd.DataFrame, *, scheme: Scheme, rule: str, metric: str) -> None:
-    """Draw the curve of a mechanism, or of the fixed noise that it is held against."""
-    is_fixed = scheme.name == FIXED
-    mechanism = next(iter(part["mechanism"]), "") if is_fixed else scheme.mechanisms.get(rule)
-    rows = part[part["mechanism"] == mechanism].sort_values(MISSED_RATE)
-    if rows.empty:
-        return
-    look, scale = style.look_of(scheme), METRICS[metric].scale
-    column = FIXED if is_fixed else FID
-    x = rows[MISSED_RATE].to_numpy() * METRICS[MISSED_RATE].scale
-    ax.plot(x, rows[column] * scale, color=look.colour, linestyle=look.dashes)
-    ends = (rows[f"{column}_{end}"].to_numpy() * scale for end in ("low", "high"))
-    style.band(ax, x, *ends, look=look)
-
-
-def _draw_points(ax: Axes, found: pd.DataFrame, *, scheme: Scheme, named: bool) -> None:
-    """Mark the measured points; the level that costs most gives the curve a direction."""
-    if found.empty:
-        return
-    look = style.look_of(scheme)
+def _draw(
+    ax: Axes, curves: pd.DataFrame, plane: pd.DataFrame, *, scheme: Scheme, rule: str, metric: str
+) -> None:
+    """Draw a mechanism, or the fixed noise that it is held against: matched curve and points."""
+    look, scale, is_fixed = drawing.look_of(scheme), METRICS[metric].scale, scheme.name == FIXED
+    mechanism = next(iter(curves["mechanism"]), "") if is_fixed else scheme.mechanisms.get(rule)
+    rows = curves[curves["mechanism"] == mechanism].sort_values(MISSED_RATE)
+    if len(rows):
+        column = FIXED if is_fixed else FID
+        x = rows[MISSED_RATE].to_numpy() * METRICS[MISSED_RATE].scale
+        ax.plot(x, rows[column] * scale, color=look.colour, linestyle=look.dashes)
+        ends = (rows[f"{column}_{end}"].to_numpy() * scale for end in ("low", "high"))
+        drawing.band(ax, x, *ends, look=look)
+    points = scheme.of(plane, rule).sort_values("x", kind="stable")
     edge: dict[str, Any] = {"markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.4}
-    ax.plot(found["x"], found["y"], look.marker, color=look.colour, **edge)
-    if named:
-        noisiest = found.sort_values("x", kind="stable").iloc[-1]
-        ax.annotate(
-            scheme.at(float(noisiest["level"])),
-            (noisiest["x"], noisiest["y"]),
-            xytext=(0, -9 if scheme.log else 5),
-            textcoords="offset points",
-            horizontalalignment="center",
-            color=look.colour,
-        )
+    ax.plot(points["x"], points["y"], look.marker, color=look.colour, **edge)
+    if metric == EXPOSURE and len(points):
+        # The level that costs most gives the curve a direction.
+        noisiest = points.iloc[-1]
+        at, offset = (noisiest["x"], noisiest["y"]), (0.0, -9.0 if scheme.log else 5.0)
+        drawing.note(ax, scheme.at(float(noisiest["level"])), at, offset, color=look.colour)
 
 
 def _curves_figure(run: Results) -> Figure | None:
@@ -151,11 +138,10 @@ def _curves_figure(run: Results) -> Figure | None:
         return None
     columns = min(3, len(wheres))
     n_rows = -(-len(wheres) // columns)
-    figure, panels = style.panels(
+    figure, panels = drawing.panels(
         *(n_rows, columns),
         height_in=1.85 * n_rows + 0.95,
-        margins_in=(0.45, 0.1, 0.5, 0.75),
-        gaps_in=(0.18, 0.28),
+        margins_in=(0.45, 0.1, 0.5, 0.75, 0.18, 0.28),
         sharex=True,
         sharey=True,
     )
@@ -191,13 +177,16 @@ def _curves_figure(run: Results) -> Figure | None:
     panels[0, 0].set_xlim(-2.0, 102.0)
     panels[0, 0].set_ylim(-2.0, 102.0)
     handles = [
-        *(style.handle(name, Look(look.colour, look.marker, "-")) for name, look in looks.items()),
-        style.black_handle("by predicted separation", dashes=_DASHES["separation"]),
-        style.black_handle("by conflict probability", dashes=_DASHES["probability"]),
-        style.black_handle("as the paper's robot decides", marker="o", hollow=True),
+        *(
+            drawing.handle(name, Look(look.colour, look.marker, "-"))
+            for name, look in looks.items()
+        ),
+        drawing.black_handle("by predicted separation", dashes=_DASHES["separation"]),
+        drawing.black_handle("by conflict probability", dashes=_DASHES["probability"]),
+        drawing.black_handle("as the paper's robot decides", marker="o", hollow=True),
     ]
     what = "misses against false alarms"
-    return style.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
+    return drawing.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
 def _curves_words(run: Results) -> str:

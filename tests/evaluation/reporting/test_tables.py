@@ -24,10 +24,7 @@ from rich.console import Console
 from evaluation.analysis.families import families_in
 from evaluation.analysis.linkability import linked_tasks
 from evaluation.reporting import tables
-from evaluation.reporting.answer_tables import (
-    effect,
-    paper_table,
-)
+from evaluation.reporting.answer_tables import effect, paper_table
 from evaluation.reporting.figures.drawing import figures_of
 from evaluation.reporting.markup import markdown
 from evaluation.reporting.result_tables import (

@@ -20,8 +20,7 @@ from helpers.finished_runs import (
 from helpers.pages import assert_as_approved
 
 from evaluation.analysis import matching
-from evaluation.reporting.figures import style as figure_style
-from evaluation.reporting.figures.drawing import draw_all, figures_of
+from evaluation.reporting.figures.drawing import draw_all, figures_of, number
 from evaluation.reporting.rows import compared_levels, schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
@@ -138,7 +137,7 @@ class TestEveryFigure:
         [(1.0, "1"), (0.25, "0.25"), (1000.0, "1000"), (1e4, "10⁴"), (1e12, "10¹²"), (0.0, "0")],
     )
     def test_numbers_are_short(self, value, text):
-        assert figure_style.number(value) == text
+        assert number(value) == text
 
 
 class TestSchemes:
