@@ -113,9 +113,8 @@ def random_tracks(
         limit_m = epsilon_m or drawn_m
         t: Floats = rng.uniform(-50.0, 50.0) + np.cumsum(rng.uniform(0.03, 0.4, size))
         true_xy = np.cumsum(rng.normal(0.0, 0.1, (size, 2)), axis=0) + rng.uniform(-30.0, 30.0, 2)
-        error_m = limit_m * np.where(
-            leaked, *rng.uniform([[0.0], [1.02]], [[0.98], [4.0]], (2, size))
-        )
+        near, far = rng.uniform(0, 0.98, size), rng.uniform(1.02, 4, size)
+        error_m: Floats = limit_m * np.where(leaked, near, far)
         angle_rad = rng.uniform(0.0, 2.0 * np.pi, size)
         shared_xy = true_xy + (error_m * [np.cos(angle_rad), np.sin(angle_rad)]).T
         yield Track(text_of(leaked), t, true_xy, shared_xy, limit_m)

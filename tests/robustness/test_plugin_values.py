@@ -146,7 +146,7 @@ PREDICTORS = {
 ATTACKS = {"Distant": "failed: ValueError: a reconstructed position lies beyond 1e+12 m"}
 GOOD = (
     *("--mechanism", "fixed:0.7", "--predictor", "kalman_cv", "--attack", "moving_average"),
-    *("--attack", "shape"),
+    *("--attack", "shape", "--set", "conflict.decision=probability"),
 )
 
 
@@ -160,16 +160,14 @@ def odd(tmp_path, monkeypatch):
     sys.modules.pop("odd", None)
 
 
-def arguments(out, *options, jobs=1):
-    words = ["--dataset", "plaza", "--preset", "smoke", "--scenes", 8, "--task", "rerelease"]
-    words += ["--set", "conflict.decision=probability", "--jobs", jobs, "--out", out, *options]
-    return [str(word) for word in words]
+def arguments(out, *options, task="rerelease", jobs=1):
+    words = ["--dataset", "plaza", "--preset", "smoke", "--scenes", 8, "--task", task]
+    return [str(word) for word in [*words, "--jobs", jobs, "--out", out, *options]]
 
 
 def alone(out, *options):
     """As few cells as there can be."""
-    words = ["--dataset", "plaza", "--preset", "smoke", "--scenes", "8", "--task", "none"]
-    return [*words, "--jobs", "1", "--out", str(out), "--attack", "none", *options]
+    return arguments(out, "--attack", "none", *options, task="none")
 
 
 def named(**axes):
@@ -181,18 +179,28 @@ def named(**axes):
     ]
 
 
+FAR_M = f"{0.99 * SHARED_LIMIT_M:g}"
+EDGE = named(
+    mechanism=[f"Shared:east_m={FAR_M},sigma_m={FAR_M}"],
+    predictor=[f"Predicted:east_m={0.9 * ESTIMATE_LIMIT_M:g}", "Predicted:xx=1e24,yy=0"],
+)
+
+
 def rows(out):
+    """What everybody's plug-ins come to at fixed noise."""
     table = pd.read_csv(out / "summary.csv", dtype=str, keep_default_na=False)
-    return set(table[table["mechanism"] == "fixed"].itertuples(index=False, name=None))
+    own = (table["mechanism"] == "fixed") & ~table["consumer"].str.startswith("odd:")
+    return set(table[own].itertuples(index=False, name=None))
 
 
 @pytest.mark.usefixtures("odd")
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_each_fails_alone_by_name_and_on_one_line(tmp_path, capsys, jobs):
     assert matrix.main(arguments(tmp_path / "good", *GOOD)) == 0
-    bad = named(mechanism=MECHANISMS, predictor=PREDICTORS, attack=ATTACKS)
-    assert matrix.main(arguments(tmp_path / "all", *GOOD, *bad, jobs=jobs)) == 3
-    assert "Traceback" not in capsys.readouterr().err
+    bad = named(mechanism=[*MECHANISMS, "Strange"], predictor=PREDICTORS, attack=ATTACKS)
+    assert matrix.main(arguments(tmp_path / "all", *GOOD, *EDGE, *bad, jobs=jobs)) == 3
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
     table = pd.read_csv(tmp_path / "all" / "failed.csv", keep_default_na=False)
     for spec, why in MECHANISMS.items():
         own = table[table["spec"] == f"odd:{spec}"]
@@ -210,38 +218,23 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, capsys, jobs):
         assert line.isprintable()
     assert rows(tmp_path / "all") == rows(tmp_path / "good")
     assert rows(tmp_path / "good")
-
-
-@pytest.mark.usefixtures("odd")
-def test_what_lies_at_the_limits_is_computed(tmp_path, capsys):
-    """Nothing overflows up to there: the limits are where they should be."""
-    far_m = f"{0.99 * SHARED_LIMIT_M:g}"
-    edge = named(
-        mechanism=[f"Shared:east_m={far_m},sigma_m={far_m}"],
-        predictor=[f"Predicted:east_m={0.9 * ESTIMATE_LIMIT_M:g}", "Predicted:xx=1e24,yy=0"],
-    )
-    out = tmp_path / "run"
-    assert matrix.main(arguments(out, *GOOD, *edge)) == 0, capsys.readouterr().err
-    summary = pd.read_csv(out / "summary.csv")
-    own = summary[summary["mechanism"].str.startswith("odd:") & (summary["metric"] != "cllr")]
-    assert {"shared", "kalman_cv", "moving_average", "rerelease/shape"} <= set(own["consumer"])
-    assert np.isfinite(own[["value", "ci_low", "ci_high"]]).all(axis=None)
-
-
-@pytest.mark.usefixtures("odd")
-def test_a_fault_of_our_own_takes_no_other_cells_along_and_is_not_hidden(tmp_path, capsys):
-    out = tmp_path / "run"
-    assert matrix.main(arguments(out, *GOOD, *named(mechanism=["Strange"]))) == 3
-    table = pd.read_csv(out / "failed.csv", keep_default_na=False)
-    assert set(zip(table["spec"], table["consumer"], strict=True)) == {
-        ("odd:Strange:0.5", "moving_average")
-    }
-    (why,) = set(table["why"])
+    # A fault of our own takes no other cells along and is not hidden.
+    ours = table[(table["spec"] == "odd:Strange:0.5") & ~table["consumer"].str.startswith("odd:")]
+    assert set(ours["consumer"]) == {"moving_average"}
+    (why,) = set(ours["why"])
     assert "KeyError: 'nobody expected this'" in why
     assert "(in isac-track's own code, evaluation.cells.reconstruction, line " in why
     assert why.endswith(": please report this)")
-    assert "please report this" in " ".join(capsys.readouterr().out.split())
-    assert rows(out)
+    assert "please report this" in " ".join(captured.out.split())
+    # What lies at the limits is computed: nothing overflows up to there.
+    summary = pd.read_csv(tmp_path / "all" / "summary.csv")
+    at_edge = summary["mechanism"].str.startswith("odd:Shared:east_m")
+    assert set(summary[at_edge]["consumer"]) >= {
+        *("shared", "kalman_cv", "moving_average", "rerelease/shape"),
+        *(spec for spec in EDGE if spec.startswith("odd:Predicted")),
+    }
+    own = summary[at_edge & (summary["metric"] != "cllr")]
+    assert np.isfinite(own[["value", "ci_low", "ci_high"]]).all(axis=None)
 
 
 @pytest.mark.usefixtures("odd")
