@@ -10,7 +10,7 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
@@ -96,7 +96,10 @@ def _list() -> int:
             skipped.append(f"skipped {name}: {error}")
             continue
         slow = "slow" if getattr(attack, "slow", False) else ""
-        lines.append((name, kind_of(attack), adversaries, slow, _summary(attack)))
+        summary = (type(attack).__doc__ or "").strip().partition("\n")[0]
+        if summary.startswith(f"{type(attack).__name__}("):
+            summary = ""  # a dataclass without a docstring gets its signature for one
+        lines.append((name, kind_of(attack), adversaries, slow, summary))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         padded = zip(line, widths, strict=True)
@@ -104,12 +107,6 @@ def _list() -> int:
     for wrong in skipped:
         print(wrong, file=sys.stderr)
     return DONE
-
-
-def _summary(attack: Any) -> str:  # noqa: ANN401 - any frozen dataclass
-    text = (type(attack).__doc__ or "").strip()
-    # A dataclass without a docstring gets its signature for one.
-    return "" if text.startswith(f"{type(attack).__name__}(") else text.partition("\n")[0]
 
 
 def _check(spec: str) -> int:

@@ -55,11 +55,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
 }
 _MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls")
 """Modules with a table ``MECHANISMS``: one that is added there is known here."""
-_SINGULAR_AND_METHOD: dict[Kind, tuple[str, str]] = {
-    "mechanisms": ("mechanism", "share"),
-    "predictors": ("predictor", "predict"),
-    "attacks": ("attack", "fit"),
-}
+_METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
 _MOST_LEVELS = 1000
 _WHOLE_LIMIT = 10**12
 """Names show 12 digits."""
@@ -200,7 +196,7 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
     """Return the class that a name means and its ``module:Class``, or what is wrong with it."""
     known = names(kind)
     origin = name if ":" in name else known.get(name)
-    singular, method = _SINGULAR_AND_METHOD[kind]
+    singular = kind.removesuffix("s")
     if origin is None:
         raise SettingsError(f"unknown {singular} {errors.quoted(name)}{_nearest(name, known)}")
     module_name, _, attribute = origin.partition(":")
@@ -212,12 +208,18 @@ def _load(kind: Kind, name: str) -> tuple[type, str]:
         raise PluginError(
             f"{singular} {name!r} cannot be loaded from {origin}: {errors.told(error)}"
         ) from error
+    check_class(kind, cls, f"{singular} {name!r}: {origin}")
+    return cls, origin
+
+
+def check_class(kind: Kind, cls: Any, who: str) -> None:  # noqa: ANN401 - anything at all
+    """Raise PluginError for what is not the class of a plug-in."""
     declared = getattr(cls, "__dataclass_params__", None)
     if not (isinstance(cls, type) and declared and declared.frozen):
-        raise PluginError(f"{singular} {name!r}: {origin} must be a frozen dataclass")
+        raise PluginError(f"{who} must be a frozen dataclass: @dataclass(frozen=True)")
+    method = _METHOD[kind]
     if not callable(getattr(cls, method, None)):
-        raise PluginError(f"{singular} {name!r}: {origin} has no method {method}()")
-    return cls, origin
+        raise PluginError(f"{who} has no method {method}()")
 
 
 def _hints(cls: type, origin: str) -> dict[str, Any]:
@@ -308,7 +310,7 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
 def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
     """Return the plug-in of a class and its parameters, checked, with the names that it has."""
     instance = _made(name, cls, origin, changes)
-    adding = _check_declared(kind, instance, origin)
+    adding = check_declared(kind, instance, origin)
     level: float | None = None
     parameters: list[str] = []
     for position, item in enumerate(_parameters(cls)):
@@ -348,8 +350,11 @@ def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  #
         raise PluginError(f"{origin} cannot be made: {why}") from error
 
 
-def _check_declared(kind: Kind, instance: object, origin: str) -> str:
-    """Return the adding rule of a mechanism, else nothing; check the rest of what is declared."""
+def check_declared(kind: Kind, instance: object, origin: str) -> str:
+    """Return the adding rule of a mechanism, else nothing; check the rest of what is declared.
+
+    What is wrong with it is a PluginError about `origin`.
+    """
     from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
     from isac_track.types import Adding, Knowledge  # noqa: PLC0415
 

@@ -50,6 +50,33 @@ def around(default: float, *, factor: float) -> tuple[float, ...]:
     return tuple(default * factor**power for power in _POWERS)
 
 
+def choose(
+    context: AttackContext,
+    *,
+    default: _Choice,
+    candidates: Sequence[_Choice],
+    reconstruct: Callable[[_Choice, Release], Floats],
+) -> _Choice:
+    """Return the candidate that reconstructs the training set best; without one the default.
+
+    Of equals the first is taken. `reconstruct` is from a candidate and a release to positions,
+    (M, 2) m. Own attacks call it as well: docs/attacks.md.
+    """
+    if Knowledge.TRAIN not in context.granted:
+        return default
+    release, truth = context.train.release, context.train.truth
+    losses = [
+        exposure_loss(
+            xy=reconstruct(candidate, release),
+            truth=truth,
+            offsets=release.offsets,
+            epsilon_m=context.epsilon_m,
+        )
+        for candidate in candidates
+    ]
+    return candidates[int(np.argmin(losses))]
+
+
 def smoother(
     context: AttackContext,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
@@ -66,20 +93,14 @@ def smoother(
     instead, if there is one.
     """
     variance = learn_variance(context)
-    choice = candidates[len(candidates) // 2] if given is None else given
-    if given is None and Knowledge.TRAIN in context.granted:
-        release, truth = context.train.release, context.train.truth
-        known = variance(release)  # once for all candidates
-        losses = [
-            exposure_loss(
-                xy=(tried or smooth)(release, known, candidate).xy,
-                truth=truth,
-                offsets=release.offsets,
-                epsilon_m=context.epsilon_m,
-            )
-            for candidate in candidates
-        ]
-        choice = candidates[int(np.argmin(losses))]
+    choice = given
+    if choice is None:
+        choice = choose(
+            context,
+            default=candidates[len(candidates) // 2],
+            candidates=candidates,
+            reconstruct=lambda one, release: (tried or smooth)(release, variance(release), one).xy,
+        )
     if variance is _estimated:  # two adversaries may well choose alike
         return lambda release: _smoothed(release, smooth, choice)
     return lambda release: smooth(release, variance(release), choice)

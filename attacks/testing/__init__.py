@@ -27,6 +27,7 @@ from unittest import SkipTest
 from attacks.testing import _linkage_checks, _reconstruction_checks
 from attacks.testing._checks import Attack, Row
 from attacks.testing._releases import copied
+from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
 from isac_track.protocols import ADVERSARIES, grants, kind_of
 from isac_track.testing import engine
@@ -79,7 +80,13 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
 
     What a linkage attack is granted depends on the task: some show the scene to everyone, the
     others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once.
+    PluginError says of what is no attack what to write instead.
     """
+    if isinstance(attack, type):
+        raise PluginError(f"expected an attack, got its class: write {attack.__name__}()")
+    name = f"attack {type(attack).__name__}"
+    plugins.check_class("attacks", type(attack), name)
+    plugins.check_declared("attacks", attack, name)
     tasks = [grants(attack)]
     if kind_of(attack) == "linkage":
         scene, repeats = frozenset({Knowledge.SCENE}), frozenset({Knowledge.REPEATS})
@@ -87,7 +94,10 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
         tasks = [grants(attack, nobody=repeats | scene), shown]
     made: dict[frozenset[Knowledge], str] = {}
     for rows in tasks:
-        made |= {granted: name for name, granted in rows.items() if granted not in made}
+        made |= {granted: who for who, granted in rows.items() if granted not in made}
+    if not made:
+        why = "the repeats of a walk would be linked already"
+        raise PluginError(f"{name} requires REPEATS, which nobody who links is granted: {why}")
     return made
 
 
@@ -115,7 +125,7 @@ def checks_for(attack: Attack) -> dict[str, Check]:
     PluginError
         If it is no attack at all, with what to write instead.
     """
-    _reject_what_is_no_attack(attack)
+    _granted(attack)
     return dict(LINKAGE_CHECKS if kind_of(attack) == "linkage" else CHECKS)
 
 
@@ -125,7 +135,6 @@ def adversaries_of(attack: Attack) -> tuple[str, ...]:
     Those of a linkage attack are the adversaries of a task that shows what it requires: SCENE is
     then granted to everyone. Raises as `checks_for`.
     """
-    _reject_what_is_no_attack(attack)
     named = _granted(attack).values()
     return tuple(adversary for adversary in ADVERSARIES if adversary in named)
 
@@ -171,26 +180,3 @@ def _label(attack: Any) -> str:  # noqa: ANN401 - a frozen dataclass
     ]
     name = type(attack).__name__
     return f"{name}({','.join(changed)})" if changed else name
-
-
-def _reject_what_is_no_attack(attack: Any) -> None:  # noqa: ANN401 - anything at all
-    """Raise PluginError for what cannot be an attack, with what to write instead."""
-    if isinstance(attack, type):
-        raise PluginError(f"expected an attack, got its class: write {attack.__name__}()")
-    name = f"attack {type(attack).__name__}"
-    if not getattr(getattr(attack, "__dataclass_params__", None), "frozen", False):
-        raise PluginError(f"{name} must be a frozen dataclass: @dataclass(frozen=True)")
-    if not callable(getattr(attack, "fit", None)):
-        raise PluginError(f"{name} has no method fit(context)")
-    for attribute in ("requires", "uses"):
-        declared = getattr(attack, attribute, None)
-        if not (isinstance(declared, frozenset) and declared <= frozenset(Knowledge)):
-            wanted = f"a class attribute {attribute}: a frozenset of Knowledge"
-            raise PluginError(f"{name} needs {wanted}, got {declared!r}")
-    try:
-        kind_of(attack)
-    except ValueError as error:
-        raise PluginError(f"{name}: {error}") from None
-    if not _granted(attack):
-        why = "the repeats of a walk would be linked already"
-        raise PluginError(f"{name} requires REPEATS, which nobody who links is granted: {why}")

@@ -18,7 +18,7 @@ from attacks.testing._releases import EPSILON_M, arrays_of, copied, of_each, ren
 from isac_track.errors import told
 from isac_track.protocols import AttackContext, LinkageAttack, ReconstructionAttack
 from isac_track.rng import stream
-from isac_track.types import Floats, Knowledge, Release
+from isac_track.types import Bools, Floats, Knowledge, Release
 
 Attack: TypeAlias = "ReconstructionAttack | LinkageAttack"
 Case: TypeAlias = Any
@@ -272,13 +272,14 @@ def frames_do_not_matter(row: Row, *, what: str, hint: str, tolerance: float) ->
 
 
 def expect_chance(
-    row: Row, about: str, found: float, *, of: int, chance: float, what: str, hint: str
+    row: Row, about: str, hits: Floats | Bools, *, chance: float, what: str, hint: str
 ) -> None:
-    """Fail if chance alone brings as many successes or more with less than `SURPRISE`."""
+    """Fail if chance alone brings as many hits or more with less than `SURPRISE`."""
+    found = float(np.sum(hits))
     # The survival function counts what exceeds its argument.
-    if found >= 1 and bdtrc(int(found) - 1, of, chance) < SURPRISE:
-        shown = f"{found:.4g} of {of} {what}, expected about {chance * of:.3g} by chance"
-        row.fail(about, f"{shown}; {hint}")
+    if found >= 1 and bdtrc(int(found) - 1, len(hits), chance) < SURPRISE:
+        expected = f"expected about {chance * len(hits):.3g} by chance"
+        row.fail(about, f"{found:.4g} of {len(hits)} {what}, {expected}; {hint}")
 
 
 def least_rise(changes: Floats) -> float:

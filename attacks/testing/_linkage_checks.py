@@ -20,8 +20,6 @@ from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from attacks.testing._checks import Row
-
 GAP_S = 1.0
 """Silence before the gallery goes on, where the scene is shown."""
 N_PEOPLE = 24
@@ -223,7 +221,7 @@ def _with_gallery(train: LinkageTrainingSet, mate: Ints, rows: Ints) -> LinkageT
 # The checks
 
 
-def result_is_a_score_matrix(row: Row) -> None:
+def result_is_a_score_matrix(row: common.Row) -> None:
     """An array (P, G) of finite floats comes back, with fewer probes than candidates or more."""
     for case in (row.ordinary, sized(9, 7, scene=row.scene)):
         (result,) = row.raw(made.copied(case))
@@ -236,7 +234,7 @@ def result_is_a_score_matrix(row: Row) -> None:
             )
 
 
-def frames_and_clocks_do_not_matter(row: Row) -> None:
+def frames_and_clocks_do_not_matter(row: common.Row) -> None:
     """With every walk of all four releases in another frame and clock the scores are the same.
 
     Whoever is granted SCENE links by where and when somebody was: such a row is exempt.
@@ -250,13 +248,13 @@ def frames_and_clocks_do_not_matter(row: Row) -> None:
     )
 
 
-def one_candidate_is_handled(row: Row) -> None:
+def one_candidate_is_handled(row: common.Row) -> None:
     """With one probe or one gallery track or one of either, scores are finite and (P, G)."""
     for n_probes, n_gallery in ((1, 1), (4, 1), (1, 4)):
         row.answer(sized(n_probes, n_gallery, scene=row.scene))
 
 
-def short_tracks_are_handled(row: Row) -> None:
+def short_tracks_are_handled(row: common.Row) -> None:
     """Tracks of one, two or three samples, alone or among others, get finite scores."""
     for sizes in SHORT:
         probes, candidates, _ = (", ".join(map(str, of_side)) for of_side in sizes)
@@ -264,14 +262,14 @@ def short_tracks_are_handled(row: Row) -> None:
         row.answer(made_up("short", about=about, sizes=sizes, scene=row.scene))
 
 
-def irregular_sampling_is_handled(row: Row) -> None:
+def irregular_sampling_is_handled(row: common.Row) -> None:
     """With steps from 1 ms to 30 s scores are finite."""
     about, sizes = "steps from 1 ms to 30 s", ((60,) * 6, (60,) * 8, (60,) * 12)
     steps_s = made.IRREGULAR_S
     row.answer(made_up("irregular", about=about, sizes=sizes, scene=row.scene, steps_s=steps_s))
 
 
-def training_without_mates_is_handled(row: Row) -> None:
+def training_without_mates_is_handled(row: common.Row) -> None:
     """Where a third of the training probes has no mate (-1), nobody is taken for theirs.
 
     Of every other such probe the gallery track is gone, of the rest it stays as a stranger's. The
@@ -294,7 +292,7 @@ def training_without_mates_is_handled(row: Row) -> None:
     )
 
 
-def null_stays_at_chance(row: Row) -> None:
+def null_stays_at_chance(row: common.Row) -> None:
     """Where no probe is in the gallery, drawn mates come first no more often than by chance.
 
     Mates are drawn one by one, apart from both releases. Whatever the scores, each probe's mate
@@ -308,21 +306,15 @@ def null_stays_at_chance(row: Row) -> None:
         gallery=strangers.gallery,
         mate=mate,
     )
-    scores = row.answer(case)
+    scores, what = row.answer(case), "drawn mates come first"
     # One by one, since two may have drawn one mate.
-    hits = [rank1(scores=scores[[one]], mate=mate[[one]])[0] for one in range(N_PEOPLE)]
-    common.expect_chance(
-        row,
-        case.about,
-        float(np.sum(hits)),
-        of=N_PEOPLE,
-        chance=1 / N_PEOPLE,
-        what="drawn mates come first",
-        hint="does it reach the attack by a way other than its context who the mates are?",
-    )
+    hits = [rank1(scores=scores[[one]], mate=mate[[one]]) for one in range(N_PEOPLE)]
+    hint = "does it reach the attack by a way other than its context who the mates are?"
+    chance = 1 / N_PEOPLE
+    common.expect_chance(row, case.about, np.concatenate(hits), chance=chance, what=what, hint=hint)
 
 
-def easy_case_beats_chance(row: Row) -> None:
+def easy_case_beats_chance(row: common.Row) -> None:
     """With errors of 5 cm so many mates come first as chance brings once in 1000 at most."""
     case = noisy(RAW_SIGMA_M, "radial", scene=row.scene)
     found = rank1(scores=row.answer(case), mate=case.mate).sum()
@@ -337,7 +329,7 @@ def easy_case_beats_chance(row: Row) -> None:
         )
 
 
-def success_falls_with_noise(row: Row) -> None:
+def success_falls_with_noise(row: common.Row) -> None:
     """The rank of a mate is worse at 10 m of isotropic noise than at 0.1 m.
 
     The same people with the same unit errors, so that each probe is compared with itself: the

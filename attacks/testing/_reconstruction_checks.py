@@ -20,8 +20,6 @@ from isac_track.types import ErrorLaw, Floats, Knowledge, Reconstruction, Releas
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from attacks.testing._checks import Row
-
 N_TRACKS = 24
 FRAMES: tuple[made.Frame, ...] = (
     (2.1, (35.0, -80.0), 500.0),
@@ -166,7 +164,7 @@ def made_up(
 # The checks
 
 
-def result_is_a_reconstruction(row: Row) -> None:
+def result_is_a_reconstruction(row: common.Row) -> None:
     """A Reconstruction comes back: xy (M, 2) m, and std (M,) m or None, all of it finite."""
     case = row.ordinary
     (result,) = row.raw(made.copied(case))
@@ -179,7 +177,7 @@ def result_is_a_reconstruction(row: Row) -> None:
     row.read(case, result)
 
 
-def frame_and_clock_do_not_matter(row: Row) -> None:
+def frame_and_clock_do_not_matter(row: common.Row) -> None:
     """Release, training set and repeats each in another frame: the result moves along.
 
     Whoever is granted SCENE may well know where the walls are: such a row is exempt.
@@ -193,7 +191,7 @@ def frame_and_clock_do_not_matter(row: Row) -> None:
     )
 
 
-def short_tracks_are_handled(row: Row) -> None:
+def short_tracks_are_handled(row: common.Row) -> None:
     """Tracks of one, two or three samples, alone or among others, get a sensible answer."""
     hint = "what do a window, a fit or a difference of samples come to with so few?"
     for sizes in ((1,), (1, 2, 30, 1, 2, 3), (2,)):
@@ -201,14 +199,14 @@ def short_tracks_are_handled(row: Row) -> None:
         _stay_near(row, made_up("short", about=about, sizes=sizes), hint=hint)
 
 
-def irregular_sampling_is_handled(row: Row) -> None:
+def irregular_sampling_is_handled(row: common.Row) -> None:
     """With steps from 1 ms to 30 s no answer flies off."""
     about = "8 walks with steps from 1 ms to 30 s"
     case = made_up("irregular", about=about, sizes=(60,) * 8, steps_s=made.IRREGULAR_S)
     _stay_near(row, case, hint="is anything divided by a time step?")
 
 
-def null_stays_at_chance(row: Row) -> None:
+def null_stays_at_chance(row: common.Row) -> None:
     """Where the release says nothing of the truth, no more samples leak than by chance.
 
     The truth is drawn apart from the walks, uniformly in one square. Whatever is said of a true
@@ -222,18 +220,10 @@ def null_stays_at_chance(row: Row) -> None:
     leaked = leakage_indicator(shared_xy=answer[:, :2], true_xy=truth, epsilon_m=EPSILON_M)
     chance = np.pi * EPSILON_M**2 / BOX_M**2
     hint = "does the truth reach the attack by a way other than its context?"
-    common.expect_chance(
-        row,
-        about,
-        float(leaked.sum()),
-        of=len(truth),
-        chance=chance,
-        what="samples leak",
-        hint=hint,
-    )
+    common.expect_chance(row, about, leaked, chance=chance, what="samples leak", hint=hint)
 
 
-def easy_case_beats_chance(row: Row) -> None:
+def easy_case_beats_chance(row: common.Row) -> None:
     """With errors far below epsilon, at least half of the samples leak."""
     case = noisy(RAW_SIGMA_M, "radial")
     plr = float(_plr(row.answer(case), case).mean())
@@ -246,7 +236,7 @@ def easy_case_beats_chance(row: Row) -> None:
         )
 
 
-def success_falls_with_noise(row: Row) -> None:
+def success_falls_with_noise(row: common.Row) -> None:
     """PLR at 0.3, 1 and 3 m of isotropic noise falls from each to the next.
 
     The same walks with the same unit errors, so that each track is compared with itself: the
@@ -281,7 +271,7 @@ ALL = (
 """In the order in which they run."""
 
 
-def _stay_near(row: Row, case: Case, *, hint: str) -> None:
+def _stay_near(row: common.Row, case: Case, *, hint: str) -> None:
     found = row.answer(case)
     for number, (lo, hi) in enumerate(pairwise(case.release.offsets)):
         shared_xy = case.release.xy[lo:hi]

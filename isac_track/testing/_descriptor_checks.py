@@ -8,7 +8,7 @@ oracle of the suite; it is meant to be read.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from math import comb, expm1, nan, sqrt
 from typing import TYPE_CHECKING
 
@@ -23,9 +23,7 @@ from isac_track.testing.engine import statement_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.random import Generator
-
-    from isac_track.types import ErrorLaw, Floats
+    from isac_track.types import Bools, ErrorLaw, Floats
 
 EPSILON_M = 0.3
 EPSILONS_M = np.linspace(0.02, 1.5, 25)
@@ -66,6 +64,11 @@ def expect_of(function: Function, track: Track, value: float) -> None:
     expect(of(function, track), value, what=_NAMES[function.__name__], case=track)
 
 
+def text_of(leaked: Bools) -> str:
+    """Return the pattern of samples."""
+    return "".join("01"[sample] for sample in leaked.astype(int))
+
+
 def segments(pattern: str) -> list[int]:
     """Return the number of samples of every leaked segment."""
     return [len(run) for run in pattern.split("0") if run]
@@ -90,35 +93,31 @@ def plain_track(pattern: str, *, t: Sequence[float] | None = None) -> Track:
     return Track(pattern, moments, true_xy, shared_xy=true_xy + error_m[:, None] * [0.0, 1.0])
 
 
-def random_track(rng: Generator, *, size: int, epsilon_m: float | None = None) -> Track:
-    """Return an irregularly sampled random walk with errors in all directions.
-
-    Its segments are neither all short nor all long. No error lies within 2 % of epsilon, drawn if
-    not given, so that rounding cannot flip a sample.
-    """
-    stay, sample = rng.uniform(0.1, 0.95), bool(rng.integers(2))
-    pattern = ""
-    for _ in range(size):
-        pattern += "1" if sample else "0"
-        sample = sample if rng.random() < stay else not sample
-    leaked = np.array([sample == "1" for sample in pattern])
-    drawn_m = float(rng.uniform(0.05, 1.5))
-    epsilon_m = drawn_m if epsilon_m is None else epsilon_m
-    t: Floats = rng.uniform(-50.0, 50.0) + np.cumsum(rng.uniform(0.03, 0.4, size))
-    true_xy = np.cumsum(rng.normal(0.0, 0.1, (size, 2)), axis=0) + rng.uniform(-30.0, 30.0, 2)
-    near, far = rng.uniform(0, 0.98, size), rng.uniform(1.02, 4, size)
-    angle_rad = rng.uniform(0.0, 2.0 * np.pi, size)
-    error = (epsilon_m * np.where(leaked, near, far) * [np.cos(angle_rad), np.sin(angle_rad)]).T
-    return Track(pattern, t, true_xy, shared_xy=true_xy + error, epsilon_m=epsilon_m)
-
-
 def random_tracks(
-    name: str, *, count: int = 150, least: int = 1, epsilon_m: float | None = None
+    name: str, *, count: int = 150, least: int = 1, epsilon_m: float = 0.0
 ) -> Iterator[Track]:
-    """Yield seeded tracks, those of few samples first: the first counterexample is a small one."""
+    """Yield seeded, irregularly sampled random walks with errors in all directions.
+
+    Those of few samples come first, so that the first counterexample is a small one. Segments are
+    neither all short nor all long. No error lies within 2 % of epsilon, drawn if not given, so that
+    rounding cannot flip a sample.
+    """
     for index in range(count):
-        rng = stream(0, "testing", name, index)
-        yield random_track(rng, size=least + index // 6, epsilon_m=epsilon_m)
+        rng, size = stream(0, "testing", name, index), least + index // 6
+        stay, leaked = rng.uniform(0.1, 0.95), np.empty(size, dtype=bool)
+        sample = bool(rng.integers(2))
+        for place in range(size):
+            leaked[place] = sample
+            sample ^= bool(rng.random() >= stay)
+        drawn_m = float(rng.uniform(0.05, 1.5))
+        limit_m = epsilon_m or drawn_m
+        t: Floats = rng.uniform(-50.0, 50.0) + np.cumsum(rng.uniform(0.03, 0.4, size))
+        true_xy = np.cumsum(rng.normal(0.0, 0.1, (size, 2)), axis=0) + rng.uniform(-30.0, 30.0, 2)
+        near, far = rng.uniform(0, 0.98, size), rng.uniform(1.02, 4, size)
+        error_m: Floats = limit_m * np.where(leaked, near, far)
+        angle_rad = rng.uniform(0.0, 2.0 * np.pi, size)
+        shared_xy = true_xy + (error_m * [np.cos(angle_rad), np.sin(angle_rad)]).T
+        yield Track(text_of(leaked), t, true_xy, shared_xy, limit_m)
 
 
 def moved(track: Track) -> Track:
@@ -315,21 +314,14 @@ def ael_may_fall_as_epsilon_grows(ael_s: Function) -> None:
 @_check_each(ael_s="run length (run counts)", mel_s="longest run (recursion)")
 def _of_independent_samples(function: Function) -> None:
     """{of} of independent samples averages to the exact mean {word}."""
-    of_s = _NAMES[function.__name__]
-    exact = {"AEL": mean_run_expected, "MEL": longest_run_expected}[of_s]
-    size, repeats, step_s = 30, 500, 0.5
+    name, size = _NAMES[function.__name__], 9
+    exact = {"AEL": mean_run_expected, "MEL": longest_run_expected}[name]
+    leaked = np.array(list(product((False, True), repeat=size)))
+    values = np.array([of(function, plain_track(text_of(row))) for row in leaked])
     for p in (0.2, 0.6):
-        leaked = stream(0, "testing", "independent", of_s, str(p)).random((repeats, size)) < p
-        patterns = ["".join("01"[sample] for sample in row) for row in leaked.astype(int)]
-        t = (step_s * np.arange(size)).tolist()
-        values = [of(function, plain_track(pattern, t=t)) for pattern in patterns]
-        mean, error = float(np.mean(values)), float(np.std(values)) / sqrt(repeats)
-        limit = exact(size, p) * step_s
-        expect_that(
-            abs(mean - limit) <= STANDARD_ERRORS * error,
-            what=f"mean {of_s} is {mean:.4f} s, expected {limit:.4f} s within 5 x {error:.4f}",
-            case=f"{repeats} trajectories of {size} samples 0.5 s apart, each leaked with p = {p}",
-        )
+        mean = values @ np.where(leaked, p, 1 - p).prod(axis=1)
+        case = f"all patterns of {size} samples 0.25 s apart, each sample leaked with p = {p}"
+        expect(mean, 0.25 * exact(size, p), what=f"mean {name}", case=case)
 
 
 @check

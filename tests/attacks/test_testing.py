@@ -2,20 +2,14 @@
 
 import re
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from helpers import broken_attacks, broken_linkers
 from helpers.broken_attacks import SCENE, SIGMA, Jitters, attack
-from helpers.broken_linkers import (
-    BASE,
-    Continues,
-    ContinuesWhereShown,
-    Learns,
-    NeedsRepeats,
-    linker,
-)
+from helpers.broken_linkers import BASE, Continues, Learns, linker
 from helpers.processes import ROOT, run_python
 
 from attacks.testing import (
@@ -28,8 +22,12 @@ from attacks.testing import (
     parametrize_attack_checks,
     run_checks,
 )
+from attacks.testing import _linkage_checks as linkage
+from attacks.testing import _reconstruction_checks as reconstruction
+from attacks.testing._releases import RAW_SIGMA_M, of_each
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
+from isac_track.linkability import rank1
 from isac_track.types import Knowledge
 
 BUILT_IN = [
@@ -168,7 +166,7 @@ class TestRows:
         assert granted[1:] == [Learns.uses - SIGMA, Learns.uses]
 
     def test_both_with_the_scene_shown_and_hidden(self):
-        both = ContinuesWhereShown()
+        both = broken_linkers.ContinuesWhereShown()
         assert [row.scene for row in _rows(both)] == [False, True]
         assert adversaries_of(both) == ("blind",)
 
@@ -208,16 +206,6 @@ class TestRunning:
         assert done.returncode == 0, done.stderr
 
 
-@dataclass
-class Thawed:
-    def fit(self, context): ...
-
-
-@dataclass(frozen=True)
-class Undeclared:
-    def fit(self, context): ...
-
-
 def altered(**attributes):
     return type("Odd", (broken_attacks.Base,), attributes)()
 
@@ -226,14 +214,12 @@ class TestWhatIsNoAttack:
     @pytest.mark.parametrize(
         ("attack", "message"),
         [
-            (NeedsRepeats(), "requires REPEATS, which nobody who links is grant"),
+            (broken_linkers.NeedsRepeats(), "requires REPEATS, which nobody who links is grant"),
             (altered(kind="linking"), 'attack Odd: kind must be "reconstruction" or "li'),
             (Jitters, r"got its class: write Jitters\(\)"),
-            (Undeclared(), "Undeclared needs a class attribute requires: a frozenset"),
-            (altered(uses=[Knowledge.TRAIN]), r"attribute uses: .*, got \[<Knowledge.TRAIN"),
-            (altered(fit=None), r"Odd has no method fit\(con"),
-            (Thawed(), "Thawed must be a frozen dataclass"),
-            (None, "NoneType must be a frozen dataclass"),
+            (altered(uses=[Knowledge.TRAIN]), "attack Odd.uses must be a frozenset of Knowl"),
+            (altered(fit=None), r"attack Odd has no method fit\(\)"),
+            (None, r"attack NoneType must be a frozen dataclass: @dataclass\(frozen=True\)"),
         ],
     )
     def test_is_answered_with_what_to_write(self, attack, message):
@@ -258,20 +244,82 @@ class TestWithPytest:
             *(f"Base-{name}" for name in LINKAGE_CHECKS),
         ]
 
-    def test_checks_are_tests_of_their_own(self, pytester):
-        pytester.makepyfile(
-            "from helpers.broken_attacks import across_tracks\n"
-            "from attacks.reconstruction.averaging import Averaging\n"
-            "from attacks.testing import parametrize_attack_checks\n\n\n"
-            "@parametrize_attack_checks([across_tracks(), Averaging()])\n"
-            "def test_attack(attack, check):\n"
-            "    check(attack)\n"
-        )
-        words = ["-rsf", "-v", "-p", "no:cacheprovider", "-k", "order or frame"]
-        done = pytester.runpytest_inprocess(*words)
-        done.assert_outcomes(failed=1, passed=2, skipped=1, deselected=2 * len(CHECKS) - 4)
-        shown = done.stdout.str()
-        assert "test_attack[across_tracks-order_of_tracks_does_not_matter]" in shown
-        assert "tracks in another order: positions or std differ by" in shown
-        assert "granted SCENE in every row" in shown
-        assert "test_attack[Averaging-order_of_tracks_does_not_matter] PASSED" in shown
+
+# What it makes up to try attacks on
+
+hidden, shown = (partial(linkage.noisy, scene=scene) for scene in (False, True))
+HIDDEN, SHOWN = hidden(RAW_SIGMA_M, "radial"), shown(RAW_SIGMA_M, "radial")
+
+
+@pytest.mark.parametrize("noisy", [reconstruction.noisy, hidden, shown])
+@pytest.mark.parametrize(("sigma_m", "law", "n"), [(0.3, "radial", 1), (10.0, "isotropic", 2)])
+def test_levels_differ_in_the_size_of_the_errors_alone_which_is_as_announced(
+    noisy, sigma_m, law, n
+):
+    less, more = noisy(sigma_m, law), noisy(3 * sigma_m, law)
+    for low, high in zip(releases(less), releases(more), strict=True):
+        added = high.xy - low.xy
+        assert np.sqrt((added**2).sum(axis=1).mean() / n) == pytest.approx(2 * sigma_m, rel=0.05)
+        np.testing.assert_allclose(low.sigma, sigma_m)
+    assert less.mechanism.d_sigma == pytest.approx(sigma_m - RAW_SIGMA_M)
+
+
+def releases(case):
+    found = []
+    of_each(case, lambda release: found.append(release) or release)
+    return found
+
+
+def test_other_people_and_repeats_are_what_they_should_be():
+    case = reconstruction.noisy(0.3, "radial")
+    errors = np.stack([one.xy - case.truth for one in (case.release, *case.repeats)])
+    assert np.sqrt((errors**2).sum(axis=2).mean()) == pytest.approx(0.3, rel=0.05)
+    assert np.abs(np.corrcoef(errors.reshape(3, -1)) - np.eye(3)).max() < 0.06
+    assert not np.isin(case.train.truth, case.truth).any()
+
+
+class TestLinkage:
+    def test_walks_are_those_of_people(self):
+        lasting_s = [np.ptp(track.t) for track in HIDDEN.probe]
+        assert lasting_s == pytest.approx([11.5] * 24, abs=1.0)
+        speeds = np.sort(BASE.traits(HIDDEN.probe))
+        assert speeds[[0, -1]] == pytest.approx([0.6, 2.0], abs=0.2)
+        assert np.diff(speeds).max() < 0.2
+
+    def test_hidden_walks_are_recorded_twice_each_in_a_frame_of_its_own(self):
+        for track, mate in zip(HIDDEN.probe, HIDDEN.mate, strict=True):
+            other = HIDDEN.gallery[mate]
+            # The same walk: turned and shifted upon each other they differ by the noise alone.
+            at = np.linspace(track.t[0] + 1.0, track.t[-1], 100)
+            one = complexes(track.t, track.xy, at)
+            two = complexes(other.t + track.t[-1] - other.t[-1], other.xy, at)
+            turn = np.vdot(two, one) / abs(np.vdot(two, one))
+            assert np.sqrt(np.mean(abs(one - turn * two) ** 2)) < 0.1
+            assert abs(turn - 1) > 1e-3
+            assert np.hypot(*(track.xy[-1] - other.xy[-1])) > 0.1
+
+    def test_a_shown_walk_goes_on_after_the_gap(self):
+        assert np.ptp([track.t[-1] for track in SHOWN.probe]) < 1e-6
+        for track, mate in zip(SHOWN.probe, SHOWN.mate, strict=True):
+            other = SHOWN.gallery[mate]
+            silence_s = other.t[0] - track.t[-1]
+            assert 1.0 < silence_s <= 1.125 + 1e-9
+            assert np.hypot(*(other.xy[0] - track.xy[-1])) / silence_s < 3.0
+
+    def test_the_training_set_is_other_people_made_alike(self):
+        train = HIDDEN.train
+        assert sorted(train.mate) == list(range(20))
+        assert not np.isin(train.probe.xy, HIDDEN.probe.xy).any()
+        scores = BASE.link(train.probe, train.gallery)
+        assert rank1(scores=scores, mate=train.mate).sum() > 6
+
+    def test_mates_are_not_where_the_probes_are(self):
+        assert sorted(HIDDEN.mate) == list(range(24))
+        assert np.count_nonzero(HIDDEN.mate == np.arange(24)) < 5
+        assert linkage.sized(9, 7, scene=False).mate.tolist().count(-1) == 2
+
+
+def complexes(t, xy, at):
+    """Positions at other instants about their mean, as complex numbers."""
+    found = np.interp(at, t, xy[:, 0]) + 1j * np.interp(at, t, xy[:, 1])
+    return found - found.mean()

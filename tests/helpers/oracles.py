@@ -6,7 +6,7 @@ tricks. To be read by eye.
 
 from __future__ import annotations
 
-from itertools import pairwise, product
+from itertools import pairwise
 from math import dist, exp, nan
 
 
@@ -54,15 +54,6 @@ def exposure_of_all(*, leaked, t, offsets):
     """Each trajectory cut out and treated alone; four lists."""
     rows = [exposure(leaked=list(leaked[lo:hi]), t=list(t[lo:hi])) for lo, hi in pairwise(offsets)]
     return tuple(map(list, zip(*rows, strict=True)))
-
-
-def expected_over_patterns(statistic, *, n, p):
-    """Mean of a statistic of n independent samples, over all 2^n leakage patterns."""
-    total = 0.0
-    for pattern in product([False, True], repeat=n):
-        ones = sum(pattern)
-        total += p**ones * (1 - p) ** (n - ones) * statistic(pattern)
-    return total
 
 
 def prediction_grid(*, t, window, horizon_steps):
