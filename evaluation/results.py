@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,9 +32,10 @@ from evaluation.verdict.within_level import read_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from contextlib import AbstractContextManager
 
 __all__ = ["Results", "build", "load", "run"]
+_one_thread = partial(threadpool_limits, limits=1, user_api="blas")
+"""Keep linear algebra to this thread: its matrices are small, and others would only spin."""
 
 
 def run(
@@ -86,12 +88,6 @@ def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Result
         return build(out, pictures=pictures, pdf=pdf)
 
 
-def _one_thread() -> AbstractContextManager[object]:
-    """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
-    limited: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
-    return limited
-
-
 def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1) -> Results:
     """Write summary, tables and figures of a run folder, drawn by `jobs` workers, and return them.
 
@@ -136,15 +132,10 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     write_tex(results, folder=out / "tables")
     folder.remove_figures(out)  # those of an earlier report tell of other results
     if pictures:
-        _draw(results, pdf=pdf, jobs=jobs)
+        # matplotlib is slow to import, and only needed to draw.
+        from evaluation.reporting import page  # noqa: PLC0415
+        from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415
+
+        folder.note_figures(out, [one.name for one in figures_of(results)])
+        page.write(results, drawn=draw_all(results, folder=out / "figures", jobs=jobs, pdf=pdf))
     return results
-
-
-def _draw(results: Results, *, pdf: bool, jobs: int) -> None:
-    # matplotlib is slow to import, and only needed to draw.
-    from evaluation.reporting import page  # noqa: PLC0415
-    from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415
-
-    folder.note_figures(results.out, [one.name for one in figures_of(results)])
-    drawn = draw_all(results, folder=results.out / "figures", jobs=jobs, pdf=pdf)
-    page.write(results, drawn=drawn)

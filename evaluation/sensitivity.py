@@ -32,7 +32,8 @@ examples:
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
     command = Parser(
         prog="python -m evaluation.sensitivity",
         description="Repeat the verdict of a finished run under other assumptions.",
@@ -54,13 +55,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--jobs", type=int, metavar="N", help="worker processes, as in evaluation.matrix")
     add("--fresh", action="store_true", help="replace the runs of the variants, do not continue")
     add("--json", action="store_true", help="print one JSON object instead of the table")
-    return command
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code."""
     return exit_code(
-        lambda: _command(_parser().parse_args(arguments)),
+        lambda: _command(command.parse_args(arguments)),
         interrupted="interrupted; finished cells are kept, the same command continues "
         "(without --fresh)",
     )

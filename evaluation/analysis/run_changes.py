@@ -6,7 +6,6 @@ import json
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -26,17 +25,6 @@ _KEEP_DRAWS = (
     *("conflict.decision", "conflict.probability_threshold"),
 )
 _CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
-
-
-def manifest_of(out: Path) -> dict[str, Any]:
-    """Return the manifest of a run.
-
-    Raises DataError if the folder holds no run, or one of another version.
-    """
-    manifest = read_manifest(out)
-    if "groups" not in manifest or "sha256" not in manifest["identity"]:
-        raise DataError(f"{out} was written by another version; run the matrix again with --fresh")
-    return manifest
 
 
 def short_list(names: Sequence[str]) -> str:
@@ -146,14 +134,13 @@ def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
         {item["id"]: item["decision"] for item in verdict_of(out)["items"]}
         for out in (out_a, out_b)
     )
-    both = [name for name in a if name in b]
+    only_a, only_b, apart = _beside(a, b), _beside(b, a), _unequal(a, b)
+    changed = [{"id": name, "a": of_a, "b": of_b} for name, (of_a, of_b) in apart.items()]
     return {
-        "in_both": len(both),
-        "only_a": _beside(a, b),
-        "only_b": _beside(b, a),
-        "changed": [
-            {"id": name, "a": a[name], "b": b[name]} for name in both if a[name] != b[name]
-        ],
+        "in_both": len(a) - len(only_a),
+        "only_a": only_a,
+        "only_b": only_b,
+        "changed": [one for one in changed if None not in one.values()],
     }
 
 

@@ -24,11 +24,11 @@ from evaluation.analysis.differences import COLUMNS
 from evaluation.analysis.differences import compare as compared
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import pairing
-from evaluation.analysis.significance import holm
 from evaluation.reporting.difference_tables import show
 from evaluation.runs.manifest import read_manifest
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
+from isac_track.linkability.significance import holm
 
 KEY = ["mechanism", "level", "consumer", "knowledge", "metric"]
 PLR = ("fixed", 0.7, "shared", "", "plr")
@@ -398,14 +398,6 @@ class TestCommand:
             process.stdout.close()
             assert process.stderr.read() == b""
         assert process.returncode == 141
-
-    def test_a_manifest_of_another_version_is_named(self, run, command, tmp_path):
-        old = shutil.copytree(run("narrow"), tmp_path / "old")
-        path = old / "manifest.json"
-        path.write_text(path.read_text().replace('"groups"', '"people"'))
-        code, _, errors = command("{base}", old)
-        assert code == 2
-        assert f"{old} was written by another version" in errors
 
 
 class TestVerdicts:

@@ -1,7 +1,6 @@
 """The weak-attack detector: each rule fires where it must, and nowhere else."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +12,6 @@ import evaluation
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Key
 from evaluation.analysis.weak_attacks import COLUMNS
-from evaluation.results import build
-from evaluation.runs import folder as store
 from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import Estimate, percentile_interval
 
@@ -306,15 +303,3 @@ def test_what_a_slow_attack_saw_is_what_others_are_read_on(results):
     value = once[Key("raw", None, "identity", "plr", BLIND)].value
     assert value == pytest.approx(seen["plr"].mean(), abs=1e-12)
     assert Key("raw", None, "broken_for_flags:Blur", "plr", BLIND) not in once
-
-
-def test_redrawn_the_flags_are_the_same_and_fresh_removes_them(results, tmp_path):
-    copy = tmp_path / "copy"
-    shutil.copytree(results.out, copy)
-    expected = (copy / "flags.json").read_bytes()
-    (copy / "flags.json").unlink()
-    assert build(copy, pictures=False).flags.equals(results.flags)
-    assert (copy / "flags.json").read_bytes() == expected
-    assert (copy / "tables" / "attacks.tex").is_file()
-    store._remove_run(copy)
-    assert not any(copy.iterdir())
