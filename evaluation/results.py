@@ -132,10 +132,15 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     write_tex(results, folder=out / "tables")
     folder.remove_figures(out)  # those of an earlier report tell of other results
     if pictures:
-        # matplotlib is slow to import, and only needed to draw.
-        from evaluation.reporting import page  # noqa: PLC0415
-        from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415
-
-        folder.note_figures(out, [one.name for one in figures_of(results)])
-        page.write(results, drawn=draw_all(results, folder=out / "figures", jobs=jobs, pdf=pdf))
+        _draw(results, pdf=pdf, jobs=jobs)
     return results
+
+
+def _draw(results: Results, *, pdf: bool, jobs: int) -> None:
+    # matplotlib is slow to import, and only needed to draw.
+    from evaluation.reporting import page  # noqa: PLC0415
+    from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415
+
+    folder.note_figures(results.out, [one.name for one in figures_of(results)])
+    drawn = draw_all(results, folder=results.out / "figures", jobs=jobs, pdf=pdf)
+    page.write(results, drawn=drawn)
