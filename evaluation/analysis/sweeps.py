@@ -146,7 +146,7 @@ def interpolated(where: tuple[Ints, Floats], values: Floats, *, log: bool) -> Fl
     to the curve.
     """
     n_rows = min(len(where[0]), len(values))
-    right, share = (one[:n_rows] for one in where)
+    right, share = where[0][:n_rows], where[1][:n_rows]
     y = values[:n_rows, ::-1]
     y = np.log(np.maximum(y, _SMALLEST)) if log else y
     low, high = (np.take_along_axis(y, place, axis=1) for place in (right - 1, right))
