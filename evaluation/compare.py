@@ -31,7 +31,8 @@ examples:
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
     command = Parser(
         prog="python -m evaluation.compare",
         description="Put two runs side by side: what changed, and which numbers differ.",
@@ -53,12 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--csv", type=Path, metavar="FILE", help="write all numbers as a tidy table")
     about = "exit code 1 if a headline number differs after Holm"
     add("--fail-on-change", action="store_true", help=about)
-    return command
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code."""
-    return exit_code(lambda: _run(_parser().parse_args(arguments)))
+    return exit_code(lambda: _run(command.parse_args(arguments)))
 
 
 def _run(options: argparse.Namespace) -> int:

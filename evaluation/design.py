@@ -41,8 +41,8 @@ examples:
 """
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the command line."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
     command = Parser(
         prog="python -m evaluation.design",
         description="Choose a level for a site: the smallest eta of a run that meets a target of "
@@ -72,12 +72,7 @@ def parser() -> argparse.ArgumentParser:
         "implement only the independent one",
     )
     add("--json", action="store_true", help="print one JSON object and nothing else")
-    return command
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code."""
-    return exit_code(lambda: _run(parser().parse_args(arguments)))
+    return exit_code(lambda: _run(command.parse_args(arguments)))
 
 
 def _run(options: argparse.Namespace) -> int:

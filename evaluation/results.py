@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,9 +32,10 @@ from evaluation.verdict.within_level import read_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from contextlib import AbstractContextManager
 
 __all__ = ["Results", "build", "load", "run"]
+_one_thread = partial(threadpool_limits, limits=1, user_api="blas")
+"""Keep linear algebra to this thread: its matrices are small, and others would only spin."""
 
 
 def run(
@@ -84,12 +86,6 @@ def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Result
     with locked(out), _one_thread():
         check_sound(out, (name for entry in manifest["cells"] for name in entry["files"]))
         return build(out, pictures=pictures, pdf=pdf)
-
-
-def _one_thread() -> AbstractContextManager[object]:
-    """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
-    limited: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
-    return limited
 
 
 def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1) -> Results:

@@ -32,7 +32,8 @@ examples:
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
     command = Parser(
         prog="python -m evaluation.sensitivity",
         description="Repeat the verdict of a finished run under other assumptions.",
@@ -54,13 +55,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--jobs", type=int, metavar="N", help="worker processes, as in evaluation.matrix")
     add("--fresh", action="store_true", help="replace the runs of the variants, do not continue")
     add("--json", action="store_true", help="print one JSON object instead of the table")
-    return command
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code."""
     return exit_code(
-        lambda: _command(_parser().parse_args(arguments)),
+        lambda: _command(command.parse_args(arguments)),
         interrupted="interrupted; finished cells are kept, the same command continues "
         "(without --fresh)",
     )
@@ -91,15 +87,9 @@ def _run(
     from evaluation.results import run  # noqa: PLC0415
     from evaluation.runs.execute import borrow  # noqa: PLC0415
     from evaluation.runs.files import write_whole  # noqa: PLC0415
-    from evaluation.verdict.sensitivity import (  # noqa: PLC0415
-        TABLE,
-        attacks_of,
-        collect,
-        folder_of,
-        read_verdict,
-    )
+    from evaluation.verdict import sensitivity as held  # noqa: PLC0415
 
-    attacks = attacks_of(read_verdict(options.out)["items"])
+    attacks = held.attacks_of(held.read_verdict(options.out)["items"])
     if manifest.get("state") != "finished":
         raise DataError(f"the run in {options.out} is not finished; run the matrix again")
     outcomes = []
@@ -112,13 +102,15 @@ def _run(
                 variant,
                 manifest=manifest,
                 attacks=attacks,
-                out=folder_of(options.out, variant.name),
+                out=held.folder_of(options.out, variant.name),
                 scenes=options.scenes,
                 jobs=options.jobs,
                 trust=options.trust,
             )
             ready = plan(settings)
-            borrow(ready, sources=(options.out, folder_of(options.out, BASE)), fresh=options.fresh)
+            borrow(
+                ready, sources=(options.out, held.folder_of(options.out, BASE)), fresh=options.fresh
+            )
             run(ready=ready, pictures=False)  # `evaluation.report` draws those that matter
         except IsacTrackError as error:
             if variant.name == BASE:  # without it nothing can be said, every other one may fail
@@ -133,8 +125,8 @@ def _run(
         for one in left_out:
             print(f"notice: left out: {one}", file=sys.stderr)
         print(f"failed: {why}" if why else f"done in {seconds:.0f} s", file=sys.stderr)
-        rows, not_shown = collect(options.out)
-        write_whole(options.out / TABLE, rows.to_csv(index=False).encode())
+        rows, not_shown = held.collect(options.out)
+        write_whole(options.out / held.TABLE, rows.to_csv(index=False).encode())
     if options.json:
         found = difference_tables.variants_json(rows, outcomes, out=options.out)
         print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True)

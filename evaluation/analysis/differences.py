@@ -17,11 +17,12 @@ from evaluation.analysis import run_changes
 from evaluation.analysis.families import LEVEL_UNITS, families_in
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import METRICS
-from evaluation.analysis.run_changes import manifest_of, mechanisms, short_list
-from evaluation.analysis.significance import holm
+from evaluation.analysis.run_changes import mechanisms, short_list
 from evaluation.analysis.summary import estimates, linkage_estimates
+from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import CONFIDENCE, Estimate, percentile_interval
+from isac_track.linkability.significance import holm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -102,8 +103,8 @@ def compare(
     """
     if (mechanism_a is None) != (mechanism_b is None):
         raise SettingsError("--mechanism-a and --mechanism-b are named together")
-    first = manifest_of(out_a)
-    second = first if out_a.resolve() == out_b.resolve() else manifest_of(out_b)
+    first = read_manifest(out_a)
+    second = first if out_a.resolve() == out_b.resolve() else read_manifest(out_b)
     runs = [(out_a, first), (out_b, second)]
     if first is second:
         runs = runs[:1]
@@ -247,11 +248,10 @@ def _rows(
         found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
         if not (same and paired):
             found = difference(a, b, paired=paired, metric=metric.name)
-        where = {"mechanism_a": key_a.mechanism, "level_a": key_a.level}
-        where |= {"mechanism_b": key_b.mechanism, "level_b": key_b.level}
+        where = (math.nan if one is None else one for one in (*key_a.where, *key_b.where))
         rows.append(
             {
-                **{name: math.nan if one is None else one for name, one in where.items()},
+                **dict(zip(COLUMNS[:4], where, strict=True)),
                 **{name: getattr(key_a, name) for name in ("consumer", "knowledge", "metric")},
                 # A control says nothing of an adversary.
                 "headline": metric.is_headline and "/control-" not in key_a.consumer,

@@ -19,10 +19,9 @@ from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import CLEAN
 from evaluation.analysis.keys import Source, Where
-from evaluation.analysis.significance import holm
 from evaluation.analysis.strongest import most_knowing
 from evaluation.runs.cell_files import LinkageOutcome, read_outcome
-from isac_track.linkability import LEVEL, outcome
+from isac_track.linkability.significance import LEVEL, holm, outcome
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence

@@ -6,7 +6,6 @@ import json
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -21,22 +20,12 @@ DRAWS, PEOPLE, NONE = "people and draws", "people", "none"
 _VERDICT = "verdict.json"
 _MOST_NAMED = 4
 _ABOUT_DATA = frozenset({"dataset", "sha256", "format", "fps", "tracks", "tracks_used"})
+_ABOUT_CODE = ("code version", "isac_track", "git_commit", "python", "machine")
 _KEEP_DRAWS = (
     *("dataset", "privacy.", "sensing."),
     *("conflict.decision", "conflict.probability_threshold"),
 )
 _CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
-
-
-def manifest_of(out: Path) -> dict[str, Any]:
-    """Return the manifest of a run.
-
-    Raises DataError if the folder holds no run, or one of another version.
-    """
-    manifest = read_manifest(out)
-    if "groups" not in manifest or "sha256" not in manifest["identity"]:
-        raise DataError(f"{out} was written by another version; run the matrix again with --fresh")
-    return manifest
 
 
 def short_list(names: Sequence[str]) -> str:
@@ -56,7 +45,7 @@ def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
     aside: tuple[str, ...] = ("linkage.", "crowd")
     is_apart = "sha256" in moved
     if is_linked:
-        known = [one.get("linkage", {}).get("tasks", {}).get(task) for one in (first, second)]
+        known = [one["linkage"]["tasks"].get(task) for one in (first, second)]
         same_people = known[0] is not None and known[0] == known[1]
         of_others = [name for name in moved if name.startswith(("sha256", "seed", *aside))]
         is_apart = bool(of_others) or not same_people or first["groups"] != second["groups"]
@@ -79,27 +68,24 @@ def _unequal(a: Manifest, b: Manifest) -> Apart:
 
 def about(out: Path, manifest: Manifest, *, mechanism: str | None) -> dict[str, Any]:
     """Return what a run is, with the mechanism if one was named."""
-    found = {
+    return {
         "out": str(out),
-        "dataset": manifest["dataset"].get("name"),
+        "dataset": manifest["dataset"]["name"],
         "people": len(manifest["groups"]),
-        "scenes": manifest["identity"]["scenes"],
-        "seed": manifest["identity"]["seed"],
-        "preset": manifest["settings"].get("preset"),
+        **{name: manifest["identity"][name] for name in ("scenes", "seed")},
+        "preset": manifest["settings"]["preset"],
+        **({} if mechanism is None else {"mechanism": mechanism}),
     }
-    return found if mechanism is None else found | {"mechanism": mechanism}
 
 
 def changed(first: Manifest, second: Manifest) -> dict[str, Apart]:
     """Return what differs under data, settings and code."""
     described, code = [], []
     for one in (first, second):
-        tracks = {name: one["dataset"].get(name) for name in ("tracks", "tracks_used")}
-        described.append(one["identity"] | tracks | {"preset": one["settings"].get("preset")})
-        environment = one.get("environment", {})
-        names = ("isac_track", "git_commit", "python", "machine")
-        versions = {name: environment.get(name) for name in names}
-        code.append({"code version": one.get("code")} | versions | environment.get("libraries", {}))
+        tracks = {name: one["dataset"][name] for name in ("tracks", "tracks_used")}
+        described.append(one["identity"] | tracks | {"preset": one["settings"]["preset"]})
+        by = {"code version": one["code"], **one["environment"]}
+        code.append({name: by[name] for name in _ABOUT_CODE} | by["libraries"])
     moved = _unequal(*described)
     return {
         "data": {name: both for name, both in moved.items() if name in _ABOUT_DATA},
@@ -146,14 +132,13 @@ def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
         {item["id"]: item["decision"] for item in verdict_of(out)["items"]}
         for out in (out_a, out_b)
     )
-    both = [name for name in a if name in b]
+    only_a, only_b, apart = _beside(a, b), _beside(b, a), _unequal(a, b)
+    changed = [{"id": name, "a": of_a, "b": of_b} for name, (of_a, of_b) in apart.items()]
     return {
-        "in_both": len(both),
-        "only_a": _beside(a, b),
-        "only_b": _beside(b, a),
-        "changed": [
-            {"id": name, "a": a[name], "b": b[name]} for name in both if a[name] != b[name]
-        ],
+        "in_both": len(a) - len(only_a),
+        "only_a": only_a,
+        "only_b": only_b,
+        "changed": [one for one in changed if None not in one.values()],
     }
 
 

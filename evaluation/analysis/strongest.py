@@ -80,9 +80,7 @@ def most_knowing(of: Iterable[Source]) -> list[Source]:
     What was shared stays.
     """
     # The oracle is a reference: it stands for an attack that nobody else can run.
-    rank = {"": 0, ORACLE: 0} | {
-        name: 1 + place for place, name in enumerate(name for name in ADVERSARIES if name != ORACLE)
-    }
+    rank = {name: place for place, name in enumerate(("", *ADVERSARIES))} | {ORACLE: 0}
     best: dict[str, Source] = {}
     for source in of:
         name = "" if source == AS_SHARED else source.consumer

@@ -15,7 +15,6 @@ from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import Cards, dataset_of
 from evaluation.analysis.metrics import METRICS, RECONSTRUCTION
 from evaluation.runs.cell_files import read_rows
-from isac_track.errors import DataError
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimate
 
 if TYPE_CHECKING:
@@ -120,14 +119,7 @@ def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
     """Return the cluster of each row, (R,): its row in the run's list of groups."""
     row_of = {group: row for row, group in enumerate(manifest["groups"])}
     column = table["group"].combine_chunks()
-    names = column.dictionary.to_pylist()
-    unknown = [name for name in names if name not in row_of]
-    if unknown:
-        raise DataError(
-            f"the manifest does not name group {unknown[0]!r} of the cells: it is damaged; run the "
-            "matrix again with --fresh"
-        )
-    to_row = np.array([row_of[name] for name in names], dtype=np.int64)
+    to_row = np.array([row_of[name] for name in column.dictionary.to_pylist()], dtype=np.int64)
     found: Ints = to_row[column.indices.to_numpy()]
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -117,19 +117,12 @@ def monotone(values: Floats, *, increasing: bool) -> Floats:
     return best
 
 
-class Places(NamedTuple):
-    """Where rows of a curve are read, (R, P) each."""
+def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:
+    """Return where each row has changed by `at` from raw, (R, P) each.
 
-    right: Ints
-    """Level to the right; left of it is raw."""
-    share: Floats
-    """How far from the level to the left, 0..1; NaN out of reach."""
-
-
-def places(at: Floats, change: Floats) -> Places:
-    """Return where each row has changed by `at` from raw.
-
-    `at` is (P,) for all rows, or (R, P); `change`, (R, L), falls from left to right, to 0 at raw.
+    The level to the right (left of it is raw), and how far it is from the level to the left, 0..1;
+    NaN out of reach. `at` is (P,) for all rows, or (R, P); `change`, (R, L), falls from left to
+    right, to 0 at raw.
     """
     x = change[:, ::-1]
     # Rounding must not put the end of a curve out of its own reach.
@@ -142,18 +135,18 @@ def places(at: Floats, change: Floats) -> Places:
     low, high = (np.take_along_axis(x, place, axis=1) for place in (right - 1, right))
     share = np.zeros_like(low)
     np.divide(wanted - low, high - low, out=share, where=high > low)
-    return Places(right, np.where(in_reach, np.clip(share, 0.0, 1.0), np.nan))
+    return right, np.where(in_reach, np.clip(share, 0.0, 1.0), np.nan)
 
 
-def interpolated(where: Places, values: Floats, *, log: bool) -> Floats:
+def interpolated(where: tuple[Ints, Floats], values: Floats, *, log: bool) -> Floats:
     """Return the values, (R, L), of each row at its places, (R, P); NaN out of reach.
 
     Of unequal numbers of rows the first are read. With `log` the logarithm is interpolated: a
     descriptor falls about exponentially with the rate, so that a chord over a wide step lies close
     to the curve.
     """
-    n_rows = min(where.right.shape[0], values.shape[0])
-    right, share = where.right[:n_rows], where.share[:n_rows]
+    n_rows = min(len(where[0]), len(values))
+    right, share = where[0][:n_rows], where[1][:n_rows]
     y = values[:n_rows, ::-1]
     y = np.log(np.maximum(y, _SMALLEST)) if log else y
     low, high = (np.take_along_axis(y, place, axis=1) for place in (right - 1, right))

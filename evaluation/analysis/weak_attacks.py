@@ -85,21 +85,17 @@ class Flags:
     """Why comparisons were left out, and how many."""
 
 
-_NOBODY = Source("")
-
-
 class _Pair(NamedTuple):
     """Two estimates to compare: an attack's, and what should not be above it."""
 
     kind: str
     where: Where
     attack: Source
+    by: Source
+    """What beats it; of no name if nothing does."""
     minus: Estimate
     plus: Estimate
-    by: Source = _NOBODY
-    """What beats it, if anything does."""
-    least: Where = ("", None)
-    """The least noisy level of a mechanism."""
+    said: str
 
 
 def flags(
@@ -124,22 +120,14 @@ def flags(
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
     compared = Counter((pair.kind, pair.attack, pair.by) for pair in enough)
     rows = []
-    for pair in enough:
-        kind, where, attack, minus, plus, by, least = pair
+    for kind, where, attack, by, minus, plus, said in enough:
         gap = difference(plus, minus)
         if not (gap.ci_low > _ROUNDING if kind == BEATEN else gap.ci_high > -_ROUNDING):
             continue
-        before, after = (f"{100 * one.value:.1f} %" for one in (minus, plus))
-        if kind == BEATEN:
-            said = f"is beaten by {by.label} at {_place(where)}: PLR {before} against {after}"
-        else:
-            ends = f"{before} at {_place(least)}, {after} at {_place(where)}"
-            said = f"does not fall with the noise: PLR {ends}"
         interval = gap.value, gap.ci_low, gap.ci_high
-        about = kind, where[0], np.nan if where[1] is None else where[1]
-        whose = attack.consumer, attack.knowledge, by.consumer, by.knowledge
+        about = kind, where[0], np.nan if where[1] is None else where[1], *attack, *by, EXPOSURE
         sentence = f"{attack.label} {said}, {_points(*interval, sign='+')} points"
-        rows.append((*about, *whose, EXPOSURE, *interval, compared[kind, attack, by], sentence))
+        rows.append((*about, *interval, compared[kind, attack, by], sentence))
     looked = Counter(pair.kind for pair in enough)
     return Flags(
         rows=pd.DataFrame(rows, columns=COLUMNS),
@@ -233,7 +221,9 @@ def _beaten_pairs(
             if nothing_to_gain:
                 left_out["all that is shared leaks already"] += 1
             else:
-                yield _Pair(BEATEN, where, attack, minus, plus, by=by)
+                said = f"is beaten by {by.label} at {_place(where)}: PLR "
+                said += f"{100 * minus.value:.1f} % against {100 * plus.value:.1f} %"
+                yield _Pair(BEATEN, where, attack, by, minus, plus, said)
 
 
 def _falling_pairs(levels: Levels, found: Found, *, left_out: Counter[str]) -> Iterator[_Pair]:
@@ -261,8 +251,10 @@ def _falling_pairs(levels: Levels, found: Found, *, left_out: Counter[str]) -> I
             left_out["PLR as shared does not fall either"] += len(attacks)
         else:
             for attack in attacks:
-                ends = levels[least][attack], levels[most][attack]
-                yield _Pair(DOES_NOT_FALL, most, attack, *ends, least=least)
+                minus, plus = levels[least][attack], levels[most][attack]
+                said = f"does not fall with the noise: PLR {100 * minus.value:.1f} % at "
+                said += f"{_place(least)}, {100 * plus.value:.1f} % at {_place(most)}"
+                yield _Pair(DOES_NOT_FALL, most, attack, Source(""), minus, plus, said)
 
 
 def _should_win(attack: Source, by: Source) -> bool:

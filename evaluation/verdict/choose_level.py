@@ -215,7 +215,6 @@ def choose(
     SettingsError if the run lacks what is asked for; the message names the option and the way out.
     """
     manifest = read_manifest(out)
-    dataset = manifest["dataset"]["name"]
     cells = [one["consumer"] for one in manifest["cells"] if one["kind"] == "predictor"]
     robots = list(dict.fromkeys([*manifest["settings"]["predictors"], *cells]))
     if not robots:
@@ -238,9 +237,13 @@ def choose(
     levels = [
         level
         for where, rows in of_metrics.groupby(["mechanism", "level"], dropna=False, sort=False)
-        if (level := _level(where, rows, linked, Source(robot), dataset)) is not None
+        if (level := _level(where, rows, linked, Source(robot), manifest["dataset"]["name"]))
     ]
     raw = next((one for one in levels if one.mechanism == RAW), None)
+    # FID is shown first, then fixed noise, all others as they were run.
+    families = sorted(
+        families_in(summary).values(), key=lambda one: [FID, FIXED, one.name].index(one.name)
+    )
     choice = Choice(
         out=out,
         manifest=manifest,
@@ -252,11 +255,7 @@ def choose(
         schemes=tuple(
             _scheme(found, family, rule, limits)
             for rule in ADDING_RULES
-            # FID is shown first, then fixed noise, all others as they were run.
-            for family in sorted(
-                families_in(summary).values(),
-                key=lambda one: [FID, FIXED, one.name].index(one.name),
-            )
+            for family in families
             if family.is_added and rule in family.rules
             if (found := [one for one in levels if one.mechanism == family.mechanism])
         ),
@@ -291,13 +290,9 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _level(
-    at: tuple[Any, ...],
-    rows: pd.DataFrame,
-    tasks: Sequence[LinkedTask],
-    robot: Source,
-    dataset: str,
+    at: tuple[Any, ...], rows: pd.DataFrame, tasks: Sequence[LinkedTask], robot: Source, own: str
 ) -> Level | None:
-    """Return what a level comes to; None if it was not shared, or not to the robot.
+    """Return what a level of data set `own` comes to; None if the robot, or nobody, was shown it.
 
     It has all tasks of the run; raw needs no predictor.
     """
@@ -320,31 +315,24 @@ def _level(
     return Level(
         *where,
         numbers=numbers(robot, TARGETS) | numbers(AS_SHARED, DESCRIPTORS),
-        after_attack=best and Attacked(best.consumer, best.knowledge, numbers(best, DESCRIPTORS)),
-        tasks=tuple(_strongest(task, where, dataset) for task in tasks),
+        after_attack=best and Attacked(*best, numbers(best, DESCRIPTORS)),
+        tasks=tuple(_strongest(task, where, own) for task in tasks),
     )
 
 
 def _strongest(task: LinkedTask, where: Where, dataset: str) -> Linked:
     """Return the strongest linker at a level, of the valid ones if there are any."""
     own, rows = dataset_of(task.name, dataset=dataset), task.cells.get(where, {})
-    is_valid = {
-        source: row["outcome"] != WEAK and not row["invalid"] for source, row in rows.items()
-    }
     rank1 = {source: row[SUCCESS] for source, row in rows.items()}
-    valid = {source: value for source, value in rank1.items() if is_valid[source]}
+    is_poor = {source for source, row in rows.items() if row["outcome"] == WEAK or row["invalid"]}
+    valid = {source: value for source, value in rank1.items() if source not in is_poor}
     best = strongest_of([valid]) or strongest_of([rank1])
-    found = Linked(task.name, own, own == dataset)
     if best is None:
-        return found
+        return Linked(task.name, own, own == dataset)
     row = rows[best]
-    return replace(
-        found,
-        attack=best.consumer,
-        knowledge=best.knowledge,
-        rank1=Estimate(*(row[name] for name in (SUCCESS, *_ENDS))),
-        **{name: row[name] for name in ("chance", "outcome", "invalid")},
-    )
+    achieved = Estimate(*(row[name] for name in (SUCCESS, *_ENDS)))
+    judged = row["chance"], row["outcome"], row["invalid"]
+    return Linked(task.name, own, own == dataset, best.consumer, best.knowledge, achieved, *judged)
 
 
 def _refuse_missing(choice: Choice, *, is_attacked: bool) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
-from evaluation.analysis.significance import holm
+from isac_track.linkability.significance import holm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, FID
@@ -88,9 +87,14 @@ def verdict(
                 }
             )
     dataset = manifest["dataset"]
+    of = {name: [one for one in items if one["section"] == name] for name in rules.SECTIONS}
     fid = {sweeps.named(FID, adding=adding) for adding in ADDING_RULES}
     return {
-        "answer": answer(items, dataset=dataset["name"], fid=fid),
+        "answer": [
+            _tracking(of[rules.VALIDITY], dataset=dataset["name"], fid=fid),
+            _claim(of[rules.CLAIM]),
+            _inflation(of[rules.INFLATION]),
+        ],
         "dataset": dataset["name"],
         "simulated": bool(dataset.get("simulated", False)),
         "seed": manifest["identity"]["seed"],
@@ -112,8 +116,7 @@ def verdict(
             "statement either way. Intervals are at 95 % and not adjusted.",
         },
         "counts": {
-            section: dict(Counter(one["decision"] for one in items if one["section"] == section))
-            for section in rules.SECTIONS
+            name: dict(Counter(one["decision"] for one in mine)) for name, mine in of.items()
         },
         "items": items,
     }
@@ -125,26 +128,8 @@ def to_bytes(said: Mapping[str, Any]) -> bytes:
     return (text + "\n").encode()
 
 
-def answer(items: Items, *, dataset: str, fid: Collection[str]) -> list[str]:
-    """Return three sentences for the first screen.
-
-    `items` are those of `verdict.json`, `fid` the names of the paper's mechanism under either rule.
-    """
-    of = {name: [one for one in items if one["section"] == name] for name in rules.SECTIONS}
-    return [
-        _tracking(of[rules.VALIDITY], dataset=dataset, fid=fid),
-        _claim(
-            [
-                one
-                for one in of[rules.CLAIM]
-                if one["criterion"] == MISSED and "mechanism" not in one
-            ]
-        ),
-        _inflation(of[rules.INFLATION]),
-    ]
-
-
 def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
+    """Return what is said of the descriptors; `fid` is FID under either rule, by name."""
     if not items:
         return (
             f"Whether PLR, AEL and MEL track linkability in {dataset} was not tested: the run "
@@ -173,17 +158,14 @@ def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
 def _evidence(against: Items, *, fid: Collection[str]) -> str:
     """Return what speaks most against a descriptor: the largest differences either way."""
     differing = [
-        (abs(gap["effect"]), one)
+        {gap["effect"]: gap for gap in reversed(one["contrasts"]) if gap["reading"] == "differs"}
         for one in against
-        for gap in one["contrasts"]
-        if gap["reading"] == "differs"
     ]
-    if not differing:
+    furthest = [max(map(abs, effects), default=0.0) for effects in differing]
+    if not any(furthest):
         return f"they fall with the noise, success in {against[0]['task']} hardly does"
-    surest = max(differing, key=itemgetter(0))[1]
-    differ = [gap for gap in surest["contrasts"] if gap["reading"] == "differs"]
-    effects = {gap["effect"]: gap for gap in reversed(differ)}
-    words = []
+    place = furthest.index(max(furthest))
+    surest, effects, words = against[place], differing[place], []
     for effect, word in ((max(effects), "more"), (min(effects), "fewer")):
         if (effect > 0) == (word == "more"):
             name, level = effects[effect]["mechanism"], effects[effect]["level"]
@@ -201,7 +183,8 @@ def _evidence(against: Items, *, fid: Collection[str]) -> str:
 
 
 def _claim(items: Items) -> str:
-    if not items:
+    mine = [one for one in items if one["criterion"] == MISSED and "mechanism" not in one]
+    if not mine:
         return "The run does not compare FID with fixed noise."
     compared = {AS_IS: "as shared", AFTER: "after the strongest smoother", LINKED: "in linkage"}
     parts = []
@@ -209,7 +192,7 @@ def _claim(items: Items) -> str:
         words = [
             f"{where} {_fares(one_rule)}"
             for of, where in compared.items()
-            if (one_rule := [one for one in items if (one["adding"], one["of"]) == (adding, of)])
+            if (one_rule := [one for one in mine if (one["adding"], one["of"]) == (adding, of)])
         ]
         if words and all(word.endswith(UNDECIDED) for word in words):
             parts.append(f"under {adding} adding it is undecided throughout")

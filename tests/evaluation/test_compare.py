@@ -24,11 +24,11 @@ from evaluation.analysis.differences import COLUMNS
 from evaluation.analysis.differences import compare as compared
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.run_changes import pairing
-from evaluation.analysis.significance import holm
 from evaluation.reporting.difference_tables import show
 from evaluation.runs.manifest import read_manifest
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
+from isac_track.linkability.significance import holm
 
 KEY = ["mechanism", "level", "consumer", "knowledge", "metric"]
 PLR = ("fixed", 0.7, "shared", "", "plr")
@@ -103,18 +103,6 @@ def command(run, capsys):
     return said
 
 
-@pytest.fixture
-def edited(run, tmp_path):
-    """A copy of a run with another manifest."""
-
-    def copy(name, change):
-        out = shutil.copytree(run(name), tmp_path / f"{name} edited")
-        edit_manifest(out, change)
-        return out
-
-    return copy
-
-
 def numbers(out):
     """The rows of a run's summary that have a value, by key."""
     frame = pd.read_csv(out / "summary.csv", keep_default_na=True)
@@ -136,18 +124,15 @@ def plr_replicates(out, *, weights, groups=None, spec="fixed:0.7"):
     return value, (weights @ by_group["sum"]) / (weights @ by_group["count"])
 
 
-def tree(out):
-    return {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
-
-
 def shown(comparison, *, width=116, every=False):
     raw = io.StringIO()
     show(comparison, every=every, console=Console(file=raw, width=width, highlight=False))
     return raw.getvalue()
 
 
-def test_the_same_settings_give_the_same_numbers_and_the_text_says_so(run, edited, command):
-    again = edited("base", lambda manifest: manifest.update(wall_time_s=1e3, dropped_cells=7))
+def test_the_same_settings_give_the_same_numbers_and_the_text_says_so(run, command, tmp_path):
+    again = shutil.copytree(run("base"), tmp_path / "again")
+    edit_manifest(again, lambda manifest: manifest.update(wall_time_s=1e3, dropped_cells=7))
     found = compared(run("base"), again)
     assert set(found.rows["finding"]) == {"identical"}
     assert set(found.rows["pairing"]) == {"people and draws"}
@@ -204,12 +189,6 @@ class TestAnotherRadius:
         tested = rows[(rows["finding"] != "identical") & rows["p_holm"].notna()]
         assert ((tested["finding"] == "differs") == (tested["p_holm"] <= 0.05)).all()
         assert (rows["finding"] == "differs").any()
-
-    def test_the_gate_is_shut(self, command):
-        assert command("{base}", "{wide}", "--fail-on-change")[0] == 1
-        code, text, _ = command("{base}", "{wide}")
-        assert code == 0
-        assert "PLR %" in text
 
 
 def test_another_seed_moves_no_headline_number_and_the_text_says_what_is_paired(both):
@@ -343,20 +322,29 @@ def test_what_only_one_run_has_is_named_and_counted(run, both):
 
 
 class TestCommand:
-    def test_the_table_is_tidy(self, both, command, tmp_path):
-        code, text, _ = command("{base}", "{wide}", "--csv", tmp_path / "table.csv")
+    def test_the_table_is_tidy_and_the_gate_shut_where_it_is_asked_for(
+        self, both, command, tmp_path
+    ):
+        words = ["{base}", "{wide}", "--csv", tmp_path / "table.csv"]
+        assert command(*words, "--fail-on-change")[0] == 1
+        code, text, _ = command(*words)
         assert code == 0
         assert "identical" in text
+        assert "PLR %" in text
         table, rows = pd.read_csv(tmp_path / "table.csv"), both("base", "wide").rows
         assert list(table.columns) == COLUMNS
         assert table["difference"].to_numpy() == pytest.approx(rows["difference"], nan_ok=True)
 
     def test_json_is_one_object_and_nothing_is_written_into_the_runs(self, run, both, command):
-        before = [tree(run(name)) for name in ("base", "wide")]
+        def held():
+            files = [path for name in ("base", "wide") for path in run(name).rglob("*")]
+            return {path: path.read_bytes() for path in files if path.is_file()}
+
+        before = held()
         some, every = (
             json.loads(command("{base}", "{wide}", "--json", *more)[1]) for more in ([], ["--all"])
         )
-        assert [tree(run(name)) for name in ("base", "wide")] == before
+        assert held() == before
         assert some["changed"]["settings"] == {"privacy.epsilon_m": {"a": 0.3, "b": 0.5}}
         found = both("base", "wide")
         counts = some["numbers"]["headline"]
@@ -399,14 +387,6 @@ class TestCommand:
             assert process.stderr.read() == b""
         assert process.returncode == 141
 
-    def test_a_manifest_of_another_version_is_named(self, run, command, tmp_path):
-        old = shutil.copytree(run("narrow"), tmp_path / "old")
-        path = old / "manifest.json"
-        path.write_text(path.read_text().replace('"groups"', '"people"'))
-        code, _, errors = command("{base}", old)
-        assert code == 2
-        assert f"{old} was written by another version" in errors
-
 
 class TestVerdicts:
     @pytest.fixture
@@ -442,9 +422,8 @@ class TestVerdicts:
         assert compared(*pair).verdicts is None
         assert "Verdict" not in shown(compared(*pair))
 
-    @pytest.mark.parametrize("content", ["{", "[]", '{"items": [1]}', '{"items": [{"id": "x"}]}'])
-    def test_a_broken_verdict_is_named(self, pair, content, command):
-        self.write(pair, ["x tracks"], content)
+    def test_a_broken_verdict_is_named(self, pair, command):
+        self.write(pair, ["x tracks"], '{"items": [{"id": "x"}]}')
         code, _, errors = command(*pair)
         assert code == 2
         (line,) = errors.splitlines()

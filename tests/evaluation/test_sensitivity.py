@@ -1,12 +1,8 @@
 """Variants of a finished run: what is changed, what is run, and what becomes of every item."""
 
 import json
-import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +12,7 @@ from helpers.small_runs import write_walks
 from helpers.summaries import edit_manifest
 
 import evaluation
+from evaluation import sensitivity
 from evaluation.experiment.variants import BASE, RIDGE, parse, settings_of, variants
 from evaluation.reporting.difference_tables import turned
 from evaluation.runs.manifest import read_manifest
@@ -476,19 +473,12 @@ class TestErrors:
         assert main(["--list"]) == 0
         assert "recording=students03" in capsys.readouterr().out
 
-    @pytest.mark.slow
-    def test_an_interrupted_run_continues(self, out):
-        words = [sys.executable, "-m", "evaluation.sensitivity", str(out), "--jobs", "1"]
-        words += ["--variant", "epsilon=0.5", "--variant", "epsilon=0.2"]
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
-            seen = []
-            for line in process.stderr:
-                seen.append(line)
-                if line.startswith("2 of 3"):
-                    process.send_signal(signal.SIGINT)
-        assert process.returncode == 130
-        assert "the same command continues" in seen[-1]
-        assert main([str(one) for one in words[3:]]) == 0
-        rows = pd.read_csv(out / "sensitivity.csv")
-        assert set(rows["variant"]) == {BASE, "epsilon=0.5", "epsilon=0.2"}
+    def test_an_interrupted_run_says_how_to_continue(self, out, said, monkeypatch):
+        def interrupted():
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(sensitivity, "check_interrupt", interrupted)
+        code, errors = said(out, "--jobs", "1", "--variant", "predictor=kalman_cv")
+        assert code == 130
+        assert "the same command continues" in errors
+        assert read_manifest(folder_of(out, BASE))["state"] == "finished"

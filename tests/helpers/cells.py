@@ -72,6 +72,23 @@ class SlowSpy(Spy):
     slow: ClassVar[bool] = True
 
 
+@dataclass(frozen=True)
+class Blur:
+    """An attack that moves everything half a metre: worse than doing nothing."""
+
+    requires: ClassVar[frozenset] = frozenset()
+    uses: ClassVar[frozenset] = frozenset()
+
+    def fit(self, _context):
+        return lambda release: Reconstruction(release.xy + 0.5)
+
+
+@dataclass(frozen=True)
+class SlowBlur(Blur):
+    slow: ClassVar[bool] = True
+    seconds_per_sample: ClassVar[float] = 0.0
+
+
 class World:
     """Some scenes of four agents, and what is computed of them in blocks."""
 

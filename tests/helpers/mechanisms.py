@@ -1,7 +1,11 @@
-"""The mechanisms of made-up estimates, by their names."""
+"""The mechanisms of made-up estimates, by their names, and some of one's own."""
+
+from dataclasses import dataclass
+from typing import ClassVar
 
 from evaluation.analysis.families import Family
 from evaluation.analysis.sweeps import Sweeps
+from isac_track.sharing import perturb
 
 RULE = ":adding=independent"
 WITHOUT_RULE = ("raw", "clean", "offset", "thin", "mine:Ou")
@@ -25,3 +29,30 @@ def families_of(found):
 def sweeps_of(found):
     """Return the sweeps of estimates by key."""
     return Sweeps(found, families_of(found))
+
+
+@dataclass(frozen=True)
+class Twice:
+    """Fixed noise twice as large; it does not say by which rule it adds."""
+
+    half: float
+
+    def share(self, sensed, rng):
+        return perturb(sensed, 2.0 * self.half, rng)
+
+
+@dataclass(frozen=True)
+class Says(Twice):
+    adding: ClassVar[str] = "independent"
+
+
+@dataclass(frozen=True)
+class Vague(Twice):
+    adding: float = 0.5
+
+
+@dataclass(frozen=True)
+class Mute(Twice):
+    @property
+    def adding(self):
+        raise KeyError("nobody expected this")

@@ -30,14 +30,6 @@ class TestDifference:
         interval = expected.confidence_interval()
         assert [found.ci_low, found.ci_high] == pytest.approx(list(interval), abs=0.08)
 
-    def test_pairing_makes_the_interval_narrower(self):
-        rng = np.random.default_rng(2)
-        person = rng.normal(0, 3, 40)
-        a, b = (estimate(person + rng.normal(0, 0.3, 40)) for _ in range(2))
-        paired, apart = (difference(a, b, paired=paired, metric="ael") for paired in (True, False))
-        assert paired.ci_high - paired.ci_low < 0.3 * (apart.ci_high - apart.ci_low)
-        assert abs(paired.t) > abs(apart.t)
-
     def test_not_paired_the_ends_agree_with_the_p_value(self):
         rng = np.random.default_rng(4)
         a, b = (estimate(rng.normal(mean, 1, 40)) for mean in (0.0, 0.4))

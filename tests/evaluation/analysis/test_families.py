@@ -10,46 +10,6 @@ from evaluation.analysis.sweeps import Sweeps
 from isac_track.errors import PluginError
 from isac_track.plugins import parse
 
-OWN = '''
-from dataclasses import dataclass
-from typing import ClassVar
-
-from isac_track.sharing import perturb
-
-
-@dataclass(frozen=True)
-class Twice:
-    """Fixed noise twice as large; it does not say by which rule it adds."""
-
-    half: float
-
-    def share(self, sensed, rng):
-        return perturb(sensed, 2.0 * self.half, rng)
-
-
-@dataclass(frozen=True)
-class Says(Twice):
-    adding: ClassVar[str] = "independent"
-
-
-@dataclass(frozen=True)
-class Vague(Twice):
-    adding: float = 0.5
-
-
-@dataclass(frozen=True)
-class Silent(Twice):
-    @property
-    def adding(self):
-        raise KeyError("nobody expected this")
-'''
-
-
-@pytest.fixture
-def own(tmp_path, monkeypatch):
-    (tmp_path / "own_families.py").write_text(OWN, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-
 
 @pytest.mark.parametrize(
     ("spec", "family", "adding", "rest"),
@@ -61,12 +21,11 @@ def own(tmp_path, monkeypatch):
         ("offset:0.3", "offset", "", ""),
         ("thin:4", "thin", "", ""),
         ("thin:4,d_sigma=0.75", "thin", "linear", "d_sigma=0.75"),
-        ("own_families:Twice:0.2", "own_families:Twice", "", ""),
-        ("own_families:Says:0.2", "own_families:Says", "independent", ""),
-        ("own_families:Vague:0.2,adding=0.7", "own_families:Vague", "", ""),
+        ("helpers.mechanisms:Twice:0.2", "helpers.mechanisms:Twice", "", ""),
+        ("helpers.mechanisms:Says:0.2", "helpers.mechanisms:Says", "independent", ""),
+        ("helpers.mechanisms:Vague:0.2,adding=0.7", "helpers.mechanisms:Vague", "", ""),
     ],
 )
-@pytest.mark.usefixtures("own")
 def test_a_mechanism_says_of_which_family_it_is_and_how_it_adds(spec, family, adding, rest):
     (plugin,) = parse("mechanisms", spec)
     assert (plugin.family, plugin.adding) == (family, adding)
@@ -76,10 +35,9 @@ def test_a_mechanism_says_of_which_family_it_is_and_how_it_adds(spec, family, ad
     assert one.is_added == (family not in ("raw", "clean"))
 
 
-@pytest.mark.usefixtures("own")
 def test_one_that_cannot_say_is_refused_by_name():
-    with pytest.raises(PluginError, match=r"own_families:Silent.*adding: KeyError"):
-        parse("mechanisms", "own_families:Silent:0.2")
+    with pytest.raises(PluginError, match=r"helpers.mechanisms:Mute.*adding: KeyError"):
+        parse("mechanisms", "helpers.mechanisms:Mute:0.2")
 
 
 def test_the_paper_s_mechanism_is_the_one_with_nothing_else_changed():
@@ -95,10 +53,10 @@ def test_the_paper_s_mechanism_is_the_one_with_nothing_else_changed():
     }
 
 
-@pytest.mark.usefixtures("own", "undrawn")
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(csv_recording, tmp_path, capsys):
     out = tmp_path / "run"
-    mechanisms = ("raw", "fixed:0.2..1/3", "own_families:Twice:0.1..0.5/3")
+    mechanisms = ("raw", "fixed:0.2..1/3", "helpers.mechanisms:Twice:0.1..0.5/3")
     code = matrix.main(
         [
             *("--dataset", str(csv_recording), "--scenes", "40", "--out", str(out)),
@@ -109,17 +67,17 @@ def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(csv_recording, tm
     assert code == 0
     said = capsys.readouterr().err
     assert said.count("does not say by `adding`") == 1
-    assert "own_families:Twice does not say" in said
+    assert "helpers.mechanisms:Twice does not say" in said
     summary = pd.read_csv(out / "summary.csv", keep_default_na=False)
     assert list(summary.columns[-2:]) == ["family", "adding"]
     told = summary[["mechanism", "family", "adding"]].drop_duplicates().to_numpy().tolist()
     assert told == [
         ["raw", "raw", ""],
         ["fixed", "fixed", "linear"],
-        ["own_families:Twice", "own_families:Twice", ""],
+        ["helpers.mechanisms:Twice", "helpers.mechanisms:Twice", ""],
     ]
     matched = pd.read_csv(out / "matched.csv")
-    assert set(matched["family"]) == {"own_families:Twice"}
+    assert set(matched["family"]) == {"helpers.mechanisms:Twice"}
     assert set(matched["adding"]) == {"linear"}  # of the other rule there is no fixed noise
     # It is fixed noise by another name, on the same draws.
     assert np.allclose(matched["difference"], 0.0, atol=1e-9)

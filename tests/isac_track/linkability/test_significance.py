@@ -1,5 +1,6 @@
 """Tests of a link: their law, their size, their power."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -22,7 +23,7 @@ from isac_track.linkability import (
     rank1_p,
     reciprocal_rank,
 )
-from isac_track.linkability.significance import add_shuffles, rank_rows
+from isac_track.linkability.significance import add_shuffles, holm, rank_rows
 from isac_track.rng import stream
 
 
@@ -184,3 +185,13 @@ def test_numbers_out_of_range_are_refused(function, values, message):
     draws = {"rng": stream(0, "test")} if function is permutation_p else {}
     with pytest.raises(ValueError, match=message):
         function(**values, **draws)
+
+
+def test_holm_is_the_closed_test_by_bonferroni_of_what_is_known():
+    # A number differs if every set that it belongs to holds a difference, by Bonferroni.
+    p_values = np.random.default_rng(0).uniform(0, 0.4, 6)
+    sets = [list(one) for size in range(1, 7) for one in itertools.combinations(range(6), size)]
+    closed = [
+        max(min(1.0, len(of) * p_values[of].min()) for of in sets if n in of) for n in range(6)
+    ]
+    assert holm(np.array([*p_values, np.nan])) == pytest.approx([*closed, np.nan], nan_ok=True)
