@@ -55,6 +55,13 @@ class Batch:
         """Return the number of tracks."""
         return self.offsets.size - 1
 
+    def arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
+        """Return what a compiled loop of that many states per axis takes, or raise ValueError."""
+        if len(self.prior_std) not in n_states:
+            numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004
+            raise ValueError(f"prior_std must have {numbers} numbers, got {len(self.prior_std)}")
+        return self.t, self.xy, self.variance, self.offsets, np.square(self.prior_std)
+
 
 def positive(name: str, value: float, *, finite: bool = True) -> float:
     """Return a positive number, or raise ValueError."""

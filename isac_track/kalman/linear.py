@@ -60,15 +60,12 @@ def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     ValueError
         If q or the gate is not positive, or for a prior of another number of states.
     """
-    d = len(batch.prior_std)
-    if d not in (2, 3):
-        raise ValueError(f"prior_std must have two or three numbers, got {d}")
+    arrays, d = batch.arrays(2, 3), len(batch.prior_std)
     out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
     loops = import_module("isac_track.kalman._linear_loops")
     (loops.cv_last if d == 2 else loops.ca_last)(  # noqa: PLR2004 - position and velocity
-        *(batch.t, batch.xy, batch.variance, batch.offsets, np.square(batch.prior_std)),
-        *(positive("q", q), positive("gate", gate, finite=False), MAX_REJECTIONS),
-        *(out.mean, out.cov, out.log_likelihood),
+        *(arrays, positive("q", q), positive("gate", gate, finite=False), MAX_REJECTIONS),
+        (out.mean, out.cov, out.log_likelihood),
     )
     return out
 
@@ -111,19 +108,9 @@ def smooth_positions(
     """
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
-    prior = velocity_prior(batch)
     position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     order = np.argsort(np.diff(batch.offsets), kind="stable")
     import_module("isac_track.kalman._linear_loops").smooth_positions(
-        *(batch.t, batch.xy, 2.0 * batch.variance, batch.offsets, prior, order),
-        *(positive("q", q), passes, float(anneal), position, spread),
+        *(batch.arrays(2), order, positive("q", q), passes, float(anneal), position, spread)
     )
     return position, spread
-
-
-def velocity_prior(batch: Batch) -> Floats:
-    """Return the prior variances, (2,), of a constant-velocity model, or raise ValueError."""
-    if len(batch.prior_std) != 2:  # noqa: PLR2004
-        raise ValueError(f"prior_std must have two numbers, got {len(batch.prior_std)}")
-    variance: Floats = np.square(batch.prior_std)
-    return variance
