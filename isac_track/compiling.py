@@ -39,7 +39,7 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_mode
 
 def together(*arguments: object) -> object:
     """Return the type of a tuple of arguments."""
-    return numba.types.Tuple(arguments)
+    return cast("Any", numba.types.Tuple)(arguments)
 
 
 class _Notice(event.Listener):

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.kalman.batch import MAX_REJECTIONS, Batch, positive
+from isac_track.kalman.linear import MAX_REJECTIONS, Batch, positive
 
 if TYPE_CHECKING:
     from isac_track.types import Floats
