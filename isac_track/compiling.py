@@ -37,6 +37,11 @@ BOOL = numba.boolean
 _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
 
 
+def together(*arguments: object) -> object:
+    """Return the type of a tuple of arguments."""
+    return cast("Any", numba.types.Tuple)(arguments)
+
+
 class _Notice(event.Listener):
     """Speak up once, when numba is about to compile: a load from the cache is silent."""
 

@@ -6,12 +6,11 @@ A pair's result does not hang on who else is there, but for the rounding of matr
 from __future__ import annotations
 
 from math import log, log1p
-from typing import TYPE_CHECKING
+from typing import TypeAlias
 
 import numpy as np
 
 from isac_track.compiling import (
-    BOOL,
     FLOAT,
     FLOATS1,
     FLOATS2,
@@ -22,24 +21,23 @@ from isac_track.compiling import (
     OUT_FLOATS3,
     compiled,
     part_of_loop,
+    together,
 )
+from isac_track.types import Floats, Ints
 
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
+_Three: TypeAlias = tuple[float, float, float]
+_Fits: TypeAlias = tuple[Floats, Floats, Floats]
+_Lags: TypeAlias = tuple[int, int, int]
+_THREE, _LAGS = together(*[FLOAT] * 3), together(*[INT] * 3)
+_SIDES, _FITS = together(*[FLOATS3] * 2), together(*[FLOATS1] * 3)
 
 
-@compiled(FLOATS1, FLOATS2, INTS1, INTS1, FLOAT, FLOAT, FLOAT, OUT_FLOATS3)
+@compiled(FLOATS1, FLOATS2, INTS1, INTS1, _THREE, OUT_FLOATS3)
 def cell_means(
-    t: Floats,
-    xy: Floats,
-    offsets: Ints,
-    count: Ints,
-    step_s: float,
-    longest_s: float,
-    least_s: float,
-    out: Floats,
+    t: Floats, xy: Floats, offsets: Ints, count: Ints, times_s: _Three, out: Floats
 ) -> None:
     """Fill `out` (N, K, 2) with the means over the cells of a grid; see `signals.on_grid`."""
+    step_s, longest_s, least_s = times_s
     out[:] = 0.0
     for row in range(count.size):
         first, last = offsets[row], offsets[row + 1] - 1
@@ -145,23 +143,15 @@ def _projected(signals: Floats, start: int, basis: Floats) -> tuple[Floats, Floa
     return parts, square
 
 
-@compiled(FLOATS3, FLOATS3, FLOATS1, INTS1, FLOATS1, FLOATS1, INT, INT, BOOL, OUT_FLOATS3)
+@compiled(_SIDES, _FITS, INTS1, _LAGS, OUT_FLOATS3)
 def least_costs(
-    probe: Floats,
-    gallery: Floats,
-    basis: Floats,
-    begin: Ints,
-    floors: Floats,
-    weight: Floats,
-    reach: int,
-    least: int,
-    rotated: bool,  # noqa: FBT001 - numba passes by position
-    out: Floats,
+    sides: tuple[Floats, Floats], fits: _Fits, begin: Ints, lags: _Lags, out: Floats
 ) -> None:
     """Fill `out` (E, P, G) with the least cost over all lags; see `signals.aligned_costs`.
 
     `weight` is the factor of an overlap of 1 cell, 2 cells and so on.
     """
+    (probe, gallery), (basis, floors, weight), (reach, least, rotated) = sides, fits, lags
     long_p, long_g, n_gallery = probe.shape[1], gallery.shape[1], gallery.shape[2]
     longest = min(long_p, long_g)
     gap = np.empty(n_gallery)
@@ -193,23 +183,15 @@ def least_costs(
                     best[j] = min(best[j], gap[j] + more)
 
 
-@compiled(FLOATS1, FLOATS3, FLOATS3, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, OUT_FLOATS2)
+@compiled(FLOATS1, FLOATS3, FLOATS3, FLOAT, _THREE, FLOAT, OUT_FLOATS2)
 def continued(
-    until_s: Floats,
-    mean: Floats,
-    cov: Floats,
-    q: float,
-    least_s: float,
-    most_s: float,
-    longest_s: float,
-    tail: float,
-    out: Floats,
+    until_s: Floats, mean: Floats, cov: Floats, q: float, gap: _Three, tail: float, out: Floats
 ) -> None:
     """Fill `out` (P, G) with the log density of continuations; see `kinematic.continuations`.
 
     The states are those of P probes and then, back in time, of G gallery walks.
     """
-    n_probe = len(out)
+    n_probe, (least_s, most_s, longest_s) = len(out), gap
     for i, j in np.ndindex(out.shape):
         other = n_probe + j
         # Backwards in time, clock and velocity have the other sign.

@@ -109,7 +109,7 @@ def continuations(
     batch = replace(batch, variance=np.maximum(batch.variance, floor_m2))
     state, until_s = kalman_last(batch, q=q), batch.t[batch.offsets[1:] - 1]
     density = np.empty((len(probe), len(gallery)))
-    loops().continued(until_s, state.mean, state.cov, q, *gap_s, _LONGEST_S, _TAIL, density)
+    loops().continued(*(until_s, state.mean, state.cov, q, (*gap_s, _LONGEST_S), _TAIL, density))
     return density
 
 

@@ -67,7 +67,7 @@ def on_grid(release: Release) -> Signals:
     count = np.floor(np.minimum(lasts_s, LONGEST_S) / STEP_S + _CLOCK_S).astype(np.int64)
     count = np.maximum(count, 1)
     cells = np.empty((count.size, int(count.max(initial=1)), 2))
-    loops().cell_means(t, xy, offsets, count, STEP_S, LONGEST_S, _CLOCK_S, cells)
+    loops().cell_means(t, xy, offsets, count, (STEP_S, LONGEST_S, _CLOCK_S), cells)
     return Signals(np.ascontiguousarray(cells.transpose(2, 0, 1)), count)
 
 
@@ -170,9 +170,8 @@ def aligned_costs(
     reach = round(reach_s / STEP_S)
     for rows, columns, part, other in blocks(probe, gallery):
         block = np.empty((levels.size, rows.size, columns.size))
-        loops().least_costs(
-            part, other, basis, begin, levels, weight, reach, LEAST_OVERLAP, rotated, block
-        )
+        lags = (reach, LEAST_OVERLAP, int(rotated))
+        loops().least_costs((part, other), (basis, levels, weight), begin, lags, block)
         out[:, rows[:, None], columns[None, :]] = block
     return out
 

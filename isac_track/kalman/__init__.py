@@ -6,9 +6,14 @@ that call compiles, or loads what was compiled (see `prepare`).
 
 from importlib import import_module
 
-from isac_track.kalman.batch import MAX_REJECTIONS, Batch
 from isac_track.kalman.imm import ImmStates, Moods, imm_last, imm_smoother
-from isac_track.kalman.linear import LastState, kalman_last, smooth_positions
+from isac_track.kalman.linear import (
+    MAX_REJECTIONS,
+    Batch,
+    LastState,
+    kalman_last,
+    smooth_positions,
+)
 
 __all__ = [
     "MAX_REJECTIONS",

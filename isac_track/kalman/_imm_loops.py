@@ -3,13 +3,12 @@
 The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance per mode.
 """
 
-# Small matrices are spelled out, and compiled code has neither keywords nor objects to hide
-# arguments in.
-# ruff: noqa: C901, PLR0912, PLR0917
+# Small matrices are spelled out.
+# ruff: noqa: C901, PLR0912
 from __future__ import annotations
 
 from math import exp, inf, log, pi
-from typing import TYPE_CHECKING
+from typing import TypeAlias
 
 import numpy as np
 
@@ -26,15 +25,20 @@ from isac_track.compiling import (
     OUT_FLOATS4,
     compiled,
     part_of_loop,
+    together,
 )
+from isac_track.types import Floats, Ints
 
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
-
+_Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
+"""Times, places, variances, offsets, variances of the prior."""
+_Moods: TypeAlias = tuple[Floats, Floats, Floats]
+"""Densities, probabilities, and (M, 2, 2) chances: ``[k, m, n]`` is that of mode n at sample k
+after mode m at the sample before."""
 _LOG_2PI = log(2 * pi)
 _STATES = 4
-_BATCH = FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1
-_MOODS = FLOATS1, FLOATS1, FLOATS3
+_BATCH = together(FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1)
+_MOODS = together(FLOATS1, FLOATS1, FLOATS3)
+_LAST = together(OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS1)
 
 
 @part_of_loop
@@ -97,24 +101,20 @@ def _collapse(weight: Floats, x: Floats, p: Floats, mean: Floats, cov: Floats) -
 
 
 @part_of_loop
-def _filter(
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    prior: Floats,
-    q: Floats,
-    probability: Floats,
-    chances: Floats,
-    gate: float,
-    patience: int,
-    x: Floats,
-    p: Floats,
-    mu: Floats,
-) -> float:
-    """Write the states of one track after each sample, and return the log-likelihood.
+def _one(i: int, batch: _Batch, moods: _Moods) -> tuple[Floats, ...]:
+    """Return what one track is filtered from."""
+    t, xy, variance, offsets, prior = batch
+    q, probability, chances = moods
+    own = slice(offsets[i], offsets[i + 1])
+    return t[own], xy[own], variance[own], prior, q, probability, chances[own]
 
-    ``chances[k, m, n]`` is that of mode n at sample k after mode m at the sample before.
-    """
+
+@part_of_loop
+def _filter(
+    track: tuple[Floats, ...], gate: float, patience: int, x: Floats, p: Floats, mu: Floats
+) -> float:
+    """Write mean, covariance and probability after each sample, and return the log-likelihood."""
+    t, xy, variance, prior, q, probability, chances = track
     modes = q.size
     weight, log_mode = np.empty(modes), np.empty(modes)
     misses, log_likelihood = 0, 0.0
@@ -170,11 +170,11 @@ def _filter(
 
 
 @part_of_loop
-def _room(offsets: Ints, modes: int) -> tuple[Floats, Floats, Floats]:
+def _room(batch: _Batch, modes: int) -> _Moods:
     """Return memory for the states and probabilities along any one of the tracks."""
     longest = 0
-    for i in range(offsets.size - 1):
-        longest = max(longest, offsets[i + 1] - offsets[i])
+    for i in range(batch[3].size - 1):
+        longest = max(longest, batch[3][i + 1] - batch[3][i])
     return (
         np.empty((longest, modes, _STATES)),
         np.empty((longest, modes, _STATES, _STATES)),
@@ -182,32 +182,21 @@ def _room(offsets: Ints, modes: int) -> tuple[Floats, Floats, Floats]:
     )
 
 
-@compiled(*_BATCH, *_MOODS, FLOAT, INT, OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS1)
+@compiled(_BATCH, _MOODS, FLOAT, INT, _LAST)
 def imm_last(
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    prior: Floats,
-    q: Floats,
-    probability: Floats,
-    chances: Floats,
+    batch: _Batch,
+    moods: _Moods,
     gate: float,
     patience: int,
-    mean: Floats,
-    cov: Floats,
-    last_probability: Floats,
-    log_likelihood: Floats,
+    out: tuple[Floats, Floats, Floats, Floats],
 ) -> None:
     """Filter; row i of the outputs is the state after the last sample of track i."""
-    x, p, mu = _room(offsets, q.size)
+    offsets, modes, (mean, cov, last_probability, log_likelihood) = batch[3], moods[0].size, out
+    x, p, mu = _room(batch, modes)
     for i in range(offsets.size - 1):
-        own, last = slice(offsets[i], offsets[i + 1]), offsets[i + 1] - offsets[i] - 1
-        log_likelihood[i] = _filter(
-            *(t[own], xy[own], variance[own], prior, q, probability, chances[own]),
-            *(gate, patience, x, p, mu),
-        )
-        for n in range(q.size):
+        last = offsets[i + 1] - offsets[i] - 1
+        log_likelihood[i] = _filter(_one(i, batch, moods), gate, patience, x, p, mu)
+        for n in range(modes):
             last_probability[i, n] = mu[last, n]
             for a in range(_STATES):
                 mean[i, n, a] = x[last, n, a]
@@ -216,8 +205,9 @@ def imm_last(
 
 
 @part_of_loop
-def _factorise(matrix: Floats, weight: Floats, lower: Floats) -> None:
-    """Write D and L of a positive matrix = L D L' to ``weight[:4]`` and `lower`."""
+def _factorise(matrix: Floats, work: Floats) -> None:
+    """Write D and L of a positive matrix = L D L' to ``work[0, 0, :4]`` and ``work[1]``."""
+    weight, lower = work[0, 0], work[1]
     for n in range(_STATES):
         pivot = matrix[n, n]
         for j in range(n):
@@ -234,15 +224,14 @@ def _factorise(matrix: Floats, weight: Floats, lower: Floats) -> None:
 
 
 @part_of_loop
-def _orthogonal(
-    dt: float, q: float, weight: Floats, lower: Floats, rows: Floats, factor: Floats
-) -> None:
+def _orthogonal(dt: float, q: float, work: Floats) -> None:
     """Factorise F P F' + Q = M D' M' by modified weighted Gram-Schmidt, without a subtraction.
 
     On entry ``weight[:4]`` and `lower` are D and L of P = L D L'. On return `rows` is (4, 8)
     with ``M @ rows = [F L, Lq]``, its rows orthogonal under the eight weights (those of P, then
-    those of Q = Lq Dq Lq'), `factor` is M and ``weight[8:]`` is D'.
+    those of Q = Lq Dq Lq'), `factor` is M and `moved` D'.
     """
+    weight, moved, lower, rows, factor = work[0, 0], work[0, 1], work[1], work[2], work[3]
     for m in range(_STATES):
         for j in range(_STATES, 8):
             rows[m, j] = 0.0
@@ -261,7 +250,7 @@ def _orthogonal(
         norm = 0.0
         for j in range(8):
             norm += weight[j] * rows[m, j] * rows[m, j]
-        weight[8 + m] = norm
+        moved[m] = norm
         for n in range(m + 1, _STATES):
             dot = 0.0
             for j in range(8):
@@ -274,40 +263,29 @@ def _orthogonal(
 
 @part_of_loop
 def _smooth_pair(
-    dt: float,
-    x: Floats,
-    next_x: Floats,
-    next_p: Floats,
-    weight: Floats,
-    lower: Floats,
-    rows: Floats,
-    factor: Floats,
-    work: Floats,
-    left_open: Floats,
-    out_x: Floats,
-    out_p: Floats,
+    dt: float, x: Floats, next_x: Floats, next_p: Floats, work: Floats, out_x: Floats, out_p: Floats
 ) -> float:
     """Rauch-Tung-Striebel from one mode to one next mode, in Joseph's form.
 
     Returns the log density of the next smoothed mean under the prediction, up to a constant.
     """
-    gap, solved = work[0, 0], work[0, 1]
+    weight, moved, gap, solved = work[0, 0], work[0, 1], work[0, 2], work[0, 3]
+    lower, rows, factor, left_open = work[1], work[2], work[3], work[4]
+    product, gain, carried = work[5], work[6], work[7]
     log_density = 0.0
     for m in range(_STATES):
-        moved = x[m] + dt * x[m + 1] if m % 2 == 0 else x[m]
-        gap[m] = next_x[m] - moved
+        gap[m] = next_x[m] - (x[m] + dt * x[m + 1] if m % 2 == 0 else x[m])
         solved[m] = gap[m]
         for j in range(m):
             solved[m] -= factor[m, j] * solved[j]
-        log_density -= (solved[m] * solved[m] / weight[8 + m] + log(weight[8 + m])) / 2
+        log_density -= (solved[m] * solved[m] / moved[m] + log(moved[m])) / 2
     # product = L E with E = D V1' D'^-1; gain = product M^-1
-    product, gain, carried = work[1], work[2], work[3]
     for m in range(_STATES):
         for n in range(_STATES):
             entry = 0.0
             for j in range(m + 1):
                 entry += lower[m, j] * weight[j] * rows[n, j]
-            product[m, n] = entry / weight[8 + n]
+            product[m, n] = entry / moved[n]
     for m in range(_STATES):
         for n in range(_STATES - 1, -1, -1):
             entry = product[m, n]
@@ -340,46 +318,31 @@ def _smooth_pair(
     return log_density
 
 
-@compiled(*_BATCH, *_MOODS, OUT_FLOATS2, OUT_FLOATS1)
-def imm_smoother(
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    prior: Floats,
-    q: Floats,
-    probability: Floats,
-    chances: Floats,
-    position: Floats,
-    spread: Floats,
-) -> None:
+@compiled(_BATCH, _MOODS, OUT_FLOATS2, OUT_FLOATS1)
+def imm_smoother(batch: _Batch, moods: _Moods, position: Floats, spread: Floats) -> None:
     """Filter, then smooth by expectation correction, one Gaussian per mode, from the last back."""
+    t, offsets, (q, _, chances) = batch[0], batch[3], moods
     modes = q.size
-    x, p, mu = _room(offsets, modes)
+    x, p, mu = _room(batch, modes)
     pair_x, pair_p = np.empty((modes, modes, _STATES)), np.empty((modes, modes, _STATES, _STATES))
     share = np.empty((modes, modes))  # of mode m now and n next
-    weight, lower, rows = np.empty(12), np.empty((_STATES, _STATES)), np.empty((_STATES, 8))
-    factor, small = np.empty((_STATES, _STATES)), np.empty((4, _STATES, _STATES))
-    left_open = np.empty((_STATES, 8))
+    work = np.empty((8, _STATES, 8))  # some rows of it are half as long
     mean, cov = np.empty(_STATES), np.empty((_STATES, _STATES))
     for i in range(offsets.size - 1):
-        first, own = offsets[i], slice(offsets[i], offsets[i + 1])
-        _filter(
-            *(t[own], xy[own], variance[own], prior, q, probability, chances[own]),
-            *(inf, 0, x, p, mu),
-        )
+        first = offsets[i]
+        _filter(_one(i, batch, moods), inf, 0, x, p, mu)
         # The smoothed states of the next sample take the place of the filtered ones.
         for k in range(offsets[i + 1] - first - 1, -1, -1):
             if first + k + 1 < offsets[i + 1]:
                 dt = t[first + k + 1] - t[first + k]
                 jump = chances[first + k + 1]
                 for m in range(modes):
-                    _factorise(p[k, m], weight, lower)
+                    _factorise(p[k, m], work)
                     for n in range(modes):
-                        _orthogonal(dt, q[n], weight, lower, rows, factor)
+                        _orthogonal(dt, q[n], work)
                         share[m, n] = _smooth_pair(
-                            *(dt, x[k, m], x[k + 1, n], p[k + 1, n], weight, lower, rows),
-                            *(factor, small, left_open, pair_x[m, n], pair_p[m, n]),
+                            *(dt, x[k, m], x[k + 1, n], p[k + 1, n]),
+                            *(work, pair_x[m, n], pair_p[m, n]),
                         )
                 for n in range(modes):
                     best = -inf

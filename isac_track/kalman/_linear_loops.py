@@ -12,13 +12,12 @@ samples that change nothing, bit by bit: no time passes, and the variance is a p
 that its gain vanishes. A track's result thus does not depend on its neighbours.
 """
 
-# Small matrices are spelled out, and compiled code has neither keywords nor objects to hide
-# arguments in.
-# ruff: noqa: C901, PLR0912, PLR0917
+# Small matrices are spelled out.
+# ruff: noqa: C901, PLR0912
 from __future__ import annotations
 
 from math import log, pi
-from typing import TYPE_CHECKING
+from typing import TypeAlias
 
 import numpy as np
 
@@ -33,57 +32,38 @@ from isac_track.compiling import (
     OUT_FLOATS3,
     compiled,
     part_of_loop,
+    together,
 )
+from isac_track.types import Floats, Ints
 
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
-
+_Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
+"""Times, places, variances, offsets, variances of the prior."""
+_Last: TypeAlias = tuple[Floats, Floats, Floats]
+"""Mean, covariance and log-likelihood, in which row i is after the last sample of track i."""
+_BATCH = together(FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1)
+_LAST = _BATCH, FLOAT, FLOAT, INT, together(OUT_FLOATS3, OUT_FLOATS3, OUT_FLOATS1)
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
-
-_BATCH = FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1
-_LAST = *_BATCH, FLOAT, FLOAT, INT, OUT_FLOATS3, OUT_FLOATS3, OUT_FLOATS1
 
 LANES = 8
 _NOTHING = 2.0**200
 """m^2, variance of the samples beyond the end of a track."""
 
-# Where the fields of a row begin.
-_T = 0
-_X = 1 * LANES
-_Y = 2 * LANES
-_SQUARE = 3 * LANES  # sigma^2 of the error's length
-_VARIANCE = 4 * LANES  # per axis, in this pass
-_PX = 5 * LANES
-_VX = 6 * LANES
-_PY = 7 * LANES
-_VY = 8 * LANES
-_A = 9 * LANES
-_B = 10 * LANES
-_C = 11 * LANES
-_DET = 12 * LANES
+# Where the fields of a row begin: sigma^2 of the error's length, its variance per axis in this
+# pass, and the state with its covariance [[a, b], [b, c]].
+_T, _X, _Y, _SQUARE, _VARIANCE, *_STATE = range(0, 13 * LANES, LANES)
+_PX, _VX, _PY, _VY, _A, _B, _C, _DET = _STATE
 _ROW = 13 * LANES
 
 
 @compiled(*_LAST)
-def cv_last(
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    prior: Floats,
-    q: float,
-    gate: float,
-    patience: int,
-    mean: Floats,
-    cov: Floats,
-    log_likelihood: Floats,
-) -> None:
-    """Filter; row i of the outputs is the state after the last sample of track i.
+def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> None:
+    """Filter to the last state of every track.
 
     Beside the covariance [[a, b], [b, c]] its determinant is carried: every update is then a
     sum of positive terms, also where one measurement is worth all that was known before.
     """
+    (t, xy, variance, offsets, prior), (mean, cov, log_likelihood) = batch, out
     for i in range(offsets.size - 1):
         px, py = xy[offsets[i], 0], xy[offsets[i], 1]
         vx = vy = b = 0.0
@@ -184,29 +164,15 @@ def _orthogonal(dt: float, q: float, weight: Floats, rows: Floats, lower: Floats
 
 
 @compiled(*_LAST)
-def ca_last(
-    t: Floats,
-    xy: Floats,
-    variance: Floats,
-    offsets: Ints,
-    prior: Floats,
-    q: float,
-    gate: float,
-    patience: int,
-    mean: Floats,
-    cov: Floats,
-    log_likelihood: Floats,
-) -> None:
+def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> None:
     """Filter, as `cv_last`, on the factors L D L' of the covariance.
 
     The position comes first, so a measurement of it changes the first element of D and nothing
     else: what is uncertain beyond the position stays, and so does its regression on it.
     """
-    weight = np.empty(9)
-    lower = np.empty((3, 3))
-    rows = np.empty((3, 6))
-    state = np.empty((2, 3))
-    error = np.empty(2)
+    (t, xy, variance, offsets, prior), (mean, cov, log_likelihood) = batch, out
+    weight, lower, rows = np.empty(9), np.empty((3, 3)), np.empty((3, 6))
+    state, error = np.empty((2, 3)), np.empty(2)
     for i in range(offsets.size - 1):
         # Element by element: to assign slices would double the time to compile.
         for m in range(3):
@@ -359,21 +325,18 @@ def _reweigh(buffer: Floats, n: int, blur: float) -> None:
             row[lane + _VARIANCE] = _NOTHING if square == _NOTHING else weighed
 
 
-@compiled(*_BATCH, INTS1, FLOAT, INT, FLOAT, OUT_FLOATS2, OUT_FLOATS1)
+@compiled(_BATCH, INTS1, FLOAT, INT, FLOAT, OUT_FLOATS2, OUT_FLOATS1)
 def smooth_positions(
-    t: Floats,
-    xy: Floats,
-    square_sigma: Floats,
-    offsets: Ints,
-    prior: Floats,
+    batch: _Batch,
     order: Ints,
     q: float,
     passes: int,
     anneal: float,
     position: Floats,
-    variance: Floats,
+    spread: Floats,
 ) -> None:
     """Smooth the tracks in `order`, `passes` times; the longest comes last."""
+    t, xy, variance, offsets, prior = batch
     longest = offsets[order[-1] + 1] - offsets[order[-1]] if order.size > 0 else 0
     buffer = np.zeros((longest + 1) * _ROW)
     first, size = np.empty(LANES, dtype=np.int64), np.empty(LANES, dtype=np.int64)
@@ -394,7 +357,7 @@ def smooth_positions(
             row = buffer[(k + 1) * _ROW : (k + 2) * _ROW]
             for lane in range(LANES):
                 own = first[lane] + min(k, size[lane] - 1)
-                square = square_sigma[own] if k < size[lane] else _NOTHING
+                square = 2.0 * variance[own] if k < size[lane] else _NOTHING
                 row[lane + _T] = t[own]
                 row[lane + _X], row[lane + _Y] = xy[own, 0], xy[own, 1]
                 row[lane + _SQUARE] = square
@@ -412,4 +375,4 @@ def smooth_positions(
                 if k < size[lane]:
                     own = first[lane] + k
                     position[own, 0], position[own, 1] = row[lane + _PX], row[lane + _PY]
-                    variance[own] = row[lane + _A]
+                    spread[own] = row[lane + _A]

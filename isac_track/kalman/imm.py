@@ -16,12 +16,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.kalman.batch import MAX_REJECTIONS, Batch, positive
-from isac_track.kalman.linear import velocity_prior
+from isac_track.kalman.linear import MAX_REJECTIONS, Batch, positive
 
 if TYPE_CHECKING:
     from isac_track.types import Floats
@@ -52,15 +51,19 @@ class Moods:
         """(2,) of the modes in the long run, and before a track's first sample."""
         return np.array(self.stay_s) / sum(self.stay_s)
 
-    def chances(self, step_s: Floats) -> Floats:
-        """Return exp(rates * step), (M, 2, 2), of steps (M,): row by row of the mode before."""
+    def arrays(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return what the compiled loops take: q, `probability`, and exp(rates * step) of steps.
+
+        The last, (M, 2, 2), row by row of the mode before; no step counts to a track's first
+        sample.
+        """
         rates = 1.0 / np.array(self.stay_s)
-        changed = -np.expm1(-rates.sum() * step_s) / rates.sum()
-        left = changed[:, None] * rates
-        found = np.empty((step_s.size, 2, 2))
-        found[:, [0, 1], [0, 1]] = 1.0 - left
-        found[:, [0, 1], [1, 0]] = left
-        return found
+        step_s = np.abs(np.diff(t, prepend=t[:1]))
+        left = (-np.expm1(-rates.sum() * step_s) / rates.sum())[:, None] * rates
+        chances = np.empty((step_s.size, 2, 2))
+        chances[:, [0, 1], [0, 1]] = 1.0 - left
+        chances[:, [0, 1], [1, 0]] = left
+        return np.array(self.q, dtype=np.float64), self.probability, chances
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -100,8 +103,9 @@ def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
     n = len(batch)
     out = ImmStates(np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2)), np.empty(n))
     import_module("isac_track.kalman._imm_loops").imm_last(
-        *(*_arguments(batch, moods), positive("gate", gate, finite=False), MAX_REJECTIONS),
-        *(out.mean.reshape(n, 2, 4), out.cov, out.probability, out.log_likelihood),
+        *(batch.arrays(2), moods.arrays(batch.t)),
+        *(positive("gate", gate, finite=False), MAX_REJECTIONS),
+        (out.mean.reshape(n, 2, 4), out.cov, out.probability, out.log_likelihood),
     )
     return out
 
@@ -122,16 +126,6 @@ def imm_smoother(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
     """
     position, variance = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     import_module("isac_track.kalman._imm_loops").imm_smoother(
-        *_arguments(batch, moods), position, variance
+        batch.arrays(2), moods.arrays(batch.t), position, variance
     )
     return position, variance
-
-
-def _arguments(batch: Batch, moods: Moods) -> tuple[Any, ...]:
-    """Return what both loops take first."""
-    # The step to the first sample of a track counts for nothing.
-    chances = moods.chances(np.abs(np.diff(batch.t, prepend=batch.t[:1])))
-    return (
-        *(batch.t, batch.xy, batch.variance, batch.offsets, velocity_prior(batch)),
-        *(np.array(moods.q, dtype=np.float64), moods.probability, chances),
-    )

@@ -18,14 +18,71 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.kalman.batch import MAX_REJECTIONS, Batch, positive
+from isac_track.types import Floats, Ints, check_offsets, within
 
-if TYPE_CHECKING:
-    from isac_track.types import Floats
+MAX_REJECTIONS = 3
+"""After so many rejected samples in a row the next is accepted whatever it says: a gate may
+drop outliers, it may not lose a track."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Batch:
+    """N tracks of M noisy positions in all, and how little is known before the first of each.
+
+    That times increase and positions are finite is checked by the release that they come from.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a track is empty, or a variance or standard deviation is not positive.
+    """
+
+    t: Floats
+    """(M,) s, strictly increasing within a track."""
+    xy: Floats
+    """(M, 2) m"""
+    variance: Floats
+    """(M,) m^2, of the measurement, per axis."""
+    offsets: Ints
+    """(N + 1,) track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty."""
+    prior_std: tuple[float, ...]
+    """m around the first sample, m/s and, of acceleration, m/s^2 around rest, per axis and
+    independent: the state at the time of that sample, which is then measured like any other."""
+
+    def __post_init__(self) -> None:
+        offsets = np.ascontiguousarray(self.offsets, dtype=np.int64)
+        object.__setattr__(self, "offsets", offsets)
+        check_offsets(offsets, len(self.t))
+        for name, shape in (("t", ()), ("xy", (2,)), ("variance", ())):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array.shape != (len(self.t), *shape):
+                raise ValueError(f"{name} must have shape {(len(self.t), *shape)}")
+            object.__setattr__(self, name, array)
+        if not within(self.variance, np.nextafter(0.0, 1.0), np.finfo(np.float64).max):
+            raise ValueError("variance must be positive and finite")
+        for std in self.prior_std:
+            positive("prior_std", std)
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return self.offsets.size - 1
+
+    def arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
+        """Return what a compiled loop of that many states per axis takes, or raise ValueError."""
+        if len(self.prior_std) not in n_states:
+            numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004
+            raise ValueError(f"prior_std must have {numbers} numbers, got {len(self.prior_std)}")
+        return self.t, self.xy, self.variance, self.offsets, np.square(self.prior_std)
+
+
+def positive(name: str, value: float, *, finite: bool = True) -> float:
+    """Return a positive number, or raise ValueError."""
+    if not value > 0 or (finite and not np.isfinite(value)):
+        raise ValueError(f"{name} must be positive, got {value}")
+    return float(value)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,15 +117,12 @@ def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     ValueError
         If q or the gate is not positive, or for a prior of another number of states.
     """
-    d = len(batch.prior_std)
-    if d not in (2, 3):
-        raise ValueError(f"prior_std must have two or three numbers, got {d}")
+    arrays, d = batch.arrays(2, 3), len(batch.prior_std)
     out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
     loops = import_module("isac_track.kalman._linear_loops")
     (loops.cv_last if d == 2 else loops.ca_last)(  # noqa: PLR2004 - position and velocity
-        *(batch.t, batch.xy, batch.variance, batch.offsets, np.square(batch.prior_std)),
-        *(positive("q", q), positive("gate", gate, finite=False), MAX_REJECTIONS),
-        *(out.mean, out.cov, out.log_likelihood),
+        *(arrays, positive("q", q), positive("gate", gate, finite=False), MAX_REJECTIONS),
+        (out.mean, out.cov, out.log_likelihood),
     )
     return out
 
@@ -111,19 +165,9 @@ def smooth_positions(
     """
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
-    prior = velocity_prior(batch)
     position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     order = np.argsort(np.diff(batch.offsets), kind="stable")
     import_module("isac_track.kalman._linear_loops").smooth_positions(
-        *(batch.t, batch.xy, 2.0 * batch.variance, batch.offsets, prior, order),
-        *(positive("q", q), passes, float(anneal), position, spread),
+        *(batch.arrays(2), order, positive("q", q), passes, float(anneal), position, spread)
     )
     return position, spread
-
-
-def velocity_prior(batch: Batch) -> Floats:
-    """Return the prior variances, (2,), of a constant-velocity model, or raise ValueError."""
-    if len(batch.prior_std) != 2:  # noqa: PLR2004
-        raise ValueError(f"prior_std must have two numbers, got {len(batch.prior_std)}")
-    variance: Floats = np.square(batch.prior_std)
-    return variance

@@ -63,21 +63,15 @@ def test_the_start_up_needs_no_prior(tracker, monkeypatch):
 @by_name
 def test_the_window_is_the_whole_history(tracker):
     """On the crowd that ships with the package, with the noise given: only the filter forgets."""
-    plaza = datasets.load("plaza").tracks
-    long = [track for track in plaza if track.t.size > 100][:60]
-    rng = stream(0, "test", "window")
+    long = [track for track in datasets.load("plaza").tracks if track.t.size > 100][:60]
     clocks = [np.arange(track.t[0], track.t[-1], 0.0833) for track in long]
-    exact = release_of(
-        [
-            (t, np.stack([np.interp(t, track.t, axis) for axis in track.xy.T], axis=1))
-            for t, track in zip(clocks, long, strict=True)
-        ]
-    )
-    release = replace(
-        exact,
-        xy=exact.xy + rng.standard_normal(exact.xy.shape),
-        sigma=np.full(exact.t.size, np.sqrt(2.0)),
-    )
+    paths = [
+        np.stack([np.interp(t, track.t, axis) for axis in track.xy.T], axis=1)
+        for t, track in zip(clocks, long, strict=True)
+    ]
+    exact = release_of(list(zip(clocks, paths, strict=True)))
+    noise = stream(0, "test", "window").standard_normal(exact.xy.shape)
+    release = replace(exact, xy=exact.xy + noise, sigma=np.full(exact.t.size, np.sqrt(2.0)))
     t_future = release.t[release.offsets[1:] - 1][:, None] + 0.0833 * np.arange(12)
     short = replace(tracker, noise="declared")
     a = short.predict(release, t_future)
