@@ -17,6 +17,7 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 
+from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
 
 from evaluation.cells.work import Failed, note
@@ -117,7 +118,8 @@ class _Cluster(Generic[W, R]):
         self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
         self._check_workers()
-        self._function = self._submitted(_loaded, _packed(function))
+        # Packed for the workers alone: the scheduler has no use for a user's plug-in.
+        self._function = self._submitted(_loaded, dumps(function))
 
     def _check_workers(self) -> None:
         """Raise SettingsError unless workers are there that compute the same."""
@@ -144,7 +146,7 @@ class _Cluster(Generic[W, R]):
             _check_alike(answer, self._expected, worker=worker)
 
     def start(self, work: W) -> None:
-        arguments = (self._function, _packed(work), self._expected)
+        arguments = (self._function, dumps(work), self._expected)
         self.under_way[self._submitted(_computed, *arguments)] = work
 
     def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
@@ -243,14 +245,6 @@ def _connected(scheduler: str) -> Iterator[Client]:
                 client.close(timeout=_CONNECT_S)
 
 
-def _packed(content: object) -> bytes:
-    """Return it for the workers alone: the scheduler has no use for a user's plug-in."""
-    import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
-
-    packed: bytes = cloudpickle.dumps(content)
-    return packed
-
-
 def _modules(about: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(key.removeprefix("module ") for key in about if " " in key)
 
@@ -259,10 +253,8 @@ def _modules(about: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _loaded(packed: bytes) -> Any:  # noqa: ANN401 - what was packed
-    import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
-
     with _LOADING:
-        return cloudpickle.loads(packed)
+        return loads(packed)
 
 
 def _computed(

@@ -20,7 +20,7 @@ from evaluation import matrix
 from evaluation.analysis import linkability
 from evaluation.cells.link_scores import DERIVED, linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.experiment.axes import Consumer, Link, axes
+from evaluation.experiment.axes import Consumer, axes
 from evaluation.experiment.settings import Settings
 from evaluation.runs import cell_files
 from isac_track.errors import DataError, PluginError, SettingsError
@@ -65,7 +65,7 @@ class Linker:
 
 
 def behind(linker, reconstruction):
-    return Link(plugin(linker), plugin(reconstruction, "rounds"))
+    return Consumer("linkage", plugin(linker), behind=plugin(reconstruction, "rounds"))
 
 
 def of_task(task, *links, by="raw", **options):
@@ -580,7 +580,7 @@ class TestAxes:
     def test_the_default_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(self):
         found = axes(Settings())
         assert {task.name for task in found.tasks} == TASKS.keys()
-        linkers = {one.linker.name for _, one in found.links}
+        linkers = {one.plugin.name for _, one in found.links}
         assert linkers == {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
         assert found.ceiling.spec == "clean"
         nothing = axes(Settings(tasks=()))

@@ -25,7 +25,7 @@ from isac_track.linkability import (
     rank1_p,
     reciprocal_rank,
     residual_risk,
-    scoring,
+    scales,
 )
 from isac_track.linkability.significance import add_shuffles, rank_rows
 from isac_track.rng import stream
@@ -159,14 +159,14 @@ def test_of_the_next_attack_on_the_same_people_it_is_the_same_whether_pairs_are_
     kept, others = (
         read_only(cluster_weights(n_clusters=6, n_replicates=9, seed=seed)) for seed in (0, 1)
     )
-    hits = scoring._pairs.cache_info().hits
+    hits = scales._pairs.cache_info().hits
     card(first, n_clusters=6, weights=kept)
     for searches in (second, other_people, first):
         for weights in (kept, others):
             options = {"n_clusters": 6, "calibration": CALIBRATION}
             found = card(searches, weights=weights, **options)
             assert_alike(card(searches, weights=weights.copy(), **options), found)
-    assert scoring._pairs.cache_info().hits > hits
+    assert scales._pairs.cache_info().hits > hits
 
 
 def test_the_layout_of_a_search_does_not_matter():
