@@ -60,20 +60,11 @@ def spread(
 ) -> Generator[tuple[W, Iterable[R | Failed]]]:
     """Yield each work with what the function makes of it, as it is finished.
 
-    Works may be added while this runs. With one job and no limit, all is computed in this process
-    and while what is yielded is read; else a worker's whole list is yielded at once. One piece of
-    work that is left of many still gets a worker: it may be what kills its process.
-
-    Parameters
-    ----------
-    function : callable
-        Notes with `note` where it is.
-    works : deque
-        Emptied.
-    jobs : int
-        Worker processes.
-    limit_s : float, optional
-        Longest time between two notes; a worker that takes longer is killed.
+    The function notes with `note` where it is. Works may be added while this runs. With one job and
+    no limit, all is computed in this process and while what is yielded is read; else a worker's
+    whole list is yielded at once, and a worker that takes longer than `limit_s` between two notes
+    is killed. One piece of work that is left of many still gets a worker: it may be what kills its
+    process.
 
     Raises what the function raises.
     """
