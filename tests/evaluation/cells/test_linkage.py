@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.cells import STAGES, Silent, Spy, linked, parsed, plugin, sessions_of
+from helpers.small_runs import smoke
 from helpers.walkers import walkers, write_walkers
 
 import evaluation
@@ -425,17 +426,10 @@ KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
 def settings_in(folder):
     write_walkers(folder / "walkers.csv")
-    return Settings(
-        preset="smoke",
-        dataset=str(folder / "walkers.csv"),
-        scenes=8,
-        mechanisms=("raw", "fixed:1", "thin:3"),
-        predictors=(),
-        attacks=("shape", "histogram@kalman_rts", "kinematic", "identity", "kalman_rts"),
-        tasks=("rerelease", "handover-2s"),
-        out=folder / "run",
-        jobs=1,
-    )
+    attacks = ("shape", "histogram@kalman_rts", "kinematic", "identity", "kalman_rts")
+    axes = {"mechanisms": ("raw", "fixed:1", "thin:3"), "predictors": (), "attacks": attacks}
+    axes["tasks"] = ("rerelease", "handover-2s")
+    return smoke(folder / "walkers.csv", folder / "run", scenes=8, **axes)
 
 
 @pytest.fixture(scope="module")
