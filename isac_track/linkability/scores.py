@@ -4,7 +4,7 @@ References
 ----------
 Likelihood ratios: Bruemmer and du Preez, Computer Speech and Language 20, 2006 (Cllr). Hull:
 Fawcett and Niculescu-Mizil, Machine Learning 68, 2007 (the ROC's hull is isotonic regression).
-D_sys: Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018.
+D_sys: Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018, with prior odds of 1.
 """
 
 from __future__ import annotations
@@ -110,10 +110,6 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
     ------
     ValueError
         As `auc`.
-
-    References
-    ----------
-    Bruemmer and du Preez, Computer Speech and Language 20, 2006.
     """
     _check_classes(mated, non_mated)
     scores = np.concatenate([mated, non_mated])
@@ -169,14 +165,7 @@ def cllr(*, llr_mated: Floats, llr_non_mated: Floats) -> float:
 
     0 for a perfect attack, 1 for one that says nothing (every LLR 0), more for one that misleads.
 
-    Raises
-    ------
-    ValueError
-        As `auc`.
-
-    References
-    ----------
-    Bruemmer and du Preez, Computer Speech and Language 20, 2006, eq. of C_llr.
+    Errors are those of `auc`.
     """
     _check_classes(llr_mated, llr_non_mated)
     cost = np.logaddexp(0.0, -llr_mated).mean() + np.logaddexp(0.0, llr_non_mated).mean()
@@ -210,10 +199,6 @@ def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tup
     ------
     ValueError
         As `auc`, and for `n_bins` below 1.
-
-    References
-    ----------
-    Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018, with prior odds of 1.
     """
     _check_classes(mated, non_mated)
     if n_bins is None:

@@ -307,23 +307,17 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
 
 def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
     value = residual_risk(success=success.value, control=control.value)
-    replicates = np.full(success.replicates.size, np.nan)
-    possible = control.replicates < 1.0
-    np.divide(
-        success.replicates - control.replicates,
-        1.0 - control.replicates,
-        out=replicates,
-        where=possible,
-    )
+    replicates, left = np.full(success.replicates.size, np.nan), 1.0 - control.replicates
+    gain = success.replicates - control.replicates
+    np.divide(gain, left, out=replicates, where=control.replicates < 1.0)
+    low, high = math.nan, math.nan
     if success.value in {0.0, 1.0}:
         # Wilson's ends for the share; guessing's chance is known.
         low, high = (
             residual_risk(success=end, control=control.value)
             for end in (success.ci_low, success.ci_high)
         )
-    elif success.n < 2 or math.isnan(value):  # noqa: PLR2004
-        low, high = math.nan, math.nan
-    else:
+    elif success.n > 1 and not math.isnan(value):
         low, high = percentile_interval(replicates)
     return Estimate(value, low, high, success.n, replicates)
 
