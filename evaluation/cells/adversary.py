@@ -94,10 +94,7 @@ def granted_at(
 ) -> frozenset[Knowledge]:
     """Return what a consumer's attack gets of releases: no SIGMA where none is declared.
 
-    Raises
-    ------
-    PluginError
-        If the attack cannot do without.
+    Raises PluginError if the attack cannot do without.
     """
     granted = consumer.granted & declared(plugin)
     if all(one.sigma is not None for one in releases):
@@ -113,10 +110,7 @@ def granted_at(
 def reconstructed(attack: Callable[[Release], object], release: Release, *, who: str) -> Floats:
     """Return what a fitted attack makes of a release, (M, 2) m in its frame.
 
-    Raises
-    ------
-    PluginError
-        If it raises or returns anything else; the message names it.
+    Raises PluginError if it raises or returns anything else; the message names it.
     """
     found = guarded(who, lambda: attack(release))
     if not isinstance(found, Reconstruction) or found.xy.shape != release.xy.shape:

@@ -26,12 +26,8 @@ def sharing_rows(
 
     `scenes` are those of the release, without the samples that it left out.
 
-    Raises
-    ------
-    PluginError
-        If a predictor raises or breaks its contract; the message names it.
-    SettingsError
-        If conflicts are decided by a probability, and a predictor has none.
+    Raises PluginError if a predictor raises or breaks its contract, which names it, and
+    SettingsError if conflicts are decided by a probability and a predictor has none.
     """
     predictor, conflict = consumer.plugin, stages.conflict
     if predictor is None:

@@ -39,6 +39,7 @@ TRAINING_PEOPLE = 20
 """At most so many source tracks train an attack: more would cost time and change little."""
 BENCHMARK_Q = KalmanRTS.DEFAULT_Q
 """m^2/s^3, motion of the benchmark."""
+_BENCHMARK = ("benchmark_mse_m2", "benchmark_plr")
 _FOLDS = (0, 1)
 _LEAST_VARIANCE_M2 = 1e-12
 
@@ -193,12 +194,7 @@ def attacked_level(
                 "shared again; an attack that is granted REPEATS gets them at the same instants: "
                 "leave samples out by their times, or leave out the attacks that use repeats"
             )
-    mse_m2, plr = benchmark(
-        release,
-        sensed=sharing.restricted(block.sensed, left),
-        mechanism=mechanism,
-        epsilon_m=epsilon_m,
-    )
+    known = sharing.restricted(block.sensed, left)
     return AttackedLevel(
         mechanism=mechanism,
         block=block,
@@ -208,7 +204,7 @@ def attacked_level(
         views=views,
         training=training,
         again=tuple(again),
-        benchmark={"benchmark_mse_m2": mse_m2, "benchmark_plr": plr},
+        benchmark=benchmark(release, sensed=known, mechanism=mechanism, epsilon_m=epsilon_m),
     )
 
 
@@ -318,9 +314,7 @@ def _context(
     )
 
 
-def benchmark(
-    release: Release, *, sensed: Sensed, mechanism: Plugin, epsilon_m: float
-) -> tuple[Floats, Floats]:
+def benchmark(release: Release, *, sensed: Sensed, mechanism: Plugin, epsilon_m: float) -> Rows:
     """Return mean squared error and PLR that the linear benchmark expects of each track, (N,).
 
     The benchmark is the exact smoother of a constant-velocity walk that knows the variance of
@@ -332,7 +326,7 @@ def benchmark(
     """
     independent = getattr(mechanism.instance, "errors_are_independent", True)
     if release.sigma is None or not independent:
-        return np.full(len(release), np.nan), np.full(len(release), np.nan)
+        return dict.fromkeys(_BENCHMARK, np.full(len(release), np.nan))
     law = getattr(mechanism.instance, "law", None) or sensed.law
     shared_m2, raw_m2 = release.sigma**2, sensed.sigma_raw**2
     # What a mechanism takes away it takes from the raw error, what it adds has its own law; of an
@@ -342,6 +336,7 @@ def benchmark(
     variance += own_share * np.maximum(shared_m2 - raw_m2, 0.0)
     std = smooth(release, np.maximum(variance, _LEAST_VARIANCE_M2), q=BENCHMARK_Q).std
     assert std is not None
-    posterior = std**2
-    leaks = -np.expm1(-(epsilon_m**2) / (2.0 * posterior))
-    return track_means(2.0 * posterior, release.offsets), track_means(leaks, release.offsets)
+    square_m2 = 2.0 * std**2
+    expected = square_m2, -np.expm1(-(epsilon_m**2) / square_m2)
+    means = (track_means(values, release.offsets) for values in expected)
+    return dict(zip(_BENCHMARK, means, strict=True))

@@ -61,10 +61,7 @@ def gallery_rows(
     uses `radial_rts`, or what the run has instead among `attacks`, its reconstructions. The columns
     are `COLUMNS`, t in s and positions in m; there is one row for each shared sample.
 
-    Raises
-    ------
-    PluginError
-        If a plug-in raises.
+    Raises PluginError if a plug-in raises.
     """
     order = track_order(n_tracks=len(tracks), n_scenes=1, agents=stages.scenes.agents, seed=seed)
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=seed)

@@ -53,12 +53,7 @@ class Samples:
 def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns
     """Return what a plug-in's function returns.
 
-    Raises
-    ------
-    PluginError
-        Whatever it raises, with who it was.
-    KeyboardInterrupt
-        If the user pressed Ctrl-C.
+    Raises PluginError for whatever it raises, with who it was, but for the user's Ctrl-C.
     """
     try:
         return call()
@@ -88,10 +83,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
 
     `key` names the stream. Every mechanism gets the same one: common random numbers.
 
-    Raises
-    ------
-    PluginError
-        If the mechanism raises or breaks its contract; the message names it.
+    Raises PluginError if the mechanism raises or breaks its contract; the message names it.
     """
     who = f"mechanism {mechanism.spec!r}"
     rng = stream(seed, "sharing", *key)
@@ -119,10 +111,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
 def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
     """Return which samples a release holds; None if it is all of them.
 
-    Raises
-    ------
-    ValueError
-        If it holds other tracks, or a sample at an instant at which nothing was sensed.
+    Raises ValueError if it holds other tracks, or a sample when nothing was sensed.
     """
     same = all(
         ours is theirs or np.array_equal(ours, theirs)

@@ -58,12 +58,7 @@ def track_columns(scenes: Scenes, rows: Ints) -> Rows:
 def descriptors(*, xy: Floats, truth: Floats, t: Floats, offsets: Ints, epsilon_m: float) -> Rows:
     """Return PLR, AEL, MEL and mean squared error of every track, shared or reconstructed.
 
-    Parameters
-    ----------
-    xy, truth : (M, 2) m
-    t : (M,) s
-    offsets : (N + 1,) int
-    epsilon_m : float
+    `xy` and `truth` are (M, 2) m, `t` (M,) s, `offsets` (N + 1,).
     """
     away_m = privacy.distance_m(shared_xy=xy, true_xy=truth)
     # `privacy.leakage_indicator`, on a distance that the squared error needs as well

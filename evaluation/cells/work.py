@@ -116,10 +116,7 @@ def attempt(
     A fault of our own fails by name as a plug-in's does: what an odd plug-in brings to light in one
     cell takes no others along.
 
-    Raises
-    ------
-    IsacTrackError
-        For what fails all cells alike: data or settings that do not fit.
+    Raises IsacTrackError for what fails all cells alike: data or settings that do not fit.
     """
     try:
         yield from cells(work, tracks=tracks, stages=stages, seed=seed)
@@ -146,12 +143,8 @@ def cells(
     Rows of `shared` and of a reconstruction are per track (scene, agent), those of a predictor per
     scene, those of a linkage task per window or probe.
 
-    Raises
-    ------
-    PluginError
-        If a plug-in raises or breaks its contract; the message names it.
-    DataError
-        If an attack learns, and there is nobody to learn from.
+    Raises PluginError if a plug-in raises or breaks its contract, which names it, and DataError if
+    an attack learns and there is nobody to learn from.
     """
     if isinstance(work, LinkWork):
         yield from _linked(work, stages=stages, seed=seed)

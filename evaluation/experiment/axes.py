@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 from attacks.tasks.controls import CONTROLS
@@ -19,34 +19,6 @@ if TYPE_CHECKING:
 
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """A linkage attack, as it is or behind a reconstruction: smooth, then link."""
-
-    linker: Plugin
-    behind: Plugin | None = None
-
-    @property
-    def plugins(self) -> tuple[Plugin, ...]:
-        """The linker, and what it stands behind."""
-        return (self.linker,) if self.behind is None else (self.linker, self.behind)
-
-    @property
-    def spec(self) -> str:
-        """LINKER or LINKER@RECONSTRUCTION."""
-        return "@".join(one.spec for one in self.plugins)
-
-    @property
-    def requires(self) -> frozenset[Knowledge]:
-        """What either of the two cannot run without."""
-        return frozenset().union(*(one.instance.requires for one in self.plugins))
-
-    @property
-    def uses(self) -> frozenset[Knowledge]:
-        """What either of the two takes if granted."""
-        return frozenset().union(*(one.instance.uses for one in self.plugins))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +52,16 @@ class Consumer:
         return f"{self.task}/{name}" if self.task else name or SHARED
 
     @property
+    def requires(self) -> frozenset[Knowledge]:
+        """What none of its plug-ins can run without."""
+        return frozenset().union(*(one.instance.requires for one in self.plugins))
+
+    @property
+    def uses(self) -> frozenset[Knowledge]:
+        """What any of its plug-ins takes if granted."""
+        return frozenset().union(*(one.instance.uses for one in self.plugins))
+
+    @property
     def is_slow(self) -> bool:
         """Whether it runs on the first release of each source track only."""
         return self.plugin is not None and bool(getattr(self.plugin.instance, "slow", False))
@@ -103,8 +85,8 @@ class Axes:
     predictors: tuple[Plugin, ...]
     attacks: tuple[Plugin, ...]
     """Reconstruction attacks."""
-    links: tuple[tuple[Task, Link], ...] = ()
-    """Who links in which task."""
+    links: tuple[tuple[Task, Consumer], ...] = ()
+    """Who links in which task; for whom it is granted what, `readers` says."""
     ceiling: Plugin | None = None
     """Mechanism without any error, at which every linkage attack must succeed."""
     skipped: Mapping[str, str] = field(default_factory=dict)
@@ -145,10 +127,12 @@ class Axes:
                 if control.applies(task)
             ),
             *(
-                Consumer("linkage", one.linker, adversary, granted, task.name, one.behind)
+                replace(one, knowledge=adversary, granted=granted, task=task.name)
                 for where, one in self.links
                 if where is task
-                for adversary, granted in _grants(one, task).items()
+                for adversary, granted in grants(
+                    one, everyone=task.everyone, nobody=task.nobody
+                ).items()
             ),
         )
 
@@ -175,10 +159,10 @@ def axes(settings: Settings) -> Axes:
     return Axes(mechanisms, predictors, attacks, pairs, ceiling)
 
 
-def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ...]]:
+def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Consumer, ...]]:
     """Return reconstruction attacks and linkage attacks, each once, in the order given."""
     attacks: dict[str, Plugin] = {}
-    links: dict[str, Link] = {}
+    links: dict[str, Consumer] = {}
     for spec in specs:
         name, at, behind_spec = spec.partition("@")
         if at and not (name.strip() and behind_spec.strip()):
@@ -194,14 +178,14 @@ def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Link, ..
                         f"{spec!r}: left of @ stands a linkage attack, right of it the "
                         "reconstruction that it runs behind, as in shape@radial_rts"
                     )
-                link = Link(plugin, behind)
+                link = Consumer("linkage", plugin, behind=behind)
                 links[link.spec] = link
     return tuple(attacks.values()), tuple(links.values())
 
 
 def _linked(
-    settings: Settings, *, links: tuple[Link, ...], tasks: tuple[Task, ...]
-) -> tuple[tuple[Task, Link], ...]:
+    settings: Settings, *, links: tuple[Consumer, ...], tasks: tuple[Task, ...]
+) -> tuple[tuple[Task, Consumer], ...]:
     """Return who links in which task.
 
     Who needs the true frame links where it shows, the others where it does not; an attack that
@@ -209,8 +193,8 @@ def _linked(
     """
     chosen: dict[str, list[Task]] = {}
     for link in links:
-        can = [task for task in tasks if _grants(link, task)]
-        needs_scene = Knowledge.SCENE in link.linker.instance.requires
+        can = [task for task in tasks if grants(link, everyone=task.everyone, nobody=task.nobody)]
+        needs_scene = Knowledge.SCENE in link.plugins[0].instance.requires
         chosen[link.spec] = [task for task in can if task.shows_scene == needs_scene] or can
         if settings.attacks is not None and not can:
             asked = ", ".join(sorted(one.name for one in link.requires)) or "a task"
@@ -224,10 +208,6 @@ def _linked(
                 f"task {task.name} has no attack that can run in it; name one with --attack"
             )
     return tuple((task, link) for task in tasks for link in links if task in chosen[link.spec])
-
-
-def _grants(link: Link, task: Task) -> dict[str, frozenset[Knowledge]]:
-    return grants(link, everyone=task.everyone, nobody=task.nobody)
 
 
 def n_blocks(n_scenes: int) -> int:

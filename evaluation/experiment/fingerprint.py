@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import isac_track
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
 
     from evaluation.experiment.axes import Consumer
     from isac_track.plugins import Plugin
@@ -157,28 +157,24 @@ def _read(name: str, *, root: Path | None, tops: tuple[str, ...]) -> tuple[bytes
 @cache
 def _imported(source: bytes, *, package: str) -> tuple[str, ...]:
     """Return the full names of what a source may import; some are no modules."""
+    names: list[str] = []
     try:
-        tree = ast.parse(source)
+        nodes: list[ast.AST] = [ast.parse(source)]
     except (SyntaxError, ValueError):  # it is told when somebody imports it
         return ()
-    return tuple(_names(tree, package=package))
-
-
-def _names(tree: ast.AST, *, package: str) -> Iterator[str]:
-    nodes = [tree]
     while nodes:
         node = nodes.pop()
         if isinstance(node, ast.Import):
-            yield from (one.name for one in node.names)
+            names += (one.name for one in node.names)
         elif isinstance(node, ast.ImportFrom):
             above = package.split(".")[: len(package.split(".")) - node.level + 1]
             base = ".".join([*(above if node.level else []), *filter(None, [node.module])])
-            yield base
-            yield from (f"{base}.{one.name}" if base else one.name for one in node.names)
+            names += (base, *(f"{base}.{one.name}" if base else one.name for one in node.names))
         elif isinstance(node, ast.Constant):
             if isinstance(node.value, str) and _MODULE.fullmatch(node.value):
-                yield node.value.partition(":")[0]  # for import_module
+                names.append(node.value.partition(":")[0])  # for import_module
         elif isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
             nodes += node.orelse
         else:
             nodes += ast.iter_child_nodes(node)
+    return tuple(names)

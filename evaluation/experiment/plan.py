@@ -184,7 +184,7 @@ def _units(
 
 def _check_sendable(units: Iterable[Unit]) -> None:
     """Raise PluginError for a plug-in that no other process can be given."""
-    from joblib.externals.loky.backend.reduction import dumps  # noqa: PLC0415 - only with workers
+    from cloudpickle import dumps  # noqa: PLC0415 - only with workers
 
     plugins = {
         one.spec: one

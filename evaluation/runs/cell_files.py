@@ -85,15 +85,9 @@ def packed(
     unit: str,
     code: Mapping[str, str],
 ) -> bytes:
-    """Return the file of some consumers of a unit of work.
+    """Return the file of a unit of work: of each consumer key, code of its plug-ins, and tables.
 
-    Parameters
-    ----------
-    found : sequence of (consumer, key, code of its plug-ins, tables)
-    unit : str
-        Its key.
-    code : mapping
-        Digest by module.
+    `unit` is the key of the whole, `code` its digest by module.
     """
     consumers, stacked, start = {}, [], 0
     for consumer, key, own, tables in found:

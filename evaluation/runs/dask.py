@@ -17,6 +17,7 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 
+from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
 
 from evaluation.cells.work import Failed, note
@@ -65,21 +66,15 @@ def spread_on_cluster(
     The function is sent to each worker once, the works with every task. A work whose workers died
     again and again yields a `Failed` of unknown place.
 
-    Parameters
-    ----------
-    function, works
-        As of `spread`.
-    scheduler : str
-        Its address, such as ``tcp://host:8786``.
-    modules : iterable of str
-        Those that are not of the project are the user's own: the workers must have the same.
+    `scheduler` is its address, such as ``tcp://host:8786``. Those of the `modules` that are not of
+    the project are the user's own: the workers must have the same.
 
     Raises SettingsError if the scheduler cannot be reached or is gone, no worker is there, or a
     worker would not compute the same.
     """
-    expected = _about(tuple(one for one in modules if one.partition(".")[0] not in _OURS), seen={})
+    strange = tuple(one for one in modules if one.partition(".")[0] not in _OURS)
     with _connected(scheduler) as client:
-        cluster = _Cluster(function, client, scheduler, expected)
+        cluster = _Cluster(function, client, scheduler, strange)
         suspects: deque[W] = deque()
         try:
             while works or suspects or cluster.under_way:
@@ -110,14 +105,16 @@ class _Cluster(Generic[W, R]):
         function: Callable[[W], Iterable[R]],
         client: Client,
         scheduler: str,
-        expected: Mapping[str, str],
+        modules: tuple[str, ...],
     ) -> None:
-        self._client, self._scheduler, self._expected = client, scheduler, expected
+        self._client, self._scheduler, self._modules = client, scheduler, modules
+        self._expected = _about(modules, seen={})
         self.n_threads = 1
         self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
         self._check_workers()
-        self._function = self._submitted(_loaded, _packed(function))
+        # Packed for the workers alone: the scheduler has no use for a user's plug-in.
+        self._function = self._submitted(_loaded, dumps(function))
 
     def _check_workers(self) -> None:
         """Raise SettingsError unless workers are there that compute the same."""
@@ -130,7 +127,7 @@ class _Cluster(Generic[W, R]):
                 )
             time.sleep(_LOOK_S)
         try:
-            answers = self._client.run(_about, _modules(self._expected), on_error="return")
+            answers = self._client.run(_about, self._modules, on_error="return")
         except (OSError, TimeoutError):
             raise self._gone() from None
         for worker, answer in answers.items():
@@ -144,7 +141,7 @@ class _Cluster(Generic[W, R]):
             _check_alike(answer, self._expected, worker=worker)
 
     def start(self, work: W) -> None:
-        arguments = (self._function, _packed(work), self._expected)
+        arguments = (self._function, dumps(work), self._modules, self._expected)
         self.under_way[self._submitted(_computed, *arguments)] = work
 
     def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
@@ -243,35 +240,24 @@ def _connected(scheduler: str) -> Iterator[Client]:
                 client.close(timeout=_CONNECT_S)
 
 
-def _packed(content: object) -> bytes:
-    """Return it for the workers alone: the scheduler has no use for a user's plug-in."""
-    import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
-
-    packed: bytes = cloudpickle.dumps(content)
-    return packed
-
-
-def _modules(about: Mapping[str, str]) -> tuple[str, ...]:
-    return tuple(key.removeprefix("module ") for key in about if " " in key)
-
-
 # From here on: in a worker, several threads at a time.
 
 
 def _loaded(packed: bytes) -> Any:  # noqa: ANN401 - what was packed
-    import cloudpickle  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415
-
     with _LOADING:
-        return cloudpickle.loads(packed)
+        return loads(packed)
 
 
 def _computed(
-    function: Callable[[W], Iterable[R]], packed: bytes, expected: Mapping[str, str]
+    function: Callable[[W], Iterable[R]],
+    packed: bytes,
+    modules: tuple[str, ...],
+    expected: Mapping[str, str],
 ) -> list[R]:
     """Return what a worker makes of a work; it may have joined after the others were checked."""
     from distributed import get_worker  # noqa: PLC0415 - an extra
 
-    _check_alike(_about(_modules(expected)), expected, worker=get_worker().address)
+    _check_alike(_about(modules), expected, worker=get_worker().address)
     work: W = _loaded(packed)
     threadpool_limits(limits=1)  # not lifted: of the whole process, where others may be computing
     note()

@@ -54,11 +54,7 @@ class FailedCellsWarning(UserWarning):
 def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     """Compute what a run's folder misses; the folder is locked by who calls.
 
-    Parameters
-    ----------
-    ready : Plan
-    tell : callable
-        Called with cells finished, cells to do, and what is under way.
+    `tell` is called with cells finished, cells to do, and what is under way.
 
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """

@@ -148,9 +148,13 @@ class Failures:
 
         A worker's death is tried once more. `finished` has the specs of what is finished of it.
         """
+        spec, label = failure.at or ("", "")
+
+        def is_at(cell: Cell) -> bool:  # in a mechanism, all of its consumers are
+            return not spec or (cell[1].spec == spec and label in ("", cell[2].label))
+
         left = _only(work, lambda cell: specs_of(cell) not in finished)
-        culprits = _only(left, lambda cell: _is_at(cell, failure.at))
-        innocent = _only(left, lambda cell: not _is_at(cell, failure.at))
+        culprits, innocent = _only(left, is_at), _only(left, lambda cell: not is_at(cell))
         if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
             culprits, innocent = innocent, culprits
         again = self._once_more(culprits, place_is_known=bool(failure.at)) if failure.died else []
@@ -182,11 +186,6 @@ def _only(work: Work, wanted: Callable[[Cell], bool]) -> Work:
         for mechanism, _ in work.levels
     )
     return replace(work, levels=tuple(level for level in levels if level[1]))
-
-
-def _is_at(cell: Cell, at: tuple[str, ...]) -> bool:
-    """Whether a cell is where the work was; in a mechanism, all of its consumers are."""
-    return not at or (cell[1].spec == at[0] and at[1] in ("", cell[2].label))
 
 
 def failed_lines(rows: pd.DataFrame) -> list[str]:

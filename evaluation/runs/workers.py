@@ -22,7 +22,7 @@ from multiprocessing import Pipe, connection
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 import pyarrow as pa
-from joblib.externals.loky.backend.reduction import dumps
+from cloudpickle import dumps
 from threadpoolctl import threadpool_limits
 
 from evaluation.cells.work import Failed, note, note_to
@@ -60,20 +60,11 @@ def spread(
 ) -> Generator[tuple[W, Iterable[R | Failed]]]:
     """Yield each work with what the function makes of it, as it is finished.
 
-    Works may be added while this runs. With one job and no limit, all is computed in this process
-    and while what is yielded is read; else a worker's whole list is yielded at once. One piece of
-    work that is left of many still gets a worker: it may be what kills its process.
-
-    Parameters
-    ----------
-    function : callable
-        Notes with `note` where it is.
-    works : deque
-        Emptied.
-    jobs : int
-        Worker processes.
-    limit_s : float, optional
-        Longest time between two notes; a worker that takes longer is killed.
+    The function notes with `note` where it is. Works may be added while this runs. With one job and
+    no limit, all is computed in this process and while what is yielded is read; else a worker's
+    whole list is yielded at once, and a worker that takes longer than `limit_s` between two notes
+    is killed. One piece of work that is left of many still gets a worker: it may be what kills its
+    process.
 
     Raises what the function raises.
     """
@@ -86,8 +77,9 @@ def spread(
         return
     with contextlib.ExitStack() as ends:
         lanes = [_Lane[W, R](function, limit_s) for _ in range(min(jobs, len(works)))]
-        for lane in lanes:
+        for lane in lanes:  # to begin takes a worker 1 to 2 s: all at once
             ends.callback(lane.stop)
+            lane.begin()
         while works or any(lane.is_busy for lane in lanes):
             check_interrupt()
             for lane in lanes:
@@ -136,7 +128,7 @@ class _Lane(Generic[W, R]):
     def __init__(self, function: Callable[[W], Iterable[R]], limit_s: float | None) -> None:
         self._function, self._limit_s = function, limit_s
         self._process: subprocess.Popen[bytes] | None = None
-        self.is_busy = False
+        self.is_busy = self._is_told = False
 
     def start(self, work: W) -> None:
         self.work, self.is_busy, self._overdue = work, True, ""
@@ -144,11 +136,14 @@ class _Lane(Generic[W, R]):
         self._since_s = time.monotonic()
         if self._process is None or self._process.poll() is not None:  # killed with nothing to do
             self.stop()
-            self._begin()
+            self.begin()
         with contextlib.suppress(OSError):  # it is gone: `items` finds that
+            if not self._is_told:
+                self._is_told = True
+                self.pipe.send_bytes(dumps(self._function))
             self.pipe.send_bytes(dumps(work))
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
         """Start a worker in a group of its own, which no Ctrl-C reaches: it waits for the end."""
         self.pipe, theirs = Pipe()
         with theirs:
@@ -159,9 +154,9 @@ class _Lane(Generic[W, R]):
                 pass_fds=[number],
                 process_group=0,
             )
+        self._is_told = False
         with contextlib.suppress(OSError):  # as above
             self.pipe.send(sys.path)
-            self.pipe.send_bytes(dumps(self._function))
 
     def items(self) -> list[R | Failed] | None:
         """Return what came of the work, if it is done or the worker is; kill one that is late."""

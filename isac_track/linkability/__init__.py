@@ -10,13 +10,13 @@ from isac_track.linkability.ranks import (
     Search,
     assign,
     chance,
-    cmc,
     log_rank,
     mean_log_rank,
     rank1,
     reciprocal_rank,
     residual_risk,
 )
+from isac_track.linkability.scales import SCORE_REPLICATES
 from isac_track.linkability.scores import (
     MIN_EXPECTED,
     SLOPE_PENALTY,
@@ -27,10 +27,9 @@ from isac_track.linkability.scores import (
     d_sys,
     eer,
     fit_calibration,
-    roc_hull,
     tpr_at_fpr,
 )
-from isac_track.linkability.scoring import SCORE_REPLICATES, ProbeRanks, Scorecard, scorecard
+from isac_track.linkability.scoring import ProbeRanks, Scorecard, scorecard
 from isac_track.linkability.significance import (
     LEVEL,
     Outcome,
@@ -40,35 +39,9 @@ from isac_track.linkability.significance import (
     rank1_p,
 )
 
-__all__ = [
-    "LEVEL",
-    "MIN_EXPECTED",
-    "SCORE_REPLICATES",
-    "SLOPE_PENALTY",
-    "Calibration",
-    "Outcome",
-    "ProbeRanks",
-    "Scorecard",
-    "Search",
-    "assign",
-    "auc",
-    "chance",
-    "cllr",
-    "cllr_min",
-    "cmc",
-    "d_sys",
-    "eer",
-    "fit_calibration",
-    "log_rank",
-    "mean_log_rank",
-    "minimum_detectable_rank1",
-    "outcome",
-    "permutation_p",
-    "rank1",
-    "rank1_p",
-    "reciprocal_rank",
-    "residual_risk",
-    "roc_hull",
-    "scorecard",
-    "tpr_at_fpr",
-]
+__all__ = ["Calibration", "Outcome", "ProbeRanks", "Scorecard", "Search"]
+__all__ += ["LEVEL", "MIN_EXPECTED", "SCORE_REPLICATES", "SLOPE_PENALTY"]
+__all__ += ["assign", "chance", "log_rank", "mean_log_rank", "rank1", "reciprocal_rank"]
+__all__ += ["auc", "cllr", "cllr_min", "d_sys", "eer", "fit_calibration", "tpr_at_fpr"]
+__all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p"]
+__all__ += ["residual_risk", "scorecard"]

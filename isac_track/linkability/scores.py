@@ -4,7 +4,7 @@ References
 ----------
 Likelihood ratios: Bruemmer and du Preez, Computer Speech and Language 20, 2006 (Cllr). Hull:
 Fawcett and Niculescu-Mizil, Machine Learning 68, 2007 (the ROC's hull is isotonic regression).
-D_sys: Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018.
+D_sys: Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018, with prior odds of 1.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import isotonic_regression
 from scipy.special import expit
 
 from isac_track.linkability.significance import import_loops
@@ -53,21 +52,6 @@ def auc(*, mated: Floats, non_mated: Floats) -> float:
         If a class is empty or a score is not finite.
     """
     return float(_read(mated, non_mated)[0])
-
-
-def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
-    """Return FPR and TPR, (H,) each, on the convex hull of the ROC, from (0, 0) to (1, 1).
-
-    Parameters and errors are those of `auc`.
-    """
-    true, false = (mass[0] / mass.sum() for mass in _counts(mated, non_mated))
-    both = true + false
-    starts = isotonic_regression(true / both, weights=both).blocks[:-1]
-    fpr, tpr = (
-        np.concatenate([[0.0], np.cumsum(np.add.reduceat(share, starts)[::-1])])
-        for share in (false, true)
-    )
-    return fpr, tpr
 
 
 def eer(*, mated: Floats, non_mated: Floats) -> float:
@@ -126,10 +110,6 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
     ------
     ValueError
         As `auc`.
-
-    References
-    ----------
-    Bruemmer and du Preez, Computer Speech and Language 20, 2006.
     """
     _check_classes(mated, non_mated)
     scores = np.concatenate([mated, non_mated])
@@ -185,14 +165,7 @@ def cllr(*, llr_mated: Floats, llr_non_mated: Floats) -> float:
 
     0 for a perfect attack, 1 for one that says nothing (every LLR 0), more for one that misleads.
 
-    Raises
-    ------
-    ValueError
-        As `auc`.
-
-    References
-    ----------
-    Bruemmer and du Preez, Computer Speech and Language 20, 2006, eq. of C_llr.
+    Errors are those of `auc`.
     """
     _check_classes(llr_mated, llr_non_mated)
     cost = np.logaddexp(0.0, -llr_mated).mean() + np.logaddexp(0.0, llr_non_mated).mean()
@@ -226,10 +199,6 @@ def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tup
     ------
     ValueError
         As `auc`, and for `n_bins` below 1.
-
-    References
-    ----------
-    Gomez-Barrero, Galbally, Rathgeb, Busch, IEEE TIFS 13(6), 2018, with prior odds of 1.
     """
     _check_classes(mated, non_mated)
     if n_bins is None:

@@ -4,15 +4,13 @@ Numba is imported, and its loops compiled, at the first scorecard, not before.
 
 References
 ----------
-Pairs of resampled clusters: Snijders and Borgatti, Connections 22(2), 1999; Owen, Annals of Applied
-Statistics 1(2), 2007. Intervals: Davison and Hinkley, Bootstrap Methods, 1997.
+Intervals: Davison and Hinkley, Bootstrap Methods, 1997.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,17 +30,17 @@ from isac_track.linkability.ranks import (
     expected_reciprocal,
     residual_risk,
 )
-from isac_track.linkability.scores import (
-    Calibration,
-    default_bins,
-    inner_edges,
-    is_refused,
-    linked_share,
+from isac_track.linkability.scales import (
+    LEVELS,
+    METRICS,
+    Scale,
+    cut_scores,
+    over_scales,
+    score_scale,
 )
 from isac_track.linkability.significance import (
     add_shuffles,
     check_searches,
-    import_loops,
     minimum_detectable_rank1,
     p_value_among,
     rank1_p,
@@ -52,27 +50,12 @@ from isac_track.linkability.significance import (
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from isac_track.linkability.scores import Calibration
     from isac_track.types import Floats, Ints
 
-SCORE_REPLICATES = 200
-"""Bootstrap replicates of score metrics; one visits every pair, where a rank metric visits every
-probe. The ends of a 95 % interval from 200 replicates have a standard error of 0.19 standard
-deviations of the estimate (0.08 from 1,000)."""
-
-_METRICS = ("auc", "eer", "cllr_min", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct", "d_sys", "cllr")
-_LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
-_COLUMNS = (
-    *("auc", "eer", "cllr_min"),
-    *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
-)
-"""What the loop over the ROCs writes."""
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
 """Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
 _NO_SPREAD = 1e-12
-_PAIRS_KEPT = 2**19
-"""Of one scale; more would take more memory than they save time."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -174,82 +157,6 @@ class Scorecard:
     """What the test of rank 1 would find in 8 of 10 studies of this size."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Cells:
-    """The scores of one scale, cut where a metric can tell two apart.
-
-    Break points are the distinct mated scores and the inner edges of the D_sys bins; cell 2 k + 1
-    is the k-th break point, cell 2 k the gap below it. A replicate needs the weight of mated and
-    of non-mated scores in each cell and nothing else.
-    """
-
-    breaks: Floats
-    bins: NDArray[np.uint8]
-    """`d_sys` bin of every cell."""
-    null_bins: Floats
-    """(n_shuffles, bins) scores of shuffled mates."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Trial:
-    """What one search gives beside its scores."""
-
-    search: Search
-    cell: Ints
-    """(P, G) of every score."""
-    standing: Ints
-    """(P, 2) `above` and `tied` of `ProbeRanks`."""
-    assigned: Ints
-    """(P,) as there."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Pairs:
-    """All L pairs of a probe and a candidate of one scale, whose clusters are 0..C - 1.
-
-    They are those of every attack on the same searches.
-    """
-
-    first: Ints
-    """(L,) cluster of the probe."""
-    second: Ints
-    """(L,) of the candidate; C, which always weighs 1, where a pair weighs no more than `first`."""
-    mates: Ints
-    """Which of them are a probe and its mate."""
-    rows: Floats
-    """(C + 1, R) weights; replicate 0 weighs every cluster once: the data."""
-    tables: NDArray[np.float32]
-    """(chunks, C + 1, lanes) the same as the loops want them."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Same:
-    """Weights that nobody can write to, and that are the same only if they are one array."""
-
-    weights: Floats
-
-    def __hash__(self) -> int:
-        return id(self.weights)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.weights is self.weights
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Scale:
-    """Score metrics of one scale."""
-
-    values: dict[str, Floats]
-    """(R,) by metric, and the FPR of each TPR; first the data, then the replicates."""
-    mass: Floats
-    """(R,) of mated scores; 0 where a class has no weight."""
-    bias: float
-    """Mean `d_sys` under shuffled mates."""
-    n_mated: int
-    n_non_mated: int
-    n_bins: int
-
-
 def scorecard(
     searches: Sequence[Search],
     *,
@@ -326,22 +233,24 @@ def scorecard(
     if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004
         raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
     cells = {
-        scale: _cut([search for search in searches if search.scale == scale], n_shuffles)
+        scale: cut_scores([search for search in searches if search.scale == scale], n_shuffles)
         for scale in scales
     }
     null, observed = np.zeros(n_shuffles), 0.0
-    trials = []
+    places: list[Ints] = []
+    standings, assignments = [], []
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least in zip(searches, no_match, strict=True):
         cut = cells[search.scale]
         log_rank, cell, standing = rank_rows(search, cut.breaks)
-        assigned = assign(scores=search.scores, rng=rng, no_match_score=least)
+        columns = assign(scores=search.scores, rng=rng, no_match_score=least)
         observed += add_shuffles(search, log_rank, cut.bins[cell], rng, null, cut.null_bins)
-        assigned = np.where(assigned < 0, -1, assigned == search.mate)
-        trials.append(_Trial(search, cell, standing, assigned))
+        places.append(cell)
+        standings.append(standing)
+        assignments.append(np.where(columns < 0, -1, columns == search.mate))
     results = [
-        _score_scale(
-            [trial for trial in trials if trial.search.scale == scale],
+        score_scale(
+            [one for one in zip(searches, places, strict=True) if one[0].scale == scale],
             cut,
             weights,
             calibration[scale] if calibration is not None else None,
@@ -349,19 +258,19 @@ def scorecard(
         for scale, cut in cells.items()
     ]
     sizes = [search.scores.shape[1] for search in searches]
-    above, tied = np.concatenate([trial.standing for trial in trials]).T
+    above, tied = np.concatenate(standings).T
     probes = ProbeRanks(
         above=above,
         tied=tied,
         chance=np.repeat(1.0 / np.array(sizes), [search.mate.size for search in searches]),
-        assigned=np.concatenate([trial.assigned for trial in trials]),
+        assigned=np.concatenate(assignments),
         cluster=np.concatenate([search.probe_cluster for search in searches]),
         n_gallery=max(sizes),
     )
     hits, mated_clusters = probes.values()["rank1"]
     chances, _ = probes.values()["chance"]
     n_clusters = int(np.unique(mated_clusters).size)
-    values = _over_scales(results)
+    values = over_scales(results)
     estimates = _rank_estimates(probes, weights) | _score_estimates(results, values, n_clusters)
     return Scorecard(
         estimates=estimates,
@@ -383,135 +292,6 @@ def scorecard(
     )
 
 
-def _cut(searches: Sequence[Search], n_shuffles: int) -> _Cells:
-    """Return the cells of the scores of one scale."""
-    mated = np.concatenate([s.scores[s.mate >= 0, s.mate[s.mate >= 0]] for s in searches])
-    n_bins = default_bins(mated.size)
-    edges = inner_edges(
-        min(float(search.scores.min()) for search in searches),
-        max(float(search.scores.max()) for search in searches),
-        n_bins,
-    )
-    breaks = np.unique(np.concatenate([mated, edges]))
-    bins = np.zeros(2 * breaks.size + 1, dtype=np.uint8)
-    bins[1::2] = np.searchsorted(edges, breaks, side="right")
-    bins[2::2] = bins[1::2]
-    return _Cells(breaks, bins, np.zeros((n_shuffles, n_bins)))
-
-
-def _score_scale(
-    trials: Sequence[_Trial], cut: _Cells, weights: Floats, calibration: Calibration | None
-) -> _Scale:
-    """Return the score metrics of one scale."""
-    searches = tuple(
-        tuple(
-            each.astype(np.int64).tobytes() for each in (s.mate, s.probe_cluster, s.gallery_cluster)
-        )
-        for s in (trial.search for trial in trials)
-    )
-    cell = np.concatenate([trial.cell.ravel() for trial in trials])
-    scores = np.concatenate([trial.search.scores.ravel() for trial in trials], dtype=np.float64)
-    # The next attack on the same people has the same pairs.
-    is_kept = not weights.flags.writeable and cell.size <= _PAIRS_KEPT
-    pairs = (_pairs if is_kept else _pairs.__wrapped__)(searches, _Same(weights))
-    mated, non_mated, bins = _masses(pairs, cell, cut.bins)
-    total_mated, total_non_mated = mated.sum(axis=1), non_mated.sum(axis=1)
-    is_defined = (total_mated > 0) & (total_non_mated > 0)
-
-    n_bins = cut.null_bins.shape[1]
-    n_mated = pairs.mates.size
-    n_non_mated = cell.size - n_mated
-    bias = math.nan
-    if n_mated and n_non_mated:
-        counts = np.bincount(cell, minlength=cut.bins.size)
-        total_bins = np.bincount(cut.bins, weights=counts, minlength=n_bins)
-        null, others = cut.null_bins / n_mated, (total_bins - cut.null_bins) / n_non_mated
-        bias = float(linked_share(null, others).mean())
-
-    values = {"cllr": np.full(is_defined.size, np.nan)}
-    with np.errstate(divide="ignore", invalid="ignore"):
-        starts = np.flatnonzero(np.diff(bins, prepend=-1))
-        p, q = (np.add.reduceat(mass, starts, axis=1) for mass in (mated, non_mated))
-        values["d_sys"] = linked_share(p / total_mated[:, None], q / total_non_mated[:, None])
-        if calibration is not None:
-            mated_cost, non_mated_cost = _costs(pairs, scores, calibration)
-            both = mated_cost / total_mated + non_mated_cost / total_non_mated
-            values["cllr"] = both / (2.0 * math.log(2.0))
-    columns = np.empty((is_defined.size, 7))
-    import_loops().read_rocs(mated, non_mated, np.array(list(_LEVELS.values())), columns)
-    values |= dict(zip(_COLUMNS, columns.T, strict=True))
-    values = {name: np.where(is_defined, of, np.nan) for name, of in values.items()}
-    mass = np.where(is_defined, total_mated, 0.0)
-    return _Scale(values, mass, bias, n_mated, n_non_mated, n_bins)
-
-
-@lru_cache(maxsize=8)
-def _pairs(searches: tuple[tuple[bytes, ...], ...], same: _Same) -> _Pairs:
-    """Return the pairs of searches, given mates and clusters of each as bytes: they are hashed."""
-    arrays = [[np.frombuffer(each, dtype=np.int64) for each in search] for search in searches]
-    clusters = np.unique(np.concatenate([each for _, *both in arrays for each in both]))
-    first, second, is_mate = [], [], []
-    for mate, probe_cluster, gallery_cluster in arrays:
-        own, other = (np.searchsorted(clusters, of) for of in (probe_cluster, gallery_cluster))
-        mates = mate[:, None] == np.arange(other.size)
-        first.append(np.repeat(own, other.size))
-        second.append(np.where(mates | (own[:, None] == other), clusters.size, other).ravel())
-        is_mate.append(mates.ravel())
-    rows = np.ones((clusters.size + 1, 1 + SCORE_REPLICATES))
-    rows = rows[:, : 1 + len(same.weights)]
-    rows[:-1, 1:] = same.weights[:SCORE_REPLICATES, clusters].T
-    lanes = import_loops().LANES
-    padded = np.zeros((len(rows), -(-rows.shape[1] // lanes) * lanes), dtype=np.float32)
-    padded[:, : rows.shape[1]] = rows  # counts, exact in 32 bits
-    tables = padded.reshape(len(rows), -1, lanes).transpose(1, 0, 2)
-    own, other = np.concatenate(first), np.concatenate(second)
-    mates = np.flatnonzero(np.concatenate(is_mate))
-    return _Pairs(own, other, mates, rows, np.ascontiguousarray(tables))
-
-
-def _masses(pairs: _Pairs, cell: Ints, bins: NDArray[np.uint8]) -> tuple[Floats, Floats, Ints]:
-    """Return the weight of either class in each cell that holds a score, (R, K), and its bin."""
-    loops, n_replicates = import_loops(), pairs.rows.shape[1]
-    is_occupied = np.bincount(cell, minlength=bins.size) > 0
-    key = (2 * np.cumsum(is_occupied) - 2)[cell]
-    key[pairs.mates] += 1
-    out = np.empty((2, len(pairs.tables) * loops.LANES, int(is_occupied.sum())))
-    loops.weigh(pairs.tables, key, pairs.first, pairs.second, out)
-    non_mated, mated = out[:, :n_replicates]
-    return mated, non_mated, bins[is_occupied].astype(np.int64)
-
-
-def _costs(pairs: _Pairs, scores: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
-    """Return the summed cost of either class as evidence, (R,) each, in nats."""
-    llr = calibration.slope * scores + calibration.intercept
-    rows, n, own = pairs.rows, len(pairs.rows), pairs.first[pairs.mates]
-    mated = np.bincount(own, weights=np.logaddexp(0.0, -llr[pairs.mates]), minlength=n)
-    # log(1 + LR), in a way that does not overflow and that numpy computes several at a time.
-    costs = np.log1p(np.exp(-np.abs(llr)))
-    costs += np.maximum(llr, 0.0)
-    costs[pairs.mates] = 0.0
-    between = np.bincount(n * pairs.first + pairs.second, weights=costs, minlength=n**2)
-    return mated @ rows, np.einsum("cr,cr->r", between.reshape(n, n) @ rows, rows)
-
-
-def _over_scales(results: Sequence[_Scale]) -> dict[str, Floats]:
-    """Return the values of `_Scale`: means, weighted by each replicate's mass of mated scores.
-
-    NaN where no scale has both classes, and where a TPR is refused.
-    """
-    mass = np.stack([one.mass for one in results])
-    mean: dict[str, Floats] = {}
-    for name in results[0].values:
-        of_scale = np.where(mass > 0, [one.values[name] for one in results], 0.0)
-        with np.errstate(invalid="ignore"):
-            mean[name] = (of_scale * mass).sum(axis=0) / mass.sum(axis=0)
-    n_non_mated = sum(result.n_non_mated for result in results)
-    for name, alpha in _LEVELS.items():
-        if is_refused(n_non_mated, alpha):
-            mean[name][:] = mean[name.replace("tpr_at", "realised")][:] = np.nan
-    return mean
-
-
 def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     """Return the estimates of rank metrics; all are shares but the chance, which is known."""
     sums = probes.sums(weights.shape[1])
@@ -527,34 +307,28 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
 
 def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
     value = residual_risk(success=success.value, control=control.value)
-    replicates = np.full(success.replicates.size, np.nan)
-    possible = control.replicates < 1.0
-    np.divide(
-        success.replicates - control.replicates,
-        1.0 - control.replicates,
-        out=replicates,
-        where=possible,
-    )
+    replicates, left = np.full(success.replicates.size, np.nan), 1.0 - control.replicates
+    gain = success.replicates - control.replicates
+    np.divide(gain, left, out=replicates, where=control.replicates < 1.0)
+    low, high = math.nan, math.nan
     if success.value in {0.0, 1.0}:
         # Wilson's ends for the share; guessing's chance is known.
         low, high = (
             residual_risk(success=end, control=control.value)
             for end in (success.ci_low, success.ci_high)
         )
-    elif success.n < 2 or math.isnan(value):  # noqa: PLR2004
-        low, high = math.nan, math.nan
-    else:
+    elif success.n > 1 and not math.isnan(value):
         low, high = percentile_interval(replicates)
     return Estimate(value, low, high, success.n, replicates)
 
 
 def _score_estimates(
-    results: Sequence[_Scale], values: dict[str, Floats], n: int
+    results: Sequence[Scale], values: dict[str, Floats], n: int
 ) -> dict[str, Estimate]:
     """Return the estimates of score metrics; `n` clusters have a mated probe."""
-    drawn = np.stack([values[name][1:] for name in _METRICS])
+    drawn = np.stack([values[name][1:] for name in METRICS])
     estimates = {}
-    for name, replicates, ends in zip(_METRICS, drawn, percentile_intervals(drawn).T, strict=True):
+    for name, replicates, ends in zip(METRICS, drawn, percentile_intervals(drawn).T, strict=True):
         value, low, high = float(values[name][0]), math.nan, math.nan
         if n > 1 and not math.isnan(value):
             low, high = _interval(name, value, replicates, ends.tolist(), n)
@@ -579,7 +353,7 @@ def _interval(
 ) -> tuple[float, float]:
     """Return the ends of a score metric's interval, given those of its percentile interval."""
     is_constant = not (np.abs(replicates - value) > _NO_SPREAD).any()
-    is_extreme = name in _LEVELS and value in {0.0, 1.0}
+    is_extreme = name in LEVELS and value in {0.0, 1.0}
     low, high = ends
     if name != "cllr" and (is_constant or is_extreme):
         low, high = wilson(hits=min(max(value, 0.0), 1.0) * n, n=n)

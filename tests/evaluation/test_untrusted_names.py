@@ -16,6 +16,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from helpers.pages import Tags
+from helpers.small_runs import smoke
 
 import evaluation
 from evaluation import compare, design, matrix, report, sensitivity
@@ -49,18 +50,8 @@ def write_csv(path, tracks, *, mark=""):
 
 
 def run(path, out, *, attacks=("moving_average", "shape"), tasks=("rerelease",), pictures=True):
-    settings = evaluation.Settings(
-        preset="smoke",
-        dataset=str(path),
-        scenes=4,
-        mechanisms=("raw", "fid:1"),
-        predictors=("least_squares",),
-        attacks=attacks,
-        tasks=tasks,
-        jobs=1,
-        out=out,
-    )
-    return evaluation.run(settings, pictures=pictures)
+    axes = {"mechanisms": ("raw", "fid:1"), "attacks": attacks, "tasks": tasks}
+    return evaluation.run(smoke(path, out, scenes=4, **axes), pictures=pictures)
 
 
 def parts(figure):

@@ -15,7 +15,7 @@ from evaluation.cells.linkage import link, linked_level
 from evaluation.cells.reconstruction import attacked_block, folds
 from evaluation.cells.sharing import share
 from evaluation.cells.work import Block, cells
-from evaluation.experiment.axes import Axes, Link
+from evaluation.experiment.axes import Axes, Consumer
 from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.plugins import Plugin
@@ -154,7 +154,10 @@ def linked(sessions, by, *links, controls=False, seed=0):
     """
     task = sessions.task
     level = linked_level(parsed("mechanisms", by), _sensed(sessions, seed))
-    links = [one if isinstance(one, Link) else Link(parsed("attacks", one, "spy")) for one in links]
+    links = [
+        one if isinstance(one, Consumer) else Consumer("linkage", parsed("attacks", one, "spy"))
+        for one in links
+    ]
     crossed = Axes((), (), (), links=tuple((task, one) for one in links))
     wanted = ("linkage", "control") if controls else ("linkage",)
     known = {}

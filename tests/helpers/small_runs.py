@@ -1,8 +1,16 @@
-"""Recordings as files, for runs that take seconds."""
+"""Recordings as files, and settings, for runs that take seconds."""
 
 import numpy as np
 
+from evaluation.experiment.settings import Settings
 from isac_track.rng import stream
+
+
+def smoke(dataset, out=None, *, scenes=12, **changes):
+    """Settings of a run of one process, with one predictor, in which nobody attacks."""
+    usual = {"mechanisms": ("raw", "fixed:0.7"), "predictors": ("least_squares",), "jobs": 1}
+    usual |= {"attacks": (), "tasks": ()} | changes
+    return Settings(preset="smoke", dataset=str(dataset), scenes=scenes, out=out, **usual)
 
 
 def write_walks(path, *, n_people=30, seed=0):

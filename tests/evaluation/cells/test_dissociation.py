@@ -13,7 +13,7 @@ from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.sharing import restricted, samples_shared, share
 from evaluation.cells.windows import COLUMNS, window_tables
 from evaluation.cells.work import LinkWork, cells
-from evaluation.experiment.axes import Consumer, Link, axes
+from evaluation.experiment.axes import Consumer, axes
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
 from isac_track import plugins, privacy
@@ -231,7 +231,9 @@ LINKER = {"rerelease": "shape", "handover-1s": "kinematic"}
 def links_of(task, behind):
     """The linker of a task, alone and behind a reconstruction."""
     linker = parsed("attacks", LINKER[task])
-    return Link(linker), Link(linker, parsed("attacks", behind))
+    return Consumer("linkage", linker), Consumer(
+        "linkage", linker, behind=parsed("attacks", behind)
+    )
 
 
 class TestLinkage:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.cells import STAGES, Silent, Spy, linked, parsed, plugin, sessions_of
+from helpers.small_runs import smoke
 from helpers.walkers import walkers, write_walkers
 
 import evaluation
@@ -20,7 +21,7 @@ from evaluation import matrix
 from evaluation.analysis import linkability
 from evaluation.cells.link_scores import DERIVED, linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.experiment.axes import Consumer, Link, axes
+from evaluation.experiment.axes import Consumer, axes
 from evaluation.experiment.settings import Settings
 from evaluation.runs import cell_files
 from isac_track.errors import DataError, PluginError, SettingsError
@@ -65,7 +66,7 @@ class Linker:
 
 
 def behind(linker, reconstruction):
-    return Link(plugin(linker), plugin(reconstruction, "rounds"))
+    return Consumer("linkage", plugin(linker), behind=plugin(reconstruction, "rounds"))
 
 
 def of_task(task, *links, by="raw", **options):
@@ -425,17 +426,10 @@ KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
 def settings_in(folder):
     write_walkers(folder / "walkers.csv")
-    return Settings(
-        preset="smoke",
-        dataset=str(folder / "walkers.csv"),
-        scenes=8,
-        mechanisms=("raw", "fixed:1", "thin:3"),
-        predictors=(),
-        attacks=("shape", "histogram@kalman_rts", "kinematic", "identity", "kalman_rts"),
-        tasks=("rerelease", "handover-2s"),
-        out=folder / "run",
-        jobs=1,
-    )
+    attacks = ("shape", "histogram@kalman_rts", "kinematic", "identity", "kalman_rts")
+    axes = {"mechanisms": ("raw", "fixed:1", "thin:3"), "predictors": (), "attacks": attacks}
+    axes["tasks"] = ("rerelease", "handover-2s")
+    return smoke(folder / "walkers.csv", folder / "run", scenes=8, **axes)
 
 
 @pytest.fixture(scope="module")
@@ -580,7 +574,7 @@ class TestAxes:
     def test_the_default_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(self):
         found = axes(Settings())
         assert {task.name for task in found.tasks} == TASKS.keys()
-        linkers = {one.linker.name for _, one in found.links}
+        linkers = {one.plugin.name for _, one in found.links}
         assert linkers == {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
         assert found.ceiling.spec == "clean"
         nothing = axes(Settings(tasks=()))

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
+import pandas as pd
 import pytest
 from helpers.processes import ROOT, TESTS, wait_for
+from helpers.small_runs import smoke
 
 import evaluation
 from evaluation import matrix
@@ -145,30 +145,17 @@ def cluster(folder):
 
 @pytest.fixture
 def settings(csv_recording, tmp_path):
-    return Settings(
-        preset="smoke",
-        dataset=str(csv_recording),
-        scenes=12,
-        mechanisms=("raw", "fid:1000", "fixed:0.7"),
-        predictors=("least_squares", "kalman_cv"),
-        attacks=(),
-        tasks=(),
-        out=tmp_path / "run",
-    )
+    axes = {"mechanisms": ("raw", "fid:1000", "fixed:0.7")}
+    axes["predictors"] = ("least_squares", "kalman_cv")
+    return smoke(csv_recording, tmp_path / "run", **axes)
 
 
 @pytest.fixture
 def slow(settings, monkeypatch, folder, tmp_path):
     """Sixteen cells that take 0.3 s each in a worker, and the same run on this machine."""
     monkeypatch.syspath_prepend(str(folder))
-    local = replace(
-        settings,
-        scenes=300,
-        mechanisms=(SLOW,),
-        predictors=(),
-        jobs=1,
-        out=tmp_path / "local",
-    )
+    axes = {"mechanisms": (SLOW,), "predictors": ()}
+    local = replace(settings, scenes=300, out=tmp_path / "local", **axes)
     evaluation.run(local, pictures=False)
     return local
 
@@ -189,16 +176,8 @@ def assert_same_bits(run, other):
     assert names == [path.name for path in cells(other)]
     assert names
     for name in names:  # as tables: how they are compressed is not the same in two local runs
-        one, two = (content(where.out / "cells" / name) for where in (run, other))
-        assert one == two, name
-
-
-def content(path):
-    sink = pa.BufferOutputStream()
-    table = pq.read_table(path).combine_chunks()
-    with pa.ipc.new_stream(sink, table.schema) as stream:
-        stream.write_table(table)
-    return sink.getvalue().to_pybytes()
+        one, two = (pd.read_parquet(where.out / "cells" / name) for where in (run, other))
+        pd.testing.assert_frame_equal(one, two, check_exact=True, obj=name)
 
 
 class TestResults:

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from helpers.recordings import write_csv
 from helpers.runs import arrays, change_code, held_by, rows_of
+from helpers.small_runs import smoke
 
 import evaluation
 from evaluation.analysis import summary
@@ -28,15 +29,7 @@ KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
 
 def settings_of(dataset, out):
-    return Settings(
-        preset="smoke",
-        dataset=str(dataset),
-        scenes=12,
-        mechanisms=("raw", "fid:1000", "fixed:0.7"),
-        predictors=("least_squares",),
-        attacks=(),
-        out=out,
-    )
+    return smoke(dataset, out, mechanisms=("raw", "fid:1000", "fixed:0.7"))
 
 
 @pytest.fixture
@@ -216,21 +209,6 @@ class TestWhatARunLeaves:
         assert own.exists()
         assert not any(path.exists() for path in stale)
 
-    def test_a_broken_manifest_or_cell_is_named(self, finished):
-        cell = min((finished.out / "cells").iterdir())
-        cell.write_bytes(b"not parquet")
-        with pytest.raises(DataError, match=f"{cell.name}.*delete it"):
-            build(finished.out)
-        for held, message in {
-            "{": r"manifest.json cannot be read",
-            "[]": "is not the manifest of a run",
-        }.items():
-            (finished.out / "manifest.json").write_text(held, encoding="utf-8")
-            with pytest.raises(DataError, match=message):
-                build(finished.out)
-        with pytest.raises(DataError, match="holds no run"):
-            build(finished.out / "nowhere")
-
 
 def test_workers_change_no_bit(settings, tmp_path):
     """Three blocks for two workers."""
@@ -360,87 +338,21 @@ def test_nothing_dropped_goes_uncounted(settings, tmp_path):
     assert counts == {"tracks_used": 4, "too_short": 1, "tracks": 5}
 
 
-def test_predictors_may_be_left_out(settings):
-    assert set(run(settings, predictors=()).summary["consumer"]) == {"shared"}
-
-
-BAD_PLUGINS = """
-import os
-import threading
-from dataclasses import dataclass, field
-from isac_track.sharing import Fixed
-from isac_track.types import Knowledge
-from predictors.least_squares import LeastSquares
-
-@dataclass(frozen=True)
-class Raises:
-    def share(self, sensed, rng):
-        raise RuntimeError("no luck")
-
-@dataclass(frozen=True)
-class NotAt3(Fixed):
-    def share(self, sensed, rng):
-        if self.d_sigma == 0.3 and "MENDED" not in os.environ:
-            raise RuntimeError("not at 0.3")
-        return super().share(sensed, rng)
-
-def spoilt(array):
-    array.setflags(write=True)
-    array += 7.0
-
-class Spoils(Fixed):
-    def share(self, sensed, rng):
-        spoilt(sensed.xy)
-        return super().share(sensed, rng)
-
-class Moves(LeastSquares):
-    def predict(self, release, t_future):
-        spoilt(release.xy)
-        spoilt(t_future)
-        return super().predict(release, t_future)
-
-@dataclass(frozen=True)
-class NeedsMany(Fixed):
-    def share(self, sensed, rng):
-        if len(sensed) < 10:
-            raise RuntimeError("too few to hide among")
-        return super().share(sensed, rng)
-
-@dataclass(frozen=True)
-class HasALock(LeastSquares):
-    lock: object = field(default_factory=threading.Lock, init=False, compare=False)
-
-@dataclass(frozen=True)
-class Greedy:
-    requires = frozenset({Knowledge.TRAIN})
-    def predict(self, release, t_future):
-        raise RuntimeError("nobody asks")
-"""
-
-
-@pytest.fixture
-def bad(tmp_path, monkeypatch):
-    (tmp_path / "bad_plugins.py").write_text(BAD_PLUGINS, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-
-
-@pytest.mark.usefixtures("bad")
 def test_a_failed_plugin_leaves_the_folder_usable(settings):
-    with pytest.raises(PluginError, match="'bad_plugins:Raises' failed: RuntimeError: no luck"):
-        run(settings, mechanisms=("bad_plugins:Raises",))  # nothing at all is left
+    with pytest.raises(PluginError, match="bad_plugins:Raises' failed: RuntimeError: no luck"):
+        run(settings, mechanisms=("helpers.bad_plugins:Raises",))  # nothing at all is left
     assert json.loads((settings.out / "manifest.json").read_text())["state"] == "failed"
     assert not (settings.out / "summary.csv").exists()
     with pytest.warns(FailedCellsWarning, match="2 cells failed and are left out: .*no luck"):
-        found = run(settings, mechanisms=("raw", "bad_plugins:Raises"))
+        found = run(settings, mechanisms=("raw", "helpers.bad_plugins:Raises"))
     assert set(found.summary["mechanism"]) == {"raw"}
-    assert set(found.failed["spec"]) == {"bad_plugins:Raises"}
+    assert set(found.failed["spec"]) == {"helpers.bad_plugins:Raises"}
     results = run(settings, mechanisms=("fixed:0.7",))
     assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
 
 
-@pytest.mark.usefixtures("bad")
 def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(settings, monkeypatch):
-    sweep, one = ("bad_plugins:NotAt3:0.1..0.5/5",), ("bad_plugins:NotAt3:0.5",)
+    sweep, one = ("helpers.bad_plugins:NotAt3:0.1..0.5/5",), ("helpers.bad_plugins:NotAt3:0.5",)
     with pytest.warns(FailedCellsWarning, match="not at 0.3"):
         run(settings, mechanisms=sweep)
     missing = (settings.out / "failed.csv").read_text()
@@ -456,10 +368,9 @@ def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(settings, m
     assert len(run(settings, mechanisms=one, fresh=True).failed) == 0
 
 
-@pytest.mark.usefixtures("bad")
 def test_what_writes_into_its_input_writes_into_its_own(settings, drawn):
-    axes = {"mechanisms": ("bad_plugins:Spoils:0.5", *settings.mechanisms)}
-    axes["predictors"] = ("bad_plugins:Moves", *settings.predictors)
+    axes = {"mechanisms": ("helpers.bad_plugins:Spoils:0.5", *settings.mechanisms)}
+    axes["predictors"] = ("helpers.bad_plugins:Moves", *settings.predictors)
     assert len(run(settings, **axes).failed) == 0
     for spec in settings.mechanisms:
         for consumer in ("shared", *settings.predictors):
@@ -468,28 +379,25 @@ def test_what_writes_into_its_input_writes_into_its_own(settings, drawn):
             )
 
 
-@pytest.mark.usefixtures("bad")
 def test_what_fails_in_the_gallery_alone_costs_its_panels_alone(settings):
-    results = run(settings, mechanisms=("raw", "bad_plugins:NeedsMany:0.5"))
+    results = run(settings, mechanisms=("raw", "helpers.bad_plugins:NeedsMany:0.5"))
     (without,) = results.manifest["gallery_without"]
-    assert without.startswith("bad_plugins:NeedsMany:0.5: ")
+    assert without.startswith("helpers.bad_plugins:NeedsMany:0.5: ")
     assert set(results.gallery["mechanism"]) == {"raw"}
-    assert set(results.summary["mechanism"]) == {"raw", "bad_plugins:NeedsMany"}
+    assert set(results.summary["mechanism"]) == {"raw", "helpers.bad_plugins:NeedsMany"}
 
 
-@pytest.mark.usefixtures("bad")
 def test_what_cannot_be_sent_to_a_worker_is_refused_by_name(settings):
-    axes = {"mechanisms": ("raw",), "predictors": ("bad_plugins:HasALock",)}
-    told = r"bad_plugins:HasALock cannot be sent to a worker \(TypeError: cannot pickle"
+    axes = {"mechanisms": ("raw",), "predictors": ("helpers.bad_plugins:HasALock",)}
+    told = r"helpers.bad_plugins:HasALock cannot be sent to a worker \(TypeError: cannot pickle"
     with pytest.raises(PluginError, match=told):
         run(settings, **axes, jobs=2)
     assert len(run(settings, **axes, jobs=1).failed) == 0
 
 
-@pytest.mark.usefixtures("bad")
 def test_a_predictor_that_wants_more_than_a_robot_has_is_refused(settings):
     with pytest.raises(PluginError, match="requires TRAIN, which a robot is never granted"):
-        run(settings, predictors=("bad_plugins:Greedy",))
+        run(settings, predictors=("helpers.bad_plugins:Greedy",))
 
 
 def test_a_decision_by_probability_needs_a_covariance(settings):
@@ -514,15 +422,6 @@ def test_a_decision_by_probability_trades_misses_against_alarms(tracks):
     by_mean, same = rates()
     assert np.array_equal(same, probability)  # the decision changes, not what it is made of
     assert by_mean > 0
-
-
-def test_the_trackers_run_by_name_and_filterpy_agrees(settings):
-    names = ("kalman_cv", "kalman_cv:engine=filterpy")
-    results = run(settings, scenes=2, mechanisms=("fixed:0.7",), predictors=names)
-    table = results.summary.set_index(["consumer", "metric"])["value"]
-    ours, theirs = (table[name].to_numpy() for name in names)
-    assert ours == pytest.approx(theirs, abs=1e-9)
-    assert set(results.decisions["score"]) == {"separation", "probability"}
 
 
 def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from helpers.runs import change_code
-from helpers.small_runs import write_walks
+from helpers.small_runs import smoke, write_walks
 from helpers.summaries import edit_manifest
 
 import evaluation
@@ -53,16 +53,8 @@ def forbidden(out, name=".", mode=0):
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory):
     """The settings of a run that takes less than a second."""
-    return evaluation.Settings(
-        dataset=str(write_walks(tmp_path_factory.mktemp("walks") / "walks.csv", n_people=12)),
-        preset="smoke",
-        scenes=8,
-        mechanisms=("raw", "fixed:0.7"),
-        predictors=("least_squares",),
-        attacks=(),
-        tasks=(),
-        jobs=1,
-    )
+    walks = write_walks(tmp_path_factory.mktemp("walks") / "walks.csv", n_people=12)
+    return smoke(walks, scenes=8)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from isac_track.linkability import (
     rank1_p,
     reciprocal_rank,
     residual_risk,
-    scoring,
+    scales,
 )
 from isac_track.linkability.significance import add_shuffles, rank_rows
 from isac_track.rng import stream
@@ -159,14 +159,14 @@ def test_of_the_next_attack_on_the_same_people_it_is_the_same_whether_pairs_are_
     kept, others = (
         read_only(cluster_weights(n_clusters=6, n_replicates=9, seed=seed)) for seed in (0, 1)
     )
-    hits = scoring._pairs.cache_info().hits
+    hits = scales._pairs.cache_info().hits
     card(first, n_clusters=6, weights=kept)
     for searches in (second, other_people, first):
         for weights in (kept, others):
             options = {"n_clusters": 6, "calibration": CALIBRATION}
             found = card(searches, weights=weights, **options)
             assert_alike(card(searches, weights=weights.copy(), **options), found)
-    assert scoring._pairs.cache_info().hits > hits
+    assert scales._pairs.cache_info().hits > hits
 
 
 def test_the_layout_of_a_search_does_not_matter():
@@ -215,74 +215,81 @@ def test_every_search_has_its_own_no_match_score():
     assert 0 < np.mean(linked) < 1
 
 
-def test_perfect_separation():
-    result = card([search(np.eye(40) * 5)], n_clusters=40, calibration=CALIBRATION)
-    expected = {"rank1": 1, "mrr": 1, "auc": 1, "eer": 0, "cllr_min": 0, "d_sys": 1}
-    expected |= {"tpr_at_fpr_1pct": 1, "residual_risk": 1, "rank1_assigned": 1}
+HARMONIC = (1 / np.arange(1, 41)).sum()
+EXTREMES = {
+    # Scores of 40 people: the metrics, p-values of either tail and of rank 1, whether inverted.
+    "perfect": (
+        5 * np.eye(40),
+        {"rank1": 1, "mrr": 1, "auc": 1, "eer": 0, "cllr_min": 0, "d_sys": 1}
+        | {"tpr_at_fpr_1pct": 1, "residual_risk": 1, "rank1_assigned": 1},
+        (1 / 1000, 1.0, 40.0**-40, False),
+    ),
+    "equal": (  # one fractional hit is one hit of the 40 guesses
+        np.ones((40, 40)),
+        {"rank1": 1 / 40, "mrr": HARMONIC / 40, "auc": 0.5, "eer": 0.5, "cllr_min": 1}
+        | {"d_sys": 0, "d_sys_corrected": 0, "tpr_at_fpr_1pct": 0, "residual_risk": 0},
+        (1.0, 1.0, 1 - (39 / 40) ** 40, False),
+    ),
+    "inverted": (  # which D_sys cannot see
+        -5 * np.eye(40),
+        {"rank1": 0, "auc": 0, "eer": 0.5, "cllr_min": 1, "d_sys": 1},
+        (1.0, 1 / 1000, 1.0, True),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+def test_extremes_have_known_values(name):
+    scores, expected, tests = EXTREMES[name]
+    result = card([search(scores)], n_clusters=40, calibration=CALIBRATION)
+    found = {metric: result.estimates[metric].value for metric in expected}
+    assert found == pytest.approx(expected, abs=1e-12)
+    said = (result.p_value, result.p_value_low, result.p_rank1, result.is_inverted)
+    assert said == pytest.approx(tests)
+
+
+def test_what_does_not_vary_has_wilsons_interval():
     low, high = wilson(hits=40, n=40)
+    scores, expected, _ = EXTREMES["perfect"]
+    estimates = card([search(scores)], n_clusters=40).estimates
     for name, value in expected.items():
-        estimate = result.estimates[name]
-        assert estimate.value == pytest.approx(value, abs=1e-12)
         ends = (low, high) if value else (1 - high, 1 - low)
         if name == "residual_risk":
             ends = residual_risk(success=low, control=1 / 40), 1.0
-        assert (estimate.ci_low, estimate.ci_high) == pytest.approx(ends, abs=1e-12)
-    assert (result.p_value, result.p_value_low) == (1 / 1000, 1.0)
-    assert not result.is_inverted
-
-
-def test_equal_scores_say_nothing():
-    result = card([search(np.ones((40, 40)))], n_clusters=40, calibration=CALIBRATION)
-    harmonic = (1 / np.arange(1, 41)).sum()
-    expected = {"rank1": 1 / 40, "mrr": harmonic / 40, "auc": 0.5, "eer": 0.5, "cllr_min": 1}
-    expected |= {"d_sys": 0, "d_sys_corrected": 0, "tpr_at_fpr_1pct": 0, "residual_risk": 0}
-    for name, value in expected.items():
-        assert result.estimates[name].value == pytest.approx(value, abs=1e-12), name
-    assert (result.p_value, result.p_value_low, result.realised_fpr_1pct) == (1.0, 1.0, 0.0)
-    # One fractional hit is one hit of the 40 guesses.
-    assert result.p_rank1 == pytest.approx(1 - (39 / 40) ** 40)
-    area = result.estimates["auc"]
+        assert (estimates[name].ci_low, estimates[name].ci_high) == pytest.approx(ends, abs=1e-12)
+    equal = card([search(np.ones((40, 40)))], n_clusters=40)
+    area = equal.estimates["auc"]
     assert (area.ci_low, area.ci_high) == pytest.approx(wilson(hits=20, n=40))
-    assert result.estimates["eer"].ci_high == 0.5
+    assert (equal.estimates["eer"].ci_high, equal.realised_fpr_1pct) == (0.5, 0.0)
+    # The chance is known even where it is one.
+    single = [search([[1.0]], cluster=[cluster]) for cluster in (0, 1)]
+    estimates = card(single, n_clusters=2).estimates
+    known, share = estimates["chance"], estimates["rank1"]
+    assert (known.value, known.ci_low, known.ci_high) == (1.0, 1.0, 1.0)
+    assert (share.value, share.ci_low) == (1.0, pytest.approx(wilson(hits=2, n=2)[0]))
 
 
-def test_inverted_scores_are_flagged_since_d_sys_cannot_see_it():
-    result = card([search(-5 * np.eye(40))], n_clusters=40)
-    assert result.is_inverted
-    assert result.estimates["d_sys"].value == pytest.approx(1)
-    for name, value in {"auc": 0, "rank1": 0, "eer": 0.5, "cllr_min": 1}.items():
-        assert result.estimates[name].value == pytest.approx(value, abs=1e-12)
-    assert (result.p_value, result.p_value_low) == (1.0, 1 / 1000)
-    assert result.p_rank1 == 1.0
-
-
-def test_one_candidate_is_found_and_shows_nothing():
-    result = card([search([[3.0]])], n_clusters=1, calibration=CALIBRATION)
-    estimates = result.estimates
-    assert (estimates["rank1"].value, estimates["chance"].value) == (1.0, 1.0)
+def test_one_candidate_one_cluster_and_nobody_with_a_mate_say_little():
+    options = {"n_clusters": 8, "calibration": CALIBRATION}
+    alone = card([search([[3.0]])], **options)
+    values = {name: one.value for name, one in alone.estimates.items()}
+    assert (values["rank1"], values["chance"]) == (1.0, 1.0)
     for name in ("residual_risk", "auc", "eer", "cllr", "cllr_min", "d_sys", "d_sys_corrected"):
-        assert math.isnan(estimates[name].value), name
-    assert (result.p_value, result.p_value_low, result.p_rank1) == (1.0, 1.0, 1.0)
-    assert result.minimum_detectable_rank1 == math.inf
-    assert not result.is_inverted
-
-
-def test_one_cluster_has_values_and_no_interval():
-    scores = stream(14, "test").standard_normal((8, 8))
-    one = search(scores, cluster=np.zeros(8, dtype=int))
-    for name, estimate in card([one], n_clusters=1, calibration=CALIBRATION).estimates.items():
-        if not name.startswith("tpr"):
-            assert math.isfinite(estimate.value), name
-        assert np.isnan([estimate.ci_low, estimate.ci_high]).all(), name
-        assert estimate.n == 1
-
-
-def test_nobody_has_a_mate():
-    result = card([search(np.eye(4), mate=[-1] * 4)], n_clusters=4, calibration=CALIBRATION)
-    for name, estimate in result.estimates.items():
+        assert math.isnan(values[name]), name
+    assert alone.minimum_detectable_rank1 == math.inf
+    nobody = card([search(np.eye(4), mate=[-1] * 4)], **options)
+    for name, estimate in nobody.estimates.items():
         assert math.isnan(estimate.value) == (name != "false_link_rate")
-    assert (result.n_mated, result.n_clusters) == (0, 0)
-    assert (result.p_value, result.p_value_low, result.p_rank1) == (1.0, 1.0, 1.0)
+    assert (nobody.n_mated, nobody.n_clusters) == (0, 0)
+    for one in (alone, nobody):
+        assert (one.p_value, one.p_value_low, one.p_rank1) == (1.0, 1.0, 1.0)
+        assert not one.is_inverted
+    # One cluster has values, and no interval.
+    scores = stream(14, "test").standard_normal((8, 8))
+    for name, one in card([search(scores, cluster=np.zeros(8, int))], **options).estimates.items():
+        assert name.startswith("tpr") or math.isfinite(one.value), name
+        assert np.isnan([one.ci_low, one.ci_high]).all(), name
+        assert one.n == 1
 
 
 def people(rng, n_groups):
@@ -358,11 +365,3 @@ def test_a_scorecard_refuses(options, message):
     usual = {"searches": [search(np.eye(3))], "weights": np.ones((5, 3))}
     with pytest.raises(ValueError, match=message):
         card(n_clusters=3, **usual | options)
-
-
-def test_the_chance_is_known_even_where_it_is_one():
-    single = [search([[1.0]], cluster=[cluster]) for cluster in (0, 1)]
-    estimates = card(single, n_clusters=2).estimates
-    known, share = estimates["chance"], estimates["rank1"]
-    assert (known.value, known.ci_low, known.ci_high) == (1.0, 1.0, 1.0)
-    assert (share.value, share.ci_low) == (1.0, pytest.approx(wilson(hits=2, n=2)[0]))

@@ -1,0 +1,62 @@
+"""Plug-ins that fail, or write where they should not, each in one way."""
+
+import os
+import threading
+from dataclasses import dataclass, field
+
+from isac_track.sharing import Fixed
+from isac_track.types import Knowledge
+from predictors.least_squares import LeastSquares
+
+
+@dataclass(frozen=True)
+class Raises:
+    def share(self, *_):
+        raise RuntimeError("no luck")
+
+
+@dataclass(frozen=True)
+class NotAt3(Fixed):
+    def share(self, sensed, rng):
+        if self.d_sigma == 0.3 and "MENDED" not in os.environ:
+            raise RuntimeError("not at 0.3")
+        return super().share(sensed, rng)
+
+
+def spoilt(array):
+    array.setflags(write=True)
+    array += 7.0
+
+
+class Spoils(Fixed):
+    def share(self, sensed, rng):
+        spoilt(sensed.xy)
+        return super().share(sensed, rng)
+
+
+class Moves(LeastSquares):
+    def predict(self, release, t_future):
+        spoilt(release.xy)
+        spoilt(t_future)
+        return super().predict(release, t_future)
+
+
+@dataclass(frozen=True)
+class NeedsMany(Fixed):
+    def share(self, sensed, rng):
+        if len(sensed) < 10:
+            raise RuntimeError("too few to hide among")
+        return super().share(sensed, rng)
+
+
+@dataclass(frozen=True)
+class HasALock(LeastSquares):
+    lock: object = field(default_factory=threading.Lock, init=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Greedy:
+    requires = frozenset({Knowledge.TRAIN})
+
+    def predict(self, *_):
+        raise RuntimeError("nobody asks")
