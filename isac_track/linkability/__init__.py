@@ -10,6 +10,7 @@ from isac_track.linkability.ranks import (
     Search,
     assign,
     chance,
+    cmc,
     log_rank,
     mean_log_rank,
     rank1,
@@ -27,6 +28,7 @@ from isac_track.linkability.scores import (
     d_sys,
     eer,
     fit_calibration,
+    roc_hull,
     tpr_at_fpr,
 )
 from isac_track.linkability.scoring import ProbeRanks, Scorecard, scorecard
@@ -41,7 +43,7 @@ from isac_track.linkability.significance import (
 
 __all__ = ["Calibration", "Outcome", "ProbeRanks", "Scorecard", "Search"]
 __all__ += ["LEVEL", "MIN_EXPECTED", "SCORE_REPLICATES", "SLOPE_PENALTY"]
-__all__ += ["assign", "chance", "log_rank", "mean_log_rank", "rank1", "reciprocal_rank"]
-__all__ += ["auc", "cllr", "cllr_min", "d_sys", "eer", "fit_calibration", "tpr_at_fpr"]
+__all__ += ["assign", "chance", "cmc", "log_rank", "mean_log_rank", "rank1", "reciprocal_rank"]
+__all__ += ["auc", "cllr", "cllr_min", "d_sys", "eer", "fit_calibration"]
 __all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p"]
-__all__ += ["residual_risk", "scorecard"]
+__all__ += ["residual_risk", "roc_hull", "scorecard", "tpr_at_fpr"]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import isotonic_regression
 from scipy.special import expit
 
 from isac_track.linkability.significance import import_loops
@@ -52,6 +53,21 @@ def auc(*, mated: Floats, non_mated: Floats) -> float:
         If a class is empty or a score is not finite.
     """
     return float(_read(mated, non_mated)[0])
+
+
+def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
+    """Return FPR and TPR, (H,) each, on the convex hull of the ROC, from (0, 0) to (1, 1).
+
+    Parameters and errors are those of `auc`.
+    """
+    true, false = (mass[0] / mass.sum() for mass in _counts(mated, non_mated))
+    both = true + false
+    starts = isotonic_regression(true / both, weights=both).blocks[:-1]
+    fpr, tpr = (
+        np.concatenate([[0.0], np.cumsum(np.add.reduceat(share, starts)[::-1])])
+        for share in (false, true)
+    )
+    return fpr, tpr
 
 
 def eer(*, mated: Floats, non_mated: Floats) -> float:

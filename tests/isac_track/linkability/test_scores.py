@@ -17,6 +17,7 @@ from isac_track.linkability import (
     d_sys,
     eer,
     fit_calibration,
+    roc_hull,
     tpr_at_fpr,
 )
 from isac_track.rng import stream
@@ -61,6 +62,26 @@ def test_tpr_is_refused_below_ten_expected_false_links_and_allows_a_share_at_the
     # Ten of a thousand are at least as high as 990, eleven as 989.
     classes = {"mated": np.array([989.0, 990.0]), "non_mated": np.arange(1_000.0)}
     assert tpr_at_fpr(**classes, alpha=0.01) == (0.5, pytest.approx(0.01))
+
+
+def test_the_hull_is_convex_and_lies_above_the_roc():
+    rng = stream(4, "test", "hull")
+    mated, non_mated = (
+        np.round(rng.standard_normal(40) + 1, 1),
+        np.round(rng.standard_normal(60), 1),
+    )
+    fpr, tpr = roc_hull(mated=mated, non_mated=non_mated)
+    assert (fpr[0], tpr[0]) == (0, 0)
+    assert (fpr[-1], tpr[-1]) == pytest.approx((1, 1))
+    # Not slopes, which are infinite at the left.
+    turns = np.diff(fpr)[:-1] * np.diff(tpr)[1:] - np.diff(fpr)[1:] * np.diff(tpr)[:-1]
+    assert (turns < 1e-12).all()
+    points = oracles.roc(mated, non_mated)
+    for f, t in points:
+        assert t <= np.interp(f, fpr, tpr) + 1e-12 or f == 0
+    assert all(
+        any(np.allclose(vertex, point) for point in points) for vertex in zip(fpr, tpr, strict=True)
+    )
 
 
 SCORES = arrays(np.int64, st.integers(1, 12), elements=st.integers(-4, 4))
@@ -114,7 +135,7 @@ def test_calibration_of_scores_that_say_nothing_or_everything():
     assert separated.slope * 10 + separated.intercept > 3
 
 
-@pytest.mark.parametrize("function", [auc, eer, cllr_min, d_sys, fit_calibration])
+@pytest.mark.parametrize("function", [auc, eer, roc_hull, cllr_min, d_sys, fit_calibration])
 def test_metrics_refuse_an_empty_class_and_infinity(function):
     for mated, non_mated in (([], [1.0]), ([1.0], []), ([[1.0]], [1.0])):
         with pytest.raises(ValueError, match="must have shape"):
