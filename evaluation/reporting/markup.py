@@ -1,7 +1,9 @@
-"""A table as LaTeX (a booktabs tabular) and Markdown; `templates` has it for the page."""
+"""A table as LaTeX (a booktabs tabular), Markdown and CSV; `templates` has it for the page."""
 
 from __future__ import annotations
 
+import csv
+import io
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -105,3 +107,12 @@ def markdown(table: Table) -> str:
     text = str.maketrans({"&": "&amp;", "<": "&lt;", "|": r"\|"})
     plain = [[printable(cell).translate(text) for cell in row] for row in rows]
     return "".join(f"| {' | '.join(row)} |\n" for row in plain)
+
+
+def to_csv(table: Table) -> str:
+    """Return a table as it is shown, a line for each row."""
+    sink = io.StringIO()
+    rows = csv.writer(sink, lineterminator="\n")
+    rows.writerow([column.head for column in table.columns])
+    rows.writerows([[cell.full for cell in row] for row in table.rows])
+    return sink.getvalue()
