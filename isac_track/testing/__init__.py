@@ -62,9 +62,11 @@ def run_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Itera
     return engine.outcomes(select_checks(names), metrics)
 
 
-def parametrize_metric_checks(metrics: Metrics) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
+def parametrize_metric_checks(metrics: Metrics, *, names: Sequence[str] | None = None) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     """Return a pytest decorator that runs a test once per check, with ``check`` to call.
 
-    Checks of functions that are not offered are skipped, with the reason.
+    All checks, or those called `names`; those of functions that are not offered are skipped, with
+    the reason.
     """
-    return engine.parametrize("check", ((one.name, (partial(one, metrics),)) for one in CHECKS))
+    cases = ((one.name, (partial(one, metrics),)) for one in select_checks(names))
+    return engine.parametrize("check", cases)

@@ -137,6 +137,8 @@ class TestRunning:
             cases["ael_single_sample"]()
         with pytest.raises(AssertionError, match=r"PLR is nan, expected 0\.25"):
             cases["plr_hand_examples"]()
+        few = parametrize_metric_checks(OWN, names=["grid_starts_now"]).mark.args[1]
+        assert [case.id for case in few] == ["grid_starts_now"]
 
 
 class TestCommand:
