@@ -144,7 +144,15 @@ class LinkageTrainingSet:
     """(P,) track of the gallery that is the same person, or -1 if there is none."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mate", read_only(np.asarray(self.mate, dtype=np.int64)))
+        mate = np.asarray(self.mate)
+        if mate.shape != (len(self.probe),) or mate.dtype.kind not in "iu":
+            raise ValueError(f"mate must hold {len(self.probe)} integers, got {mate.shape}")
+        if mate.size and not (mate.min() >= -1 and mate.max() < len(self.gallery)):
+            raise ValueError(f"mate must lie within -1 and {len(self.gallery) - 1}")
+        known = mate[mate >= 0]
+        if np.unique(known).size < known.size:
+            raise ValueError("two probes have one mate")
+        object.__setattr__(self, "mate", read_only(mate.astype(np.int64, copy=False)))
 
 
 class AttackContext:
@@ -162,13 +170,29 @@ class AttackContext:
         train: TrainingSet | LinkageTrainingSet | None = None,
         repeats: tuple[Release, ...] | None = None,
     ) -> None:
-        """Keep what was granted; ValueError if something of it is not there.
+        """Keep what was granted.
 
-        `rng` is the attack's own stream, and a sample leaks closer than `epsilon_m`, m. SIGMA and
-        SCENE show in the release itself: declared standard deviations, and the true frame and
-        clock. `mechanism`, the frozen object, `train`, which of the two goes by the kind of the
-        attack, and `repeats`, further releases of the same walks, sample by sample at the same
-        instants, are for the knowledge of those names.
+        Parameters
+        ----------
+        rng : Generator
+            The attack's own stream.
+        epsilon_m : float
+            Distance below which a sample counts as leaked, m.
+        granted : frozenset of Knowledge
+            SIGMA and SCENE show in the release itself: declared standard deviations, and the true
+            frame and clock.
+        mechanism : Mechanism, optional
+            The frozen object, for MECHANISM.
+        train : TrainingSet or LinkageTrainingSet, optional
+            For TRAIN; which of the two goes by the kind of the attack.
+        repeats : tuple of Release, optional
+            Further releases of the same walks, sample by sample at the same instants, for
+            REPEATS.
+
+        Raises
+        ------
+        ValueError
+            If something was granted and is not there.
         """
         self.rng = rng
         self.epsilon_m = epsilon_m

@@ -7,7 +7,13 @@ import pytest
 from helpers.walks import flat_release
 
 from isac_track.errors import KnowledgeDenied
-from isac_track.protocols import ADVERSARIES, AttackContext, TrainingSet, grants
+from isac_track.protocols import (
+    ADVERSARIES,
+    AttackContext,
+    LinkageTrainingSet,
+    TrainingSet,
+    grants,
+)
 from isac_track.rng import stream
 from isac_track.sharing import Fixed
 from isac_track.types import Knowledge
@@ -87,6 +93,23 @@ def test_the_truth_of_a_training_set_is_one_position_a_sample():
     for shape in [(1, 2), (3, 2), (2, 3), (2,)]:
         with pytest.raises(ValueError, match=r"truth must have shape \(2, 2\)"):
             TrainingSet(release(), np.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    ("mate", "says"),
+    [
+        ([0, 1, -1], r"2 integers, got \(3,\)"),
+        ([0.0, 1.0], "2 integers"),
+        ([0, 2], "within -1 and 1"),
+        ([-2, 0], "within -1 and 1"),
+        ([1, 1], "two probes have one mate"),
+    ],
+)
+def test_who_is_who_in_a_training_set_is_somebody_once(mate, says):
+    both = flat_release(np.array([0.0, 0.0]), np.zeros((2, 2)), np.array([0, 1, 2]))
+    assert LinkageTrainingSet(both, both, np.array([1, -1])).mate.tolist() == [1, -1]
+    with pytest.raises(ValueError, match=says):
+        LinkageTrainingSet(both, both, np.array(mate))
 
 
 def test_each_adversary_knows_more_than_the_weaker_one():
