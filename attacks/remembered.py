@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from functools import wraps
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, ref
 
 from isac_track.noise import innovation_variance_m2
+from isac_track.types import Floats, Release
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from isac_track.types import Floats, Release
 
     _Rest = ParamSpec("_Rest")
 _Source = TypeVar("_Source")
@@ -23,16 +22,18 @@ def remembered(
 ) -> Callable[Concatenate[_Source, _Rest], _Found]:
     """Return a function that keeps what it makes of a release for as long as that is alive.
 
-    What else it takes can be hashed: numbers, functions, other releases.
+    What else it takes can be hashed: numbers, functions, other releases. Of these it keeps nobody
+    alive: two that are compared with each other, or one with itself, would live on for ever.
     """
     known: WeakKeyDictionary[_Source, dict[object, _Found]] = WeakKeyDictionary()
 
     @wraps(function)
-    def recalled(source: _Source, /, *rest: _Rest.args, **none: _Rest.kwargs) -> _Found:
+    def recalled(source: _Source, /, *rest: _Rest.args, **named: _Rest.kwargs) -> _Found:
         of_this = known.setdefault(source, {})
-        if rest not in of_this:
-            of_this[rest] = function(source, *rest, **none)
-        return of_this[rest]
+        key = (*(ref(one) if isinstance(one, Release) else one for one in rest), *named.items())
+        if key not in of_this:
+            of_this[key] = function(source, *rest, **named)
+        return of_this[key]
 
     return recalled
 

@@ -8,6 +8,7 @@ forecast at the end of the horizon against the true future, which no tuning has 
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from isac_track.rng import stream
 from isac_track.scenes import cut, make_scenes, track_order
 from isac_track.sensing import sense_scenes
 from predictors.kalman import KalmanCA, KalmanCV, KalmanIMM
+
+if TYPE_CHECKING:
+    from isac_track.types import Release
 
 LEVELS = ("raw", "fixed:0.7,adding=independent", "fid:1,adding=independent")
 N_SCENES = 100
@@ -51,9 +55,9 @@ def main() -> int:
     return 0
 
 
-def _nis(tracker: KalmanCV, shared: object) -> float:
+def _nis(tracker: KalmanCV, shared: Release) -> float:
     """Return the mean NIS behind the start-up of 32 samples."""
-    batch, d = tracker.batch(shared), tracker.states  # type: ignore[arg-type]
+    batch, d = tracker.batch(shared), tracker.states
     sizes = np.diff(batch.offsets)
     found = []
     for k in range(32, int(sizes.max(initial=0))):

@@ -7,7 +7,7 @@ slow ones run on the first few walks only, which changes no time per sample.
 """
 
 # Peers are imported where they are used: any of them may be missing.
-# ruff: noqa: PLC0415
+# ruff: noqa: PLC0415 - as said
 from __future__ import annotations
 
 import argparse

@@ -15,7 +15,7 @@ import sys
 for _library in ("OPENBLAS", "MKL", "OMP"):
     os.environ[f"{_library}_NUM_THREADS"] = "1"
 
-# ruff: noqa: E402
+# ruff: noqa: E402 - as said above
 import resource
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -78,7 +78,7 @@ def fit(name: str) -> Any:  # noqa: ANN401 - from two releases to scores
     return plugin.instance.fit(context)
 
 
-def search_s(fitted: Any, probe: Release, gallery: Release) -> float:  # noqa: ANN401
+def search_s(fitted: Any, probe: Release, gallery: Release) -> float:  # noqa: ANN401 - a fitted attack
     """Return how long it takes to find the best candidate of every probe, s."""
     started = perf_counter()
     best = np.full(len(probe), -np.inf)
@@ -92,14 +92,14 @@ def search_s(fitted: Any, probe: Release, gallery: Release) -> float:  # noqa: A
     return perf_counter() - started
 
 
-def blocks(fitted: Any, probe: Release, gallery: Release) -> Any:  # noqa: ANN401
+def blocks(fitted: Any, probe: Release, gallery: Release) -> Any:  # noqa: ANN401 - a fitted attack
     """Yield the rows of each block of the gallery, and the scores, (P, B)."""
     for first in range(0, len(gallery), BLOCK):
         rows = np.arange(first, min(first + BLOCK, len(gallery)))
         yield rows, fitted(probe, gallery.tracks(rows))
 
 
-def check_blocks(fitted: Any, probe: Release, gallery: Release) -> None:  # noqa: ANN401
+def check_blocks(fitted: Any, probe: Release, gallery: Release) -> None:  # noqa: ANN401 - a fitted attack
     """Assert that a block's scores are those of the whole gallery."""
     whole = fitted(probe, gallery)
     half = np.arange(len(gallery) // 2)

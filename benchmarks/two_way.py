@@ -31,13 +31,14 @@ def main() -> int:
     print(f"{'case':<12}{'times as wide':>15}{'p':>8}")
     cases = {name: planted(is_seen=name == "planted") for name in ("planted", "none")}
     with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
         settings = evaluation.Settings(
             dataset="students03",
             scenes=N_SCENES,
             mechanisms=MECHANISMS,
             predictors=("least_squares",),
             attacks=(),
-            out=Path(folder) / "run",
+            out=out,
         )
         cells = evaluation.run(settings, pictures=False).manifest["cells"]
         columns = {
@@ -47,7 +48,7 @@ def main() -> int:
         for name in MECHANISMS:
             entries = {one["consumer"]: one for one in cells if one["spec"] == name}
             agents, scenes = (
-                read_rows(settings.out, entries[consumer], columns=wanted).to_pandas()  # type: ignore[arg-type]
+                read_rows(out, entries[consumer], columns=wanted).to_pandas()
                 for consumer, wanted in columns.items()
             )
             cases[name] = agents, scenes

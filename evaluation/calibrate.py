@@ -32,8 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from evaluation.analysis.calibration import calibrate, ridge  # noqa: PLC0415 - for --help
-    from evaluation.reporting.difference_tables import show_constants  # noqa: PLC0415
-    from isac_track import datasets  # noqa: PLC0415
+    from evaluation.reporting.difference_tables import show_constants  # noqa: PLC0415 - for --help
+    from isac_track import datasets  # noqa: PLC0415 - for --help
 
     if options.scenes < 2 or options.seed < 0:  # noqa: PLR2004 - one scene of each label
         raise SettingsError("--scenes must be at least 2 and --seed not negative")

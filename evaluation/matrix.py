@@ -159,16 +159,16 @@ def _command(arguments: Sequence[str] | None) -> int:
         return DONE
     settings = settings_from(options)
     # Heavy imports only now: --help, --list and a typing error answer at once.
-    from evaluation.experiment.plan import plan  # noqa: PLC0415
+    from evaluation.experiment.plan import plan  # noqa: PLC0415 - as said
 
     ready = plan(settings)
     _say(plan_lines(ready), stream=sys.stderr)
     if options.dry_run:
         return DONE
     # What draws and shows is heavier still: until here, the user knows what is under way.
-    from evaluation.reporting.tables import show  # noqa: PLC0415
-    from evaluation.results import run  # noqa: PLC0415
-    from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415
+    from evaluation.reporting.tables import show  # noqa: PLC0415 - as said
+    from evaluation.results import run  # noqa: PLC0415 - as said
+    from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said
 
     gc.freeze()  # what was imported stays: looking through it again and again takes a second
     with _progress_bar() as update, warnings.catch_warnings():
@@ -183,8 +183,8 @@ def _command(arguments: Sequence[str] | None) -> int:
 @contextlib.contextmanager
 def _progress_bar() -> Iterator[Callable[[int, int, str], None]]:
     """Show how far a run is on a terminal; nothing where nobody watches."""
-    from rich import progress  # noqa: PLC0415
-    from rich.console import Console  # noqa: PLC0415
+    from rich import progress  # noqa: PLC0415 - as said
+    from rich.console import Console  # noqa: PLC0415 - as said
 
     console = Console(stderr=True)
     with progress.Progress(

@@ -138,8 +138,8 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
 
 def _draw(results: Results, *, pdf: bool, jobs: int) -> None:
     # matplotlib is slow to import, and only needed to draw.
-    from evaluation.reporting import page  # noqa: PLC0415
-    from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415
+    from evaluation.reporting import page  # noqa: PLC0415 - a run without pictures needs neither
+    from evaluation.reporting.figures.drawing import draw_all, figures_of  # noqa: PLC0415 - a run without pictures needs neither
 
     folder.note_figures(results.out, [one.name for one in figures_of(results)])
     drawn = draw_all(results, folder=results.out / "figures", jobs=jobs, pdf=pdf)

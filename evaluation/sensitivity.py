@@ -83,11 +83,11 @@ def _run(
     options: argparse.Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
 ) -> int:
     from evaluation.experiment.plan import plan  # noqa: PLC0415 - as above
-    from evaluation.reporting import difference_tables  # noqa: PLC0415
-    from evaluation.results import run  # noqa: PLC0415
-    from evaluation.runs.execute import borrow  # noqa: PLC0415
-    from evaluation.runs.files import write_whole  # noqa: PLC0415
-    from evaluation.verdict import sensitivity as held  # noqa: PLC0415
+    from evaluation.reporting import difference_tables  # noqa: PLC0415 - for --help
+    from evaluation.results import run  # noqa: PLC0415 - for --help
+    from evaluation.runs.execute import borrow  # noqa: PLC0415 - for --help
+    from evaluation.runs.files import write_whole  # noqa: PLC0415 - for --help
+    from evaluation.verdict import sensitivity as held  # noqa: PLC0415 - for --help
 
     attacks = held.attacks_of(held.read_verdict(options.out)["items"])
     if manifest.get("state") != "finished":

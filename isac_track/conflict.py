@@ -27,7 +27,7 @@ def prediction_grid(*, t: Floats, offsets: Ints, window: int, horizon_steps: int
         raise ValueError("the window must be at least 2 samples and the horizon 1 step")
     last = offsets[1:] - 1
     used = np.minimum(np.diff(offsets), window)
-    if (used < 2).any():  # noqa: PLR2004
+    if (used < 2).any():  # noqa: PLR2004 - a line needs two
         raise ValueError("a track of one sample has no sampling interval to predict on")
     interval_s = (t[last] - t[last - used + 1]) / (used - 1)
     grid: Floats = t[last][:, None] + np.arange(horizon_steps) * interval_s[:, None]

@@ -151,8 +151,8 @@ def percentile_interval(replicates: Floats) -> tuple[float, float]:
 def percentile_intervals(replicates: Floats) -> Floats:
     """Return the ends of the percentile interval of each row of replicates, (2, K).
 
-    The quantiles are numpy's, which takes ten times as long for so few numbers. NaN, which sorts
-    last, is left out; a row without a number has no interval.
+    The quantiles are numpy's, which takes several times as long for so few numbers. NaN, which
+    sorts last, is left out; a row without a number has no interval.
 
     Parameters
     ----------
@@ -169,5 +169,5 @@ def percentile_intervals(replicates: Floats) -> Floats:
     a, b = ordered[rows, below], ordered[rows, np.minimum(below + 1, last)]
     part, step = place - below, b - a
     # From the nearer of the two, as numpy does it.
-    ends: Floats = np.where(part < 0.5, a + step * part, b - step * (1.0 - part))  # noqa: PLR2004
+    ends: Floats = np.where(part < 0.5, a + step * part, b - step * (1.0 - part))  # noqa: PLR2004 - half way
     return ends

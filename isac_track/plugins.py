@@ -296,7 +296,7 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
         raise SettingsError(f"{usage}, got {errors.quoted(value)}") from None
     if count > _MOST_LEVELS:
         raise SettingsError(f"a sweep has at most {_MOST_LEVELS} levels, got {count}")
-    if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004
+    if count < 2 or not (math.isfinite(low) and math.isfinite(high)) or low == high:  # noqa: PLR2004 - a sweep has two ends
         raise SettingsError("a sweep needs two finite ends that differ and COUNT >= 2")
     if is_log and (low <= 0 or high <= 0):
         raise SettingsError("this sweep is logarithmic; both ends must be positive")
@@ -356,7 +356,7 @@ def check_declared(kind: Kind, instance: object, origin: str) -> str:
     What is wrong with it is a PluginError about `origin`.
     """
     from isac_track.protocols import kind_of  # noqa: PLC0415 - a list of names needs no numpy
-    from isac_track.types import Adding, Knowledge  # noqa: PLC0415
+    from isac_track.types import Adding, Knowledge  # noqa: PLC0415 - a list of names needs no numpy
 
     def declared(attribute: str, default: object = None) -> Any:  # noqa: ANN401 - a stranger's
         try:

@@ -35,7 +35,7 @@ def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -
     Eq. leakage_indicator, of (M, 2) m each. The inequality is strict. ValueError if the shapes
     differ or epsilon is not positive.
     """
-    if shared_xy.shape != true_xy.shape or shared_xy.ndim != 2 or shared_xy.shape[1] != 2:  # noqa: PLR2004
+    if shared_xy.shape != true_xy.shape or shared_xy.ndim != 2 or shared_xy.shape[1] != 2:  # noqa: PLR2004 - of the plane
         raise ValueError(
             f"shared_xy and true_xy must have one shape (M, 2), got {shared_xy.shape} "
             f"and {true_xy.shape}"

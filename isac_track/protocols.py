@@ -223,7 +223,7 @@ class AttackContext:
         repeats: tuple[Release, ...] = self._get(Knowledge.REPEATS)
         return repeats
 
-    def _get(self, what: Knowledge) -> Any:  # noqa: ANN401
+    def _get(self, what: Knowledge) -> Any:  # noqa: ANN401 - each kind has a type of its own
         if what not in self._held:
             raise KnowledgeDenied(
                 f"{what.name} was not granted; an attack gets what its adversary knows and what "

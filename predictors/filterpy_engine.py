@@ -120,7 +120,7 @@ def _filter(start: Floats, prior_std: tuple[float, ...]) -> Any:  # noqa: ANN401
     return kf
 
 
-def _distance2(mode: Any, z: Floats) -> float:  # noqa: ANN401
+def _distance2(mode: Any, z: Floats) -> float:  # noqa: ANN401 - filterpy has no types
     innovation = z - mode.H @ mode.x
     spread = mode.H @ mode.P @ mode.H.T + mode.R
     return float(innovation @ np.linalg.solve(spread, innovation))

@@ -167,5 +167,5 @@ def _ahead(mean: Floats, cov: Floats, *, q: Floats, elapsed_s: Floats) -> tuple[
         pairs = range(max(power - d + 1, 0), min(power, d - 1) + 1)
         spread = tau * spread + sum(both[..., None, :, k, :, power - k] for k in pairs)
     # White noise on derivative d: its (d - 1)-fold integral has the variance below.
-    grown = q * elapsed_s ** (2 * d - 1) / (3.0 if d == 2 else 20.0)  # noqa: PLR2004
+    grown = q * elapsed_s ** (2 * d - 1) / (3.0 if d == 2 else 20.0)  # noqa: PLR2004 - states an axis
     return position, spread + grown[..., None, None] * np.eye(2)

@@ -51,7 +51,7 @@ class Settings:
         if self.preset not in PRESETS:
             hint = did_you_mean(self.preset, PRESETS, quote="'") or f"; known: {', '.join(PRESETS)}"
             raise SettingsError(f"unknown preset {self.preset!r}{hint}")
-        if self.scenes is not None and not 2 <= self.scenes <= MOST_SCENES:  # noqa: PLR2004
+        if self.scenes is not None and not 2 <= self.scenes <= MOST_SCENES:  # noqa: PLR2004 - one of each label
             raise SettingsError(
                 f"a run needs at least 2 scenes (one of each label) and at most {MOST_SCENES:,}, "
                 f"got {self.scenes}"

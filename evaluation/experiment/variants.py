@@ -171,7 +171,7 @@ def settings_of(
     Raises IsacTrackError if its recording is not at hand, or a setting is unknown.
     """
     from attacks.tasks.build import sessions_of  # noqa: PLC0415 - a list of variants needs none
-    from attacks.tasks.task_list import TASKS  # noqa: PLC0415
+    from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - for --help
 
     ran = manifest["settings"]
     stages = StageSettings().changed(ran["stages"]).changed(variant.stages)

@@ -28,8 +28,8 @@ _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 def listing() -> list[str]:
     """Return all that can be named, by what it is."""
     from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - as the others, when asked for
-    from isac_track import plugins  # noqa: PLC0415
-    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
+    from isac_track import plugins  # noqa: PLC0415 - names alone need none
+    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
 
     defaults = StageSettings().flat()
     sections: dict[str, dict[str, str]] = {
@@ -49,7 +49,7 @@ def listing() -> list[str]:
 
 def broken() -> list[str]:
     """Return discovered plug-ins that cannot be used, and why."""
-    from isac_track import plugins  # noqa: PLC0415
+    from isac_track import plugins  # noqa: PLC0415 - names alone need none
 
     return [
         f"skipped {name}: {wrong}"
@@ -60,10 +60,9 @@ def broken() -> list[str]:
 
 def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
-    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415
-    from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415
-    from evaluation.runs.folder import usable  # noqa: PLC0415
-    from evaluation.runs.pieces import n_finished  # noqa: PLC0415
+    from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415 - names alone need none
+    from evaluation.runs.folder import usable  # noqa: PLC0415 - names alone need none
+    from evaluation.runs.pieces import n_finished  # noqa: PLC0415 - names alone need none
 
     # Reading all of them would take seconds here; the run does, and says which are damaged.
     with usable(ready.out):
@@ -78,9 +77,14 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     )
     for why in ready.axes.skipped.values():
         yield f"notice: left out: {why}"
+    slow = [one for one in ready.axes.consumers if one.is_slow]
+    if not slow:
+        return
+    from evaluation.cells.reconstruction import slow_cost_s  # noqa: PLC0415 - seldom needed
+
     n_levels = len(ready.axes.mechanisms)
-    for spec in dict.fromkeys(one.spec for one in ready.axes.consumers if one.is_slow):
-        rows = [one for one in ready.axes.consumers if one.is_slow and one.spec == spec]
+    for spec in dict.fromkeys(one.spec for one in slow):
+        rows = [one for one in slow if one.spec == spec]
         cost_s = slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels)
         is_short = cost_s < _MOST_SECONDS
         about = f"about {cost_s:.0f} s" if is_short else f"about {cost_s / 60:.0f} min"
@@ -131,7 +135,7 @@ def command(manifest: Mapping[str, Any]) -> str:
 
 def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) -> list[str]:
     """Return the options that give the identity and some axes of a run again."""
-    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415
+    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
 
     identity, settings, dataset = (manifest[key] for key in ("identity", "settings", "dataset"))
     name, usual_stages = settings["preset"], StageSettings().flat()

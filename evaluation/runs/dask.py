@@ -168,7 +168,7 @@ class _Cluster(Generic[W, R]):
     def _items(self, task: Task) -> list[R | Failed] | None:
         """Return what came of a task; None if it is not there (any more)."""
         from distributed import CancelledError  # noqa: PLC0415 - an extra
-        from distributed.scheduler import KilledWorker  # noqa: PLC0415
+        from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
         try:
             found: list[R | Failed] = task.result(timeout=_FETCH_S)
@@ -213,7 +213,7 @@ def _connected(scheduler: str) -> Iterator[Client]:
     """Connect, and leave the cluster as it was; Dask's loggers are quiet meanwhile."""
     try:
         import dask  # noqa: PLC0415 - an extra
-        import distributed  # noqa: PLC0415
+        import distributed  # noqa: PLC0415 - an extra
     except ImportError:
         raise SettingsError("--executor dask: pip install 'isac-track[dask]'") from None
     noisy = ("distributed", "tornado", "asyncio")

@@ -17,7 +17,7 @@ from isac_track.errors import DataError, SettingsError
 try:
     import fcntl
 except ImportError:  # pragma: no cover - Windows has no flock
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None  # type: ignore[assignment]  # not on Windows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -148,7 +148,7 @@ def _item(levels: Sequence[LevelTracks], adding: str, descriptor: str, linker: S
         f"{with_interval(found, 'correlation')} (rank correlation)"
     )
     why = "the interval reaches on both sides of the bound"
-    if condition > 0.05:  # noqa: PLR2004
+    if condition > rules.ALPHA:
         why = "the strongest attack hardly links anybody: nothing could be seen"
     elif not rules.is_known(found):
         why = f"{name} hardly varies beyond length, speed and noise, or there are too few people"
@@ -233,7 +233,7 @@ def _with_error(value: float, parts: Floats, cluster: Ints) -> Estimate:
     """Return an effect whose influence, (N,), sums up within clusters."""
     names, column = np.unique(cluster, return_inverse=True)
     n = names.size
-    if n < 2:  # noqa: PLR2004
+    if n < 2:  # noqa: PLR2004 - one person has no rank
         return Estimate(value, n=n)
     sums = np.bincount(column, weights=parts, minlength=n)
     error = float(np.sqrt(n / (n - 1.0) * (sums @ sums)))

@@ -38,7 +38,7 @@ _MOST_UNPACKING = 100
 def read_csv(*, data: bytes, path: str) -> Rows:
     """Read comma-separated values with a header line; DataError names file and line."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
-    from pyarrow import csv as arrow_csv  # noqa: PLC0415
+    from pyarrow import csv as arrow_csv  # noqa: PLC0415 - only for such a file
 
     recording.check_text(data=data, path=path)
     names = _csv_header(header=next(recording.lines_of(data), ""), path=path)
@@ -77,7 +77,7 @@ def read_csv(*, data: bytes, path: str) -> Rows:
 def read_parquet(*, data: bytes, path: str) -> Rows:
     """Read a parquet file; DataError names file and row."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
-    from pyarrow import parquet  # noqa: PLC0415
+    from pyarrow import parquet  # noqa: PLC0415 - only for such a file
 
     if not data:
         raise DataError(f"{path}: the file is empty")
@@ -195,7 +195,7 @@ def _rows(columns: dict[str, Any], *, names: Sequence[str], place: Place) -> Row
 
 def _numbers(column: Any, *, name: str, path: str) -> Floats:  # noqa: ANN401 - pyarrow has no types
     """Return (M,) the numbers of an arrow column; NaN for null, which a check names later."""
-    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
     kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
@@ -212,8 +212,8 @@ def _index(
     place: Place,
 ) -> tuple[Ints, tuple[str, ...]]:
     """Return (M,) index into the cleaned values of an arrow column, and these in order."""
-    import pandas as pd  # noqa: PLC0415
-    import pyarrow as pa  # noqa: PLC0415
+    import pandas as pd  # noqa: PLC0415 - only for such a file
+    import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     is_text = kind in {pa.string(), pa.large_string()}

@@ -253,8 +253,8 @@ def _reason(error: Exception) -> str:
 def _download(url: str, into: Path, *, title: str) -> str:
     """Write what `url` gives to a file, with a progress bar; return its sha256."""
     import requests  # noqa: PLC0415 - as above
-    from rich import progress  # noqa: PLC0415
-    from rich.console import Console  # noqa: PLC0415
+    from rich import progress  # noqa: PLC0415 - only for a download
+    from rich.console import Console  # noqa: PLC0415 - only for a download
 
     bar = progress.Progress(
         *progress.Progress.get_default_columns()[:2],

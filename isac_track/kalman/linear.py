@@ -73,7 +73,7 @@ class Batch:
     def arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
         """Return what a compiled loop of that many states per axis takes, or raise ValueError."""
         if len(self.prior_std) not in n_states:
-            numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004
+            numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004 - the sizes that there are
             raise ValueError(f"prior_std must have {numbers} numbers, got {len(self.prior_std)}")
         return self.t, self.xy, self.variance, self.offsets, np.square(self.prior_std)
 

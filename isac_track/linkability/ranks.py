@@ -60,7 +60,7 @@ class Search:
 
 
 def _check_finite(scores: Floats) -> None:
-    if scores.ndim != 2 or 0 in scores.shape:  # noqa: PLR2004
+    if scores.ndim != 2 or 0 in scores.shape:  # noqa: PLR2004 - a matrix
         raise ValueError(f"scores must have shape (P, G), neither 0, got {scores.shape}")
     if not np.isfinite(scores).all():
         raise ValueError("scores must be finite")

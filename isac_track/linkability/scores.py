@@ -160,13 +160,13 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
             tried = parameters - length * step
             nats = against(tried)
             new = loss(tried, nats)
-            if new <= current or length <= 1e-6:  # noqa: PLR2004
+            if new <= current or length <= 1e-6:  # noqa: PLR2004 - no step at all
                 break
             length /= 2
         if new > current:
             break
         parameters = tried
-        converged = current - new < 1e-14  # noqa: PLR2004
+        converged = current - new < 1e-14  # noqa: PLR2004 - rounding
         current = new
         if converged:
             break

@@ -230,7 +230,7 @@ def scorecard(
             f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
         )
     last = max(int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches)
-    if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004
+    if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004 - a matrix
         raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
     cells = {
         scale: cut_scores([search for search in searches if search.scale == scale], n_shuffles)
@@ -285,7 +285,7 @@ def scorecard(
         realised_fpr_1pct=float(values["realised_fpr_1pct"][0]),
         realised_fpr_01pct=float(values["realised_fpr_01pct"][0]),
         d_sys_bins=min(result.n_bins for result in results),
-        is_inverted=bool(estimates["auc"].value < 0.5),  # noqa: PLR2004
+        is_inverted=bool(estimates["auc"].value < 0.5),  # noqa: PLR2004 - chance
         minimum_detectable_rank1=minimum_detectable_rank1(
             n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
         ),

@@ -180,7 +180,7 @@ def check_searches(searches: Sequence[Search], n_shuffles: int) -> None:
     """Raise ValueError without a search or for too few shuffles."""
     if not searches:
         raise ValueError("at least one search is needed")
-    if n_shuffles < 999:  # noqa: PLR2004
+    if n_shuffles < 999:  # noqa: PLR2004 - p-values to a thousandth
         raise ValueError(f"n_shuffles must be at least 999, got {n_shuffles}")
 
 

@@ -21,7 +21,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 # The two modules of checks fill the kit as they are imported.
-from isac_track.testing import _conflict_checks, _descriptor_checks, _metrics, engine  # noqa: F401
+from isac_track.testing import _conflict_checks, _descriptor_checks, _metrics, engine  # noqa: F401 - as said
 from isac_track.testing._metrics import OWN, Metrics
 from isac_track.testing.engine import Check, Outcome
 

@@ -109,7 +109,7 @@ def report(found: Iterable[Outcome], *, line: Callable[[Outcome], str]) -> bool:
     for outcome in found:
         counts[outcome.status] += 1
         print(line(outcome).rstrip(), flush=True)  # noqa: T201 - a command's output
-    print(", ".join(f"{count} {status}" for status, count in counts.items()))  # noqa: T201
+    print(", ".join(f"{count} {status}" for status, count in counts.items()))  # noqa: T201 - what the command shows
     return not counts["failed"]
 
 

@@ -201,12 +201,12 @@ def rendered(figure: Figure, *, pdf: bool) -> dict[str, bytes]:
         engine.execute(figure)
         figure.set_layout_engine("none")
     files = {"svg": io.BytesIO()}
-    FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
+    FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]  # matplotlib leaves it untyped
         files["svg"], metadata={"Date": None, "Creator": None}
     )
     if pdf:
         files["pdf"] = io.BytesIO()
-        FigureCanvasPdf(figure).print_pdf(  # type: ignore[no-untyped-call]
+        FigureCanvasPdf(figure).print_pdf(  # type: ignore[no-untyped-call]  # matplotlib leaves it untyped
             files["pdf"], metadata={"CreationDate": None, "Creator": None, "Producer": None}
         )
     return {kind: file.getvalue() for kind, file in files.items()}

@@ -239,7 +239,7 @@ def _avoidance(x: Floats, v: Floats, *, together: Bools) -> Floats:
     # People closer than the collision distance still avoid coming closer.
     radius = np.minimum(COLLISION_M, 0.95 * np.minimum(distance, 1e3))
     d = b**2 - a * (apart - radius**2)
-    coming = (b > 0) & (d > 1e-9) & (a > 1e-6) & ~together  # noqa: PLR2004
+    coming = (b > 0) & (d > 1e-9) & (a > 1e-6) & ~together  # noqa: PLR2004 - rounding
     i, j = np.nonzero(coming)
     a, b, root = a[i, j], b[i, j], np.sqrt(d[i, j])
     tau = np.maximum((b - root) / a, 0.05)

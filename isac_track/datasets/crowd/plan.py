@@ -185,7 +185,7 @@ def _gate_point(settings: CrowdSettings, gate: int, share: float, *, beyond_m: f
 
 def _formation(size: int) -> Floats:
     """Return places (K, 2) ahead of and left of the centre: rows of up to three abreast."""
-    rows = [size] if size <= 3 else [size - size // 2, size // 2]  # noqa: PLR2004
+    rows = [size] if size <= 3 else [size - size // 2, size // 2]  # noqa: PLR2004 - more than three abreast split
     places = [
         (-0.9 * SPACING_M * behind, SPACING_M * (place - (width - 1) / 2))
         for behind, width in enumerate(rows)
