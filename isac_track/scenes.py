@@ -6,7 +6,7 @@ timing and speed; it is only shifted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,7 @@ from isac_track.conflict import is_conflict, minimum_separation, prediction_grid
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
 from isac_track.rng import stream
-from isac_track.types import Floats, Ints, Scenes, Tracks
+from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, stretches
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -24,30 +24,17 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Cut:
-    """N resampled tracks, split at now: known history, and the hidden future on the grid."""
+class Cut(Tracks):
+    """N resampled tracks up to now, which is known history, and their future on the grid."""
 
-    t: Floats
-    """(M,) s, history times."""
-    xy: Floats
-    """(M, 2) m, true history."""
-    offsets: Ints
-    """(N + 1,)"""
-    t_future: Floats
+    t_future: Floats = field(metadata=TRACK)
     """(N, H) s, prediction grid; step 0 is the last history sample."""
-    xy_future: Floats
+    xy_future: Floats = field(metadata=TRACK)
     """(N, H, 2) m, true positions on the grid."""
-    source: tuple[str, ...]
-    """(N,) source track id."""
-    group: tuple[str, ...]
-    """(N,) cluster of the track."""
     too_short: int
     """Recorded tracks below `min_duration_s`."""
     no_future: int
     """Tracks that are long enough but do not cover the horizon after the split."""
-
-    def __len__(self) -> int:
-        return self.offsets.size - 1
 
 
 def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
@@ -61,10 +48,11 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         sampled = resample(recorded, settings=settings.resample, seed=seed)
     except ValueError as error:
         raise DataError(f"{error}; lower resample.min_duration_s or use longer tracks") from None
-    row_of = {source: row for row, source in enumerate(recorded.source)}
+    whole_of = dict(zip(recorded.source, recorded, strict=True))
     conflict = settings.conflict
-    parts: list[tuple[Floats, Floats, Floats, Floats]] = []
+    parts: list[tuple[Floats, Floats]] = []
     kept: list[int] = []
+    sizes: list[int] = []
     for row, track in enumerate(sampled):
         n_history = history_samples(n_samples=track.t.size, ratio=settings.scenes.history_ratio)
         if n_history < 2:  # noqa: PLR2004 - the grid needs an interval
@@ -73,21 +61,23 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         (t_future,) = prediction_grid(
             t=t, offsets=alone, window=conflict.window, horizon_steps=conflict.horizon_steps
         )
-        whole = recorded[row_of[track.source[0]]]
+        whole = whole_of[track.source[0]]
         if t_future[-1] <= whole.t[-1]:
-            parts.append((t, track.xy[:n_history], t_future, walk(whole)(t_future)))
+            parts.append((t_future, walk(whole)(t_future)))
             kept.append(row)
+            sizes.append(n_history)
     if len(kept) < settings.scenes.agents:
         raise DataError(
             f"{len(kept)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
             f"and cover the horizon, but a scene needs {settings.scenes.agents}; lower "
             "resample.min_duration_s or use longer tracks"
         )
-    t_parts, xy_parts, t_future_parts, xy_future_parts = zip(*parts, strict=True)
+    samples, offsets = stretches(sampled.offsets[kept], np.array(sizes))
+    t_future_parts, xy_future_parts = zip(*parts, strict=True)
     return Cut(
-        t=np.concatenate(t_parts),
-        xy=np.concatenate(xy_parts),
-        offsets=np.concatenate([[0], np.cumsum([part.size for part in t_parts])]),
+        t=sampled.t[samples],
+        xy=sampled.xy[samples],
+        offsets=offsets,
         t_future=np.stack(t_future_parts),
         xy_future=np.stack(xy_future_parts),
         source=tuple(sampled.source[row] for row in kept),
@@ -171,8 +161,7 @@ def make_scenes(
     separation = minimum_separation(robot=robot, agents=futures)
     rows = order.reshape(-1)
     sizes = np.diff(tracks.offsets)[rows]
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    samples = np.repeat(tracks.offsets[rows] - offsets[:-1], sizes) + np.arange(offsets[-1])
+    samples, offsets = stretches(tracks.offsets[rows], sizes)
     safety_radius_m = settings.conflict.safety_radius_m
     return Scenes(
         t=tracks.t[samples],

@@ -52,7 +52,8 @@ class Knowledge(Enum):
 
 
 _SAMPLE: Mapping[str, str] = {"per": "sample"}
-_TRACK: Mapping[str, str] = {"per": "track"}
+TRACK: Mapping[str, str] = {"per": "track"}
+"""Metadata of a field that holds one value a track."""
 _Batch = TypeVar("_Batch", "Tracks", "Sensed", "Release")
 
 
@@ -68,11 +69,9 @@ def _one_track(batch: _Batch, index: int) -> _Batch:
     lo, hi = int(batch.offsets[row]), int(batch.offsets[row + 1])
     part: dict[str, object] = {"offsets": np.array([0, hi - lo])}
     for item in fields(batch):
-        value = getattr(batch, item.name)
-        if item.metadata.get("per") == "sample" and value is not None:
-            part[item.name] = value[lo:hi]
-        elif item.metadata.get("per") == "track":
-            part[item.name] = (value[row],)
+        value, per = getattr(batch, item.name), item.metadata.get("per")
+        if per is not None and value is not None:
+            part[item.name] = value[lo:hi] if per == "sample" else value[row : row + 1]
     return replace(batch, **part)  # type: ignore[arg-type]  # the fields are those of the batch
 
 
@@ -93,9 +92,9 @@ class Tracks:
     """(M, 2) m, true position."""
     offsets: Ints
     """(N + 1,) first sample of each track, then M."""
-    source: tuple[str, ...] = field(metadata=_TRACK)
+    source: tuple[str, ...] = field(metadata=TRACK)
     """(N,) id of the recorded track, unique."""
-    group: tuple[str, ...] = field(metadata=_TRACK)
+    group: tuple[str, ...] = field(metadata=TRACK)
     """(N,) the cluster of every interval: people who walk together share one."""
 
     def __post_init__(self) -> None:
@@ -142,10 +141,10 @@ class Scenes:
     def __post_init__(self) -> None:
         _freeze(self, t="M", xy=("M", 2), t_future="NH", xy_future=("N", "H", 2))
         _freeze(self, robot_start=("S", 2), robot_destination=("S", 2), separation="S")
-        _freeze_ints(self, "offsets", "track", "index", "exhausted")
-        object.__setattr__(self, "conflict", read_only(np.asarray(self.conflict, dtype=bool)))
+        _freeze(self, np.int64, offsets="N", track="N", index="S", exhausted="S")
+        _freeze(self, np.bool_, conflict="S")
         check_offsets(self.offsets, self.t.size)
-        check_times(self.t, self.offsets)
+        _check_times(self.t, self.offsets)
         n_tracks = self.offsets.size - 1
         if self.index.size == 0 or n_tracks % self.index.size:
             raise ValueError(f"{n_tracks} agents do not fill {self.index.size} scenes evenly")
@@ -204,7 +203,7 @@ class Release:
     """(M,) m, std declared with each sample; None without `Knowledge.SIGMA`."""
     offsets: Ints
     """(N + 1,)"""
-    pseudonym: tuple[str, ...] = field(metadata=_TRACK)
+    pseudonym: tuple[str, ...] = field(metadata=TRACK)
     """(N,) opaque, fresh for every release."""
 
     def __post_init__(self) -> None:
@@ -277,21 +276,15 @@ def derived(container: _Container, **changes: object) -> _Container:
     """
     new: _Container = object.__new__(type(container))
     for item in fields(container):
-        value = changes.get(item.name, _KEPT)
-        if value is _KEPT:
-            value = getattr(container, item.name)
-        elif isinstance(value, np.ndarray):
-            value = read_only(value)
+        value = changes.get(item.name, getattr(container, item.name))
+        value = read_only(value) if isinstance(value, np.ndarray) else value
         object.__setattr__(new, item.name, value)
     return new
 
 
-_KEPT = object()
-
-
 def _check_batch(batch: _Batch) -> None:
     """Freeze the arrays of a ragged batch and check shapes, times and finiteness."""
-    _freeze_ints(batch, "offsets")
+    _freeze(batch, np.int64, offsets="N")
     _freeze(batch, t="M")
     check_offsets(batch.offsets, batch.t.size)
     n_samples, n_tracks = batch.t.size, _n_tracks(batch)
@@ -302,7 +295,7 @@ def _check_batch(batch: _Batch) -> None:
             _freeze(batch, **{item.name: (n_samples, 2) if is_planar else (n_samples,)})
         elif item.metadata.get("per") == "track" and len(value) != n_tracks:
             raise ValueError(f"{item.name} must name {n_tracks} tracks, got {len(value)}")
-    check_times(batch.t, batch.offsets)
+    _check_times(batch.t, batch.offsets)
     if not np.isfinite(batch.xy).all():
         raise ValueError("a position is not finite")
 
@@ -336,27 +329,21 @@ def _check_covariances(cov: Floats) -> None:
         raise ValueError("a predicted covariance is not positive semidefinite")
 
 
-def _freeze(container: object, **shapes: Sequence[int | str]) -> None:
-    """Make fields read-only arrays of floats; a letter in a shape is any length."""
+def _freeze(
+    container: object, kind: type[np.generic] = np.float64, **shapes: Sequence[int | str]
+) -> None:
+    """Make fields read-only arrays of one kind of numbers; a letter in a shape is any length."""
     for name, shape in shapes.items():
-        array = np.asarray(getattr(container, name), dtype=np.float64)
+        array = np.asarray(getattr(container, name))
         if array.ndim != len(shape):
             raise ValueError(f"{name} must have {len(shape)} dimension(s), got shape {array.shape}")
         for want, got in zip(shape, array.shape, strict=True):
             if want != got and not isinstance(want, str):
                 wanted = str(tuple(shape)).replace("'", "")
                 raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
-        object.__setattr__(container, name, read_only(array))
-
-
-def _freeze_ints(container: object, *names: str) -> None:
-    for name in names:
-        array = np.asarray(getattr(container, name))
-        if array.ndim != 1:
-            raise ValueError(f"{name} must have 1 dimension, got shape {array.shape}")
-        if array.dtype.kind not in "iu":
+        if kind is np.int64 and array.dtype.kind not in "iu":
             raise ValueError(f"{name} must hold integers, got {array.dtype}")
-        object.__setattr__(container, name, read_only(array.astype(np.int64, copy=False)))
+        object.__setattr__(container, name, read_only(array.astype(kind, copy=False)))
 
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
@@ -385,7 +372,7 @@ def check_offsets(offsets: Ints, n_samples: int) -> None:
         raise ValueError("every track needs at least one sample: offsets must increase")
 
 
-def check_times(t: Floats, offsets: Ints) -> None:
+def _check_times(t: Floats, offsets: Ints) -> None:
     """Raise ValueError unless times are finite and rise within each track."""
     rising = np.diff(t) > 0  # False for NaN
     rising[offsets[1:-1] - 1] = True  # from one track to the next

@@ -14,7 +14,7 @@ import numpy as np
 
 from isac_track.kalman import Batch, Moods, imm_last, kalman_last
 from isac_track.noise import innovation_variance_m2
-from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release
+from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, stretches
 
 GATE = 18.4
 """Chi-square quantile of 0.9999 with two degrees of freedom."""
@@ -77,8 +77,7 @@ class KalmanCV:
         """
         last = release.offsets[1:]
         sizes = np.minimum(np.diff(release.offsets), self.window)
-        offsets = np.concatenate([[0], np.cumsum(sizes)])
-        sample = np.repeat(last - sizes - offsets[:-1], sizes) + np.arange(offsets[-1])
+        sample, offsets = stretches(last - sizes, sizes)
         t, xy = release.t[sample] - np.repeat(release.t[last - 1], sizes), release.xy[sample]
         if self.noise == "declared":
             assert release.sigma is not None  # the release was granted with it
