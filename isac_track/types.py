@@ -330,7 +330,7 @@ def _check_covariances(cov: Floats) -> None:
 
 
 def _freeze(
-    container: object, kind: type[np.generic] = np.float64, **shapes: Sequence[int | str]
+    container: object, kind: type[np.generic] = np.float64, /, **shapes: Sequence[int | str]
 ) -> None:
     """Make fields read-only arrays of one kind of numbers; a letter in a shape is any length."""
     for name, shape in shapes.items():

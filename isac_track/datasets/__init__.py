@@ -196,10 +196,8 @@ def read(
 
 def _is_path(name: str | Path) -> bool:
     """Whether no known name is meant: a mistyped one is, if nothing in it looks like a path."""
-    if isinstance(name, Path):
-        return True
-    is_path = os.sep in name or "." in name or os.path.exists(name)  # noqa: PTH110 - never raises
-    return is_path and name not in KNOWN
+    looks = os.sep in str(name) or "." in str(name) or os.path.exists(name)  # noqa: PTH110 - never raises
+    return isinstance(name, Path) or (looks and name not in KNOWN)
 
 
 def summarise(tracks: Tracks) -> DataFrame:

@@ -20,7 +20,7 @@ def truth(n_samples):
     return stream(0, "test", "truth").uniform(-20.0, 20.0, (n_samples, 2))
 
 
-def sensed(*, sizes=(5, 1, 7), law="radial", fid=None, sigma_raw=None, t=None):
+def sensed(*, sizes=(5, 1, 7), law="radial", sigma_raw=None):
     n_samples = int(np.sum(sizes))
     draw = stream(0, "test", "sensed")
     sigma = (
@@ -28,17 +28,12 @@ def sensed(*, sizes=(5, 1, 7), law="radial", fid=None, sigma_raw=None, t=None):
     )
     unit = unit_errors(n_samples=n_samples, law=law, rng=draw)
     return Sensed(
-        t=np.arange(n_samples) / 12.0 if t is None else t,
+        t=np.arange(n_samples) / 12.0,
         xy=truth(n_samples) + sigma[:, None] * unit,
         unit_error=unit,
         sigma_raw=sigma,
         information=24.0 / sigma**2,
-        fid=288.0 / sigma**2 if fid is None else np.full(n_samples, fid),
+        fid=288.0 / sigma**2,
         offsets=np.concatenate([[0], np.cumsum(sizes)]),
         law=law,
     )
-
-
-def error_of(release, batch):
-    """Whole error of every sample, (M, 2) m."""
-    return release.xy - (batch.xy - batch.sigma_raw[:, None] * batch.unit_error)

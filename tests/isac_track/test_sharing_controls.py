@@ -1,17 +1,13 @@
 """Mechanisms that move the descriptors and what can be linked apart from each other."""
 
-import re
 from itertools import pairwise
 from math import exp, sqrt
 
 import numpy as np
 import pytest
-from helpers.sensed import ADDING, LAWS, error_of, rng, sensed
+from helpers.sensed import ADDING, LAWS, rng, sensed, truth
 from scipy import stats
 
-from isac_track import plugins
-from isac_track.errors import SettingsError
-from isac_track.protocols import Mechanism
 from isac_track.sensing import unit_errors
 from isac_track.sharing import Fixed
 from isac_track.sharing_controls import Correlated, Offset, Thin, correlated_errors
@@ -112,7 +108,7 @@ class TestCorrelated:
 
     def test_linear_redraws_the_whole_error(self):
         batch = sensed(sigma_raw=0.4)
-        unit = error_of(Correlated(0.75).share(batch, rng()), batch) / 1.15
+        unit = (Correlated(0.75).share(batch, rng()).xy - truth(13)) / 1.15
         np.testing.assert_allclose(unit, slow_errors(batch), rtol=0, atol=1e-12)
 
     @pytest.mark.parametrize(("level", "tau_s"), [(0.2, 2.0), (1.0, 50.0)])
@@ -154,34 +150,3 @@ class TestThin:
         assert thin.pseudonym == fixed.pseudonym
         for name in ("t", "xy", "sigma"):
             np.testing.assert_array_equal(getattr(thin, name), getattr(fixed, name)[list(kept)])
-
-
-@pytest.mark.parametrize(
-    ("spec", "name", "instance"),
-    [
-        ("correlated:0.75", "correlated", Correlated(0.75)),
-        ("correlated:0.75,tau_s=5", "correlated:tau_s=5", Correlated(0.75, 5.0)),
-        ("offset:0.4", "offset", Offset(0.4)),
-        ("thin:4,d_sigma=0.75", "thin:d_sigma=0.75", Thin(4, d_sigma=0.75)),
-    ],
-)
-def test_a_spec_gives_the_mechanism_its_column_and_level(spec, name, instance):
-    (plugin,) = plugins.parse("mechanisms", spec)
-    assert (plugin.name, plugin.spec, plugin.instance) == (name, spec, instance)
-    assert plugin.level == float(spec.partition(":")[2].partition(",")[0])
-    assert isinstance(plugin.instance, Mechanism)
-
-
-@pytest.mark.parametrize(
-    ("spec", "message"),
-    [
-        ("correlated:-1", "'correlated:-1': d_sigma must be 0 m or more, got -1.0"),
-        ("correlated:1,tau_s=0", "'correlated:1,tau_s=0': tau_s must be positive, got 0.0"),
-        ("offset:-0.1", "'offset:-0.1': distance must be 0 m or more, got -0.1"),
-        ("thin:0", "'thin:0': every must be 1 or more, got 0"),
-        ("thin:2,d_sigma=-1", "d_sigma must be 0 m or more, got -1.0"),
-    ],
-)
-def test_a_wrong_one_is_refused_in_words(spec, message):
-    with pytest.raises(SettingsError, match=re.escape(message)):
-        plugins.parse("mechanisms", spec)
