@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    import pyarrow as pa
 
     from isac_track.types import Floats, Ints
 
@@ -172,7 +174,7 @@ def _csv_fault(line: str, names: tuple[str, ...]) -> str:
     return ""
 
 
-def _rows(columns: dict[str, Any], *, names: Sequence[str], place: Place) -> Rows:
+def _rows(columns: dict[str, pa.ChunkedArray], *, names: Sequence[str], place: Place) -> Rows:
     """Return the rows of arrow columns, which are let go one by one; `names` are the file's."""
     t, x, y = (_numbers(columns.pop(name), name=name, path=place.path) for name in _UNITS)
     if not t.size:
@@ -193,7 +195,7 @@ def _rows(columns: dict[str, Any], *, names: Sequence[str], place: Place) -> Row
     return recording.Rows(person, ids, t - t.min(), xy, place, groups, notes)
 
 
-def _numbers(column: Any, *, name: str, path: str) -> Floats:  # noqa: ANN401 - pyarrow has no types
+def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:
     """Return (M,) the numbers of an arrow column; NaN for null, which a check names later."""
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
@@ -206,10 +208,7 @@ def _numbers(column: Any, *, name: str, path: str) -> Floats:  # noqa: ANN401 - 
 
 
 def _index(
-    column: Any,  # noqa: ANN401 - pyarrow has no types
-    *,
-    is_group: bool,
-    place: Place,
+    column: pa.ChunkedArray, *, is_group: bool, place: Place
 ) -> tuple[Ints, tuple[str, ...]]:
     """Return (M,) index into the cleaned values of an arrow column, and these in order."""
     import pandas as pd  # noqa: PLC0415 - only for such a file

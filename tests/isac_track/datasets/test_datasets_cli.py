@@ -93,9 +93,11 @@ def test_fetch(mirror, empty_machine, monkeypatch, capsys):
     mirror.files["/base/small/obsmat.txt"] = b"1 2"
     target = empty_machine / "small" / "obsmat.txt"
     assert main(["fetch", "small", "plaza"]) == 0
-    out = capsys.readouterr().out
-    assert f"small: fetched: {target}" in out
-    assert "plaza is bundled: nothing to fetch" in out
+    shown = capsys.readouterr()
+    assert "small/obsmat.txt" in shown.err  # how far it is
+    assert "3/3 bytes" in shown.err
+    told = f"small: fetched: {target}\nplaza is bundled: nothing to fetch\n"
+    assert shown.out == told
     assert main(["fetch", "small"]) == 0
     assert f"small: already here: {target}" in capsys.readouterr().out
     assert len(mirror.asked) == 1
