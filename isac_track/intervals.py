@@ -97,12 +97,21 @@ def ratio_estimate(
 
     Whole clusters are drawn with replacement (Davison and Hinkley, 1997, ch. 3.8). A share
     of exactly 0 or 1 has no spread to resample; its interval is Wilson's with the clusters
-    as the sample size. With fewer than two clusters there is no interval (NaN), and nothing but
-    NaN where the denominator is 0 over all clusters.
+    as the sample size. With fewer than two clusters there is no interval (NaN).
 
-    `numerator` and `denominator`, (C,), are sums within each cluster: hits and trials, or a sum and
-    a count. `weights`, (B, C), are those of `cluster_weights`; `is_share` says whether the ratio is
-    a share of trials, 0..1.
+    Parameters
+    ----------
+    numerator, denominator : (C,)
+        Sums within each cluster: hits and trials, or a sum and a count.
+    weights : (B, C)
+        From `cluster_weights`.
+    is_share : bool
+        Whether the ratio is a share of trials, 0..1.
+
+    Returns
+    -------
+    Estimate
+        All NaN where the denominator is 0 over all clusters.
     """
     return ratio_estimates(
         numerator=numerator[None],
@@ -140,10 +149,14 @@ def percentile_interval(replicates: Floats) -> tuple[float, float]:
 
 
 def percentile_intervals(replicates: Floats) -> Floats:
-    """Return the ends, (2, K), of the percentile interval of each row of replicates, (K, B).
+    """Return the ends of the percentile interval of each row of replicates, (2, K).
 
     The quantiles are numpy's, which takes several times as long for so few numbers. NaN, which
     sorts last, is left out; a row without a number has no interval.
+
+    Parameters
+    ----------
+    replicates : (K, B)
     """
     if not replicates.size:
         return np.full((2, len(replicates)), np.nan)

@@ -6,7 +6,7 @@ from importlib import import_module
 
 import numpy as np
 
-from isac_track.types import Floats, Ints, check_offsets
+from isac_track.types import Floats, Ints, check_offsets, check_times
 
 MIN_VARIANCE_M2 = 1e-6
 """(1 mm)^2: below it a filter would trust rounding."""
@@ -26,14 +26,27 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     behind a gate, shrink with what the gate cuts off; at ten samples a second a walk of
     1 m/s^2 adds but a centimetre to these.
 
-    `t` are (M,) s, `xy` (M, 2) m and `offsets` (N + 1,), those of a release, which has checked that
-    times increase and positions are finite. ValueError if shapes disagree or a track is empty.
+    Parameters
+    ----------
+    t : (M,) s
+    xy : (M, 2) m
+    offsets : (N + 1,) int
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a number is not finite or times do not increase.
     """
+    if offsets.dtype.kind not in "iu":
+        raise ValueError("offsets must be integers")
     offsets = np.ascontiguousarray(offsets, dtype=np.int64)
     t, xy = (np.ascontiguousarray(one, dtype=np.float64) for one in (t, xy))
     check_offsets(offsets, t.size)
+    check_times(t, offsets)
     if xy.shape != (t.size, 2):
         raise ValueError(f"xy must have shape {(t.size, 2)}, got {xy.shape}")
+    if not np.isfinite(xy).all():
+        raise ValueError("xy must be finite")
     variance = np.empty(offsets.size - 1)
     import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
     variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2

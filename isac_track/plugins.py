@@ -326,13 +326,6 @@ def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, An
 
 
 def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  # noqa: ANN401 - whatever class it is
-    needed = [
-        item.name
-        for item in _parameters(cls)
-        if item.name not in changes and item.default is item.default_factory is dataclasses.MISSING
-    ]
-    if needed:
-        raise SettingsError(f"{name} needs a value for {', '.join(needed)}, as in {name}:VALUE")
     try:
         return cls(**changes)
     except IsacTrackError:
@@ -342,6 +335,15 @@ def _made(name: str, cls: type, origin: str, changes: dict[str, Any]) -> Any:  #
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
+        needed = [
+            item.name
+            for item in _parameters(cls)
+            if item.name not in changes
+            and item.default is item.default_factory is dataclasses.MISSING
+        ]
+        if needed and isinstance(error, TypeError):
+            text = f"{name} needs a value for {', '.join(needed)}, as in {name}:VALUE"
+            raise SettingsError(text) from None
         why = f"{errors.told(error)}; a plug-in refuses a value by a ValueError"
         raise PluginError(f"{origin} cannot be made: {why}") from error
 

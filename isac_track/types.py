@@ -144,7 +144,7 @@ class Scenes:
         _freeze(self, np.int64, offsets="N", track="N", index="S", exhausted="S")
         _freeze(self, np.bool_, conflict="S")
         check_offsets(self.offsets, self.t.size)
-        _check_times(self.t, self.offsets)
+        check_times(self.t, self.offsets)
         n_tracks = self.offsets.size - 1
         if self.index.size == 0 or n_tracks % self.index.size:
             raise ValueError(f"{n_tracks} agents do not fill {self.index.size} scenes evenly")
@@ -295,7 +295,7 @@ def _check_batch(batch: _Batch) -> None:
             _freeze(batch, **{item.name: (n_samples, 2) if is_planar else (n_samples,)})
         elif item.metadata.get("per") == "track" and len(value) != n_tracks:
             raise ValueError(f"{item.name} must name {n_tracks} tracks, got {len(value)}")
-    _check_times(batch.t, batch.offsets)
+    check_times(batch.t, batch.offsets)
     if not np.isfinite(batch.xy).all():
         raise ValueError("a position is not finite")
 
@@ -372,7 +372,7 @@ def check_offsets(offsets: Ints, n_samples: int) -> None:
         raise ValueError("every track needs at least one sample: offsets must increase")
 
 
-def _check_times(t: Floats, offsets: Ints) -> None:
+def check_times(t: Floats, offsets: Ints) -> None:
     """Raise ValueError unless times are finite and rise within each track."""
     rising = np.diff(t) > 0  # False for NaN
     rising[offsets[1:-1] - 1] = True  # from one track to the next

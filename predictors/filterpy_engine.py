@@ -52,10 +52,17 @@ def last_modes(batch: Batch, moods: Moods, *, gate: float) -> tuple[Floats, Floa
     """Run an interacting-multiple-model filter over every track and return its last modes.
 
     Every mode is a constant-velocity model with its own q; the modes change as a
-    continuous-time Markov chain, so that M belongs to the step that follows. Parameters are those
-    of `isac_track.kalman.imm_last`. What comes back is the mean of (position, velocity) per mode
-    and axis, (N, 2, 2, 2), the covariance of (x, vx, y, vy), (N, 2, 4, 4), and each mode's
-    probability, (N, 2).
+    continuous-time Markov chain, so that M belongs to the step that follows.
+
+    Parameters are those of `isac_track.kalman.imm_last`.
+
+    Returns
+    -------
+    mean : (N, 2, 2, 2)
+        (position, velocity) per mode and axis
+    cov : (N, 2, 4, 4)
+        Of (x, vx, y, vy).
+    probability : (N, 2)
     """
     n, (leave, come) = len(batch), 1.0 / np.array(moods.stay_s)
     rates = np.array([[-leave, leave], [come, -come]])

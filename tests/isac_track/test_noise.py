@@ -75,8 +75,12 @@ def test_neighbours_frame_and_clock_change_nothing():
     ("change", "message"),
     [
         ({"xy": np.zeros((6, 2))}, r"xy must have shape \(7, 2\)"),
+        ({"xy": np.full((7, 2), np.nan)}, "xy must be finite"),
+        ({"t": np.zeros(7)}, "strictly increasing"),
+        ({"t": np.r_[np.arange(6.0), np.inf]}, "must be finite"),
         ({"offsets": np.array([0, 4, 4, 7])}, "at least one sample"),
         ({"offsets": np.array([0, 5])}, "from 0 to 7"),
+        ({"offsets": np.array([0.0, 7.0])}, "integers"),
     ],
 )
 def test_what_makes_no_sense_is_refused(change, message):
