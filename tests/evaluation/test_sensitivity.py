@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.small_runs import write_walks
+from helpers.small_runs import smoke, write_walks
 from helpers.summaries import edit_manifest
 
 import evaluation
@@ -17,43 +17,28 @@ from evaluation.experiment.variants import BASE, RIDGE, parse, settings_of, vari
 from evaluation.reporting.difference_tables import turned
 from evaluation.runs.manifest import read_manifest
 from evaluation.sensitivity import main
-from evaluation.verdict.sensitivity import (
-    COLUMNS,
-    attacks_of,
-    changes,
-    collect,
-    counts,
-    folder_of,
-    read_verdict,
-)
+from evaluation.verdict import sensitivity as held
+from evaluation.verdict.sensitivity import COLUMNS, attacks_of, folder_of, read_verdict
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
 
 ROOT = Path(evaluation.__file__).parent.parent
-MECHANISMS = ("raw", "fixed:0.2", "fixed:1", "fid:1", "fid:1e5", "correlated:0.75")
+NAMES = (BASE, "law=fixed_direction", "epsilon=1", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A small run with every section of the verdict; kept as it is."""
     folder = tmp_path_factory.mktemp("finished")
-    write_walks(folder / "walks.csv")
-    out = folder / "run"
-    evaluation.run(
-        evaluation.Settings(
-            dataset=str(folder / "walks.csv"),
-            scenes=60,
-            seed=0,
-            mechanisms=MECHANISMS,
-            predictors=("least_squares", "kalman_cv"),
-            attacks=("identity", "kalman_rts", "shape", "histogram"),
-            tasks=("rerelease",),
-            jobs=1,
-            out=out,
-        ),
-        pictures=False,
-    )
-    return out
+    axes = {
+        "mechanisms": ("raw", "fixed:0.2", "fixed:1", "fid:1", "fid:1e5", "correlated:0.75"),
+        "predictors": ("least_squares", "kalman_cv"),
+        "attacks": ("identity", "kalman_rts", "shape", "histogram"),
+        "tasks": ("rerelease",),
+    }
+    walks = write_walks(folder / "walks.csv")
+    evaluation.run(smoke(walks, folder / "run", scenes=60, **axes), pictures=False)
+    return folder / "run"
 
 
 @pytest.fixture
@@ -65,10 +50,8 @@ def out(finished, tmp_path):
 @pytest.fixture(scope="module")
 def tried(finished, tmp_path_factory):
     """The run after some of its variants."""
-    folder = tmp_path_factory.mktemp("tried") / "run"
-    shutil.copytree(finished, folder)
-    names = ("epsilon=1", "law=fixed_direction", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
-    assert main([str(folder), "--jobs", "1", *(f"--variant={one}" for one in names)]) == 0
+    folder = shutil.copytree(finished, tmp_path_factory.mktemp("tried") / "run")
+    assert main([str(folder), "--jobs=1", *(f"--variant={one}" for one in NAMES[:0:-1])]) == 0
     return folder
 
 
@@ -144,8 +127,8 @@ class TestNames:
         manifest["dataset"]["name"] = "zara01"
         manifest["settings"]["stages"] |= {"sensing.law": "isotropic", "privacy.epsilon_m": 0.5}
         manifest["settings"]["predictors"] = ["kalman_cv"]
-        gone = {"recording=zara01", "law=isotropic", "epsilon=0.5", "predictor=kalman_cv"}
         names = {one.name for one in variants(manifest)}
+        gone = {"recording=zara01", "law=isotropic", "epsilon=0.5", "predictor=kalman_cv"}
         assert names.isdisjoint(gone)
         assert {"base", "recording=students03", "predictor=least_squares"} <= names
         manifest["settings"]["predictors"] = []
@@ -163,23 +146,18 @@ class TestChanges:
             (("does not track", -1), ("tracks", 1), "changed sign"),
             (("reversed", -1), ("undecided", 0), "lost"),
             (("undecided", 0), ("inflated", 1), "gained"),
+            (("holds", 1), (None, None), "missing"),
+            (("undecided", 0), (None, None), "missing"),
         ],
     )
     def test_of_one_item(self, before, after, change):
-        (row,) = changes(
-            "v",
-            base={"items": [item("claim/a", *before)]},
-            said={"items": [item("claim/a", *after, effect=-0.5)]},
-        )
-        assert row["changed"] == change
-        assert (row["sign_base"], row["sign"]) == (before[1], after[1])
-        assert (row["effect_base"], row["effect"]) == (0.5, -0.5)
-
-    def test_an_item_that_is_not_there_is_missing(self):
-        base = {"items": [item("within/a", "tracks", 1), item("within/b", "undecided", 0)]}
-        rows = changes("v", base=base, said={"items": [item("within/new", "tracks", 1)]})
-        found = [(row["id"], row["changed"], row["decision"]) for row in rows]
-        assert found == [("within/a", "missing", None), ("within/b", "missing", None)]
+        name, effect = ("claim/new", None) if change == "missing" else ("claim/a", -0.5)
+        base = {"items": [item("claim/a", *before)]}
+        said = {"items": [item(name, *after, effect=-0.5)]}
+        (row,) = held.changes("v", base=base, said=said)
+        assert (row["id"], row["changed"]) == ("claim/a", change)
+        assert (row["decision_base"], row["sign_base"], row["effect_base"]) == (*before, 0.5)
+        assert (row["decision"], row["sign"], row["effect"]) == (*after, effect)
 
     def test_are_counted_and_told_in_words(self):
         nothing = dict.fromkeys(("effect", "ci_low", "ci_high"))
@@ -192,10 +170,10 @@ class TestChanges:
             item("claim/a", "reversed", -1, effect=-0.25, ci_low=-0.5, ci_high=-0.125),
             item("claim/b", "undecided", 0),
         ]
-        found = changes("law=x", base={"items": before + same}, said={"items": after + same})
+        found = held.changes("law=x", base={"items": before + same}, said={"items": after + same})
         rows = pd.DataFrame(found, columns=list(COLUMNS))
         claim = {"same": 1, "changed sign": 1, "lost": 1}
-        assert counts(rows) == {"law=x": {"claim": claim, "inflation": {"same": 1}}}
+        assert held.counts(rows) == {"law=x": {"claim": claim, "inflation": {"same": 1}}}
         told = "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])"
         assert turned(rows) == [told]
 
@@ -276,9 +254,6 @@ class TestSettings:
             settings(finished, BASE, manifest=manifest)
 
 
-NAMES = (BASE, "law=fixed_direction", "epsilon=1", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
-
-
 class TestRun:
     def test_the_table_holds_every_item_and_the_base_says_what_the_run_says(self, finished, tried):
         rows = pd.read_csv(tried / "sensitivity.csv")
@@ -347,15 +322,14 @@ class TestRun:
         assert {name.parts[0] for name, _ in after} == {"sensitivity", "sensitivity.csv"}
         assert content(finished).items() <= content(tried).items()
 
-    def test_set_adds_to_what_runs(self, tried, tmp_path, capsys):
-        out = shutil.copytree(tried, tmp_path / "run")
-        words = [str(out), "--jobs", "1", "--variant", "epsilon=1"]
-        assert main([*words, "--set", "privacy.epsilon_m=0.4", "--json"]) == 0
+    def test_set_adds_to_what_runs(self, tried, capsys):
+        words = [str(tried), "--jobs=1", "--variant=base", "--set=privacy.epsilon_m=0.4", "--json"]
+        assert main(words) == 0
         said = json.loads(capsys.readouterr().out)
         told = {one["name"]: one["state"] for one in said["variants"]}
-        assert told == dict.fromkeys((BASE, "epsilon=1", "privacy.epsilon_m=0.4"), "finished")
-        assert told.keys() < said["counts"].keys()
-        assert len(said["items"]) == len(NAMES) * len(read_verdict(out)["items"])
+        assert told == dict.fromkeys((BASE, "privacy.epsilon_m=0.4"), "finished")
+        assert tuple(said["counts"]) == NAMES
+        assert len(said["items"]) == len(NAMES) * len(read_verdict(tried)["items"])
 
 
 class TestTable:
@@ -367,7 +341,7 @@ class TestTable:
             ("predictor=kalman_cv", lambda manifest: manifest["identity"].update(scenes=8)),
         ):
             edit_manifest(folder_of(out, name), change)
-        rows, left_out = collect(out)
+        rows, left_out = held.collect(out)
         assert set(rows["variant"]) == {BASE, "privacy.epsilon_m=0.4"}
         assert left_out == {
             "epsilon=1": "it is of another version of the code",
@@ -384,7 +358,7 @@ class TestTable:
                 assert one["sign"] == 1
                 one |= {"sign": -1, "decision": "deflated"}
         path.write_text(json.dumps(said))
-        rows, _ = collect(out)
+        rows, _ = held.collect(out)
         inflation = rows[rows["section"] == "inflation"].set_index("variant")
         for name, before in ((BASE, 1), ("predictor=kalman_cv", -1)):
             assert set(inflation.loc[[name], "sign_base"]) == {before}
@@ -424,31 +398,27 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("words", "message"),
         [
-            (["--variant", "law=isotrpic"], "must be one of"),
-            (["--variant", "epsilon=0.3"], "changes nothing"),
-            (["--set", "predictor=kalman_cv"], "--set takes STAGE.KEY=VALUE"),
-            (["--scenes", "1"], "at least 2 scenes"),
-            (["--wrong"], "unrecognized arguments"),
+            (["{out}", "--variant", "law=isotrpic"], "must be one of"),
+            (["{out}", "--variant", "epsilon=0.3"], "changes nothing"),
+            (["{out}", "--set", "predictor=kalman_cv"], "--set takes STAGE.KEY=VALUE"),
+            (["{out}", "--scenes", "1"], "at least 2 scenes"),
+            (["{out}", "--wrong"], "unrecognized arguments"),
+            ([], "name the folder"),
         ],
     )
     def test_wrong_usage_is_one_line_and_nothing_is_run(self, out, said, words, message):
-        code, errors = said(out, *words)
+        code, errors = said(*(word.format(out=out) for word in words))
         assert code == 2
         assert message in errors
         assert [line for line in errors.splitlines() if line.startswith("error:")]
         assert "Traceback" not in errors
         assert not (out / "sensitivity.csv").exists()
 
-    def test_without_a_folder(self, said):
-        code, errors = said()
-        assert code == 2
-        assert "name the folder" in errors
-
     def test_a_variant_that_fails_is_told_and_the_rest_goes_on(self, out, said, monkeypatch):
         monkeypatch.setenv("ISAC_TRACK_DATA", str(out / "nothing"))
         monkeypatch.setenv("ISAC_TRACK_CACHE", str(out / "nothing"))
-        words = ["--variant", "recording=zara01", "--variant", "predictor=kalman_cv"]
-        code, errors = said(out, "--jobs", "1", *words)
+        words = ["--scenes=8", "--variant=recording=zara01", "--variant=predictor=kalman_cv"]
+        code, errors = said(out, "--jobs=1", *words)
         assert code == 3
         assert "failed: recording=zara01: zara01: obsmat.txt not found" in errors
         assert "datasets fetch zara01" in errors
@@ -456,7 +426,7 @@ class TestErrors:
         assert set(rows["variant"]) == {BASE, "predictor=kalman_cv"}
 
     def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(self, out, said):
-        words = [out, "--jobs", "1", "--variant", "predictor=kalman_cv", "--scenes"]
+        words = [out, "--jobs=1", "--variant=base", "--scenes"]
         assert said(*words, 8)[0] == 0
         code, errors = said(*words, 10)
         assert code == 2
@@ -478,7 +448,7 @@ class TestErrors:
             raise KeyboardInterrupt
 
         monkeypatch.setattr(sensitivity, "check_interrupt", interrupted)
-        code, errors = said(out, "--jobs", "1", "--variant", "predictor=kalman_cv")
+        code, errors = said(out, "--jobs=1", "--scenes=8", "--variant=base")
         assert code == 130
         assert "the same command continues" in errors
         assert read_manifest(folder_of(out, BASE))["state"] == "finished"

@@ -87,7 +87,7 @@ def said_of(found, levels):
     manifest = {
         "dataset": {"name": "planted", "simulated": True},
         "identity": {"seed": 0},
-        "settings": {"preset": "paper", "scenes": 500},
+        "settings": {"preset": "paper", "scenes": 500, "predictors": [PREDICTOR]},
     }
     sweeps = sweeps_of(found)
     compared = tuple(comparisons(sweeps, predictors=[PREDICTOR]))
