@@ -255,7 +255,8 @@ class TestFamilies:
         def turned(frame):
             plr = frame.query("metric == 'plr' and mechanism == 'mine'")
             shown = (plr["level"].astype(float) / 10).astype(str)
-            frame.loc[plr.index, ["value", "ci_low", "ci_high"]] = shown.to_numpy()[:, None]
+            for end in ("value", "ci_low", "ci_high"):
+                frame.loc[plr.index, end] = shown
             return frame
 
         edited(out, "summary.csv", turned)
