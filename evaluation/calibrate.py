@@ -15,19 +15,17 @@ if TYPE_CHECKING:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    parser = Parser(
+    command = Parser(
         prog="python -m evaluation.calibrate",
         description="Refit the free constants of the sensing model to the paper's numbers.",
     )
-    parser.add_argument("--dataset", default="students03", help="the paper's is students03")
-    parser.add_argument("--scenes", type=int, default=5000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--ridge",
-        action="store_true",
-        help="also fit with other caps and beam fluctuations, and predict with each (minutes)",
-    )
-    return exit_code(lambda: _run(parser.parse_args(arguments)))
+    add = command.add_argument
+    add("--dataset", default="students03", help="the paper's is students03")
+    add("--scenes", type=int, default=5000)
+    add("--seed", type=int, default=0)
+    about = "also fit with other caps and beam fluctuations, and predict with each (minutes)"
+    add("--ridge", action="store_true", help=about)
+    return exit_code(lambda: _run(command.parse_args(arguments)))
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -40,11 +38,9 @@ def _run(options: argparse.Namespace) -> int:
     recorded = datasets.load(options.dataset).tracks
     cases: dict[str, dict[str, float]] = {"as committed": {}}
     cases |= ridge() if options.ridge else {}
+    asked = {"n_scenes": options.scenes, "seed": options.seed}
     show_constants(
-        {
-            name: calibrate(recorded, changes=case, n_scenes=options.scenes, seed=options.seed)
-            for name, case in cases.items()
-        }
+        {name: calibrate(recorded, changes=case, **asked) for name, case in cases.items()}
     )
     return DONE
 

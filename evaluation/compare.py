@@ -60,12 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     if options.out_b is None and options.mechanism_a is None:
         raise SettingsError("compare takes two run folders, or one with --mechanism-a and -b")
-    comparison = compare(
-        options.out_a,
-        options.out_a if options.out_b is None else options.out_b,
-        mechanism_a=options.mechanism_a,
-        mechanism_b=options.mechanism_b,
-    )
+    named = {name: getattr(options, name) for name in ("mechanism_a", "mechanism_b")}
+    comparison = compare(options.out_a, options.out_b or options.out_a, **named)
     if options.csv is not None:
         try:
             comparison.rows.to_csv(options.csv, index=False)

@@ -58,31 +58,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         option = f"--max-{name.replace('_', '-')}"
         add(option, type=float, required=name == "missed", metavar=unit, help=about)
     add("--predictor", metavar="NAME", help="the robot's predictor (default: the run's first)")
-    add(
-        "--after-attack",
-        action="store_true",
-        help="hold PLR, AEL and MEL against the best reconstruction (highest PLR), not against "
-        "what was shared",
+    about = (
+        "hold PLR, AEL and MEL against the best reconstruction (highest PLR), not against what was "
+        "shared"
     )
-    add(
-        "--adding",
-        choices=[*ADDING_RULES, "both"],
-        default="both",
-        help="adding rule to answer for (default: both, which must both hold); a network could "
-        "implement only the independent one",
+    add("--after-attack", action="store_true", help=about)
+    about = (
+        "adding rule to answer for (default: both, which must both hold); a network could "
+        "implement only the independent one"
     )
+    add("--adding", choices=[*ADDING_RULES, "both"], default="both", help=about)
     add("--json", action="store_true", help="print one JSON object and nothing else")
     return exit_code(lambda: _run(command.parse_args(arguments)))
 
 
 def _run(options: argparse.Namespace) -> int:
     asked = {name: getattr(options, f"max_{name}") for name in ASKED}
+    given = {name: limit for name, limit in asked.items() if limit is not None}
     choice = choose(
         options.out,
-        limits=Limits(
-            {name: limit for name, limit in asked.items() if limit is not None},
-            after_attack=options.after_attack,
-        ),
+        limits=Limits(given, after_attack=options.after_attack),
         adding=ADDING_RULES if options.adding == "both" else (options.adding,),
         predictor=options.predictor,
     )

@@ -32,43 +32,30 @@ examples:
   python -m evaluation.matrix --set privacy.epsilon_m=0.5 --out runs/wide
 """
 _PRESETS = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
-_DEFAULT_DATA = "(default: students03 if it is here, else the simulated plaza)"
+_DATA = (
+    "a known data set (downloaded if need be) or your own file (default: students03 if it is here, "
+    "else the simulated plaza)"
+)
 _REPLACES = "repeatable; replaces the preset's"
+_ATTACK = f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_REPLACES}"
+_MECHANISM = "sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT"
+_TIMEOUT = "kill and leave out a cell that takes longer than this many seconds (default: never)"
+_EXECUTOR = "where cells are computed: here (default), or on a Dask cluster; see docs/cluster.md"
 _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     # Key of --config: its type, its metavar, and what --help says.
     "preset": (str, "NAME", f"{_PRESETS} (default: paper)"),
-    "dataset": (
-        str,
-        "NAME|PATH",
-        f"a known data set (downloaded if need be) or your own file {_DEFAULT_DATA}",
-    ),
+    "dataset": (str, "NAME|PATH", _DATA),
     "format": (str, "NAME", "format of your own file; see docs/data.md"),
     "fps": (float, "N", "frames per second of your own file"),
     "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
     "seed": (int, "N", "base seed of every random stream (default: 0)"),
-    "mechanism": (
-        list,
-        "SPEC",
-        f"sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT; {_REPLACES}",
-    ),
+    "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES}"),
     "predictor": (list, "SPEC", "the robot's predictor; repeatable; `none` for none"),
-    "attack": (
-        list,
-        "SPEC",
-        f"a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none; {_REPLACES}",
-    ),
+    "attack": (list, "SPEC", _ATTACK),
     "task": (list, "NAME", f"what is to be linked; `none` for none; {_REPLACES}"),
     "jobs": (int, "N", "worker processes (default: the cores, at most 8; 1 for little work)"),
-    "cell_timeout": (
-        float,
-        "S",
-        "kill and leave out a cell that takes longer than this many seconds (default: never)",
-    ),
-    "executor": (
-        str,
-        "local|dask",
-        "where cells are computed: here (default), or on a Dask cluster; see docs/cluster.md",
-    ),
+    "cell_timeout": (float, "S", _TIMEOUT),
+    "executor": (str, "local|dask", _EXECUTOR),
     "scheduler": (str, "ADDRESS", "of the Dask cluster, as tcp://host:8786"),
     "out": (str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
 }
@@ -124,13 +111,9 @@ def settings_from(options: argparse.Namespace) -> Settings:
             raise SettingsError(f"--{key} describes your own file: name it with --dataset PATH")
     for key in _AXES:
         specs = values.pop(key, None)
-        if specs is not None and "none" in specs:
-            if len(specs) > 1:
-                raise SettingsError(
-                    f"--{key} none empties the axis and cannot be mixed with others"
-                )
-            specs = []
-        values[f"{key}s"] = None if specs is None else tuple(specs)
+        if specs and "none" in specs and len(specs) > 1:
+            raise SettingsError(f"--{key} none empties the axis and cannot be mixed with others")
+        values[f"{key}s"] = None if specs is None else tuple(one for one in specs if one != "none")
     if "out" in values:
         values["out"] = Path(values["out"])
     return Settings(
@@ -144,11 +127,8 @@ def settings_from(options: argparse.Namespace) -> Settings:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    return exit_code(
-        lambda: _command(arguments),
-        interrupted="interrupted; finished cells are kept, the same command continues "
-        "(without --fresh)",
-    )
+    kept = "interrupted; finished cells are kept, the same command continues (without --fresh)"
+    return exit_code(lambda: _command(arguments), interrupted=kept)
 
 
 def _command(arguments: Sequence[str] | None) -> int:
@@ -187,18 +167,13 @@ def _progress_bar() -> Iterator[Callable[[int, int, str], None]]:
     from rich.console import Console  # noqa: PLC0415 - as said
 
     console = Console(stderr=True)
-    with progress.Progress(
-        progress.TextColumn("{task.description}", markup=False),
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        progress.TextColumn("cells"),
-        progress.TimeElapsedColumn(),
-        progress.TextColumn("left"),
-        progress.TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-    ) as bar:
+    columns = (
+        *(progress.TextColumn("{task.description}", markup=False), progress.BarColumn()),
+        *(progress.MofNCompleteColumn(), "cells", progress.TimeElapsedColumn()),
+        *("left", progress.TimeRemainingColumn()),
+    )
+    is_seen = console.is_terminal
+    with progress.Progress(*columns, console=console, disable=not is_seen, transient=True) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda done, total, what: bar.update(
             task, completed=done, total=total, description=f"{what:<40.40}"

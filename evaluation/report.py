@@ -20,21 +20,19 @@ if TYPE_CHECKING:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    parser = Parser(
+    command = Parser(
         prog="python -m evaluation.report",
         description="Redraw summary, tables and figures of a run folder from its finished cells.",
     )
-    parser.add_argument("out", type=Path, help="folder of a run, as given to the matrix by --out")
-    parser.add_argument(
-        "--pdf", action="store_true", help="also write every figure as PDF, for print"
+    add = command.add_argument
+    add("out", type=Path, help="folder of a run, as given to the matrix by --out")
+    add("--pdf", action="store_true", help="also write every figure as PDF, for print")
+    about = (
+        "also write its summary into docs/results and the result tables of README and docs, in the "
+        "repository that one stands in"
     )
-    parser.add_argument(
-        "--docs",
-        action="store_true",
-        help="also write its summary into docs/results and the result tables of README and docs, "
-        "in the repository that one stands in",
-    )
-    return exit_code(lambda: _redraw(parser.parse_args(arguments)))
+    add("--docs", action="store_true", help=about)
+    return exit_code(lambda: _redraw(command.parse_args(arguments)))
 
 
 def _redraw(options: Namespace) -> int:

@@ -55,11 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--jobs", type=int, metavar="N", help="worker processes, as in evaluation.matrix")
     add("--fresh", action="store_true", help="replace the runs of the variants, do not continue")
     add("--json", action="store_true", help="print one JSON object instead of the table")
-    return exit_code(
-        lambda: _command(command.parse_args(arguments)),
-        interrupted="interrupted; finished cells are kept, the same command continues "
-        "(without --fresh)",
-    )
+    kept = "interrupted; finished cells are kept, the same command continues (without --fresh)"
+    return exit_code(lambda: _command(command.parse_args(arguments)), interrupted=kept)
 
 
 def _command(options: argparse.Namespace) -> int:
@@ -92,7 +89,7 @@ def _run(
     attacks = held.attacks_of(held.read_verdict(options.out)["items"])
     if manifest.get("state") != "finished":
         raise DataError(f"the run in {options.out} is not finished; run the matrix again")
-    outcomes = []
+    outcomes: list[dict[str, Any]] = []
     for place, variant in enumerate(variants, start=1):
         print(f"{place} of {len(variants)}: {variant.name}", file=sys.stderr)
         started, why = time.monotonic(), ""
@@ -108,9 +105,8 @@ def _run(
                 trust=options.trust,
             )
             ready = plan(settings)
-            borrow(
-                ready, sources=(options.out, held.folder_of(options.out, BASE)), fresh=options.fresh
-            )
+            sources = options.out, held.folder_of(options.out, BASE)
+            borrow(ready, sources=sources, fresh=options.fresh)
             run(ready=ready, pictures=False)  # `evaluation.report` draws those that matter
         except IsacTrackError as error:
             if variant.name == BASE:  # without it nothing can be said, every other one may fail

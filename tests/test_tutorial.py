@@ -7,6 +7,7 @@ import runpy
 import shutil
 import sys
 from contextlib import redirect_stdout
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -28,7 +29,7 @@ FILES = (
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The folder of the run, and what the script said; of the figures one is enough."""
+    """The run as its files hold it, and what the script said; of the figures one is enough."""
     folder, said = tmp_path_factory.mktemp("tutorial"), io.StringIO()
     for path in EXAMPLE.glob("*.py"):
         shutil.copy(path, folder)
@@ -40,70 +41,60 @@ def finished(tmp_path_factory):
         patch.setattr(drawing, "figures_of", after)
         runpy.run_path("tutorial.py")
     del sys.modules["geometric_median"]  # the name is free again
-    return folder / "tutorial-run", said.getvalue()
+    out = folder / "tutorial-run"
+    verdict = json.loads((out / "verdict.json").read_text("utf-8"))
+    summary = pd.read_csv(out / "summary.csv", keep_default_na=False)
+    return SimpleNamespace(out=out, said=said.getvalue(), verdict=verdict, summary=summary)
 
 
-@pytest.fixture(scope="module")
-def out(finished):
-    return finished[0]
-
-
-@pytest.fixture(scope="module")
-def verdict(out):
-    return json.loads((out / "verdict.json").read_text("utf-8"))
-
-
-@pytest.fixture(scope="module")
-def summary(out):
-    return pd.read_csv(out / "summary.csv", keep_default_na=False)
-
-
-def value(summary, consumer, metric, mechanism, level):
+def value(finished, consumer, metric, mechanism, level):
     """What a consumer without knowledge comes to."""
-    found = summary[summary["knowledge"].isin(["", "blind"])]
+    found = finished.summary[finished.summary["knowledge"].isin(["", "blind"])]
     row = found.set_index(KEY).sort_index()["value"]
     return float(row[(consumer, metric, mechanism, level)])
 
 
-def test_the_run_leaves_a_report(finished, out):
+def test_the_run_leaves_a_report(finished):
+    out = finished.out
     assert [name for name in FILES if not (out / name).stat().st_size] == []
     assert MINE in (out / "report.html").read_text("utf-8")
     dataset = json.loads((out / "manifest.json").read_text("utf-8"))["dataset"]
     assert (dataset["name"], dataset["tracks"]) == ("walks", 1100)
-    assert "1100 tracks; mended on reading: nothing" in finished[1]
-    assert "attack kit: all checks pass" in finished[1]
+    assert "1100 tracks; mended on reading: nothing" in finished.said
+    assert "attack kit: all checks pass" in finished.said
 
 
-def test_the_attack_is_judged_like_the_built_in_one(summary):
-    metrics = summary.groupby("consumer")["metric"].agg(set)
+def test_the_attack_is_judged_like_the_built_in_one(finished):
+    metrics = finished.summary.groupby("consumer")["metric"].agg(set)
     assert {"plr", "ael", "mel"} < metrics[MINE] == metrics["kalman_rts"]
     assert metrics[f"rerelease/shape@{MINE}"] == metrics["rerelease/shape@kalman_rts"]
 
 
-def test_what_the_text_says_of_the_attack_is_so(summary):
+def test_what_the_text_says_of_the_attack_is_so(finished):
     """It undoes less than the smoother, and links more people."""
     at = "fixed", "1.0"
-    plr = [value(summary, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")]
+    plr = [value(finished, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")]
     assert plr[0] < plr[1] < plr[2]
     mine, smoother = (f"rerelease/shape@{one}" for one in (MINE, "kalman_rts"))
-    assert value(summary, mine, "rank1", *at) > value(summary, smoother, "rank1", *at) > 0.1
+    assert value(finished, mine, "rank1", *at) > value(finished, smoother, "rank1", *at) > 0.1
     # Moved as a whole, a walk is linked as if it had been shared raw.
     moved, raw = ("offset", "0.3"), ("raw", "")
-    linked = value(summary, mine, "rank1", *moved)
-    assert linked == pytest.approx(value(summary, mine, "rank1", *raw), abs=0.02)
-    shared = value(summary, "shared", "plr", *moved)
-    assert shared < value(summary, "shared", "plr", *raw) - 0.1
+    linked = value(finished, mine, "rank1", *moved)
+    assert linked == pytest.approx(value(finished, mine, "rank1", *raw), abs=0.02)
+    shared = value(finished, "shared", "plr", *moved)
+    assert shared < value(finished, "shared", "plr", *raw) - 0.1
 
 
-def test_verdict_and_design_question_are_answered(finished, verdict):
+def test_verdict_and_design_question_are_answered(finished):
+    verdict, said = finished.verdict, finished.said
     sections = {one["section"] for one in verdict["items"]}
     assert sections == {"validity", "within", "claim", "inflation"}
-    assert all(sentence in finished[1] for sentence in verdict["answer"])
+    assert all(sentence in said for sentence in verdict["answer"])
     found = [one for one in verdict["items"] if one["section"] == "validity"]
     assert {one["decision"] for one in found} == {"does not track"}
     assert all(one["against"] == "offset 0.3" and one["effect"] > 0 for one in found)
-    assert "\nNo: fid" in finished[1]
-    assert finished[1].rstrip().endswith("exit code: 1")
+    assert "\nNo: fid" in said
+    assert said.rstrip().endswith("exit code: 1")
 
 
 def test_the_text_shows_the_files_as_they_are():
@@ -113,17 +104,18 @@ def test_the_text_shows_the_files_as_they_are():
     assert re.findall(r"^## (\d)\.", TEXT, re.MULTILINE) == cells
 
 
-def test_the_numbers_of_the_text_are_those_of_the_run(summary, verdict):
+def test_the_numbers_of_the_text_are_those_of_the_run(finished):
     row = r"^\| (raw|fixed 1 m|offset 0\.3 m) \| (0\.[^|]+\|[^|]+\|[^|]+) \|$"
     rows = dict(re.findall(row, TEXT, re.MULTILINE))
     places = {"raw": ("raw", ""), "fixed 1 m": ("fixed", "1.0"), "offset 0.3 m": ("offset", "0.3")}
     assert rows.keys() == places.keys()
     for name, at in places.items():
         shown = [float(one) for one in rows[name].split("|")]
-        plr = [value(summary, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")]
+        plr = [value(finished, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")]
         assert shown == pytest.approx(plr, abs=6e-4)
-    assert [one for one in verdict["answer"] if one not in " ".join(TEXT.split())] == []
+    text = " ".join(TEXT.split())
+    assert [one for one in finished.verdict["answer"] if one not in text] == []
 
 
-def test_a_folder_can_be_redrawn_without_the_attack(out):
-    assert MINE in set(build(out, pictures=False).summary["consumer"])
+def test_a_folder_can_be_redrawn_without_the_attack(finished):
+    assert MINE in set(build(finished.out, pictures=False).summary["consumer"])

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
 
+from evaluation.analysis import linkability
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family, families_in
-from evaluation.analysis.keys import AS_SHARED, Source, Where
-from evaluation.analysis.linkability import LinkedTask, dataset_of, linked_tasks
+from evaluation.analysis.keys import AS_SHARED, Key, Source, Where
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
-from evaluation.analysis.strongest import strongest_of
+from evaluation.analysis.strongest import by_task, strongest_of
+from evaluation.analysis.summary import COLUMNS
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError
@@ -40,7 +41,6 @@ ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}
 """What may be limited."""
 UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
-_WHERE = ("mechanism", "level", "consumer", "knowledge")
 _ENDS = ("ci_low", "ci_high")
 _NUMBERS = frozenset(("level", "value", "rank1", "chance", *_ENDS))
 
@@ -70,6 +70,16 @@ class Linked:
     outcome: str = ""
     invalid: str = ""
     """Shortcuts that give people away here; empty: none."""
+
+    @property
+    def missing(self) -> str:
+        """Why there is no number to judge; empty if there may be one."""
+        if not self.attack:
+            return "no attack was run at this level"
+        if self.invalid:
+            return f"a shortcut ({self.invalid}) gives people away: no measure of the attack"
+        too_weak = "every attack is too weak: it fails without any error, too"
+        return too_weak if self.outcome == WEAK else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,22 +238,14 @@ def choose(
             f"--predictor {robot}: {out} has {', '.join(robots)}; name one of these or add it "
             "with the command of the run"
         )
-    summary = _table(out, "summary.csv", (*_WHERE, "metric", "family", "adding", "value", *_ENDS))
-    linked = []
+    summary, linked = _table(out, "summary.csv", COLUMNS), []
     if (out / "linkability.csv").exists():
-        said = ("cohort", "outcome", "invalid", "rank1", "chance")
-        linked = linked_tasks(_table(out, "linkability.csv", (*_WHERE, *said, *_ENDS)))
-    of_metrics = summary[summary["metric"].isin(METRIC_OF.values())]
-    levels = [
-        level
-        for where, rows in of_metrics.groupby(["mechanism", "level"], dropna=False, sort=False)
-        if (level := _level(where, rows, linked, Source(robot), manifest["dataset"]["name"]))
-    ]
+        linked = linkability.linked_tasks(_table(out, "linkability.csv", linkability.COLUMNS))
+    levels = _levels(summary, linked, Source(robot), dataset=manifest["dataset"]["name"])
     raw = next((one for one in levels if one.mechanism == RAW), None)
     # FID is shown first, then fixed noise, all others as they were run.
-    families = sorted(
-        families_in(summary).values(), key=lambda one: [FID, FIXED, one.name].index(one.name)
-    )
+    order = {FID: 0, FIXED: 1}
+    families = sorted(families_in(summary).values(), key=lambda one: order.get(one.name, 2))
     choice = Choice(
         out=out,
         manifest=manifest,
@@ -263,14 +265,12 @@ def choose(
         is_current=manifest.get("code") == code_hash(),
     )
     _refuse_missing(choice, is_attacked=any(one.after_attack for one in levels))
-    return replace(
-        choice,
-        schemes=tuple(one for rule in adding for one in choice.schemes if one.adding == rule),
-    )
+    asked = tuple(one for rule in adding for one in choice.schemes if one.adding == rule)
+    return replace(choice, schemes=asked)
 
 
 def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
-    """Return some columns of a table of a run."""
+    """Return a table of a run; its numbers are those that are asked for here."""
     again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
     numbers = _NUMBERS.intersection(columns)
     try:
@@ -289,50 +289,47 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
         raise DataError(f"{out / name} cannot be read ({reason}); {again}") from None
 
 
-def _level(
-    at: tuple[Any, ...], rows: pd.DataFrame, tasks: Sequence[LinkedTask], robot: Source, own: str
-) -> Level | None:
-    """Return what a level of data set `own` comes to; None if the robot, or nobody, was shown it.
+def _levels(
+    summary: pd.DataFrame, tasks: Sequence[linkability.LinkedTask], robot: Source, *, dataset: str
+) -> list[Level]:
+    """Return what the levels of a run come to, each with all of its tasks.
 
-    It has all tasks of the run; raw needs no predictor.
+    Without those that the robot, or nobody, was shown; raw needs no predictor.
     """
-    where = at[0], None if math.isnan(at[1]) else at[1]
-    columns = ["consumer", "knowledge", "metric", "value", *_ENDS]
+    rows = summary[[*Key._fields, "value", *_ENDS]].itertuples(index=False)
     found = {
-        (Source(consumer, knowledge), metric): Estimate(*numbers)
-        for consumer, knowledge, metric, *numbers in rows[columns].itertuples(index=False)
+        Key(name, None if math.isnan(level) else level, *of): Estimate(value, low, high)
+        for name, level, *of, value, low, high in rows
     }
 
-    def numbers(source: Source, names: Sequence[str]) -> dict[str, Estimate]:
-        return {name: found.get((source, METRIC_OF[name]), UNKNOWN) for name in names}
+    def numbers(where: Where, source: Source, names: Sequence[str]) -> dict[str, Estimate]:
+        measures = {name: source.measure(METRIC_OF[name]) for name in names}
+        return {name: found.get(one.at(*where), UNKNOWN) for name, one in measures.items()}
 
-    sources = {source for source, _ in found}
-    if AS_SHARED not in sources or not (where[0] == RAW or robot in sources):
-        return None
-    best = strongest_of(
-        [{source: one.value for (source, metric), one in found.items() if metric == EXPOSURE}]
-    )
-    return Level(
-        *where,
-        numbers=numbers(robot, TARGETS) | numbers(AS_SHARED, DESCRIPTORS),
-        after_attack=best and Attacked(*best, numbers(best, DESCRIPTORS)),
-        tasks=tuple(_strongest(task, where, own) for task in tasks),
-    )
+    levels = []
+    for where, exposed in by_task(found, metric=EXPOSURE).get("", {}).items():
+        is_foreseen = where[0] == RAW or robot.measure(MISSED_RATE).at(*where) in found
+        if AS_SHARED in exposed and is_foreseen:
+            best = strongest_of([exposed])
+            attacked = best and Attacked(*best, numbers(where, best, DESCRIPTORS))
+            known = numbers(where, robot, TARGETS) | numbers(where, AS_SHARED, DESCRIPTORS)
+            linked = tuple(_strongest(task, where, dataset) for task in tasks)
+            levels.append(Level(*where, known, attacked, linked))
+    return levels
 
 
-def _strongest(task: LinkedTask, where: Where, dataset: str) -> Linked:
+def _strongest(task: linkability.LinkedTask, where: Where, dataset: str) -> Linked:
     """Return the strongest linker at a level, of the valid ones if there are any."""
-    own, rows = dataset_of(task.name, dataset=dataset), task.cells.get(where, {})
+    own, rows = linkability.dataset_of(task.name, dataset=dataset), task.cells.get(where, {})
     rank1 = {source: row[SUCCESS] for source, row in rows.items()}
-    is_poor = {source for source, row in rows.items() if row["outcome"] == WEAK or row["invalid"]}
-    valid = {source: value for source, value in rank1.items() if source not in is_poor}
+    poor = {source for source, row in rows.items() if row["outcome"] == WEAK or row["invalid"]}
+    valid = {source: value for source, value in rank1.items() if source not in poor}
     best = strongest_of([valid]) or strongest_of([rank1])
     if best is None:
         return Linked(task.name, own, own == dataset)
-    row = rows[best]
-    achieved = Estimate(*(row[name] for name in (SUCCESS, *_ENDS)))
-    judged = row["chance"], row["outcome"], row["invalid"]
-    return Linked(task.name, own, own == dataset, best.consumer, best.knowledge, achieved, *judged)
+    achieved = Estimate(*(rows[best][name] for name in (SUCCESS, *_ENDS)))
+    judged = (rows[best][name] for name in ("chance", "outcome", "invalid"))
+    return Linked(task.name, own, own == dataset, *best, achieved, *judged)
 
 
 def _refuse_missing(choice: Choice, *, is_attacked: bool) -> None:
@@ -367,27 +364,20 @@ def _targets(level: Level, limits: Limits) -> list[Check]:
 def _privacy(level: Level, limits: Limits) -> list[Check]:
     """Return the checks at the chosen level."""
     numbers, whose, missing = level.numbers, "as shared", ""
-    if limits.after_attack and level.after_attack is not None:
-        numbers = level.after_attack.numbers
-        whose = f"after {level.after_attack.attack} ({level.after_attack.knowledge})"
-    elif limits.after_attack:
+    if limits.after_attack:
         numbers, whose, missing = {}, "", "no reconstruction attack was run at this level"
+        if attacked := level.after_attack:
+            numbers, missing = attacked.numbers, ""
+            whose = f"after {Source(attacked.attack, attacked.knowledge).label}"
     checks = [
         Check(name, limit, numbers.get(name, UNKNOWN), whose, missing)
         for name, limit in limits.of(*DESCRIPTORS).items()
     ]
     for one in level.tasks if SUCCESS in limits.given else ():
-        missing = ""
-        if not one.attack:
-            missing = "no attack was run at this level"
-        elif one.invalid:
-            missing = f"a shortcut ({one.invalid}) gives people away: no measure of the attack"
-        elif one.outcome == WEAK:
-            missing = "every attack is too weak: it fails without any error, too"
         if one.limited:
-            whose = f"in {one.task} by {one.attack} ({one.knowledge})" if one.attack else one.task
-            limit = limits.given[SUCCESS]
-            checks.append(Check(f"{SUCCESS}/{one.task}", limit, one.rank1, whose, missing))
+            by = f"in {one.task} by {Source(one.attack, one.knowledge).label}"
+            name, whose = f"{SUCCESS}/{one.task}", by if one.attack else one.task
+            checks.append(Check(name, limits.given[SUCCESS], one.rank1, whose, one.missing))
     return checks
 
 

@@ -194,11 +194,11 @@ def _taus(
 
     taus: dict[str, float | None] = dict.fromkeys((FIXED, FID))
     for mechanism in sweeps.swept(adding):
-        points = [
-            [sweeps.point(mechanism, level, one) for one in (value, success)]
+        points = (
+            [sweeps.found.get(one.at(mechanism, level)) for one in (value, success)]
             for level in sweeps.levels(mechanism)
-        ]
-        pairs = [(at[0], got[0]) for at, got in points if at is not None and got is not None]
+        )
+        pairs = [(at.value, got.value) for at, got in points if at and got]
         if len(pairs) >= _FEWEST_FOR_TAU:
             tau = kendalltau(*zip(*pairs, strict=True)).statistic
             taus[sweeps.known[mechanism].name] = known(tau)

@@ -65,18 +65,18 @@ def read_levels(
 
     Raises DataError if a cell cannot be read.
     """
-    entries = {
-        (entry["spec"], entry["consumer"], entry["knowledge"]): entry for entry in manifest["cells"]
-    }
     wanted = {RAW}.union(*(sweeps.swept(adding) for adding in ADDING_RULES))
-    found: dict[str, list[LevelTracks]] = {}
-    for task, linker in strongest.items():
-        for (spec, *whose), linked in entries.items():
-            is_linker = whose == [linker.consumer, linker.knowledge]
-            windows = entries.get((spec, f"{task}/{WINDOWS}", ""))
-            if is_linker and windows is not None and linked["mechanism"] in wanted:
-                found.setdefault(task, []).append(_level(out, linked, windows))
-    return found
+    cells = [entry for entry in manifest["cells"] if entry["mechanism"] in wanted]
+    windows = {(entry["spec"], entry["consumer"]): entry for entry in cells}
+    return {
+        task: [
+            _level(out, entry, windows[entry["spec"], f"{task}/{WINDOWS}"])
+            for entry in cells
+            if (entry["consumer"], entry["knowledge"]) == linker
+            and (entry["spec"], f"{task}/{WINDOWS}") in windows
+        ]
+        for task, linker in strongest.items()
+    }
 
 
 def _level(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LevelTracks:

@@ -6,15 +6,11 @@ from evaluation import __main__ as command
 from isac_track import __version__
 
 
-def test_help_names_every_command(capsys):
-    assert command.main(["--help"]) == 0
+@pytest.mark.parametrize(("words", "code"), [(["--help"], 0), ([], 2)])
+def test_help_names_every_command_and_none_is_wrong_usage(words, code, capsys):
+    assert command.main(words) == code
     shown = capsys.readouterr().out
-    assert all(name in shown for name in command.COMMANDS)
-
-
-def test_no_command_is_wrong_usage(capsys):
-    assert command.main([]) == 2
-    assert "usage: isac-track" in capsys.readouterr().out
+    assert all(name in shown for name in ("usage: isac-track", *command.COMMANDS))
 
 
 def test_version(capsys):

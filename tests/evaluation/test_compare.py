@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.runs import rows_of
-from helpers.small_runs import write_walks
+from helpers.small_runs import smoke, write_walks
 from helpers.summaries import edit_manifest
 from rich.console import Console
 from scipy.stats import t as student
@@ -32,6 +32,7 @@ from isac_track.linkability.significance import holm
 
 KEY = ["mechanism", "level", "consumer", "knowledge", "metric"]
 PLR = ("fixed", 0.7, "shared", "", "plr")
+EFFECT = ["difference", "ci_low", "ci_high"]
 MECHANISMS = (
     "raw",
     "fid:1",
@@ -44,42 +45,32 @@ ALONE = {"predictors": (), "attacks": (), "tasks": ()}
 def run(tmp_path_factory):
     """A run by its name, computed when it is asked for: `base` with some changes."""
     folder = tmp_path_factory.mktemp("compare")
-    settings = evaluation.Settings(
-        preset="smoke",
-        dataset=str(write_walks(folder / "walks.csv")),
-        scenes=20,
-        mechanisms=MECHANISMS,
-        predictors=("least_squares",),
-        attacks=("kalman_rts", "shape"),
-        tasks=("rerelease",),
-        jobs=1,
-    )
-
-    def changed(**values):
-        return {"stages": StageSettings().changed(values)}
-
+    walks = write_walks(folder / "walks.csv")
+    axes = {"mechanisms": MECHANISMS, "attacks": ("kalman_rts", "shape"), "tasks": ("rerelease",)}
     others = write_walks(folder / "others.csv", n_people=24, seed=7)
     # The group column makes one cluster of everybody.
     one = write_walks(folder / "one.csv", n_people=12)
     pd.read_csv(one).assign(group="all").to_csv(one, index=False)
     of_one = {"dataset": str(one), "mechanisms": ("raw",), "attacks": (), "tasks": ()}
+    wide = {"stages": StageSettings().changed({"privacy.epsilon_m": 0.5})}
+    longer = {"stages": StageSettings().changed({"resample.min_duration_s": 28.0})}
     changes = {
         "base": {},
-        "wide": changed(**{"privacy.epsilon_m": 0.5}),
+        "wide": wide,
         "reseeded": {"seed": 1},
         "others": {"dataset": str(others)},
         "narrow": {"mechanisms": ("raw",), **ALONE},
         "apart": {"mechanisms": ("fixed:0.3",), **ALONE},
-        "longer": {"mechanisms": ("fixed:0.7",), **ALONE}
-        | changed(**{"resample.min_duration_s": 28.0}),
+        "longer": {"mechanisms": ("fixed:0.7",), **ALONE, **longer},
         "one": of_one,
-        "one_wide": of_one | changed(**{"privacy.epsilon_m": 0.5}),
+        "one_wide": of_one | wide,
     }
 
     def made(name):
         out = folder / name
         if not out.exists():
-            evaluation.run(replace(settings, out=out, **changes[name]), pictures=False)
+            settings = smoke(walks, out, scenes=20, **axes)
+            evaluation.run(replace(settings, **changes[name]), pictures=False)
         return out
 
     return made
@@ -105,8 +96,7 @@ def command(run, capsys):
 
 def numbers(out):
     """The rows of a run's summary that have a value, by key."""
-    frame = pd.read_csv(out / "summary.csv", keep_default_na=True)
-    frame["knowledge"] = frame["knowledge"].fillna("")
+    frame = pd.read_csv(out / "summary.csv").fillna({"knowledge": ""})
     return frame.dropna(subset=["value"]).set_index(KEY)
 
 
@@ -136,7 +126,7 @@ def test_the_same_settings_give_the_same_numbers_and_the_text_says_so(run, comma
     found = compared(run("base"), again)
     assert set(found.rows["finding"]) == {"identical"}
     assert set(found.rows["pairing"]) == {"people and draws"}
-    assert (found.rows[["difference", "ci_low", "ci_high"]] == 0.0).all(axis=None)
+    assert (found.rows[EFFECT] == 0.0).all(axis=None)
     assert not any(found.changed.values())
     assert found.only == {}
     code, text, errors = command("{base}", again, "--fail-on-change")
@@ -171,8 +161,7 @@ class TestAnotherRadius:
         row = by_key(both("base", other)).loc[PLR]
         error = (drawn_b - drawn_a).std(ddof=1)
         expected = [b - a, *np.quantile(drawn_b - drawn_a, [0.025, 0.975])]
-        found = [row["difference"], row["ci_low"], row["ci_high"]]
-        assert found == pytest.approx(expected, abs=1e-12)
+        assert [*row[EFFECT]] == pytest.approx(expected, abs=1e-12)
         assert row["t"] == pytest.approx((b - a) / error)
         assert row["p_value"] == pytest.approx(2 * student.sf(abs(b - a) / error, df=row["n"] - 1))
 
@@ -246,8 +235,7 @@ class TestOtherPeople:
         low = value - np.hypot(two["value"] - two["ci_low"], one["ci_high"] - one["value"])
         high = value + np.hypot(two["ci_high"] - two["value"], one["value"] - one["ci_low"])
         row = by_key(found).loc[PLR]
-        ends = [row["difference"], row["ci_low"], row["ci_high"]]
-        assert ends == pytest.approx([value, low, high], abs=1e-12)
+        assert [*row[EFFECT]] == pytest.approx([value, low, high], abs=1e-12)
         crossed = both("base", "others", mechanism_a="fixed:1", mechanism_b="fixed:0.7")
         assert set(crossed.rows["pairing"]) == {"none"}
         assert set(crossed.rows["level_b"]) == {0.7}
@@ -264,8 +252,7 @@ class TestOtherPeople:
             row = by_key(both(*names)).loc[PLR]
             assert row["pairing"] == "people"
             ends = sign * np.quantile(drawn_b - drawn_a, [0.025, 0.975])[::sign]
-            found = [row["difference"], row["ci_low"], row["ci_high"]]
-            assert found == pytest.approx([sign * (b - a), *ends], abs=1e-12)
+            assert [*row[EFFECT]] == pytest.approx([sign * (b - a), *ends], abs=1e-12)
 
 
 class TestMechanisms:
@@ -382,7 +369,6 @@ class TestCommand:
     def test_a_reader_who_leaves_early_sees_no_traceback(self, run):
         words = [sys.executable, "-m", "evaluation.compare", run("base"), run("wide"), "--json"]
         with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-            process.stdout.read(10)
             process.stdout.close()
             assert process.stderr.read() == b""
         assert process.returncode == 141
@@ -394,19 +380,14 @@ class TestVerdicts:
         return [shutil.copytree(run("narrow"), tmp_path / name) for name in ("a", "b")]
 
     def write(self, pair, *verdicts):
-        """Write a verdict of items as `id decision`, or a text; None: without one."""
-        for out, one in zip(pair, verdicts, strict=True):
-            (out / "verdict.json").unlink(missing_ok=True)
-            if isinstance(one, list):
-                names = ("id", "decision")
-                items = [dict(zip(names, of.split(" ", 1), strict=True)) for of in one]
-                one = json.dumps({"items": items})  # noqa: PLW2901 - as a file holds it
-            if one is not None:
-                (out / "verdict.json").write_text(one)
+        """Write what each decides, by its items' names."""
+        for out, decisions in zip(pair, verdicts, strict=True):
+            items = [{"id": name, "decision": decision} for name, decision in decisions.items()]
+            (out / "verdict.json").write_text(json.dumps({"items": items}))
 
     def test_decisions_that_changed_are_listed(self, pair, command):
-        first = ["x tracks", "y undecided", "z holds"]
-        self.write(pair, first, ["x does not track", "y undecided", "w holds"])
+        first = {"x": "tracks", "y": "undecided", "z": "holds"}
+        self.write(pair, first, {"x": "does not track", "y": "undecided", "w": "holds"})
         assert compared(*pair).verdicts == {
             "in_both": 2,
             "only_a": ["z"],
@@ -418,12 +399,12 @@ class TestVerdicts:
         assert "1 of 2 decisions changed (1 only in A, 1 only in B)" in text
         assert "x: tracks -> does not track" in text
         assert compared(*pair, mechanism_a="raw", mechanism_b="raw").verdicts is None
-        self.write(pair, first, None)
+        (pair[1] / "verdict.json").unlink()
         assert compared(*pair).verdicts is None
         assert "Verdict" not in shown(compared(*pair))
 
     def test_a_broken_verdict_is_named(self, pair, command):
-        self.write(pair, ["x tracks"], '{"items": [{"id": "x"}]}')
+        (pair[1] / "verdict.json").write_text('{"items": [{"id": "x"}]}')
         code, _, errors = command(*pair)
         assert code == 2
         (line,) = errors.splitlines()

@@ -1,17 +1,17 @@
 """The command: its words, its exit codes, its files."""
 
 import re
-import subprocess
-import sys
 
 import pandas as pd
 import pytest
+from helpers.processes import run_python
 
 from evaluation import matrix
 from evaluation.experiment.axes import axes
 from evaluation.experiment.presets import DISSOCIATION, PRESETS
 from evaluation.experiment.settings import Settings
 from isac_track import plugins
+from isac_track.config import StageSettings
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -103,13 +103,11 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
         encoding="utf-8",
     )
     settings = settings_of("--config", path, "--seed", "7", "--set", "privacy.epsilon_m=0.2")
-    assert settings.preset == "smoke"
-    assert settings.seed == 7
-    assert settings.n_scenes == 30
+    assert (settings.preset, settings.seed, settings.n_scenes) == ("smoke", 7, 30)
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ("least_squares",)
-    assert settings.stages.privacy.epsilon_m == 0.2
-    assert settings.stages.sensing.law == "isotropic"
+    stages = {"privacy.epsilon_m": 0.2, "sensing.law": "isotropic"}
+    assert settings.stages == StageSettings().changed(stages)
 
 
 @pytest.mark.parametrize(
@@ -159,20 +157,14 @@ def test_list_names_everything_that_can_be_named(capsys):
 
 
 @pytest.mark.parametrize("option", ["--help", "--list"])
-def test_help_and_list_import_nothing_heavy(option):
-    script = (
-        "import sys\n"
-        "from evaluation import matrix\n"
-        "try:\n"
-        f"    matrix.main([{option!r}])\n"
-        "except SystemExit:\n"
-        "    pass\n"
-        "heavy = {'pandas', 'scipy', 'matplotlib', 'pyarrow', 'sklearn', 'numba'}\n"
-        "sys.exit(str(heavy & sys.modules.keys()) if heavy & sys.modules.keys() else 0)\n"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False
-    )
+def test_help_and_list_import_nothing_heavy(option, tmp_path):
+    script = f"""import contextlib, sys
+from evaluation import matrix
+with contextlib.suppress(SystemExit):
+    matrix.main([{option!r}])
+heavy = {{'pandas', 'scipy', 'matplotlib', 'pyarrow', 'sklearn', 'numba'}}
+sys.exit(str(heavy & sys.modules.keys()) if heavy & sys.modules.keys() else 0)"""
+    answer = run_python(tmp_path, "-c", script)
     assert answer.returncode == 0, answer.stderr
 
 
@@ -180,11 +172,9 @@ def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, cap
     monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
     monkeypatch.setenv("ISAC_TRACK_CACHE", str(tmp_path / "empty"))
     out = tmp_path / "run"
-    code = run(
-        "--preset", "smoke", "--scenes", "8", "--mechanism", "raw", "--task", "none", "--out", out
-    )
+    words = "--preset smoke --scenes 8 --mechanism raw --task none"
+    assert run(*words.split(), "--out", out) == 0
     shown = capsys.readouterr()
-    assert code == 0
     assert "notice: students03 is not here" in shown.err
     assert "plaza" in shown.out
     assert "plaza" in (out / "manifest.json").read_text(encoding="utf-8")
@@ -192,13 +182,9 @@ def test_the_default_falls_back_to_the_simulated_crowd_and_says_so(tmp_path, cap
 
 
 def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, capsys):
-    out = tmp_path / "run"
-    code = run(
-        "--dataset", csv_recording, "--scenes", 8, "--mechanism", "raw", "--out", out,
-        "--task", "none", "--predictor", "kalman_cv:noise=declared",
-        "--set", "scenes.clearance_m=6.5", "--set", "scenes.max_redraws=2",
-    )  # fmt: skip
-    assert code == 0
+    words = "--scenes 8 --mechanism raw --task none --predictor kalman_cv:noise=declared"
+    words += " --set scenes.clearance_m=6.5 --set scenes.max_redraws=2"
+    assert run("--dataset", csv_recording, *words.split(), "--out", tmp_path / "run") == 0
     shown = capsys.readouterr().err
     assert "kalman_cv:noise=declared asked for SIGMA, which a robot does not have" in shown
     assert re.search(r"\d+ background agents found no place", shown)

@@ -1,5 +1,6 @@
 """Variants of a finished run: what is changed, what is run, and what becomes of every item."""
 
+import io
 import json
 import re
 import shutil
@@ -8,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.small_runs import write_walks
+from helpers.small_runs import smoke, write_walks
 from helpers.summaries import edit_manifest
 
 import evaluation
@@ -17,43 +18,27 @@ from evaluation.experiment.variants import BASE, RIDGE, parse, settings_of, vari
 from evaluation.reporting.difference_tables import turned
 from evaluation.runs.manifest import read_manifest
 from evaluation.sensitivity import main
-from evaluation.verdict.sensitivity import (
-    COLUMNS,
-    attacks_of,
-    changes,
-    collect,
-    counts,
-    folder_of,
-    read_verdict,
-)
-from isac_track.config import StageSettings
+from evaluation.verdict import sensitivity as held
+from evaluation.verdict.sensitivity import COLUMNS, attacks_of, folder_of, read_verdict
 from isac_track.errors import DataError, SettingsError
 
 ROOT = Path(evaluation.__file__).parent.parent
-MECHANISMS = ("raw", "fixed:0.2", "fixed:1", "fid:1", "fid:1e5", "correlated:0.75")
+NAMES = (BASE, "law=fixed_direction", "epsilon=1", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A small run with every section of the verdict; kept as it is."""
     folder = tmp_path_factory.mktemp("finished")
-    write_walks(folder / "walks.csv")
-    out = folder / "run"
-    evaluation.run(
-        evaluation.Settings(
-            dataset=str(folder / "walks.csv"),
-            scenes=60,
-            seed=0,
-            mechanisms=MECHANISMS,
-            predictors=("least_squares", "kalman_cv"),
-            attacks=("identity", "kalman_rts", "shape", "histogram"),
-            tasks=("rerelease",),
-            jobs=1,
-            out=out,
-        ),
-        pictures=False,
-    )
-    return out
+    axes = {
+        "mechanisms": ("raw", "fixed:0.2", "fixed:1", "fid:1", "fid:1e5", "correlated:0.75"),
+        "predictors": ("least_squares", "kalman_cv"),
+        "attacks": ("identity", "kalman_rts", "shape", "histogram"),
+        "tasks": ("rerelease",),
+    }
+    walks = write_walks(folder / "walks.csv")
+    evaluation.run(smoke(walks, folder / "run", scenes=60, **axes), pictures=False)
+    return folder / "run"
 
 
 @pytest.fixture
@@ -65,10 +50,8 @@ def out(finished, tmp_path):
 @pytest.fixture(scope="module")
 def tried(finished, tmp_path_factory):
     """The run after some of its variants."""
-    folder = tmp_path_factory.mktemp("tried") / "run"
-    shutil.copytree(finished, folder)
-    names = ("epsilon=1", "law=fixed_direction", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
-    assert main([str(folder), "--jobs", "1", *(f"--variant={one}" for one in names)]) == 0
+    folder = shutil.copytree(finished, tmp_path_factory.mktemp("tried") / "run")
+    assert main([str(folder), "--jobs=1", *(f"--variant={one}" for one in NAMES[:0:-1])]) == 0
     return folder
 
 
@@ -92,16 +75,10 @@ class TestNames:
         assert variants() == [parse(name) for name in promised]
         assert tuple(one.name for one in variants()) == promised
 
-    @pytest.mark.parametrize(
-        ("name", "stages"),
-        [
-            ("privacy.epsilon_m = 0.4", {"privacy.epsilon_m": 0.4}),
-            ("epsilon=0.4", {"privacy.epsilon_m": 0.4}),
-            ("scenes.agents=3", {"scenes.agents": 3}),
-        ],
-    )
-    def test_any_setting_makes_a_variant(self, name, stages):
-        assert parse(name).stages == stages
+    @pytest.mark.parametrize("name", ["privacy.epsilon_m = 0.4", "epsilon=0.4"])
+    def test_any_setting_makes_a_variant(self, name):
+        assert parse(name).stages == {"privacy.epsilon_m": 0.4}
+        assert parse("scenes.agents=3").stages == {"scenes.agents": 3}
 
     @pytest.mark.parametrize(
         ("name", "said"),
@@ -122,30 +99,26 @@ class TestNames:
 
     def test_the_ridge_is_the_documented_one(self):
         text = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
-        rows = {
-            cells[1].strip(): [one.strip() for one in cells[2:-1]]
-            for line in text[text.index("**ridge**") :].splitlines()
-            if (cells := line.split("|"))[1:] and len(cells) > 5
-        }
-        head = [re.sub(r" (m|dB)$", "", one) for one in rows[""]]
-        names = ("processing gain (dB)", "large-scale spread (dB)", "CRB gap (dB)")
-        for point in RIDGE:
-            column = head.index(point.replace("=", " "))
+        lines = text[text.index("**ridge**") :].split("\n\n")[1]
+        table = pd.read_csv(io.StringIO(lines), sep=r"\s*\|\s*", engine="python", index_col=1)
+        table.columns = table.columns.str.replace(r" (m|dB)$", "", regex=True)
+        names = ["processing gain (dB)", "large-scale spread (dB)", "CRB gap (dB)"]
+        for point, constants in RIDGE.items():
+            told = table.loc[names, point.replace("=", " ")].astype(float)
             keys = ("processing_gain_db", "large_scale_db", "crb_gap_db")
-            told = [float(rows[name][column]) for name in names]
-            assert [RIDGE[point][key] for key in keys] == told, point
+            assert [constants[key] for key in keys] == [*told], point
 
     def test_what_the_run_did_itself_is_left_out(self, finished):
         manifest = read_manifest(finished)
-        names = {one.name for one in variants(manifest)}
         recordings = {"recording=students03", "recording=zara01", "recording=plaza"}
+        names = {one.name for one in variants(manifest)}
         assert names >= recordings | {"predictor=kalman_cv"}
         assert "predictor=least_squares" not in names
         manifest["dataset"]["name"] = "zara01"
         manifest["settings"]["stages"] |= {"sensing.law": "isotropic", "privacy.epsilon_m": 0.5}
         manifest["settings"]["predictors"] = ["kalman_cv"]
-        gone = {"recording=zara01", "law=isotropic", "epsilon=0.5", "predictor=kalman_cv"}
         names = {one.name for one in variants(manifest)}
+        gone = {"recording=zara01", "law=isotropic", "epsilon=0.5", "predictor=kalman_cv"}
         assert names.isdisjoint(gone)
         assert {"base", "recording=students03", "predictor=least_squares"} <= names
         manifest["settings"]["predictors"] = []
@@ -163,23 +136,18 @@ class TestChanges:
             (("does not track", -1), ("tracks", 1), "changed sign"),
             (("reversed", -1), ("undecided", 0), "lost"),
             (("undecided", 0), ("inflated", 1), "gained"),
+            (("holds", 1), (None, None), "missing"),
+            (("undecided", 0), (None, None), "missing"),
         ],
     )
     def test_of_one_item(self, before, after, change):
-        (row,) = changes(
-            "v",
-            base={"items": [item("claim/a", *before)]},
-            said={"items": [item("claim/a", *after, effect=-0.5)]},
-        )
-        assert row["changed"] == change
-        assert (row["sign_base"], row["sign"]) == (before[1], after[1])
-        assert (row["effect_base"], row["effect"]) == (0.5, -0.5)
-
-    def test_an_item_that_is_not_there_is_missing(self):
-        base = {"items": [item("within/a", "tracks", 1), item("within/b", "undecided", 0)]}
-        rows = changes("v", base=base, said={"items": [item("within/new", "tracks", 1)]})
-        found = [(row["id"], row["changed"], row["decision"]) for row in rows]
-        assert found == [("within/a", "missing", None), ("within/b", "missing", None)]
+        name, effect = ("claim/new", None) if change == "missing" else ("claim/a", -0.5)
+        base = {"items": [item("claim/a", *before)]}
+        said = {"items": [item(name, *after, effect=-0.5)]}
+        (row,) = held.changes("v", base=base, said=said)
+        assert (row["id"], row["changed"]) == ("claim/a", change)
+        assert (row["decision_base"], row["sign_base"], row["effect_base"]) == (*before, 0.5)
+        assert (row["decision"], row["sign"], row["effect"]) == (*after, effect)
 
     def test_are_counted_and_told_in_words(self):
         nothing = dict.fromkeys(("effect", "ci_low", "ci_high"))
@@ -192,10 +160,10 @@ class TestChanges:
             item("claim/a", "reversed", -1, effect=-0.25, ci_low=-0.5, ci_high=-0.125),
             item("claim/b", "undecided", 0),
         ]
-        found = changes("law=x", base={"items": before + same}, said={"items": after + same})
+        found = held.changes("law=x", base={"items": before + same}, said={"items": after + same})
         rows = pd.DataFrame(found, columns=list(COLUMNS))
         claim = {"same": 1, "changed sign": 1, "lost": 1}
-        assert counts(rows) == {"law=x": {"claim": claim, "inflation": {"same": 1}}}
+        assert held.counts(rows) == {"law=x": {"claim": claim, "inflation": {"same": 1}}}
         told = "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])"
         assert turned(rows) == [told]
 
@@ -223,14 +191,6 @@ class TestAttacks:
             "shape": {"rerelease"},
         }
 
-    def test_a_variant_runs_those_alone(self, finished, tried):
-        run, variant = read_manifest(finished), read_manifest(folder_of(tried, "epsilon=1"))
-        wanted = set(attacks_of(read_verdict(finished)["items"]))
-        assert set(variant["settings"]["attacks"]) == wanted < set(run["settings"]["attacks"])
-        assert variant["settings"]["predictors"] == ["least_squares"]
-        for key in ("mechanisms", "tasks", "scenes", "seed"):
-            assert variant["settings"][key] == run["settings"][key]
-
 
 def settings(finished, name, *, manifest=None, out="nowhere", **more):
     """The settings of a variant of a run, and what is left out."""
@@ -251,6 +211,13 @@ class TestSettings:
         changed = found.stages.flat().items() - ran["stages"].items()
         assert dict(changed) == parse(name).stages
         assert found.dataset == settings(finished, BASE)[0].dataset
+        assert found.predictors == ("least_squares",)
+        # Of the attacks those that the verdict is about.
+        wanted = set(attacks_of(read_verdict(finished)["items"]))
+        assert set(found.attacks) == wanted < set(ran["attacks"])
+        for key in ("mechanisms", "tasks"):
+            assert getattr(found, key) == tuple(ran[key])
+        assert (found.scenes, found.seed) == (ran["scenes"], ran["seed"])
 
     def test_a_setting_of_the_run_stays_and_scenes_and_jobs_may_be_others(self, finished):
         manifest = read_manifest(finished)
@@ -276,9 +243,6 @@ class TestSettings:
             settings(finished, BASE, manifest=manifest)
 
 
-NAMES = (BASE, "law=fixed_direction", "epsilon=1", "predictor=kalman_cv", "privacy.epsilon_m=0.4")
-
-
 class TestRun:
     def test_the_table_holds_every_item_and_the_base_says_what_the_run_says(self, finished, tried):
         rows = pd.read_csv(tried / "sensitivity.csv")
@@ -294,7 +258,6 @@ class TestRun:
 
     def test_a_variant_is_the_run_that_its_settings_make(self, finished, tried, tmp_path):
         asked, _ = settings(finished, "epsilon=1", out=tmp_path / "alone", jobs=1)
-        assert asked.stages == StageSettings().changed({"privacy.epsilon_m": 1.0})
         evaluation.run(asked, pictures=False)
         for name in ("summary.csv", "verdict.json"):
             of_variant = folder_of(tried, "epsilon=1") / name
@@ -347,15 +310,14 @@ class TestRun:
         assert {name.parts[0] for name, _ in after} == {"sensitivity", "sensitivity.csv"}
         assert content(finished).items() <= content(tried).items()
 
-    def test_set_adds_to_what_runs(self, tried, tmp_path, capsys):
-        out = shutil.copytree(tried, tmp_path / "run")
-        words = [str(out), "--jobs", "1", "--variant", "epsilon=1"]
-        assert main([*words, "--set", "privacy.epsilon_m=0.4", "--json"]) == 0
+    def test_set_adds_to_what_runs(self, tried, capsys):
+        words = [str(tried), "--jobs=1", "--variant=base", "--set=privacy.epsilon_m=0.4", "--json"]
+        assert main(words) == 0
         said = json.loads(capsys.readouterr().out)
         told = {one["name"]: one["state"] for one in said["variants"]}
-        assert told == dict.fromkeys((BASE, "epsilon=1", "privacy.epsilon_m=0.4"), "finished")
-        assert told.keys() < said["counts"].keys()
-        assert len(said["items"]) == len(NAMES) * len(read_verdict(out)["items"])
+        assert told == dict.fromkeys((BASE, "privacy.epsilon_m=0.4"), "finished")
+        assert tuple(said["counts"]) == NAMES
+        assert len(said["items"]) == len(NAMES) * len(read_verdict(tried)["items"])
 
 
 class TestTable:
@@ -367,7 +329,7 @@ class TestTable:
             ("predictor=kalman_cv", lambda manifest: manifest["identity"].update(scenes=8)),
         ):
             edit_manifest(folder_of(out, name), change)
-        rows, left_out = collect(out)
+        rows, left_out = held.collect(out)
         assert set(rows["variant"]) == {BASE, "privacy.epsilon_m=0.4"}
         assert left_out == {
             "epsilon=1": "it is of another version of the code",
@@ -384,7 +346,7 @@ class TestTable:
                 assert one["sign"] == 1
                 one |= {"sign": -1, "decision": "deflated"}
         path.write_text(json.dumps(said))
-        rows, _ = collect(out)
+        rows, _ = held.collect(out)
         inflation = rows[rows["section"] == "inflation"].set_index("variant")
         for name, before in ((BASE, 1), ("predictor=kalman_cv", -1)):
             assert set(inflation.loc[[name], "sign_base"]) == {before}
@@ -416,39 +378,32 @@ class TestErrors:
         edit_manifest(out, lambda manifest: manifest.update(state="running"))
         code, errors = said(out)
         assert code == 2
-        assert "not finished" in errors
-        (out / "verdict.json").unlink()
-        again = f"run python -m evaluation.report {out} first"
-        assert said(out) == (2, f"error: {out} has no verdict.json; {again}\n")
+        assert errors == f"error: the run in {out} is not finished; run the matrix again\n"
 
     @pytest.mark.parametrize(
         ("words", "message"),
         [
-            (["--variant", "law=isotrpic"], "must be one of"),
-            (["--variant", "epsilon=0.3"], "changes nothing"),
-            (["--set", "predictor=kalman_cv"], "--set takes STAGE.KEY=VALUE"),
-            (["--scenes", "1"], "at least 2 scenes"),
-            (["--wrong"], "unrecognized arguments"),
+            (["{out}", "--variant", "law=isotrpic"], "must be one of"),
+            (["{out}", "--variant", "epsilon=0.3"], "changes nothing"),
+            (["{out}", "--set", "predictor=kalman_cv"], "--set takes STAGE.KEY=VALUE"),
+            (["{out}", "--scenes", "1"], "at least 2 scenes"),
+            (["{out}", "--wrong"], "unrecognized arguments"),
+            ([], "name the folder"),
         ],
     )
     def test_wrong_usage_is_one_line_and_nothing_is_run(self, out, said, words, message):
-        code, errors = said(out, *words)
+        code, errors = said(*(word.format(out=out) for word in words))
         assert code == 2
         assert message in errors
         assert [line for line in errors.splitlines() if line.startswith("error:")]
         assert "Traceback" not in errors
         assert not (out / "sensitivity.csv").exists()
 
-    def test_without_a_folder(self, said):
-        code, errors = said()
-        assert code == 2
-        assert "name the folder" in errors
-
     def test_a_variant_that_fails_is_told_and_the_rest_goes_on(self, out, said, monkeypatch):
         monkeypatch.setenv("ISAC_TRACK_DATA", str(out / "nothing"))
         monkeypatch.setenv("ISAC_TRACK_CACHE", str(out / "nothing"))
-        words = ["--variant", "recording=zara01", "--variant", "predictor=kalman_cv"]
-        code, errors = said(out, "--jobs", "1", *words)
+        words = ["--scenes=8", "--variant=recording=zara01", "--variant=predictor=kalman_cv"]
+        code, errors = said(out, "--jobs=1", *words)
         assert code == 3
         assert "failed: recording=zara01: zara01: obsmat.txt not found" in errors
         assert "datasets fetch zara01" in errors
@@ -456,7 +411,7 @@ class TestErrors:
         assert set(rows["variant"]) == {BASE, "predictor=kalman_cv"}
 
     def test_a_variant_of_other_scenes_is_not_overwritten_unless_asked(self, out, said):
-        words = [out, "--jobs", "1", "--variant", "predictor=kalman_cv", "--scenes"]
+        words = [out, "--jobs=1", "--variant=base", "--scenes"]
         assert said(*words, 8)[0] == 0
         code, errors = said(*words, 10)
         assert code == 2
@@ -478,7 +433,7 @@ class TestErrors:
             raise KeyboardInterrupt
 
         monkeypatch.setattr(sensitivity, "check_interrupt", interrupted)
-        code, errors = said(out, "--jobs", "1", "--variant", "predictor=kalman_cv")
+        code, errors = said(out, "--jobs=1", "--scenes=8", "--variant=base")
         assert code == 130
         assert "the same command continues" in errors
         assert read_manifest(folder_of(out, BASE))["state"] == "finished"

@@ -2,7 +2,6 @@
 
 import ast
 import contextlib
-import csv
 import io
 import json
 import os
@@ -11,6 +10,7 @@ import shutil
 import sys
 import xml.etree.ElementTree as ET
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import pandas as pd
@@ -34,28 +34,23 @@ ODD = (
 )
 
 
+TURNS = {"": (1, 1), "-": (-1, 1), "+": (1, -1)}
+
+
 def write_csv(path, tracks, *, mark=""):
     """Thirty-six people whose ids and groups end in `mark`: every track as it is and turned."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(["t", "id", "x", "y", "group"])
-        for name, track in zip(tracks.source, tracks, strict=True):
-            for turn, signs in {"": (1, 1), "-": (-1, 1), "+": (1, -1)}.items():
-                who = f"{name}{turn}{mark}"
-                x, y = (track.xy * signs).T
-                rows.writerows(
-                    [t, who, *xy, f"g{who}"] for t, *xy in zip(track.t, x, y, strict=True)
-                )
+    walks = []
+    for (turn, signs), track in product(TURNS.items(), tracks):
+        who = f"{track.source[0]}{turn}{mark}"
+        walk = pd.DataFrame(track.xy * signs, columns=["x", "y"])
+        walks.append(walk.assign(t=track.t, id=who, group=f"g{who}"))
+    pd.concat(walks).to_csv(path, index=False)
     return path
 
 
 def run(path, out, *, attacks=("moving_average", "shape"), tasks=("rerelease",), pictures=True):
     axes = {"mechanisms": ("raw", "fid:1"), "attacks": attacks, "tasks": tasks}
     return evaluation.run(smoke(path, out, scenes=4, **axes), pictures=pictures)
-
-
-def parts(figure):
-    return {element.tag for element in ET.parse(figure).iter()}
 
 
 @pytest.fixture(scope="module")
@@ -90,27 +85,29 @@ class TestOddNames:
         assert not any(str(value).strip().startswith("javascript:") for value in values)
 
     def test_every_figure_is_well_formed_and_of_the_usual_parts(self, odd, plain):
-        _, results, _ = odd
-        figures = sorted((results.out / "figures").glob("*.svg"))
+        figures = [*(odd[1].out / "figures").glob("*.svg")]
         assert figures
         for path in figures:
-            usual = plain.out / "figures" / path.name
-            assert parts(path) == parts(usual)
+            parts, usual = (
+                {element.tag for element in ET.parse(figure).iter()}
+                for figure in (path, plain.out / "figures" / path.name)
+            )
+            assert parts == usual
 
     def test_tables_and_manifest_give_the_name_back(self, odd):
         name, results, _ = odd
         for file in ("summary.csv", "linkability.csv"):
             table = pd.read_csv(results.out / file, keep_default_na=False)
             assert set(table["dataset"]) == {name}
-        manifest = json.loads((results.out / "manifest.json").read_text(encoding="utf-8"))
-        assert manifest["dataset"]["name"] == name
+        manifest, verdict = (
+            json.loads((results.out / file).read_text(encoding="utf-8"))
+            for file in ("manifest.json", "verdict.json")
+        )
+        assert manifest["dataset"]["name"] == verdict["dataset"] == name
         assert any(group.endswith(name.replace(SLASH, "/")) for group in manifest["groups"])
-        verdict = json.loads((results.out / "verdict.json").read_text(encoding="utf-8"))
-        assert verdict["dataset"] == name
 
     def test_nothing_of_latex_is_left_unescaped(self, odd):
-        _, results, _ = odd
-        for path in (results.out / "tables").glob("*.tex"):
+        for path in (odd[1].out / "tables").glob("*.tex"):
             text = path.read_text(encoding="utf-8")
             assert "\\input{x}" not in text
             for line in text.splitlines():
@@ -184,14 +181,13 @@ def planted(plain, tmp_path):
     """How to copy the plain run with another SPEC wherever one stands."""
 
     def to_plant(spec, *, only_settings=False):
-        out = tmp_path / "planted"
-        shutil.copytree(plain.out, out)
+        out = shutil.copytree(plain.out, tmp_path / "planted")
         found = read_manifest(out)
         found |= {"settings": replanted(found["settings"], spec)}
         write_manifest(out, found if only_settings else replanted(found, spec))
-        for file in () if only_settings else ("verdict.json", "flags.json"):
-            found = json.loads((out / file).read_text(encoding="utf-8"))
-            (out / file).write_text(json.dumps(replanted(found, spec)), encoding="utf-8")
+        for path in () if only_settings else (out / "verdict.json", out / "flags.json"):
+            found = json.loads(path.read_text(encoding="utf-8"))
+            path.write_text(json.dumps(replanted(found, spec)), encoding="utf-8")
         return out
 
     return to_plant

@@ -19,7 +19,7 @@ from evaluation.analysis.strongest import strongest
 from evaluation.experiment.presets import SHARED
 from evaluation.verdict.sections import verdict
 from evaluation.verdict.within_level import LevelTracks
-from isac_track.intervals import cluster_sums, ratio_estimate
+from isac_track.intervals import ratio_estimate
 
 KINDS = ("valid", "fooled", "flat", "empty")
 RULES = ("", RULE)
@@ -87,7 +87,7 @@ def said_of(found, levels):
     manifest = {
         "dataset": {"name": "planted", "simulated": True},
         "identity": {"seed": 0},
-        "settings": {"preset": "paper", "scenes": 500},
+        "settings": {"preset": "paper", "scenes": 500, "predictors": [PREDICTOR]},
     }
     sweeps = sweeps_of(found)
     compared = tuple(comparisons(sweeps, predictors=[PREDICTOR]))
@@ -107,13 +107,11 @@ def simulated(world, *, rng):
     found, levels = {}, []
 
     def put(key, values, *, share=True):
-        top, bottom = (
-            cluster_sums(values=one, cluster=cluster, n_clusters=n_pairs)
-            for one in (values, np.ones(n))
-        )
-        found[key] = ratio_estimate(
-            numerator=top, denominator=bottom, weights=weights, is_share=share
-        )
+        sums = {
+            "numerator": values.reshape(-1, 2).sum(axis=1),
+            "denominator": 2.0 * np.ones(n_pairs),
+        }
+        found[key] = ratio_estimate(**sums, weights=weights, is_share=share)
 
     for family, level, mechanism in world.levels():
         mean, linked = world.shows(family, level), world.links(family, level)

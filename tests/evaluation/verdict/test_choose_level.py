@@ -3,9 +3,8 @@
 from functools import partial
 
 import numpy as np
-import pandas as pd
 import pytest
-from helpers.summaries import FID, FIXED, USUAL, asked, edited, scheme, statuses, write_run
+from helpers.summaries import FID, FIXED, HALF, USUAL, asked, edited, scheme, statuses, write_run
 
 from evaluation.reporting.design_words import closer, notes, reasons, sentence, to_json
 from evaluation.verdict.choose_level import WEAK, Limits
@@ -17,10 +16,6 @@ def linear(out, **question):
     return asked(out, adding=("linear",), **({"missed": 0.23} | question))
 
 
-def rows_where(frame, mechanism, level, *, consumer):
-    return (frame[["mechanism", "level", "consumer"]] == [mechanism, level, consumer]).all(axis=1)
-
-
 @pytest.fixture
 def made(tmp_path):
     return partial(write_run, tmp_path / "run")
@@ -28,6 +23,7 @@ def made(tmp_path):
 
 BUMPED = USUAL | {"fid": {1.0: 0.18, 10.0: 0.30, 100.0: 0.20, 1000.0: 0.15}}
 OTHER = {"predictor": "kalman_cv"}
+AT = "mechanism == 'fid' and level == '{}' and consumer == '{}'".format
 
 
 class TestLevel:
@@ -56,14 +52,9 @@ class TestLevel:
         assert tuple(each and each.level for each in (one.chosen, one.stricter)) == levels
 
     def test_with_an_upper_end_at_the_target_meets_it(self, made):
-        out = made()
-        high = pd.read_csv(out / "summary.csv").query(
-            "mechanism == 'fid' and level == 100 and consumer == 'least_squares'"
-        )
-        at = float(high.set_index("metric")["ci_high"]["missed_conflict_rate"])
-        assert scheme(asked(out, missed=at)).chosen.level == 100.0
-        below = np.nextafter(at, 0)
-        assert scheme(asked(out, missed=below)).chosen.level == 1000.0
+        out, at = made(), FID[100.0] + HALF
+        chosen = [scheme(asked(out, missed=one)).chosen.level for one in (at, np.nextafter(at, 0))]
+        assert chosen == [100.0, 1000.0]
 
     def test_says_why_a_stricter_one_is_not_chosen(self, made):
         one = scheme(asked(made(BUMPED), missed=0.23))
@@ -76,18 +67,15 @@ class TestLevel:
     def test_is_judged_by_the_predictor_asked_for_where_it_was_run(self, made):
         out = made()
         assert asked(out, missed=0.16).predictor == "least_squares"
-        edited(
-            out,
-            "summary.csv",
-            lambda rows: rows[~rows_where(rows, "fid", "10.0", consumer="kalman_cv")],
-        )
+        left = f"not ({AT('10.0', 'kalman_cv')})"
+        edited(out, "summary.csv", lambda frame: frame.query(left))
         assert scheme(asked(out, missed=0.16, **OTHER)).chosen.level == 100.0
 
     def test_with_an_unknown_rate_meets_nothing(self, made):
         out = made()
 
         def blanked(frame):
-            here = rows_where(frame, "fid", "100.0", consumer="least_squares")
+            here = frame.query(AT("100.0", "least_squares")).index
             frame.loc[here, ["value", "ci_low", "ci_high"]] = ""
             return frame
 
@@ -172,11 +160,14 @@ class TestRank1:
     def test_is_of_the_strongest_attack_but_the_oracles(self, made):
         out = made()
         answer = linear(out, rank1=0.46)
-        (rerelease, simulated) = scheme(answer).chosen.tasks
-        assert (rerelease.attack, rerelease.knowledge) == ("shape", "informed")
-        assert (rerelease.rank1.value, rerelease.chance) == (0.40, 0.01)
-        assert (simulated.dataset, simulated.limited) == ("plaza-two-sessions", False)
-        assert (simulated.attack, simulated.knowledge) == ("shape", "blind")
+        found = [
+            (one.attack, one.knowledge, one.rank1.value, one.chance, one.dataset, one.limited)
+            for one in scheme(answer).chosen.tasks
+        ]
+        assert found == [
+            ("shape", "informed", 0.40, 0.01, "walks", True),
+            ("shape", "blind", 0.80, 0.01, "plaza-two-sessions", False),
+        ]
         assert statuses(scheme(answer)) == {"missed": "met", "rank1/rerelease": "met"}
         assert answer.met
         answer = linear(out, rank1=0.44)  # below its upper end
@@ -190,6 +181,8 @@ class TestRank1:
             ({("shape", "blind"): (0.20, "links"), ("shape", "informed"): (0.10, "links")}, 0.20),
             # A valid attack, not a stronger one that is none.
             ({("shape", "informed"): (0.30, WEAK), ("dtw", "informed"): (0.20, "links")}, 0.20),
+            # One that detects nobody is limited all the same, by its upper end.
+            ({("shape", "informed"): (0.01, "no link detected")}, 0.01),
         ],
     )
     def test_is_of_the_best_that_counts(self, made, rows, best):
@@ -197,10 +190,12 @@ class TestRank1:
             ("split", *who): {"rank1": rank1, "outcome": outcome}
             for who, (rank1, outcome) in rows.items()
         }
-        answer = linear(made(cells=cells), rank1=0.26)
+        out = made(cells=cells)
+        answer = linear(out, rank1=best + 0.06)
         (split,) = scheme(answer).chosen.tasks
         assert split.rank1.value == best == rows[split.attack, split.knowledge][0]
         assert answer.met
+        assert not linear(out, rank1=best + 0.04).met
 
     @pytest.mark.parametrize(
         ("row", "reason"),
@@ -221,11 +216,6 @@ class TestRank1:
         assert statuses(scheme(answer))["rank1/split"] == "cannot say"
         assert not answer.met
         assert any(reason in line for line in reasons(scheme(answer)))
-
-    @pytest.mark.parametrize(("limit", "met"), [(0.07, True), (0.05, False)])
-    def test_without_a_detected_link_is_still_limited_by_its_upper_end(self, made, limit, met):
-        cells = {("split", "shape", "informed"): {"rank1": 0.01, "outcome": "no link detected"}}
-        assert linear(made(cells=cells), rank1=limit).met == met
 
 
 MINE = {0.1: 0.14, 0.5: 0.19, 2.0: 0.30}
@@ -260,16 +250,15 @@ class TestFamilies:
 
     def test_what_leaks_less_is_stricter(self, made):
         out = made({"mine": MINE})
+        assert not scheme(asked(out, missed=0.23), "mine").falls
 
         def turned(frame):
-            plr = frame["metric"] == "plr"
-            levels = frame["level"].where(frame["mechanism"] == "mine").astype(float)
+            plr = frame.query("metric == 'plr' and mechanism == 'mine'")
+            shown = (plr["level"].astype(float) / 10).astype(str)
             for end in ("value", "ci_low", "ci_high"):
-                frame.loc[plr, end] = (levels / 10).fillna(0.5).astype(str)
+                frame.loc[plr.index, end] = shown
             return frame
 
-        answer = asked(out, missed=0.23)
-        assert not scheme(answer, "mine").falls
         edited(out, "summary.csv", turned)
         answer = asked(out, missed=0.40)
         assert scheme(answer, "mine").falls

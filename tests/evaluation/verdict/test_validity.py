@@ -17,8 +17,9 @@ def drafts(found):
     return list(validity(sweeps_of(found), success=SUCCESS))
 
 
-def mechanisms_of(draft):
-    return {one["mechanism"] for one in draft.details["contrasts"]}
+def contrasts(draft):
+    """The contrasts of an item, each by its mechanism."""
+    return {one["mechanism"]: one for one in draft.details["contrasts"]}
 
 
 def made(world, seed, *, only=lambda _key: True, factor=lambda _key: 1.0):
@@ -56,7 +57,7 @@ def test_an_attack_that_links_nobody_tells_nothing():
 def test_mechanisms_are_compared_under_their_own_rule_and_without_one_under_both():
     found = drafts(made(World("valid", n_people=100, stranger=True), 10))
     for rule, suffix in (("linear", ""), ("independent", ":adding=independent")):
-        named = {name for draft in found if draft.adding == rule for name in mechanisms_of(draft)}
+        named = {name for draft in found if draft.adding == rule for name in contrasts(draft)}
         own = {f"fid{suffix}", f"correlated{suffix}"}
         assert named == own | {"offset", "thin", "mine:Ou"}
 
@@ -66,8 +67,8 @@ def test_beyond_the_fixed_sweep_there_is_no_contrast():
         return 1 / 9 if (key.mechanism, key.consumer) == ("offset", "shared") else 1.0
 
     for draft in drafts(made(World("fooled", n_people=400), 10, factor=factor)):
-        assert "offset" not in mechanisms_of(draft)
-        assert "thin" in mechanisms_of(draft)
+        assert "offset" not in contrasts(draft)
+        assert "thin" in contrasts(draft)
 
 
 @pytest.mark.parametrize(("linker", "subject"), [("dtw", "dtw (blind)"), ("", "shape (informed)")])
@@ -82,9 +83,8 @@ def test_against_a_control_the_strongest_there_counts(linker, subject):
             if key.metric == "rank1"
         }
     for draft in drafts(found):
-        by = {one["mechanism"]: one["subject"] for one in draft.details["contrasts"]}
-        assert by["offset"] == subject
-        assert by["thin"] == draft.subject == "shape (informed)"
+        assert contrasts(draft)["offset"]["subject"] == subject
+        assert contrasts(draft)["thin"]["subject"] == draft.subject == "shape (informed)"
 
 
 def test_a_mechanism_without_a_level_is_one_contrast():

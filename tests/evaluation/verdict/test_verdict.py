@@ -28,8 +28,8 @@ def strangers():
     return said_of(found, {TASK: levels})
 
 
-def decisions(said, section):
-    return {one["decision"] for one in said["items"] if one["section"] == section}
+def items_of(said, section):
+    return [one for one in said["items"] if one["section"] == section]
 
 
 class TestPlantedTruths:
@@ -51,15 +51,15 @@ class TestPlantedTruths:
         ],
     )
     def test_is_found(self, planted, kind, section, must, may):
-        assert must <= decisions(planted[kind], section) <= must | may
+        decisions = {one["decision"] for one in items_of(planted[kind], section)}
+        assert must <= decisions <= must | may
 
     def test_what_speaks_against_is_named_and_measured(self, planted):
-        worst = next(one for one in planted["fooled"]["items"] if one["section"] == "validity")
+        worst = items_of(planted["fooled"], "validity")[0]
         assert worst["against"].startswith(("correlated", "offset"))
         assert worst["effect"] > 0.2  # 0.75 - (0.75 - 1.2 * 0.4 * 0.8) = 0.38 for correlated
-        for one in planted["valid"]["items"]:
-            if one["section"] == "inflation":
-                assert one["effect"] == pytest.approx(1.5, abs=0.02)
+        for one in items_of(planted["valid"], "inflation"):
+            assert one["effect"] == pytest.approx(1.5, abs=0.02)
 
     @pytest.mark.parametrize(
         ("times", "most_wrong"), [(40, 5), pytest.param(200, 18, marks=pytest.mark.slow)]
@@ -102,17 +102,13 @@ class TestVerdict:
         items = [one for one in strangers["items"] if one.get("mechanism") == "mine:Ou"]
         assert {one["section"] for one in items} == {"claim"}
         names = {one["id"] for one in items}
-        ids = {one["id"] for one in strangers["items"] if one["section"] == "claim"}
+        ids = {one["id"] for one in items_of(strangers, "claim")}
         assert names == {f"{one}/mine:Ou" for one in ids - names}
         assert all("under mine:Ou" in one["sentence"] for one in items if one["sign"])
         inflated = [one["id"] for one in strangers["items"] if one["id"].endswith("mine:Ou/plr")]
         assert inflated == [f"inflation/{rule}/mine:Ou/plr" for rule in ("linear", "independent")]
-        of = {
-            name: [one for one in strangers["items"] if one["section"] == name]
-            for name in rules.SECTIONS
-        }
-        assert {one["levels"] for one in of["within"]} == {1 + 4 + 3 + 4}
-        for one in of["validity"]:
+        assert {one["levels"] for one in items_of(strangers, "within")} == {1 + 4 + 3 + 4}
+        for one in items_of(strangers, "validity"):
             assert "mine:Ou" in {gap["mechanism"] for gap in one["contrasts"]}
             assert one["tau"]["mine:Ou"] is not None
         assert "FID against fixed noise" in strangers["answer"][1]
