@@ -167,13 +167,18 @@ def _progress_bar() -> Iterator[Callable[[int, int, str], None]]:
     from rich.console import Console  # noqa: PLC0415 - as said
 
     console = Console(stderr=True)
-    columns = (
-        *(progress.TextColumn("{task.description}", markup=False), progress.BarColumn()),
-        *(progress.MofNCompleteColumn(), "cells", progress.TimeElapsedColumn()),
-        *("left", progress.TimeRemainingColumn()),
-    )
-    is_seen = console.is_terminal
-    with progress.Progress(*columns, console=console, disable=not is_seen, transient=True) as bar:
+    with progress.Progress(
+        progress.TextColumn("{task.description}", markup=False),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        "cells",
+        progress.TimeElapsedColumn(),
+        "left",
+        progress.TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+    ) as bar:
         task = bar.add_task("starting", total=None)
         yield lambda done, total, what: bar.update(
             task, completed=done, total=total, description=f"{what:<40.40}"
