@@ -16,25 +16,25 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _Loop = TypeVar("_Loop", bound="Callable[..., object]")
-
-# Declared read-only, an argument may be writable too, and numba compiles once for both.
-FLOATS1 = numba.types.Array(numba.float64, 1, "C", readonly=True)
-FLOATS2 = numba.types.Array(numba.float64, 2, "C", readonly=True)
-FLOATS3 = numba.types.Array(numba.float64, 3, "C", readonly=True)
-FLOATS4 = numba.types.Array(numba.float64, 4, "C", readonly=True)
-INTS1 = numba.types.Array(numba.int64, 1, "C", readonly=True)
-OUT_FLOATS1 = numba.float64[::1]
-OUT_FLOATS2 = numba.float64[:, ::1]
-OUT_FLOATS3 = numba.float64[:, :, ::1]
-OUT_FLOATS4 = numba.float64[:, :, :, ::1]
-FLOAT = numba.float64
-INT = numba.int64
-BOOL = numba.boolean
+FLOAT, INT = numba.float64, numba.int64
 
 # The cache does not notice a change of these options: delete it after one (__pycache__/*.nb?).
 # FMA only: "contract" leaves NaN, infinity and the order of operations as IEEE 754 has them.
 # The numpy error model drops a test for zero before every division.
 _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+
+
+def read(n_dims: int, kind: str = "float64") -> object:
+    """Return the type of an array that a loop reads.
+
+    Declared read-only, it may be writable too, and numba compiles once for both.
+    """
+    return numba.types.Array(getattr(numba, kind), n_dims, "C", readonly=True)
+
+
+def written(n_dims: int, kind: str = "float64") -> object:
+    """Return the type of an array that a loop writes to."""
+    return numba.types.Array(getattr(numba, kind), n_dims, "C")
 
 
 def together(*arguments: object) -> object:

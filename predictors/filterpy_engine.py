@@ -29,21 +29,9 @@ def last_states(batch: Batch, *, q: float, gate: float) -> tuple[Floats, Floats]
 
     Parameters are those of `isac_track.kalman.kalman_last`.
     """
-    d = len(batch.prior_std)
-    mean, cov = np.empty((len(batch), 2, d)), np.empty((len(batch), d, d))
-    for track, (times, positions, noise) in enumerate(_tracks(batch)):
-        kf = _filter(positions[0], batch.prior_std)
-        misses = 0
-        for k, z in enumerate(positions):
-            if k > 0:
-                dt = times[k] - times[k - 1]
-                kf.predict(F=_motion(dt, d), Q=_process_noise(dt, q, d))
-            kf.R = np.eye(2) * noise[k]
-            if _distance2(kf, z) > gate and misses < MAX_REJECTIONS:
-                misses += 1
-                continue
-            misses = 0
-            kf.update(z)
+    n, d = len(batch), len(batch.prior_std)
+    mean, cov = np.empty((n, 2, d)), np.empty((n, d, d))
+    for track, (kf, _) in enumerate(_filtered(batch, (q,), gate)):
         mean[track], cov[track] = kf.x.reshape(2, d), kf.P[:d, :d]
     return mean, cov
 
@@ -64,41 +52,49 @@ def last_modes(batch: Batch, moods: Moods, *, gate: float) -> tuple[Floats, Floa
         Of (x, vx, y, vy).
     probability : (N, 2)
     """
-    n, (leave, come) = len(batch), 1.0 / np.array(moods.stay_s)
-    rates = np.array([[-leave, leave], [come, -come]])
+    n = len(batch)
     mean, cov, probability = np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2))
-    for track, (times, positions, noise) in enumerate(_tracks(batch)):
-        modes = [_filter(positions[0], batch.prior_std) for _ in moods.q]
-        steps = np.diff(times, append=times[-1])
-        # The mixing for a step is computed with M at the end of the update before it, and the
-        # first sample is updated without a step before it: M is the identity there.
-        imm = IMMEstimator(modes, moods.probability, np.eye(2))
-        misses = 0
-        for k, z in enumerate(positions):
-            if k > 0:
-                for mode, density in zip(modes, moods.q, strict=True):
-                    mode.F = _motion(steps[k - 1], 2)
-                    mode.Q = _process_noise(steps[k - 1], density, 2)
-                imm.predict()
-            imm.M = expm(rates * steps[k])
-            for mode in modes:
-                mode.R = np.eye(2) * noise[k]
-            if min(_distance2(mode, z) for mode in modes) > gate and misses < MAX_REJECTIONS:
-                misses += 1
-                imm.mu = imm.cbar.copy()  # update(None) would weigh the modes all the same
-                imm._compute_mixing_probabilities()  # noqa: SLF001 - filterpy has no public way
-                continue
-            misses = 0
-            imm.update(z)
+    for track, (imm, modes) in enumerate(_filtered(batch, moods.q, gate, moods)):
         for number, mode in enumerate(modes):
             mean[track, number], cov[track, number] = mode.x.reshape(2, 2), mode.P
         probability[track] = imm.mu
     return mean, cov, probability
 
 
-def _tracks(batch: Batch) -> Iterator[tuple[Floats, Floats, Floats]]:
+def _filtered(
+    batch: Batch, q: tuple[float, ...], gate: float, moods: Moods | None = None
+) -> Iterator[tuple[Any, list[Any]]]:
+    """Yield the filter of each track after its last sample, and its modes: one without moods."""
     for lo, hi in pairwise(batch.offsets):
-        yield batch.t[lo:hi], batch.xy[lo:hi], batch.variance[lo:hi]
+        modes = [_filter(batch.xy[lo], batch.prior_std) for _ in q]
+        steps = np.diff(batch.t[lo:hi], append=batch.t[hi - 1])
+        whole = modes[0]
+        if moods:
+            leave, come = 1.0 / np.array(moods.stay_s)
+            rates = np.array([[-leave, leave], [come, -come]])
+            # The mixing for a step is computed with M at the end of the update before it, and the
+            # first sample is updated without a step before it: M is the identity there.
+            whole = IMMEstimator(modes, moods.probability, np.eye(2))
+        misses = 0
+        for k, z in enumerate(batch.xy[lo:hi]):
+            if k > 0:
+                for mode, density in zip(modes, q, strict=True):
+                    mode.F = _motion(steps[k - 1], len(batch.prior_std))
+                    mode.Q = _process_noise(steps[k - 1], density, len(batch.prior_std))
+                whole.predict()
+            for mode in modes:
+                mode.R = np.eye(2) * batch.variance[lo + k]
+            if moods:
+                whole.M = expm(rates * steps[k])
+            if min(_distance2(mode, z) for mode in modes) > gate and misses < MAX_REJECTIONS:
+                misses += 1
+                if moods:
+                    whole.mu = whole.cbar.copy()  # update(None) would weigh the modes all the same
+                    whole._compute_mixing_probabilities()  # noqa: SLF001 - there is no public way
+                continue
+            misses = 0
+            whole.update(z)
+        yield whole, modes
 
 
 def _motion(dt: float, d: int) -> Floats:

@@ -10,29 +10,17 @@ from typing import TypeAlias
 
 import numpy as np
 
-from isac_track.compiling import (
-    FLOAT,
-    FLOATS1,
-    FLOATS2,
-    FLOATS3,
-    INT,
-    INTS1,
-    OUT_FLOATS2,
-    OUT_FLOATS3,
-    compiled,
-    part_of_loop,
-    together,
-)
+from isac_track.compiling import FLOAT, INT, compiled, part_of_loop, read, together, written
 from isac_track.types import Floats, Ints
 
 _Three: TypeAlias = tuple[float, float, float]
 _Fits: TypeAlias = tuple[Floats, Floats, Floats]
 _Lags: TypeAlias = tuple[int, int, int]
 _THREE, _LAGS = together(*[FLOAT] * 3), together(*[INT] * 3)
-_SIDES, _FITS = together(*[FLOATS3] * 2), together(*[FLOATS1] * 3)
+_SIDES, _FITS = together(*[read(3)] * 2), together(*[read(1)] * 3)
 
 
-@compiled(FLOATS1, FLOATS2, INTS1, INTS1, _THREE, OUT_FLOATS3)
+@compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), _THREE, written(3))
 def cell_means(
     t: Floats, xy: Floats, offsets: Ints, count: Ints, times_s: _Three, out: Floats
 ) -> None:
@@ -65,7 +53,7 @@ def cell_means(
             out[row, cell, 1] = y / width_s
 
 
-@compiled(FLOATS2, FLOATS2, FLOATS2, FLOATS2, OUT_FLOATS2)
+@compiled(read(2), read(2), read(2), read(2), written(2))
 def shared_cells(a: Floats, b: Floats, f_a: Floats, f_b: Floats, out: Floats) -> None:
     """Fill `out` (P, G) with the sum of f(a + b) - f(a) - f(b), f(x) = x log x, of (P, K), (G, K).
 
@@ -89,7 +77,7 @@ def shared_cells(a: Floats, b: Floats, f_a: Floats, f_b: Floats, out: Floats) ->
             out[i, j] = total
 
 
-@compiled(FLOATS3, FLOATS3, INT, INT, FLOAT, OUT_FLOATS2)
+@compiled(read(3), read(3), INT, INT, FLOAT, written(2))
 def warp(
     probe: Floats, gallery: Floats, reach: int, loose: int, penalty: float, out: Floats
 ) -> None:
@@ -143,7 +131,7 @@ def _projected(signals: Floats, start: int, basis: Floats) -> tuple[Floats, Floa
     return parts, square
 
 
-@compiled(_SIDES, _FITS, INTS1, _LAGS, OUT_FLOATS3)
+@compiled(_SIDES, _FITS, read(1, "int64"), _LAGS, written(3))
 def least_costs(
     sides: tuple[Floats, Floats], fits: _Fits, begin: Ints, lags: _Lags, out: Floats
 ) -> None:
@@ -183,7 +171,7 @@ def least_costs(
                     best[j] = min(best[j], gap[j] + more)
 
 
-@compiled(FLOATS1, FLOATS3, FLOATS3, FLOAT, _THREE, FLOAT, OUT_FLOATS2)
+@compiled(read(1), read(3), read(3), FLOAT, _THREE, FLOAT, written(2))
 def continued(
     until_s: Floats, mean: Floats, cov: Floats, q: float, gap: _Three, tail: float, out: Floats
 ) -> None:

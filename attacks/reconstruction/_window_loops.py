@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.compiling import FLOATS1, FLOATS2, INTS1, OUT_FLOATS2, compiled, part_of_loop
+from isac_track.compiling import compiled, part_of_loop, read, written
 
 if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
 
 
-@compiled(FLOATS2, INTS1, INTS1, OUT_FLOATS2)
+@compiled(read(2), read(1, "int64"), read(1, "int64"), written(2))
 def centred_means(xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
     """Fill `out` with the mean over up to `half` neighbours on each side, fewer near the ends."""
     total = np.zeros((len(xy) + 1, 2))
@@ -91,7 +91,7 @@ def _slide(grid: Floats, half: int, fitted: Floats) -> None:
             fitted[middle + j] = level + j * (s1 / j2 + j * bend)
 
 
-@compiled(FLOATS1, FLOATS2, INTS1, INTS1, OUT_FLOATS2)
+@compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), written(2))
 def fit_parabolas(t: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats) -> None:
     """Smooth every track over windows of ``2 half + 1`` samples; with half 0 leave it as it is."""
     for i in range(offsets.size - 1):

@@ -1,32 +1,291 @@
-"""Kalman filters and smoothers of many tracks at once, in compiled loops.
+"""Kalman filters and smoothers of many tracks at once: the fronts of the compiled loops.
 
-`linear` has one model, `imm` two that interact. Nothing imports numba before the first call;
-that call compiles, or loads what was compiled (see `prepare`).
+Two models, each per axis: constant velocity, with state (position, velocity), and constant
+acceleration, with state (position, velocity, acceleration). What is held constant is driven by
+continuous white noise of spectral density q, so that predictions over irregular steps compose.
+Both axes have the same measurement variance and no correlation; they share one covariance.
+
+Interacting multiple models (IMM) are two of constant velocity, each with a spectral density of its
+own; which one holds is a Markov chain in continuous time. One cycle is Blom and Bar-Shalom's: mix,
+predict, update, weigh. It equals filterpy's `IMMEstimator` except where that departs from the
+textbook: `docs/kernels.md` lists where, and why.
+
+Nothing here imports numba before the first call; that call compiles, or loads what was compiled
+(see `prepare`).
+
+References
+----------
+Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001:
+sections 5.2 (filter), 6.2 (models), 8.6 (smoother), 11.6.6 (IMM). Rauch, Tung, Striebel, AIAA J.
+3(8), 1965. Blom, Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian
+switching coefficients", IEEE Trans. Automatic Control 33(8), 1988, 780-783.
 """
 
+from __future__ import annotations
+
+from dataclasses import dataclass
 from importlib import import_module
 
-from isac_track.kalman.imm import ImmStates, Moods, imm_last, imm_smoother
-from isac_track.kalman.linear import (
-    MAX_REJECTIONS,
-    Batch,
-    LastState,
-    kalman_last,
-    smooth_positions,
-)
+import numpy as np
 
-__all__ = [
-    "MAX_REJECTIONS",
-    "Batch",
-    "ImmStates",
-    "LastState",
-    "Moods",
-    "imm_last",
-    "imm_smoother",
-    "kalman_last",
-    "prepare",
-    "smooth_positions",
-]
+from isac_track.types import Floats, Ints, check_offsets, within
+
+__all__ = ["MAX_REJECTIONS", "Batch", "ImmStates", "LastState", "Moods"]
+__all__ += ["imm_last", "imm_smoother", "kalman_last", "prepare", "smooth_positions"]
+
+MAX_REJECTIONS = 3
+"""After so many rejected samples in a row the next is accepted whatever it says: a gate may
+drop outliers, it may not lose a track."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Batch:
+    """N tracks of M noisy positions in all, and how little is known before the first of each.
+
+    That times increase and positions are finite is checked by the release that they come from.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a track is empty, or a variance or standard deviation is not positive.
+    """
+
+    t: Floats
+    """(M,) s, strictly increasing within a track."""
+    xy: Floats
+    """(M, 2) m"""
+    variance: Floats
+    """(M,) m^2, of the measurement, per axis."""
+    offsets: Ints
+    """(N + 1,) track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty."""
+    prior_std: tuple[float, ...]
+    """m around the first sample, m/s and, of acceleration, m/s^2 around rest, per axis and
+    independent: the state at the time of that sample, which is then measured like any other."""
+
+    def __post_init__(self) -> None:
+        offsets = np.ascontiguousarray(self.offsets, dtype=np.int64)
+        object.__setattr__(self, "offsets", offsets)
+        check_offsets(offsets, len(self.t))
+        for name, shape in (("t", ()), ("xy", (2,)), ("variance", ())):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array.shape != (len(self.t), *shape):
+                raise ValueError(f"{name} must have shape {(len(self.t), *shape)}")
+            object.__setattr__(self, name, array)
+        if not within(self.variance, np.nextafter(0.0, 1.0), np.finfo(np.float64).max):
+            raise ValueError("variance must be positive and finite")
+        for std in self.prior_std:
+            _positive("prior_std", std)
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return self.offsets.size - 1
+
+    def arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
+        """Return what a compiled loop of that many states per axis takes, or raise ValueError."""
+        if len(self.prior_std) not in n_states:
+            numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004 - the sizes that there are
+            raise ValueError(f"prior_std must have {numbers} numbers, got {len(self.prior_std)}")
+        return self.t, self.xy, self.variance, self.offsets, np.square(self.prior_std)
+
+
+def _positive(name: str, value: float, *, finite: bool = True) -> float:
+    """Return a positive number, or raise ValueError."""
+    if not value > 0 or (finite and not np.isfinite(value)):
+        raise ValueError(f"{name} must be positive, got {value}")
+    return float(value)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LastState:
+    """States of N tracks after their last sample; d states per axis."""
+
+    mean: Floats
+    """(N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration."""
+    cov: Floats
+    """(N, d, d) covariance of either axis; the axes are independent."""
+    log_likelihood: Floats
+    """(N,) log density of a track's accepted samples, 1/m^2 each."""
+
+
+def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
+    """Return the state of every track after its last sample.
+
+    Parameters
+    ----------
+    batch : Batch
+        With a prior of two states the model is constant velocity, of three constant acceleration.
+    q : float
+        Spectral density of the driving white noise, positive: of the acceleration (m^2/s^3) or,
+        for constant acceleration, of the jerk (m^2/s^5).
+    gate : float, optional
+        A sample whose normalised innovation squared exceeds it is not used, unless
+        `MAX_REJECTIONS` samples before it were not. Chi-square with 2 degrees of freedom: 13.8
+        keeps all but one sample in a thousand. Default: all are used.
+
+    Raises
+    ------
+    ValueError
+        If q or the gate is not positive, or for a prior of another number of states.
+    """
+    arrays, d = batch.arrays(2, 3), len(batch.prior_std)
+    out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
+    loops = import_module("isac_track.kalman._linear_loops")
+    (loops.cv_last if d == 2 else loops.ca_last)(  # noqa: PLR2004 - position and velocity
+        *(arrays, _positive("q", q), _positive("gate", gate, finite=False), MAX_REJECTIONS),
+        (out.mean, out.cov, out.log_likelihood),
+    )
+    return out
+
+
+def smooth_positions(
+    batch: Batch, *, q: float, passes: int = 1, anneal: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
+
+    One pass is a Rauch-Tung-Striebel smoother of constant velocity; velocities are left out.
+    Further passes are for errors of the radial law, whose length is |N(0, sigma)| in any
+    direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to a constant, is infinite at
+    zero: a sample that lies close to the walk is very likely almost exact. The posterior mode
+    solves a smoother with the weights 1 / r^2 + 1 / sigma^2 per axis, r the sample's distance from
+    the smoothed position; they are iterated as 1 / (r^2 + delta^2) + 1 / sigma^2. With
+    delta^2 = 2 P + anneal^(m - 1) sigma^2 after the m-th pass a residual counts as no smaller than
+    the position itself is known (P is its variance per axis), and the first passes are nearly those
+    of Gaussian errors, lest the walk be drawn to samples that only happen to lie where it starts.
+
+    Parameters
+    ----------
+    batch : Batch
+        With a prior of two states; sigma^2 is twice the variance per axis.
+    q : float
+        Spectral density of the acceleration, m^2/s^3, positive.
+    passes : int, optional
+        Smoothers, at least 1; the first is that of Gaussian errors.
+    anneal : float, optional
+        In [0, 1).
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, or for a prior of another number of states.
+
+    References
+    ----------
+    Iterative re-weighting: Huber and Ronchetti, *Robust Statistics*, 2009, ch. 7.8; the mode of a
+    scale mixture: Dempster, Laird, Rubin, *Multivariate Analysis V*, 1980.
+    """
+    if passes < 1 or not 0 <= anneal < 1:
+        raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
+    position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
+    order = np.argsort(np.diff(batch.offsets), kind="stable")
+    import_module("isac_track.kalman._linear_loops").smooth_positions(
+        *(batch.arrays(2), order, _positive("q", q), passes, float(anneal), position, spread)
+    )
+    return position, spread
+
+
+@dataclass(frozen=True, slots=True)
+class Moods:
+    """Two modes of a walk that take turns: walking on, and stopping or turning.
+
+    Raises
+    ------
+    ValueError
+        If a number is not positive and finite.
+    """
+
+    q: tuple[float, float]
+    """m^2/s^3, spectral density of the acceleration in either."""
+    stay_s: tuple[float, float]
+    """s, mean time until it gives way to the other."""
+
+    def __post_init__(self) -> None:
+        for name, values in (("q", self.q), ("mean times", self.stay_s)):
+            for value in values:
+                _positive(name, value)
+
+    @property
+    def probability(self) -> Floats:
+        """(2,) of the modes in the long run, and before a track's first sample."""
+        return np.array(self.stay_s) / sum(self.stay_s)
+
+    def arrays(self, t: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return what the compiled loops take: q, `probability`, and exp(rates * step) of steps.
+
+        The last, (M, 2, 2), row by row of the mode before; no step counts to a track's first
+        sample.
+        """
+        rates = 1.0 / np.array(self.stay_s)
+        step_s = np.abs(np.diff(t, prepend=t[:1]))
+        left = (-np.expm1(-rates.sum() * step_s) / rates.sum())[:, None] * rates
+        chances = np.empty((step_s.size, 2, 2))
+        chances[:, [0, 1], [0, 1]] = 1.0 - left
+        chances[:, [0, 1], [1, 0]] = left
+        return np.array(self.q, dtype=np.float64), self.probability, chances
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ImmStates:
+    """States of N tracks after their last sample under each of two modes.
+
+    To forecast, predict each mode with its own q and mix by `probability`.
+    """
+
+    mean: Floats
+    """(N, 2, 2, 2) m, m/s: per mode and axis position and velocity."""
+    cov: Floats
+    """(N, 2, 4, 4) of (x, vx, y, vy) under each mode."""
+    probability: Floats
+    """(N, 2) of the modes."""
+    log_likelihood: Floats
+    """(N,) log density of a track's accepted samples, 1/m^2 each."""
+
+
+def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
+    """Return the states of every track after its last sample.
+
+    Parameters
+    ----------
+    batch : Batch
+        With a prior of two states, which holds under either mode.
+    moods : Moods
+    gate : float, optional
+        A sample is not used if its normalised innovation squared exceeds this under every mode,
+        unless `MAX_REJECTIONS` samples before it were not. Default: all are used.
+
+    Raises
+    ------
+    ValueError
+        If the gate is not positive, or for a prior of another number of states.
+    """
+    n = len(batch)
+    out = ImmStates(np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2)), np.empty(n))
+    import_module("isac_track.kalman._imm_loops").imm_last(
+        *(batch.arrays(2), moods.arrays(batch.t)),
+        *(_positive("gate", gate, finite=False), MAX_REJECTIONS),
+        (out.mean.reshape(n, 2, 4), out.cov, out.probability, out.log_likelihood),
+    )
+    return out
+
+
+def imm_smoother(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
+    """Return smoothed positions, (M, 2) m, and their mean variance over both axes, (M,) m^2.
+
+    Expectation correction (Barber 2006) with one Gaussian per mode: backwards in time, every
+    mode now is smoothed from every mode next by Rauch-Tung-Striebel; the pair's weight is that of
+    the filter times the density of the next smoothed mean under the pair's prediction; the
+    pairs of each mode are then collapsed into one Gaussian. Like the filter it is an
+    approximation: exact with modes of equal q. Parameters and errors are those of `imm_last`.
+
+    References
+    ----------
+    Barber, "Expectation correction for smoothed inference in switching linear dynamical
+    systems", J. Machine Learning Research 7, 2006, 2515-2540.
+    """
+    position, variance = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
+    import_module("isac_track.kalman._imm_loops").imm_smoother(
+        batch.arrays(2), moods.arrays(batch.t), position, variance
+    )
+    return position, variance
 
 
 def prepare() -> None:

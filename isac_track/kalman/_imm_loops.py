@@ -1,4 +1,4 @@
-"""Compiled loops of `kalman.imm`: several constant-velocity models that interact.
+"""Compiled loops of `isac_track.kalman`: several constant-velocity models that interact.
 
 The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance per mode.
 """
@@ -12,21 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from isac_track.compiling import (
-    FLOAT,
-    FLOATS1,
-    FLOATS2,
-    FLOATS3,
-    INT,
-    INTS1,
-    OUT_FLOATS1,
-    OUT_FLOATS2,
-    OUT_FLOATS3,
-    OUT_FLOATS4,
-    compiled,
-    part_of_loop,
-    together,
-)
+from isac_track.compiling import FLOAT, INT, compiled, part_of_loop, read, together, written
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
@@ -36,9 +22,9 @@ _Moods: TypeAlias = tuple[Floats, Floats, Floats]
 after mode m at the sample before."""
 _LOG_2PI = log(2 * pi)
 _STATES = 4
-_BATCH = together(FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1)
-_MOODS = together(FLOATS1, FLOATS1, FLOATS3)
-_LAST = together(OUT_FLOATS3, OUT_FLOATS4, OUT_FLOATS2, OUT_FLOATS1)
+_BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1))
+_MOODS = together(read(1), read(1), read(3))
+_LAST = together(written(3), written(4), written(2), written(1))
 
 
 @part_of_loop
@@ -318,7 +304,7 @@ def _smooth_pair(
     return log_density
 
 
-@compiled(_BATCH, _MOODS, OUT_FLOATS2, OUT_FLOATS1)
+@compiled(_BATCH, _MOODS, written(2), written(1))
 def imm_smoother(batch: _Batch, moods: _Moods, position: Floats, spread: Floats) -> None:
     """Filter, then smooth by expectation correction, one Gaussian per mode, from the last back."""
     t, offsets, (q, _, chances) = batch[0], batch[3], moods

@@ -1,4 +1,4 @@
-"""Compiled loops of `kalman.linear`: filters to the last state, and the smoother of positions.
+"""Compiled loops of `isac_track.kalman`: filters to the last state, and the smoother of positions.
 
 The forms avoid every subtraction of nearly equal numbers that can be avoided, so that the
 covariance stays positive over ten decades of noise and step without a square-root filter.
@@ -21,27 +21,15 @@ from typing import TypeAlias
 
 import numpy as np
 
-from isac_track.compiling import (
-    FLOAT,
-    FLOATS1,
-    FLOATS2,
-    INT,
-    INTS1,
-    OUT_FLOATS1,
-    OUT_FLOATS2,
-    OUT_FLOATS3,
-    compiled,
-    part_of_loop,
-    together,
-)
+from isac_track.compiling import FLOAT, INT, compiled, part_of_loop, read, together, written
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
 """Times, places, variances, offsets, variances of the prior."""
 _Last: TypeAlias = tuple[Floats, Floats, Floats]
 """Mean, covariance and log-likelihood, in which row i is after the last sample of track i."""
-_BATCH = together(FLOATS1, FLOATS2, FLOATS1, INTS1, FLOATS1)
-_LAST = _BATCH, FLOAT, FLOAT, INT, together(OUT_FLOATS3, OUT_FLOATS3, OUT_FLOATS1)
+_BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1))
+_LAST = _BATCH, FLOAT, FLOAT, INT, together(written(3), written(3), written(1))
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
 
@@ -117,7 +105,7 @@ def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
         log_likelihood[i] = -total - log(scale)
 
 
-@compiled(FLOATS1, FLOATS2, INTS1, OUT_FLOATS1)
+@compiled(read(1), read(2), read(1, "int64"), written(1))
 def innovation_level(t: Floats, xy: Floats, offsets: Ints, level: Floats) -> None:
     """Mean of the scaled squared innovations of each track; see `isac_track.noise`."""
     for i in range(offsets.size - 1):
@@ -325,7 +313,7 @@ def _reweigh(buffer: Floats, n: int, blur: float) -> None:
             row[lane + _VARIANCE] = _NOTHING if square == _NOTHING else weighed
 
 
-@compiled(_BATCH, INTS1, FLOAT, INT, FLOAT, OUT_FLOATS2, OUT_FLOATS1)
+@compiled(_BATCH, read(1, "int64"), FLOAT, INT, FLOAT, written(2), written(1))
 def smooth_positions(
     batch: _Batch,
     order: Ints,

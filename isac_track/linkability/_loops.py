@@ -8,19 +8,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
-from isac_track.compiling import (
-    FLOATS1,
-    FLOATS2,
-    INTS1,
-    OUT_FLOATS1,
-    OUT_FLOATS2,
-    OUT_FLOATS3,
-    compiled,
-    part_of_loop,
-)
+from isac_track.compiling import compiled, part_of_loop, read, written
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,13 +24,11 @@ Twice as many hold the 201 of a scorecard, and hardly more."""
 _BLOCK = 4096
 """Pairs whose weights a 32-bit number may add up: integers below 2^24 are exact."""
 
-_WEIGHTS3 = numba.types.Array(numba.float32, 3, "C", readonly=True)
-_BYTES2 = numba.types.Array(numba.uint8, 2, "C", readonly=True)
-_INTS2 = numba.types.Array(numba.int64, 2, "C", readonly=True)
-_OUT_INTS2 = numba.int64[:, ::1]
 
-
-@compiled(FLOATS2, _INTS2, FLOATS1, FLOATS1, INTS1, OUT_FLOATS2, _OUT_INTS2, _OUT_INTS2)
+@compiled(
+    *(read(2), read(2, "int64"), read(1), read(1), read(1, "int64")),
+    *(written(2), written(2, "int64"), written(2, "int64")),
+)
 def rank_rows(
     scores: Floats,
     order: Ints,
@@ -81,7 +69,10 @@ def rank_rows(
             start = stop
 
 
-@compiled(FLOATS2, INTS1, INTS1, INTS1, FLOATS2, _BYTES2, OUT_FLOATS1, OUT_FLOATS2)
+@compiled(
+    *(read(2), read(1, "int64"), read(1, "int64"), read(1, "int64"), read(2), read(2, "uint8")),
+    *(written(1), written(2)),
+)
 def shuffle(
     uniform: Floats,
     sizes: Ints,
@@ -151,7 +142,7 @@ def _by_key(key: Ints, n_keys: int, first: Ints, second: Ints) -> tuple[Ints, In
     return starts, sorted_first, sorted_second
 
 
-@compiled(_WEIGHTS3, INTS1, INTS1, INTS1, OUT_FLOATS3)
+@compiled(read(3, "float32"), read(1, "int64"), read(1, "int64"), read(1, "int64"), written(3))
 def weigh(tables: NDArray[np.float32], key: Ints, first: Ints, second: Ints, out: Floats) -> None:
     """Write the weight of either class in each of K cells, (2, chunks * `LANES`, K).
 
@@ -258,7 +249,7 @@ def _read_hull(
     out[1], out[2] = eer, cost / 2
 
 
-@compiled(OUT_FLOATS2, OUT_FLOATS2, FLOATS1, OUT_FLOATS2)
+@compiled(written(2), written(2), read(1), written(2))
 def read_rocs(mated: Floats, non_mated: Floats, levels: Floats, out: Floats) -> None:
     """Write AUC, EER and Cllr_min, then TPR and FPR at each level, a row for each ROC.
 

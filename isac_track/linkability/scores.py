@@ -196,31 +196,21 @@ def cllr_min(*, mated: Floats, non_mated: Floats) -> float:
     return float(_read(mated, non_mated)[2])
 
 
-def d_sys(*, mated: Floats, non_mated: Floats, n_bins: int | None = None) -> tuple[float, int]:
+def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
     """Return the system's linkability D_sys, 0..1, and the number of bins.
 
     With the likelihood ratio LR(s) = p(s | mated) / p(s | non-mated) of histograms over the joint
     range, D(s) = 2 LR / (1 + LR) - 1 where LR > 1 and 0 elsewhere; D_sys is the mean of D over
-    mated scores. It lies between TV / 2 and TV, the total variation of the two histograms: p D is
+    mated scores. There is a bin for every ten mated scores, but at least 1 and at most 100.
+
+    D_sys lies between TV / 2 and TV, the total variation of the two histograms: p D is
     (p - q) p / (p + q), and p / (p + q) lies between 1/2 and 1 where p > q. It ignores direction,
     and is biased upwards where scores are few.
 
-    Parameters
-    ----------
-    mated, non_mated : (M,), (N,)
-    n_bins : int, optional
-        Default: one a ten mated scores, at least 1, at most 100.
-
-    Raises
-    ------
-    ValueError
-        As `auc`, and for `n_bins` below 1.
+    Parameters and errors are those of `auc`.
     """
     _check_classes(mated, non_mated)
-    if n_bins is None:
-        n_bins = default_bins(mated.size)
-    if n_bins < 1:
-        raise ValueError(f"n_bins must be at least 1, got {n_bins}")
+    n_bins = default_bins(mated.size)
     low = min(float(mated.min()), float(non_mated.min()))
     high = max(float(mated.max()), float(non_mated.max()))
     edges = inner_edges(low, high, n_bins)

@@ -117,11 +117,10 @@ class ProbeRanks:
         """
         found = {}
         for name, sums in self.sums(weights.shape[1]).items():
-            if names is not None and name not in names:
-                continue
-            drawn = weights @ np.stack(sums, axis=1)
-            found[name] = np.full(len(weights), np.nan)
-            np.divide(drawn[:, 0], drawn[:, 1], out=found[name], where=drawn[:, 1] > 0)
+            if names is None or name in names:
+                total, number = (weights @ np.stack(sums, axis=1)).T
+                with np.errstate(invalid="ignore"):  # nobody was drawn: NaN
+                    found[name] = total / number
         return found
 
 

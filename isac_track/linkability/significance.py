@@ -118,10 +118,8 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
     return min(1.0, float(law[n_hits:].sum()))
 
 
-def minimum_detectable_rank1(
-    *, n: int, chance: float, alpha: float = LEVEL, power: float = 0.8
-) -> float:
-    """Return the smallest rank-1 rate that the exact binomial test finds with this power.
+def minimum_detectable_rank1(*, n: int, chance: float) -> float:
+    """Return the smallest rank-1 rate that the exact binomial test at `LEVEL` finds in 80 %.
 
     Infinity where no rate does: not even n hits of n are significant.
 
@@ -131,29 +129,24 @@ def minimum_detectable_rank1(
         Mated probes, taken as independent.
     chance : float
         Rank-1 rate of guessing, 0..1.
-    alpha, power : float
-        In (0, 1).
 
     Raises
     ------
     ValueError
         If a number is out of range.
     """
-    if n < 0 or not 0 <= chance <= 1 or not 0 < alpha < 1 or not 0 < power < 1:
-        raise ValueError(
-            "need n >= 0, chance in 0..1 and alpha and power in (0, 1), got "
-            f"{n}, {chance}, {alpha}, {power}"
-        )
-    significant = np.flatnonzero(bdtrc(np.arange(n), n, chance) <= alpha)
+    if n < 0 or not 0 <= chance <= 1:
+        raise ValueError(f"need n >= 0 and chance in 0..1, got {n} and {chance}")
+    significant = np.flatnonzero(bdtrc(np.arange(n), n, chance) <= LEVEL)
     if not significant.size:
         return math.inf
     hits = int(significant[0]) + 1
     # P(hits or more of n) is the regularised incomplete beta function of the rate.
-    return float(betaincinv(hits, n - hits + 1, power))
+    return float(betaincinv(hits, n - hits + 1, 0.8))
 
 
-def outcome(*, p_value: float, ceiling_p_value: float, level: float = LEVEL) -> Outcome:
-    """Return what a test says, given the same attack's p-value on unperturbed tracks.
+def outcome(*, p_value: float, ceiling_p_value: float) -> Outcome:
+    """Return what a test at `LEVEL` says, given the same attack's p-value on unperturbed tracks.
 
     An attack that cannot link even those says nothing of a mechanism by failing.
 
@@ -165,9 +158,9 @@ def outcome(*, p_value: float, ceiling_p_value: float, level: float = LEVEL) -> 
     for p in (p_value, ceiling_p_value):
         if not 0 <= p <= 1:
             raise ValueError(f"a p-value lies in 0..1, got {p}")
-    if p_value <= level:
+    if p_value <= LEVEL:
         return "links"
-    return "attack too weak" if ceiling_p_value > level else "no link detected"
+    return "attack too weak" if ceiling_p_value > LEVEL else "no link detected"
 
 
 def p_value_among(observed: float, null: Floats) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -168,15 +169,9 @@ def show(value: object) -> str:
     return repr(value.item() if isinstance(value, np.ndarray) else value)
 
 
-def _array(result: object) -> Floats:
-    return np.asarray(result, dtype=float)
-
-
+_ARRAYS = ("exposure", "prediction_grid", "robot_path", "fid_d_sigma")
 _READ: dict[str, Callable[[Any], object]] = {
-    "exposure": lambda results: np.stack([_array(one) for one in results]),
-    "prediction_grid": _array,
-    "robot_path": _array,
-    "fid_d_sigma": _array,
+    **dict.fromkeys(_ARRAYS, partial(np.asarray, dtype=float)),
     "is_conflict": bool,
 }
 """How the result of a function is read; of all others it is one number."""

@@ -5,12 +5,12 @@ A track is (t, xy, variance) of one person; states are per axis, or (x, vx, y, v
 
 from __future__ import annotations
 
+from fractions import Fraction
 from functools import cache
 from itertools import pairwise, product
+from math import factorial
 
 import numpy as np
-from filterpy.common import Q_continuous_white_noise
-from filterpy.kalman import KalmanFilter
 from scipy.linalg import block_diag, expm
 from scipy.stats import multivariate_normal
 
@@ -33,96 +33,77 @@ def process_noise(step_s, q, d):
     return block[d:, d:].T @ block[:d, d:]
 
 
-def joint_prior(*, t, q, mean, cov):
-    """Mean (2, n d) and covariance (n d, n d) of all states of one axis at once."""
-    d = len(cov)
-    n = len(t)
-    lift = np.eye(n * d)
-    for k, (before, now) in enumerate(pairwise(t), start=1):
-        f = transition(now - before, d)
-        lift[k * d : (k + 1) * d, : k * d] = f @ lift[(k - 1) * d : k * d, : k * d]
-    noise = block_diag(cov, *(process_noise(now - before, q, d) for before, now in pairwise(t)))
-    start = np.zeros((2, n * d))
-    start[:, :d] = mean
-    return start @ lift.T, lift @ noise @ lift.T
-
-
 def joint_posterior(*, t, xy, variance, q, mean, cov, used=None):
     """Condition all states on all (used) samples: means (n, 2, d), covariances (n, d, d), density.
 
-    The last is the log density of the samples used.
+    The last is the log density of the samples used; `q` is of all steps or of each.
     """
-    d = len(cov)
-    n = len(t)
+    n, d = len(t), len(cov)
     used = np.ones(n, dtype=bool) if used is None else used
-    prior_mean, prior = joint_prior(t=t, q=q, mean=mean, cov=cov)
+    lift = np.eye(n * d)  # what the states are of the first one and of what is added since
+    noises = [cov]
+    for k, (step, driven) in enumerate(np.broadcast(np.diff(t), q), start=1):
+        now, before = slice(k * d, (k + 1) * d), slice((k - 1) * d, k * d)
+        lift[now, : k * d] = transition(step, d) @ lift[before, : k * d]
+        noises.append(process_noise(step, driven, d))
+    prior_mean, prior = mean @ lift[:, :d].T, lift @ block_diag(*noises) @ lift.T
     h = np.eye(n * d)[::d][used]
     innovation_cov = h @ prior @ h.T + np.diag(variance[used])
     gain = np.linalg.solve(innovation_cov, h @ prior).T
     posterior = prior - gain @ innovation_cov @ gain.T
-    means = np.empty((n, 2, d))
-    density = 0.0
-    for axis in range(2):
-        expected = h @ prior_mean[axis]
-        means[:, axis] = (prior_mean[axis] + gain @ (xy[used, axis] - expected)).reshape(n, d)
-        density += multivariate_normal(expected, innovation_cov).logpdf(xy[used, axis])
+    innovation = xy[used].T - prior_mean @ h.T
+    means = (prior_mean + innovation @ gain.T).reshape(2, n, d).swapaxes(0, 1)
+    density = multivariate_normal(cov=innovation_cov).logpdf(innovation).sum()
     covs = np.array([posterior[k : k + d, k : k + d] for k in range(0, n * d, d)])
     return means, covs, density
 
 
-def filterpy_track(*, t, xy, variance, q, mean, cov, gate=np.inf, patience=3):
-    """filterpy's loop over one track: means (n, 2 d), covariances (n, 2 d, 2 d) and the rest."""
-    d = len(cov)
-    kf = KalmanFilter(dim_x=2 * d, dim_z=2)
-    kf.H = np.kron(np.eye(2), np.eye(1, d))
-    kf.x = np.ravel(mean).copy()
-    kf.P = np.kron(np.eye(2), cov)
-    means, covs, fs, qs, taken = [], [], [], [], []
-    misses = 0
-    density = 0.0
+def precise_filter(*, t, xy, variance, q, mean, cov, used=None, number=np.longdouble):
+    """Joseph's form in numbers with more digits, for where double precision would have to give up.
+
+    Of every sample the motion, state and covariance before it, state and covariance after it;
+    and the log density of the samples used.
+    """
+    wide = np.vectorize(number, otypes=[object])
+    x, p, d = wide(mean), wide(cov), len(cov)
+    rows, density = [], 0.0
     for k in range(len(t)):
-        step = t[k] - t[k - 1] if k > 0 else 0.0
-        fs.append(np.kron(np.eye(2), transition(step, d)))
-        noise = Q_continuous_white_noise(d, dt=step, spectral_density=q)
-        qs.append(np.kron(np.eye(2), noise))
-        kf.predict(F=fs[-1], Q=qs[-1])
-        kf.R = np.eye(2) * variance[k]
-        innovation = xy[k] - kf.H @ kf.x
-        innovation_cov = kf.H @ kf.P @ kf.H.T + kf.R
-        nis = innovation @ np.linalg.solve(innovation_cov, innovation)
-        taken.append(nis <= gate or misses >= patience)
-        if taken[-1]:
-            misses = 0
-            kf.update(xy[k])
-            density += multivariate_normal(np.zeros(2), innovation_cov).logpdf(innovation)
-        else:
-            misses += 1
-        means.append(kf.x.copy())
-        covs.append(kf.P.copy())
-    return {
-        "kf": kf,
-        "mean": np.array(means),
-        "cov": np.array(covs),
-        "fs": fs,
-        "qs": qs,
-        "accepted": np.array(taken),
-        "log_likelihood": density,
-    }
+        step = number(t[k]) - number(t[max(k - 1, 0)])
+        terms = [step**i / factorial(i) for i in range(d)]
+        f = np.array([[terms[j - i] if j >= i else 0 * step for j in range(d)] for i in range(d)])
+        driven = terms[::-1]  # by what each derivative answers to the noise
+        both = np.add.outer(np.arange(d)[::-1], np.arange(d)[::-1]) + 1
+        ahead, ahead_p = x @ f.T, f @ p @ f.T + number(q) * step * np.outer(driven, driven) / both
+        x, p = ahead, ahead_p
+        if used is None or used[k]:
+            z, r = wide(xy[k]), number(variance[k])
+            s, error = ahead_p[0, 0] + r, z - ahead[:, 0]
+            gain = ahead_p[:, 0] / s
+            keep = wide(np.eye(d)) - np.outer(gain, wide(np.eye(d)[0]))
+            x, p = ahead + np.outer(error, gain), keep @ p @ keep.T + np.outer(gain, gain) * r
+            density -= float(error @ error / s) / 2 + np.log(2 * np.pi * float(s))
+        rows.append((f, ahead, ahead_p, x, p))
+    return rows, density
 
 
-def filterpy_smooth(**track):
-    """filterpy's smoother of constant velocity: means (n, 2, 2) and covariances (n, 4, 4)."""
-    theirs = filterpy_track(**track)
-    mean, cov, _, _ = theirs["kf"].rts_smoother(*(theirs[n] for n in ("mean", "cov", "fs", "qs")))
-    return mean.reshape(-1, 2, 2), cov
+def precise_states(**track):
+    """Mean and covariance after every sample, and the log density."""
+    rows, density = precise_filter(**track)
+    mean, cov = (np.array([row[n] for row in rows], dtype=float) for n in (3, 4))
+    return mean, cov, density
 
 
-def chances(step_s, rates):
-    """Transition matrix of the modes over one step."""
-    generator = np.array(rates, dtype=float)
-    np.fill_diagonal(generator, 0.0)
-    np.fill_diagonal(generator, -generator.sum(axis=1))
-    return expm(generator * step_s)
+def exact_smoother(**track):
+    """Rauch, Tung and Striebel's for constant velocity, in fractions."""
+    rows, _ = precise_filter(**track, number=Fraction)
+    x, p = rows[-1][3:]
+    found = [(x, p)]
+    for (*_, now, now_p), (f, ahead, ahead_p, *_) in zip(rows[-2::-1], rows[:0:-1], strict=True):
+        (a, b), (_, c) = ahead_p
+        gain = now_p @ f.T @ np.array([[c, -b], [-b, a]]) / (a * c - b * b)
+        x, p = now + (x - ahead) @ gain.T, now_p + gain @ (p - ahead_p) @ gain.T
+        found.append((x, p))
+    return tuple(np.array(each, dtype=float) for each in zip(*found[::-1], strict=True))
 
 
 def collapse(weight, mean, cov):
@@ -151,7 +132,7 @@ def imm_track(*, t, xy, variance, q, rates, mean, cov, probability, gate=np.inf,
     density = 0.0
     for k in range(len(t)):
         if k > 0:
-            joint = mu[:, None] * chances(t[k] - t[k - 1], rates)  # (from, to)
+            joint = mu[:, None] * expm(rates * (t[k] - t[k - 1]))  # (from, to)
             mu = joint.sum(axis=0)
             mixed = [collapse(joint[:, j] / mu[j], x, p) for j in modes]
             x, p = x.copy(), p.copy()
@@ -190,7 +171,7 @@ def imm_smooth(*, t, q, rates, mean, cov, probability):
     x, p, mu = mean.copy(), cov.copy(), probability.copy()
     for k in reversed(range(len(t) - 1)):
         step = t[k + 1] - t[k]
-        jump = chances(step, rates)
+        jump = expm(rates * step)
         log_weight = np.empty((len(q), len(q)))
         states = {}
         for j, i in product(modes, modes):  # now, next
@@ -213,30 +194,15 @@ def imm_smooth(*, t, q, rates, mean, cov, probability):
     return {"mean": x, "cov": p, "probability": mu}
 
 
-def imm_exact(*, t, xy, variance, q, rates, mean, cov, probability):
+def imm_exact(*, t, q, rates, probability, **track):
     """Every sequence of modes, smoothed alone and weighted: mean positions, (n, 2)."""
-    n = len(t)
     log_weights, means = [], []
-    jumps = [chances(now - before, rates) for before, now in pairwise(t)]
-    lift = np.eye(2 * n)
-    for k, (before, now) in enumerate(pairwise(t), start=1):
-        f = transition(now - before, 2)
-        lift[2 * k : 2 * k + 2, : 2 * k] = f @ lift[2 * k - 2 : 2 * k, : 2 * k]
-    centre = lift[:, :2] @ mean.T
-    for sequence in product(range(len(q)), repeat=n):
+    jumps = [expm(rates * step) for step in np.diff(t)]
+    for sequence in product(range(len(q)), repeat=len(t)):
         # Given the modes the axes are independent.
-        steps = zip(np.diff(t), sequence[1:], strict=True)
-        noises = [cov, *(process_noise(step, q[mode], 2) for step, mode in steps)]
-        prior = lift @ block_diag(*noises) @ lift.T
-        s = prior[::2, ::2] + np.diag(variance)
-        innovation = xy - centre[::2]
-        solved = np.linalg.solve(s, innovation)
-        log_weight = np.log(probability[sequence[0]])
-        log_weight += sum(
-            np.log(jump[i, j]) for jump, (i, j) in zip(jumps, pairwise(sequence), strict=True)
-        )
-        log_weight -= np.linalg.slogdet(2 * np.pi * s)[1] + (innovation * solved).sum() / 2
-        log_weights.append(log_weight)
-        means.append((centre + prior[:, ::2] @ solved)[::2])
+        mean, _, density = joint_posterior(t=t, q=[q[mode] for mode in sequence[1:]], **track)
+        chances = [jump[pair] for jump, pair in zip(jumps, pairwise(sequence), strict=True)]
+        log_weights.append(density + np.log([probability[sequence[0]], *chances]).sum())
+        means.append(mean[:, :, 0])
     weight = np.exp(np.array(log_weights) - max(log_weights))
     return np.average(means, axis=0, weights=weight)

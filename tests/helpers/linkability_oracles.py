@@ -7,7 +7,8 @@ from itertools import combinations, pairwise, permutations, product
 import numpy as np
 from sklearn.isotonic import IsotonicRegression
 
-METRICS = ("auc", "eer", "cllr_min", "d_sys", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct", "cllr")
+METRICS = ("auc", "eer", "cllr_min", "d_sys", "cllr", "tpr_at_fpr_1pct", "realised_fpr_1pct")
+METRICS += ("tpr_at_fpr_01pct", "realised_fpr_01pct")
 
 
 def ranks(row, column):
@@ -45,7 +46,7 @@ def best_assignment(scores, no_match_score=None):
 
 
 def auc(mated, non_mated):
-    return np.mean([(m > n) + (m == n) / 2 for m, n in product(mated, non_mated)])
+    return np.mean([(m > non_mated) + (m == non_mated) / 2 for m in mated])
 
 
 def roc(mated, non_mated):
@@ -168,9 +169,9 @@ def score_metrics(searches, weight, calibration):
                 eer(mated, non_mated),
                 cllr_min(mated, non_mated),
                 d_sys(mated, non_mated, edges),
-                tpr(mated, non_mated, 0.01)[0] if n_non_mated >= 1_000 else np.nan,
-                tpr(mated, non_mated, 0.001)[0] if n_non_mated >= 10_000 else np.nan,
                 cllr(slope * mated + intercept, slope * non_mated + intercept),
+                *(tpr(mated, non_mated, 0.01) if n_non_mated >= 1_000 else [np.nan] * 2),
+                *(tpr(mated, non_mated, 0.001) if n_non_mated >= 10_000 else [np.nan] * 2),
             ]
         )
         masses.append(len(mated))

@@ -5,15 +5,11 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from isac_track.datasets.crowd import BUNDLED_SEED, FILES, CrowdSettings, generate, write_npz
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Write both sessions of the crowd to a folder."""
     parser = argparse.ArgumentParser(
         prog="python -m isac_track.datasets.crowd", description=main.__doc__

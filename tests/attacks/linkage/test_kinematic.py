@@ -9,10 +9,12 @@ from helpers.walks import Person, context, release_of
 
 from attacks.linkage.kinematic import Kinematic, continuations, rivals
 from attacks.linkage.learning import log_rank
+from isac_track.kalman import Batch
 from isac_track.noise import innovation_variance_m2
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 from isac_track.types import Knowledge
+from predictors.filterpy_engine import last_states
 
 Q = 0.07
 FLOOR_M2 = 0.02
@@ -48,10 +50,9 @@ def variance_of(release):
 
 def filtered(t, xy, variance_m2):
     """filterpy's state (x, vx, y, vy) after the last sample, and its covariance."""
-    mean, cov = np.stack([xy[0], np.zeros(2)], axis=1), np.diag([100.0, 1.4]) ** 2
-    variance = np.full(len(t), variance_m2)
-    found = oracle.filterpy_track(t=t, xy=xy, variance=variance, q=Q, mean=mean, cov=cov)
-    return found["mean"][-1], found["cov"][-1]
+    batch = Batch(t, xy, np.full(len(t), variance_m2), np.array([0, len(t)]), (100.0, 1.4))
+    mean, cov = last_states(batch, q=Q, gate=np.inf)
+    return mean.ravel(), np.kron(np.eye(2), cov[0])
 
 
 def test_it_is_filterpy_across_the_gap():

@@ -1,64 +1,18 @@
 """The smoother of positions: against filterpy, fractions, dense solutions, alone."""
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 from helpers import kernel_oracles as oracle
-from helpers.kalman_cases import PRIOR_STD, VAGUE_STD, Q, batch, one_by_one
+from helpers.kalman_cases import PRIOR_STD, VAGUE_STD, Q, batch, close, one_by_one
 from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.kernels import filterpy
 from isac_track import kalman
 
 SIZES = (1, 2, 3, 7, 8, 9, 100)
 VAGUE = VAGUE_STD[:2]
-
-
-def exact(*, t, xy, variance, q, mean, cov):
-    """Textbook filter and smoother of one axis in fractions: positions (n,) and variances (n,)."""
-    t, xy, variance = ([Fraction(float(value)) for value in values] for values in (t, xy, variance))
-    q = Fraction(q)
-    x = [Fraction(float(value)) for value in mean]
-    p = [[Fraction(float(value)) for value in row] for row in cov]
-    filtered = []
-    for k in range(len(t)):
-        step = t[k] - t[k - 1] if k else Fraction(0)
-        ahead = [x[0] + step * x[1], x[1]]
-        cross = p[0][1] + step * p[1][1] + q * step**2 / 2
-        grown = p[0][0] + step * (2 * p[0][1] + step * p[1][1]) + q * step**3 / 3
-        ahead_p = [[grown, cross], [cross, p[1][1] + q * step]]
-        spread = ahead_p[0][0] + variance[k]
-        gain = [ahead_p[0][0] / spread, ahead_p[1][0] / spread]
-        x = [ahead[i] + gain[i] * (xy[k] - ahead[0]) for i in range(2)]
-        p = [[ahead_p[i][j] - gain[i] * ahead_p[0][j] for j in range(2)] for i in range(2)]
-        filtered.append((step, ahead, ahead_p, x, p))
-    positions, variances = [x[0]], [p[0][0]]
-    for (*_, now, now_p), (step, ahead, ahead_p, *_) in zip(
-        filtered[-2::-1], filtered[:0:-1], strict=True
-    ):
-        moved = [[now_p[i][0] + step * now_p[i][1], now_p[i][1]] for i in range(2)]  # P F'
-        (a, b), (_, d) = ahead_p
-        inverse = [[d, -b], [-b, a]]
-        gain = [
-            [sum(moved[i][m] * inverse[m][j] for m in range(2)) / (a * d - b * b) for j in range(2)]
-            for i in range(2)
-        ]
-        gap = [x[j] - ahead[j] for j in range(2)]
-        x = [now[i] + sum(gain[i][j] * gap[j] for j in range(2)) for i in range(2)]
-        change = [[p[i][j] - ahead_p[i][j] for j in range(2)] for i in range(2)]
-        p = [
-            [
-                now_p[i][j]
-                + sum(gain[i][m] * change[m][n] * gain[j][n] for m in range(2) for n in range(2))
-                for j in range(2)
-            ]
-            for i in range(2)
-        ]
-        positions.append(x[0])
-        variances.append(p[0][0])
-    return np.array(positions[::-1], dtype=float), np.array(variances[::-1], dtype=float)
 
 
 def reweighted(*, passes, anneal, **track):
@@ -79,10 +33,9 @@ class TestOnePass:
     def test_is_filterpy_s_method(self, prior_std):
         case = batch(sizes=SIZES, prior_std=prior_std)
         position, variance = kalman.smooth_positions(case, q=Q)
-        for rows, track in one_by_one(case):
-            mean, spread = oracle.filterpy_smooth(**track)
-            np.testing.assert_allclose(position[rows], mean[:, :, 0], rtol=0, atol=1e-8)
-            np.testing.assert_allclose(variance[rows], spread[:, 0, 0], rtol=1e-8)
+        mean, spread = filterpy(case)()
+        np.testing.assert_allclose(position, mean[:, ::2], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(variance, spread[:, 0, 0], rtol=1e-8)
 
     @pytest.mark.parametrize("sigma_m", [1e-3, 0.5, 100.0])
     @pytest.mark.parametrize("step_s", [1e-3, 0.1, 10.0])
@@ -95,13 +48,10 @@ class TestOnePass:
         )
         position, variance = kalman.smooth_positions(case, q=Q)
         for rows, track in one_by_one(case):
-            for axis in range(2):
-                alone = track | {"xy": track["xy"][:, axis], "mean": track["mean"][axis]}
-                expected, spread = exact(**alone)
-                np.testing.assert_allclose(
-                    position[rows, axis], expected, rtol=0, atol=1e-7 * np.sqrt(spread.min())
-                )
-                np.testing.assert_allclose(variance[rows], spread, rtol=1e-9)
+            mean, cov = oracle.exact_smoother(**track)
+            spread = cov[:, 0, 0]
+            close(position[rows], mean[:, :, 0], 1e-7 * np.sqrt(spread.min()))
+            np.testing.assert_allclose(variance[rows], spread, rtol=1e-9)
 
 
 class TestSeveralPasses:

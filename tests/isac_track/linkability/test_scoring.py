@@ -32,64 +32,48 @@ from isac_track.rng import stream
 from isac_track.types import read_only
 
 
-def drawn(estimate, row):
-    """Its value, row 0, or a replicate."""
-    return estimate.replicates[row - 1] if row else estimate.value
+def card_by_brute_force(searches, *, n_clusters, n_replicates, seed=0):
+    """A scorecard whose values and replicates are the metrics of duplicated scores."""
+    options = {"n_clusters": n_clusters, "n_replicates": n_replicates, "seed": seed}
+    result = card(searches, **options, calibration=CALIBRATION)
+    estimates = result.estimates
+    found = {name: [one.value, *one.replicates] for name, one in estimates.items()}
+    found |= {name: [getattr(result, name)] for name in oracles.METRICS if name not in found}
+    for row, weight in enumerate([np.ones(n_clusters), *cluster_weights(**options)]):
+        for name, value in oracles.score_metrics(searches, weight, CALIBRATION).items():
+            told = found[name][row : row + 1]  # what is realised has no replicates
+            assert told == pytest.approx([value] * len(told), abs=1e-9, nan_ok=True), (name, row)
+        for name, function in (("rank1", rank1), ("mrr", reciprocal_rank)):
+            values = np.concatenate([function(scores=s.scores, mate=s.mate) for s in searches])
+            has_mate = ~np.isnan(values)
+            mass = np.concatenate([weight[s.probe_cluster] for s in searches])[has_mate]
+            value = (mass @ values[has_mate]) / mass.sum() if mass.any() else np.nan
+            assert found[name][row] == pytest.approx(value, abs=1e-12, nan_ok=True)
+    return result
 
 
 @pytest.mark.parametrize("decimals", [0, 1, 8])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_replicates_are_the_metrics_of_duplicated_scores(decimals, seed):
     searches = random_searches(stream(seed, "test", "searches"), decimals)
-    weights = cluster_weights(n_clusters=6, n_replicates=7, seed=seed)
-    estimates = card(
-        searches, n_clusters=6, n_replicates=7, seed=seed, calibration=CALIBRATION
-    ).estimates
-    for row, weight in enumerate([np.ones(6), *weights]):
-        for name, value in oracles.score_metrics(searches, weight, CALIBRATION).items():
-            actual = drawn(estimates[name], row)
-            assert actual == pytest.approx(value, abs=1e-9, nan_ok=True), (name, row)
-        for name, function in (("rank1", rank1), ("mrr", reciprocal_rank)):
-            values = np.concatenate([function(scores=s.scores, mate=s.mate) for s in searches])
-            has_mate = ~np.isnan(values)
-            mass = np.concatenate([weight[s.probe_cluster] for s in searches])[has_mate]
-            value = (mass @ values[has_mate]) / mass.sum() if mass.any() else np.nan
-            actual = drawn(estimates[name], row)
-            assert actual == pytest.approx(value, abs=1e-12, nan_ok=True)
+    card_by_brute_force(searches, n_clusters=6, n_replicates=7, seed=seed)
 
 
-def test_tpr_of_the_scorecard_is_brute_force_on_all_scales_together():
-    rng = stream(10, "test", "tpr")
-    searches = [gaussian(rng, 72, 2.0, decimals=1, scale=scale) for scale in (0, 1)]
-    weights = cluster_weights(n_clusters=72, n_replicates=2, seed=0)
-    result = card(searches, n_clusters=72, n_replicates=2, calibration=CALIBRATION)
-    for name, alpha in (("tpr_at_fpr_1pct", 0.01), ("tpr_at_fpr_01pct", 0.001)):
-        for row, weight in enumerate([np.ones(72), *weights]):
-            shares, masses = [], []
-            for one in searches:
-                pooled = oracles.pooled([one], weight)
-                shares.append(oracles.tpr(*pooled, alpha))
-                masses.append(pooled[0].size)
-            expected = np.average(shares, axis=0, weights=masses)
-            assert drawn(result.estimates[name], row) == pytest.approx(expected[0], abs=1e-12)
-            if row == 0:
-                realised = getattr(result, name.replace("tpr_at", "realised"))
-                assert realised == pytest.approx(expected[1], abs=1e-12)
-
-
-@pytest.mark.parametrize(("n_gallery", "is_refused"), [(26, False), (25, True)])
-def test_refusal_counts_the_pairs_of_all_scales(n_gallery, is_refused):
-    rng = stream(11, "test", "refusal")
-    searches = [
-        search(rng.standard_normal((20, n_gallery)), scale=scale) for scale in (0, 1)
-    ]  # 500 non-mated pairs each, or 480
-    result = card(searches, n_clusters=26)
-    estimate = result.estimates["tpr_at_fpr_1pct"]
-    numbers = [estimate.value, estimate.ci_low, estimate.ci_high, result.realised_fpr_1pct]
-    assert np.isnan(numbers).all() == is_refused
-    assert np.isnan(estimate.replicates).all() == is_refused
-    assert estimate.n == 20
-    assert math.isnan(result.estimates["tpr_at_fpr_01pct"].value)
+@pytest.mark.parametrize(
+    ("shape", "refused"),
+    [((72, 72), []), ((20, 26), ["01pct"]), ((20, 25), ["1pct", "01pct"])],
+)
+def test_so_is_the_tpr_unless_the_pairs_of_all_scales_are_too_few(shape, refused):
+    """10,224, 1,000 and 960 non-mated pairs, in halves."""
+    rng, diagonal = stream(10, "test", "tpr"), 2.0 * np.eye(*shape)
+    scores = np.round(rng.standard_normal((2, *shape)) + diagonal, 1)
+    searches = [search(one, scale=scale) for scale, one in enumerate(scores)]
+    result = card_by_brute_force(searches, n_clusters=shape[1], n_replicates=2)
+    for rate in ("1pct", "01pct"):
+        one = result.estimates[f"tpr_at_fpr_{rate}"]
+        numbers = [one.value, one.ci_low, one.ci_high, getattr(result, f"realised_fpr_{rate}")]
+        assert np.isnan([*numbers, *one.replicates]).tolist() == [rate in refused] * 6
+        assert one.n == shape[0]
 
 
 @pytest.mark.parametrize("is_grouped", [False, True])
@@ -186,15 +170,7 @@ def test_the_layout_of_a_search_does_not_matter():
     assert_alike(one, two, rtol=1e-6)
 
 
-def test_open_set_counts_who_is_linked_though_absent():
-    one = search([[9.0, 0.0, 0.0], [0.0, 0.0, 8.0], [0.0, 1.0, 0.0]], mate=[0, -1, -1])
-    for least, share in (([2.0], 0.5), (None, 1.0)):
-        estimates = card([one], n_clusters=3, no_match_score=least).estimates
-        assert estimates["rank1_assigned"].value == estimates["rank1"].value == 1.0
-        assert (estimates["false_link_rate"].value, estimates["false_link_rate"].n) == (share, 2)
-
-
-def test_every_search_has_its_own_no_match_score():
+def test_an_open_set_counts_who_is_linked_though_absent_by_the_search_s_own_score():
     rng = stream(23, "test", "thresholds")
     linked = []
     for _ in range(20):
@@ -202,17 +178,19 @@ def test_every_search_has_its_own_no_match_score():
             search(rng.standard_normal((4, 4)) + np.eye(4), mate=[0, 1, -1, -1], scale=scale)
             for scale in (0, 0, 1)
         ]
-        least = rng.permutation([-1.0, 0.5, 1.2])
-        estimates = card(searches, n_clusters=4, no_match_score=least.tolist()).estimates
-        assigned = [
-            oracles.best_assignment(s.scores, x)[1] for s, x in zip(searches, least, strict=True)
-        ]
-        hits = np.mean([columns[:2] == [0, 1] for columns in assigned])
-        false = np.mean([columns[2:] >= 0 for columns in assigned])
-        assert estimates["rank1_assigned"].value == pytest.approx(hits)
-        assert estimates["false_link_rate"].value == pytest.approx(false)
-        linked.append(false)
-    assert 0 < np.mean(linked) < 1
+        for least in (rng.permutation([-1.0, 0.5, 1.2]).tolist(), None):  # or nobody is left alone
+            estimates = card(searches, n_clusters=4, no_match_score=least).estimates
+            assigned = [
+                oracles.best_assignment(one.scores, x)[1]
+                for one, x in zip(searches, least or [None] * 3, strict=True)
+            ]
+            hits = np.mean([columns[:2] == [0, 1] for columns in assigned])
+            linked.append(np.mean([columns[2:] >= 0 for columns in assigned]))
+            assert estimates["rank1_assigned"].value == pytest.approx(hits)
+            assert estimates["false_link_rate"].value == pytest.approx(linked[-1])
+            assert estimates["false_link_rate"].n == 2
+    assert np.mean(linked[1::2]) == 1
+    assert 0 < np.mean(linked[::2]) < 1
 
 
 HARMONIC = (1 / np.arange(1, 41)).sum()
