@@ -57,31 +57,24 @@ class Profile:
         floors = tried(self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2))
         pairs = list(product(factors, floors))
 
-        def scores(train: LinkageTrainingSet, few: Few) -> Callable[[int], Floats]:
+        def scores(train: LinkageTrainingSet, few: Few) -> Callable[[tuple[float, float]], Floats]:
             sides = train.probe, train.gallery
-            each = [_scores(*sides, self, factor, floors, few) for factor in factors]
-            return np.concatenate(each).__getitem__
+            each = [_score(*sides, self, factor, floors, few) for factor in factors]
+            return dict(zip(pairs, np.concatenate(each), strict=True)).__getitem__
 
-        (best,) = learn(context, (range(len(pairs)),), most=_TAUGHT_BY, scores=scores)
-        return linker(_score, self, *pairs[best])
+        (best,) = learn(context, (pairs,), most=_TAUGHT_BY, scores=scores)
+        return linker(_score, self, *best)
 
 
 def _score(
-    probe: Release, gallery: Release, attack: Profile, factor: float, floor: float
-) -> Floats:
-    score: Floats = _scores(probe, gallery, attack, factor, (floor,))[0]
-    return score
-
-
-def _scores(
     probe: Release,
     gallery: Release,
     attack: Profile,
     factor: float,
-    floors: Sequence[float],
+    floors: float | Sequence[float],
     few: Few = EVERYBODY,
 ) -> Floats:
-    """Return the score of every pair, (E, P, G), one per floor."""
+    """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
     p, g = motions(probe, gallery, factor, attack.turn_m, few)
     score: Floats = -np.log(aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=attack.reach_s))
     return score

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker, tried
+from attacks.linkage.learning import Few, learn, linker, tried
 from attacks.linkage.signals import aligned_costs, on_grid
 from attacks.parameters import positive
 from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from isac_track.protocols import AttackContext, Linker
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,28 +60,19 @@ class Shape:
     def fit(self, context: AttackContext) -> Linker:
         """Return what scores walks like those in the training set."""
         floors = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1))
-        (best,) = learn(
-            context,
-            (range(len(floors)),),
-            scores=lambda train, _: _scores(train.probe, train.gallery, self, floors).__getitem__,
-        )
-        return linker(_score, self, floors[best])
+
+        def scores(train: LinkageTrainingSet, _: Few) -> Callable[[float], Floats]:
+            found = _score(train.probe, train.gallery, self, floors)
+            return dict(zip(floors, found, strict=True)).__getitem__
+
+        return linker(_score, self, *learn(context, (floors,), scores=scores))
 
 
-def _score(probe: Release, gallery: Release, attack: Shape, floor: float) -> Floats:
-    score: Floats = _scores(probe, gallery, attack, (floor,))[0]
-    return score
-
-
-def _scores(probe: Release, gallery: Release, attack: Shape, floors: Sequence[float]) -> Floats:
-    """Return the score of every pair, (E, P, G), one per floor."""
-    costs = aligned_costs(
-        on_grid(probe),
-        on_grid(gallery),
-        floors=floors,
-        rank=attack.rank,
-        reach_s=attack.reach_s,
-        rotated=True,
-    )
+def _score(
+    probe: Release, gallery: Release, attack: Shape, floors: float | Sequence[float]
+) -> Floats:
+    """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
+    p, g, reach_s = on_grid(probe), on_grid(gallery), attack.reach_s
+    costs = aligned_costs(p, g, floors=floors, rank=attack.rank, reach_s=reach_s, rotated=True)
     score: Floats = -np.log(costs)
     return score
