@@ -40,7 +40,7 @@ from pathlib import Path
 
 import numpy as np
 
-from attacks.linkage.shape import Shape
+from attacks.linkage.alignment import Shape
 from attacks.reconstruction.moving_windows import MovingAverage
 from isac_track.sharing import Fixed
 from isac_track.types import Reconstruction

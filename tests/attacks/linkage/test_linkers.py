@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from helpers.walks import context, hits, moved, odd_release, release_of, two_releases
 
+from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.learning import LEAST_MATES, log_rank
-from attacks.linkage.profile import Profile
-from attacks.linkage.shape import Shape
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Knowledge
 
