@@ -222,7 +222,7 @@ def test_leaving_one_person_out_changes_no_other_window(name):
     ],
 )
 def test_every_setting_and_the_seed_change_what_is_linked(setting, value, name):
-    tracks, stages = crowd(n=200), STAGES.changed({setting: value})
+    tracks, stages = crowd(n=100), STAGES.changed({setting: value})
     first = [
         sessions(name, tracks=tracks, **given).probe.t
         for given in ({}, {"seed": 1}, {"stages": stages})
