@@ -94,10 +94,8 @@ class Draft:
         `rows`, (N,), may hold a track more than once, each time with another of `keys`; `start_s`,
         `end_s`, `person` and `search`, (N,), are those of each window.
         """
-        start_s, end_s = (
-            np.maximum(start_s, self.start_s[rows]),
-            np.minimum(end_s, self.end_s[rows]),
-        )
+        start_s = np.maximum(start_s, self.start_s[rows])
+        end_s = np.minimum(end_s, self.end_s[rows])
         t_parts, xy_parts = [], []
         for row, start, end, key in zip(
             rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True
