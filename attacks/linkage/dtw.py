@@ -33,7 +33,7 @@ class DTW:
     length m of the shorter profile and L, that of 12 s: a monotone function of d between walks of
     one length.
 
-    Other than `attacks.linkage.profile.Profile` it forgives changes of pace and knows no lag
+    Other than `attacks.linkage.alignment.Profile` it forgives changes of pace and knows no lag
     beyond its band.
 
     References

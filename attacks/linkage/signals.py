@@ -147,12 +147,14 @@ def aligned_costs(
     probe: Signals,
     gallery: Signals,
     *,
-    floors: Sequence[float],
+    floors: float | Sequence[float],
     rank: int,
     reach_s: float,
     rotated: bool = False,
 ) -> Floats:
     """Return how badly P signals fit G signals where they fit best, (E, P, G), one per floor.
+
+    With a single number for `floors` it is (P, G).
 
     For every lag the overlap, of m cells, is projected on its first `rank` polynomials; d is the
     mean squared difference of what is left. The cost is the least over all lags of
@@ -162,7 +164,7 @@ def aligned_costs(
     If `rotated`, of x and y, the mean and a rotation (no reflection) of the overlap are left out of
     the difference; `rank` does not count the mean.
     """
-    levels = np.array(floors, dtype=np.float64)
+    levels = np.array(floors, dtype=np.float64).ravel()
     out = np.empty((levels.size, probe.sizes.size, gallery.sizes.size))
     most = int(max(probe.sizes.max(initial=1), gallery.sizes.max(initial=1)))
     basis, begin = polynomials(most, rank, 1 if rotated else 0)
@@ -173,7 +175,7 @@ def aligned_costs(
         lags = (reach, LEAST_OVERLAP, int(rotated))
         loops().least_costs((part, other), (basis, levels, weight), begin, lags, block)
         out[:, rows[:, None], columns[None, :]] = block
-    return out
+    return out if np.ndim(floors) else out[0]
 
 
 @lru_cache(maxsize=64)

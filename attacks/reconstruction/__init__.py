@@ -1,1 +1,1 @@
-"""Adversaries who estimate where people truly were, one file each."""
+"""Adversaries who estimate where people truly were."""

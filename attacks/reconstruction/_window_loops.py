@@ -1,4 +1,4 @@
-"""Compiled loops of what slides a window along a track: `moving_average` and `savgol`."""
+"""Compiled loops of what slides a window along a track: see `moving_windows`."""
 
 from __future__ import annotations
 

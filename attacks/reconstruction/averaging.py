@@ -1,4 +1,4 @@
-"""What repeating a release gives away: the mean over several releases of one walk."""
+"""Adversaries with no model of a walk: what was shared, at its word, or the mean of its repeats."""
 
 from __future__ import annotations
 
@@ -11,6 +11,19 @@ from isac_track.types import Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Return the shared positions; its descriptors are those as shared, to the last bit."""
+
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset()
+
+    def fit(self, context: AttackContext) -> Reconstructor:
+        """Return what hands a release back."""
+        del context
+        return lambda release: Reconstruction(release.xy)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import comb
 
 from attacks.parameters import positive
-from attacks.reconstruction.learning import around, smoother
+from attacks.reconstruction.learning import TOLD, around, smoother
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 if TYPE_CHECKING:
@@ -52,9 +52,7 @@ class GaussianProcess:
     slow: ClassVar[bool] = True
     seconds_per_sample: ClassVar[float] = 3.2e-6
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = frozenset(
-        {Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA}
-    )
+    uses: ClassVar[frozenset[Knowledge]] = TOLD
     DEFAULT: ClassVar[tuple[float, float]] = (12.0, 2.5)
 
     def __post_init__(self) -> None:
@@ -71,14 +69,12 @@ class GaussianProcess:
         """Return the regression of releases like those in the training set."""
         by_filter = partial(smooth, smoothness=self.smoothness)
         by_sklearn = partial(solve_sklearn, smoothness=self.smoothness)
-        default_s, default_m = self.DEFAULT
+        length_s, scale_m = self.length_s, self.scale_m
         return smoother(
             context,
             by_filter if self.engine == "state_space" else by_sklearn,
-            given=None
-            if self.length_s is None or self.scale_m is None
-            else (self.length_s, self.scale_m),
-            candidates=[(default_s, scale_m) for scale_m in around(default_m, factor=2.0)],
+            given=None if length_s is None or scale_m is None else (length_s, scale_m),
+            candidates=[(self.DEFAULT[0], one) for one in around(self.DEFAULT[1], factor=2.0)],
             tried=by_filter,  # the engines agree, and the candidates are many
         )
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor, TrainingSet
 
 _Choice = TypeVar("_Choice")
+TOLD = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA})
+"""What `learn_variance` and `choose` make use of."""
 _POWERS = (-1.0, 0.0, 1.0)
 N_CANDIDATES = len(_POWERS)
 """What a built-in attack tries before it attacks."""

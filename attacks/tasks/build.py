@@ -8,22 +8,21 @@ the noise depends. `attacks.tasks.task_list` says which tasks there are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, roles
-from attacks.tasks.task_list import Task, task_named
+from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, halves, joined, roles
+from attacks.tasks.task_list import TASKS, Task, task_named
 from isac_track.datasets import load, summarise
 from isac_track.errors import DataError, SettingsError
 from isac_track.resample import sampling_times, walk
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.random import Generator
 
@@ -48,18 +47,20 @@ class Draft:
     task: Task
     tracks: Tracks
     """The recording; of a crowd, its first session."""
-    later: Tracks | None
-    """The crowd's second session."""
+    later: Tracks
+    """The crowd's second session; of a recording, itself."""
     settings: StageSettings
     seed: int
-    start_s: Floats = field(init=False)
-    """(N,) first sample of each recorded track."""
-    end_s: Floats = field(init=False)
-    """(N,) last sample."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "start_s", self.tracks.t[self.tracks.offsets[:-1]])
-        object.__setattr__(self, "end_s", self.tracks.t[self.tracks.offsets[1:] - 1])
+    @property
+    def start_s(self) -> Floats:
+        """First sample of each recorded track, (N,)."""
+        return self.tracks.t[self.tracks.offsets[:-1]]
+
+    @property
+    def end_s(self) -> Floats:
+        """Last sample of each recorded track, (N,)."""
+        return self.tracks.t[self.tracks.offsets[1:] - 1]
 
     def rng(self, *names: str | int) -> Generator:
         """Return a stream of the task; where everything but the gap is alike, so are the draws."""
@@ -77,40 +78,24 @@ class Draft:
                 "recording, shorter windows (--set linkage....) or leave the task out (--task)"
             )
 
-    def chosen(self, rows: Ints, what: str) -> Ints:
-        """Return who of these is linked: all, or as many as the settings allow.
-
-        Raises
-        ------
-        DataError
-            If they are too few; `what` says of whom.
-        SettingsError
-            If the settings allow too few.
-        """
-        most = self.settings.linkage.most_people
-        if most < LEAST_PEOPLE:
-            raise SettingsError(f"linkage.most_people must be at least {LEAST_PEOPLE}, got {most}")
-        self.need_people(rows.size, what)
-        return np.sort(self.rng("people").permutation(rows)[:most])
-
     def windows(
         self,
         side: str,
         rows: Ints,
-        *,
         start_s: Floats,
-        length_s: Floats | float,
+        end_s: Floats,
+        *,
         person: Ints,
         search: Ints,
         keys: Sequence[str] | None = None,
     ) -> Windows:
-        """Return stretches of walks, each at sampling instants of its own.
+        """Return stretches of walks, as far as these go, each at sampling instants of its own.
 
         `rows`, (N,), may hold a track more than once, each time with another of `keys`; `start_s`,
-        `person` and `search`, (N,), are those of each window.
+        `end_s`, `person` and `search`, (N,), are those of each window.
         """
-        # A recorded duration carries the rounding of the frame clock, and so may the last window.
-        end_s = np.minimum(start_s + length_s, self.end_s[rows])
+        start_s = np.maximum(start_s, self.start_s[rows])
+        end_s = np.minimum(end_s, self.end_s[rows])
         t_parts, xy_parts = [], []
         for row, start, end, key in zip(
             rows.tolist(), start_s, end_s.tolist(), keys or [""] * rows.size, strict=True
@@ -134,7 +119,7 @@ class Draft:
         learns, calibrates = roles(group, may_teach=may_teach, rng=self.rng("roles"))
         source = tuple(self.tracks.source[row] for row in rows)
         by_itself, moving = np.ones((2, rows.size), dtype=bool)
-        for tracks in (self.tracks, self.later or self.tracks):
+        for tracks in (self.tracks, self.later):
             there = rows_of(tracks, source)
             _, cluster, sizes = np.unique(tracks.group, return_inverse=True, return_counts=True)
             by_itself &= sizes[cluster][there] == 1
@@ -157,6 +142,183 @@ def rows_of(tracks: Tracks, source: Sequence[str]) -> Ints:
     return np.array([row[name] for name in source], dtype=np.int64)
 
 
+# The sessions of each task; it is a DataError if too few tracks are long enough or people there
+
+
+def rerelease(draft: Draft) -> Sessions:
+    """Return two windows of each walk, which may overlap: the same walk is shared twice."""
+    most_s = draft.settings.linkage.rerelease_shift_s
+
+    def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+        reach_s = min(slack_s[0], most_s)
+        base_s = first_s + rng.uniform(0.0, slack_s[0] - reach_s)
+        return np.asarray(base_s + rng.uniform(0.0, reach_s, 2))
+
+    return _closed(draft, draft.settings.linkage.window_s, starts_s)
+
+
+def split(draft: Draft) -> Sessions:
+    """Return two windows of each walk with a gap between them."""
+    length_s, gap_s = draft.settings.linkage.split_window_s, draft.settings.linkage.split_gap_s
+
+    def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+        apart_s = np.array([0.0, length_s + gap_s])
+        return np.asarray(first_s + apart_s + np.sort(rng.uniform(0.0, slack_s)))
+
+    return _closed(draft, length_s, starts_s, needed_s=2.0 * length_s + gap_s)
+
+
+def new_traversal(draft: Draft) -> Sessions:
+    """Return a window of each person's walk in either session of a crowd."""
+
+    def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+        return np.asarray(first_s + rng.uniform(0.0, slack_s))
+
+    return _closed(draft, draft.settings.linkage.window_s, starts_s)
+
+
+def _closed(
+    draft: Draft,
+    length_s: float,
+    starts_s: Callable[[Floats, Floats, Generator], Floats],
+    *,
+    needed_s: float | None = None,
+) -> Sessions:
+    """Return sessions in which everybody is in both: one search for each half of the people.
+
+    `starts_s` draws where both windows of a person begin, from the first samples of the tracks
+    they are cut from and by how much these are longer than needed, (2,) s each.
+    """
+    tracks, later = draft.tracks, replace(draft, tracks=draft.later)
+    needed_s = length_s if needed_s is None else needed_s
+    what = f"of {len(tracks)} tracks last {needed_s:g} s"
+    if draft.task.simulated:
+        what = f"people walk for {needed_s:g} s in both sessions"
+    # Who stays at home on the second day is left out.
+    there = {later.tracks.source[row] for row in later.lasting(needed_s)}
+    long = [row for row in draft.lasting(needed_s).tolist() if tracks.source[row] in there]
+    most = draft.settings.linkage.most_people
+    if most < LEAST_PEOPLE:
+        raise SettingsError(f"linkage.most_people must be at least {LEAST_PEOPLE}, got {most}")
+    draft.need_people(len(long), what)
+    rows = np.sort(draft.rng("people").permutation(long)[:most])
+    source = [tracks.source[row] for row in rows]
+    rows_later = rows_of(later.tracks, source)
+    first_s = np.column_stack([draft.start_s[rows], later.start_s[rows_later]])
+    last_s = np.column_stack([draft.end_s[rows], later.end_s[rows_later]])
+    slack_s = np.maximum(last_s - first_s - needed_s, 0.0)
+    streams = [draft.rng("windows", name) for name in source]
+    starts = np.array(list(map(starts_s, first_s, slack_s, streams)))
+    group = joined(
+        [tracks.group[row] for row in rows], [later.tracks.group[row] for row in rows_later]
+    )
+    fold_of = halves(group, rng=draft.rng("folds"))
+
+    def windows(side: str, day: Draft, track: Ints, start_s: Floats, person: Ints) -> Windows:
+        row, start_s, search = track[person], start_s[person], fold_of[person]
+        cut = day.windows(side, row, start_s, start_s + length_s, person=person, search=search)
+        # Put where somebody, anybody, once was.
+        sizes = np.diff(cut.offsets)
+        middle_m = np.add.reduceat(cut.xy, cut.offsets[:-1]) / sizes[:, None]
+        draws = [draft.rng("place", side, source[one]).random() for one in person]
+        there_m = day.tracks.xy[(np.array(draws) * day.tracks.t.size).astype(np.int64)]
+        return replace(cut, xy=cut.xy + np.repeat(there_m - middle_m, sizes, axis=0))
+
+    # In an order of its own, lest a place in the list tell who is who.
+    order = draft.rng("order").permutation(rows.size)
+    return draft.sessions(
+        rows,
+        group=group,
+        may_teach=np.stack([fold_of == 1, fold_of == 0]),
+        probe=windows("probe", draft, rows, starts[:, 0], np.arange(rows.size)),
+        gallery=windows("gallery", later, rows_later, starts[:, 1], order),
+        mate=np.argsort(order),
+        fold=np.arange(N_FOLDS),
+        searches=("half 1", "half 2"),
+        too_short=len(tracks) - len(long),
+        not_drawn=len(long) - rows.size,
+    )
+
+
+def handover(draft: Draft) -> Sessions:
+    """Return windows before and after each instant at which every pseudonym rotates at once.
+
+    Some people come or go meanwhile. Too few instants are refused, too.
+    """
+    tracks, settings, gap_s = draft.tracks, draft.settings.linkage, draft.task.gap_s
+    least_s, window_s = settings.handover_least_s, settings.handover_window_s
+    # The same instants whatever the gap, so that the gaps can be compared.
+    longest_gap_s = max(task.gap_s for task in TASKS.values())
+    first_s, last_s = float(tracks.t.min()), float(tracks.t.max())
+    count = int((last_s - first_s - longest_gap_s - least_s) / settings.handover_period_s)
+    every_s = settings.handover_period_s * max(1.0, count / settings.handover_instants)
+    at_s = first_s + every_s * np.arange(1.0, min(count, settings.handover_instants) + 1)
+    # Which tracks are there until then, and after the gap, (S, N).
+    ends_s, begins_s = at_s[:, None], at_s[:, None] + gap_s
+    before = (draft.start_s <= ends_s - least_s) & (draft.end_s >= ends_s)
+    after = (draft.start_s <= begins_s) & (draft.end_s >= begins_s + least_s)
+    # Where nobody is to be linked there is nothing to search.
+    used = np.flatnonzero((before & after).any(axis=1))
+    there = (before | after)[used]
+    rows = np.flatnonzero(there.any(axis=0))
+    draft.need_people(rows.size, "people are there when pseudonyms rotate")
+    if used.size < N_FOLDS:
+        raise DataError(
+            f"task {draft.task.name}: pseudonyms rotate {used.size} times with somebody to link, "
+            "but it takes 2; use a longer recording or a shorter linkage.handover_period_s"
+        )
+    labels = [f"{at:g} s" for at in at_s[used]]
+
+    def windows(side: str, present: Bools, since_s: float, until_s: float) -> Windows:
+        """Return those of one side of every rotation, those of each in an order of its own."""
+        # By number among all instants: whatever the gap, the same instant has the same draws.
+        order = [
+            draft.rng("order", side, n).permutation(np.flatnonzero(present[n]))
+            for n in used.tolist()
+        ]
+        row = np.concatenate(order)
+        search = np.repeat(np.arange(used.size), [part.size for part in order])
+        rotates_s = at_s[used][search]
+        return draft.windows(
+            side,
+            row,
+            rotates_s + since_s,
+            rotates_s + until_s,
+            person=np.searchsorted(rows, row),
+            search=search,
+            keys=[labels[n] for n in search],
+        )
+
+    probe = windows("probe", before, -window_s, 0.0)
+    gallery = windows("gallery", after, gap_s, gap_s + window_s)
+    place = np.full((used.size, rows.size), -1)
+    place[gallery.search, gallery.person] = np.arange(len(gallery))
+    fold = (np.arange(used.size) * N_FOLDS) // used.size
+    # Whoever is seen in the other half alone may teach, company included.
+    group = tuple(tracks.group[row] for row in rows)
+    cluster = np.unique(group, return_inverse=True)[1]
+    seen = np.stack([there[fold == half][:, rows].any(axis=0) for half in range(N_FOLDS)])
+    company = np.stack([np.bincount(cluster, one) > 0 for one in seen])[:, cluster]
+    return draft.sessions(
+        rows,
+        group=group,
+        may_teach=seen[::-1] & ~company,
+        probe=probe,
+        gallery=gallery,
+        mate=place[probe.search, probe.person],
+        fold=fold,
+        searches=tuple(labels),
+        too_short=len(tracks) - rows.size,
+        not_drawn=0,
+    )
+
+
+_MAKERS: Final[Mapping[str, Callable[[Draft], Sessions]]] = {
+    make.__name__: make for make in (rerelease, split, new_traversal, handover)
+}
+"""By the family of the task."""
+
+
 def sessions_of(
     task: Task, *, tracks: Tracks, stages: StageSettings, seed: int, later: Tracks | None = None
 ) -> Sessions:
@@ -172,12 +334,10 @@ def sessions_of(
     SettingsError
         If there is no task of this name.
     """
-    make: Callable[[Draft], Sessions] = getattr(
-        import_module("attacks.tasks.makers"), task_named(task.name).family
-    )
+    make = _MAKERS[task_named(task.name).family]
     if task.simulated and later is None:
         tracks, later = _crowd(stages.linkage.trait_strength)
-    found = make(Draft(task=task, tracks=tracks, later=later, settings=stages, seed=seed))
+    found = make(Draft(task=task, tracks=tracks, later=later or tracks, settings=stages, seed=seed))
     mated = found.mate >= 0
     fold, person = found.fold[found.probe.search[mated]], found.probe.person[mated]
     for half in range(N_FOLDS):

@@ -33,7 +33,7 @@ class Task:
 
     @property
     def family(self) -> str:
-        """Name without the gap, and of what makes its sessions, in `attacks.tasks.makers`.
+        """Name without the gap, and of what makes its sessions, in `attacks.tasks.build`.
 
         Tasks that differ in the gap alone share their draws.
         """

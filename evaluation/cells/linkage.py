@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from attacks.linkage.alignment import Shape
 from attacks.linkage.kinematic import Kinematic
-from attacks.linkage.shape import Shape
 from attacks.tasks.controls import CONTROLS
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing

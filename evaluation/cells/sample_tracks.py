@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from attacks.reconstruction.radial_rts import RadialRTS
+from attacks.reconstruction.kalman_rts import RadialRTS
 from evaluation.cells.sharing import copied, guarded, restricted, samples_shared
 from evaluation.experiment.constants import IDENTITY
 from isac_track.privacy import leakage_indicator

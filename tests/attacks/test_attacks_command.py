@@ -35,8 +35,8 @@ def here(tmp_path, monkeypatch):
 
 def test_list_names_rows_and_what_they_do_and_skips_broken_ones(capsys, installed):
     broken = {"lost": "no_such_module:Lost", "many": f"{LINKERS}:NeedsRepeats"}
-    mine = {"mine": f"{MINE}:one_frame_for_all", "linker": f"{LINKERS}:Continues"}
-    installed(fine=f"{MINE}:own_dice", **mine, **broken)
+    mine = f"{MINE}:one_frame_for_all"
+    installed(fine=f"{MINE}:own_dice", mine=mine, linker=f"{LINKERS}:Tiny", **broken)
     assert main(["list"]) == 0
     captured = capsys.readouterr()
     head, *lines = captured.out.splitlines()
@@ -51,7 +51,7 @@ def test_list_names_rows_and_what_they_do_and_skips_broken_ones(capsys, installe
         "gaussian_process +reconstruction +blind, informed, oracle +slow ",
         "(profile|dtw|shape|behaviour|histogram|kinematic) +linkage +blind, informed ",
         "mine +reconstruction +oracle +Averages repeats as if",
-        "linker +linkage +blind +Asks how far",
+        "linker +linkage +blind +Scores have",
         "fine +reconstruction +blind$",  # it has no docstring
     ):
         assert re.search(f"^{row}", captured.out, re.MULTILINE)

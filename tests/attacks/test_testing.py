@@ -8,10 +8,11 @@ from functools import partial
 import numpy as np
 import pytest
 from helpers import broken_attacks, broken_linkers
-from helpers.broken_attacks import SCENE, SIGMA, Jitters, attack
-from helpers.broken_linkers import BASE, Continues, Learns, linker
+from helpers.broken_attacks import MECHANISM, SCENE, SIGMA, TRAIN, Jitters, attack
+from helpers.broken_linkers import BASE, linker
 from helpers.processes import ROOT, run_python
 
+from attacks.linkage.kinematic import Kinematic
 from attacks.testing import (
     CHECKS,
     LINKAGE_CHECKS,
@@ -150,7 +151,7 @@ class TestRows:
         ("made", "check"),
         [
             (attack(lambda track: np.round(track.xy, 1), requires=SCENE), FRAME),
-            (Continues, "frames_and_clocks_do_not_matter"),
+            (Kinematic, "frames_and_clocks_do_not_matter"),
         ],
     )
     def test_scene_exempts_from_another_frame(self, made, check):
@@ -159,11 +160,13 @@ class TestRows:
         assert "granted SCENE in every row" in skipped.message
 
     def test_are_those_of_tasks_that_show_what_it_requires(self):
-        assert adversaries_of(BASE) == adversaries_of(Continues()) == ("blind",)
-        assert adversaries_of(Learns()) == ("blind", "informed", "oracle")
+        learns = linker(lambda _context: None, uses=TRAIN | MECHANISM | SIGMA)()
+        assert adversaries_of(BASE) == ("blind",)
+        assert adversaries_of(Kinematic()) == ("blind", "informed")
+        assert adversaries_of(learns) == ("blind", "informed", "oracle")
         assert adversaries_of(broken_attacks.one_frame_for_all()) == ("oracle",)
-        granted = [row.granted for row in _rows(Learns())]
-        assert granted[1:] == [Learns.uses - SIGMA, Learns.uses]
+        granted = [row.granted for row in _rows(learns)]
+        assert granted[1:] == [TRAIN | MECHANISM, learns.uses]
 
     def test_both_with_the_scene_shown_and_hidden(self):
         both = broken_linkers.ContinuesWhereShown()

@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 from helpers.broken_attacks import TRAIN, locals_called, planting
 
+from attacks.linkage.kinematic import Kinematic
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import Knowledge
 
@@ -53,45 +54,6 @@ def mean_speed(t, xy):
 
 
 @dataclass(frozen=True)
-class Learns(Base):
-    """Learns from other people how much a person's speed varies, and takes all that it may."""
-
-    uses = frozenset({Knowledge.TRAIN, Knowledge.MECHANISM, Knowledge.SIGMA})
-    least_mps: float = 0.01
-
-    def fit(self, context):
-        scale = 0.1
-        if Knowledge.TRAIN in context.granted:
-            train = context.train
-            known = train.mate >= 0
-            mates = self.traits(train.gallery)[train.mate[known]]
-            scale = np.sqrt(np.mean((self.traits(train.probe)[known] - mates) ** 2))
-        if Knowledge.MECHANISM in context.granted:
-            scale = np.hypot(scale, 1e-3 * context.mechanism.d_sigma)
-        scale = max(scale, self.least_mps)
-        return lambda probe, gallery: -((self.link(probe, gallery) / scale) ** 2)
-
-
-class Continues(Base):
-    """Asks how far the gallery begins from where a probe would have got to."""
-
-    requires = frozenset({Knowledge.SCENE})
-
-    def link(self, probe, gallery):
-        first = np.stack([track.xy[0] for track in gallery])
-        scores = []
-        for track in probe:
-            then = track.t[-1] - 1.0 <= track.t
-            velocity = np.zeros(2)
-            if then.sum() > 1:
-                velocity = np.polyfit(track.t[then] - track.t[-1], track.xy[then], 1)[0]
-            ahead_s = np.stack([other.t[0] - track.t[-1] for other in gallery])
-            gap = first - track.xy[then].mean(axis=0) - np.outer(ahead_s + 0.5, velocity)
-            scores.append(-np.hypot(*gap.T))
-        return np.array(scores)
-
-
-@dataclass(frozen=True)
 class Jitters(Base):
     """Draws, from the stream that it was given."""
 
@@ -105,13 +67,13 @@ class Jitters(Base):
         return link
 
 
-class ContinuesWhereShown(Continues):
+class ContinuesWhereShown(Base):
     """Links otherwise where the scene is hidden."""
 
-    requires, uses = frozenset(), frozenset({Knowledge.SCENE})
+    uses = frozenset({Knowledge.SCENE})
 
     def fit(self, context):
-        return (Continues() if Knowledge.SCENE in context.granted else BASE).fit(context)
+        return (Kinematic() if Knowledge.SCENE in context.granted else BASE).fit(context)
 
 
 class Tiny(Base):
@@ -126,7 +88,7 @@ class NeedsRepeats(Base):
 
 
 BASE = Base()
-HONEST = [BASE, Learns(), Continues(), ContinuesWhereShown(), Jitters(), Tiny()]
+HONEST = [BASE, ContinuesWhereShown(), Jitters(), Tiny()]
 linker, fails, BROKEN = planting(
     Base, {"track": "trait", "release": "traits", "probe": "link", "context": "fit"}
 )

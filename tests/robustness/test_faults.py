@@ -40,8 +40,8 @@ from pathlib import Path
 
 import numpy as np
 
-from attacks.linkage.shape import Shape
-from attacks.reconstruction.moving_average import MovingAverage
+from attacks.linkage.alignment import Shape
+from attacks.reconstruction.moving_windows import MovingAverage
 from isac_track.sharing import Fixed
 from isac_track.types import Reconstruction
 from predictors.least_squares import LeastSquares

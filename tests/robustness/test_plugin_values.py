@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from attacks.reconstruction.moving_average import MovingAverage
+from attacks.reconstruction.moving_windows import MovingAverage
 from isac_track.sharing import Fixed
 from isac_track.types import ESTIMATE_LIMIT_M, Prediction, Reconstruction
 from predictors.kalman import KalmanCV

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from helpers.walks import context, hits, moved, odd_release, release_of, two_releases
 
+from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.learning import LEAST_MATES, log_rank
-from attacks.linkage.profile import Profile
-from attacks.linkage.shape import Shape
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Knowledge
 
@@ -62,13 +61,10 @@ def test_a_pair_is_scored_for_itself(attack):
     probe, gallery = odd_release(0), odd_release(1, n=9)
     score = fitted(attack)
     scores = score(probe, gallery)
-    for row in (0, 1, 5, 13):
-        one = score(probe.tracks([row]), gallery)
-        assert np.allclose(one[0], scores[row], rtol=1e-6, atol=1e-6)
-    for column in (0, 2, 8):
-        one = score(probe, gallery.tracks([column]))
-        assert one.shape == (14, 1)
-        assert np.allclose(one[:, 0], scores[:, column], rtol=1e-6, atol=1e-6)
+    for row, column in ((0, 0), (1, 2), (5, 8), (13, 8)):
+        alone = score(probe.tracks([row]), gallery), score(probe, gallery.tracks([column]))
+        for found, whole in zip(alone, (scores[[row]], scores[:, [column]]), strict=True):
+            np.testing.assert_allclose(found, whole, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize(("attack", "sway"), [(Profile(), 0.02), (Shape(), 0.01)])

@@ -1,14 +1,21 @@
-"""Repeating a release: closed forms of the mean over R + 1 of them."""
+"""The control hands back what it was given; closed forms of the mean over R + 1 releases."""
 
 import numpy as np
 import pytest
-from helpers.walks import context, release_of
+from helpers.walks import context, release_of, smooth_walks
 
-from attacks.reconstruction.averaging import Averaging
+from attacks.reconstruction.averaging import Averaging, Identity
 from isac_track.errors import KnowledgeDenied
 from isac_track.types import Knowledge
 
 SCENE, SIGMA, REPEATS = Knowledge.SCENE, Knowledge.SIGMA, Knowledge.REPEATS
+
+
+def test_the_very_positions_come_back():
+    release, _ = smooth_walks(1, 8)
+    found = Identity().fit(context())(release)
+    np.testing.assert_array_equal(found.xy, release.xy)
+    assert found.std is None
 
 
 def one_walk(xy, sigma=None):

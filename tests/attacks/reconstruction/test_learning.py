@@ -5,12 +5,9 @@ import pytest
 from helpers.walks import context, flat_release, smooth_walks
 
 from attacks.reconstruction.gaussian_process import GaussianProcess
-from attacks.reconstruction.imm_rts import ImmRTS
-from attacks.reconstruction.kalman_rts import KalmanRTS
+from attacks.reconstruction.kalman_rts import ImmRTS, KalmanRTS, RadialRTS
 from attacks.reconstruction.learning import around, exposure_loss, smoother
-from attacks.reconstruction.moving_average import MovingAverage
-from attacks.reconstruction.radial_rts import RadialRTS
-from attacks.reconstruction.savgol import Savgol
+from attacks.reconstruction.moving_windows import MovingAverage, Savgol
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.types import Reconstruction

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.cells import EPSILON_M, STAGES, Silent, Spy, World, linked, parsed, plugin, sessions_of
 
-from attacks.reconstruction.identity import Identity
+from attacks.reconstruction.averaging import Identity
 from attacks.tasks.sessions import Windows
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.sharing import restricted, samples_shared, share

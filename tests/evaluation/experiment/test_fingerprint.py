@@ -105,7 +105,7 @@ MADE_OF = {
     (RECONSTRUCTION,): ("evaluation.experiment.constants",),
     (RECONSTRUCTION, "rerelease"): ("isac_track.kalman._linear_loops",),
     ("rerelease",): (
-        *("isac_track.linkability._loops", "attacks.tasks.makers"),
+        *("isac_track.linkability._loops", "attacks.tasks.build"),
         *("evaluation.cells.link_scores", "evaluation.cells.windows"),
     ),
     (): (

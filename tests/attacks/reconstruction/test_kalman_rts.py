@@ -1,11 +1,13 @@
-"""Radial errors are heavy at zero; the re-weighted smoother lives on that, and on nothing else."""
+"""Radial errors are heavy at zero, which one smoother lives on alone; another has two moods."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.walks import context, cv_walks, flat_release
+from helpers.walks import context, cv_walks, flat_release, smooth_walks
 
-from attacks.reconstruction.kalman_rts import KalmanRTS
-from attacks.reconstruction.radial_rts import RadialRTS
+from attacks.reconstruction.kalman_rts import PRIOR_STD, ImmRTS, KalmanRTS, RadialRTS
+from isac_track.kalman import Batch, Moods, imm_smoother
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
 from isac_track.types import Knowledge
@@ -61,3 +63,21 @@ def test_a_single_pass_is_the_linear_smoother():
     theirs = KalmanRTS(q=Q).fit(context())(release)
     np.testing.assert_array_equal(ours.xy, theirs.xy)
     np.testing.assert_array_equal(ours.std, theirs.std)
+
+
+def test_modes_that_are_alike_are_one_model():
+    release, _ = smooth_walks(60, 1, 2, 3, 150)
+    attacks = ImmRTS(q=Q, q_turn=Q), KalmanRTS(q=Q)
+    both, one = (attack.fit(context())(release) for attack in attacks)
+    assert np.allclose(both.xy, one.xy, atol=1e-7)
+    assert np.allclose(both.std, one.std, atol=1e-7)
+
+
+def test_the_two_moods_last_as_long_as_the_attack_says():
+    release, _ = smooth_walks(60)
+    told = replace(release, sigma=np.full(60, 0.5))
+    attack = ImmRTS(q=0.01, q_turn=0.5, walk_s=6.0, turn_s=1.0)
+    found = attack.fit(context(granted={Knowledge.SIGMA}))(told)
+    batch = Batch(release.t, release.xy, np.full(60, 0.125), release.offsets, PRIOR_STD)
+    position, _ = imm_smoother(batch, Moods((0.01, 0.5), (6.0, 1.0)))
+    assert np.array_equal(found.xy, position)

@@ -1,0 +1,144 @@
+"""Who walks like this, moment for moment? The least distance over all alignments in time.
+
+Of two paths, by their shape, or of how fast their walkers went and how they turned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from attacks.linkage.learning import EVERYBODY, Few, learn, linker, tried
+from attacks.linkage.signals import FACTORS, aligned_costs, motions, on_grid
+from attacks.parameters import positive
+from isac_track.types import Floats, Knowledge, Release
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
+
+_RANK = 8
+"""Polynomials of a profile."""
+_TAUGHT_BY = 80
+"""Mated pairs to learn from: three widths of smoothing on all would cost more than the attack."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Least mean squared distance of two paths over shift, rotation and lag; no reflection.
+
+    For every lag, that of the overlapping stretches a and b (complex, less their means) after the
+    rotation that fits best is d = (|a|^2 + |b|^2 - 2 |a b*|) / m with m the cells of the overlap.
+    Before, both are projected on polynomials of degree up to `rank`: below what they hold of a walk
+    of 12 s there is little but noise. The score is -log of the least ``(d + floor) (L / m)^3``
+    over the lags, L the cells of 12 s.
+
+    The logarithm is that of a Gaussian likelihood whose noise is unknown and has been maximised
+    over: tracks of one release differ in noise a hundredfold, and behind a smoother, which leaves
+    correlated errors, no estimate of it from the track itself is left. The floor is the misfit
+    that says no more: without it, pairs that happen to fit would beat longer overlaps. It is what
+    an informed adversary learns.
+
+    References
+    ----------
+    Dryden, Mardia, *Statistical Shape Analysis*, 2016, ch. 4 and 8 (complex arithmetic for
+    rotation without reflection).
+    """
+
+    floor_m2: float | None = None
+    """m^2; None: learnt from the training set, or `DEFAULT_FLOOR_M2` without one."""
+    rank: int = 5
+    """More tell more of a walk that is shared almost as it is, and hold more of the noise."""
+    reach_s: float = 6.0
+    """s, greatest lag."""
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    DEFAULT_FLOOR_M2: ClassVar[float] = 0.01
+
+    def __post_init__(self) -> None:
+        positive(floor_m2=self.floor_m2, reach_s=self.reach_s)
+        if self.rank < 1:
+            raise ValueError(f"rank must be at least 1, got {self.rank}")
+
+    def fit(self, context: AttackContext) -> Linker:
+        """Return what scores walks like those in the training set."""
+        floors = tried(self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1))
+
+        def scores(train: LinkageTrainingSet, _: Few) -> Callable[[float], Floats]:
+            found = _shapes(train.probe, train.gallery, self, floors)
+            return dict(zip(floors, found, strict=True)).__getitem__
+
+        return linker(_shapes, self, *learn(context, (floors,), scores=scores))
+
+
+def _shapes(
+    probe: Release, gallery: Release, attack: Shape, floors: float | Sequence[float]
+) -> Floats:
+    """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
+    p, g, reach_s = on_grid(probe), on_grid(gallery), attack.reach_s
+    costs = aligned_costs(p, g, floors=floors, rank=attack.rank, reach_s=reach_s, rotated=True)
+    score: Floats = -np.log(costs)
+    return score
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Least mean squared distance of two profiles of speed and turning over all lags.
+
+    The profile is the speed in m/s and the signed turning rate in rad/s times `turn_m`, four
+    times a second, both from parabolas over a stretch that grows with the noise of the track
+    (`attacks.linkage.signals.widths_s`): both are then about as wrong as each other. For every
+    lag, d is the mean squared difference over the overlap of m cells, of its first eight
+    polynomials; the score is -log of the least ``(d + floor) (L / m)^3``, L the cells of 12 s.
+    `Shape` says why a logarithm and why a floor.
+    """
+
+    factor: float | None = None
+    """Of the widths; None: learnt from the training set, or 1 without one."""
+    turn_m: float = 1.0
+    floor: float | None = None
+    """None: learnt, or `DEFAULT_FLOOR`."""
+    reach_s: float = 6.0
+    """s, greatest lag."""
+
+    kind: ClassVar[str] = "linkage"
+    requires: ClassVar[frozenset[Knowledge]] = frozenset()
+    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
+    DEFAULT_FLOOR: ClassVar[float] = 0.002
+
+    def __post_init__(self) -> None:
+        positive(factor=self.factor, turn_m=self.turn_m, floor=self.floor, reach_s=self.reach_s)
+
+    def fit(self, context: AttackContext) -> Linker:
+        """Return what scores walks like those in the training set."""
+        factors = tried(self.factor, FACTORS)
+        floors = tried(self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2))
+        pairs = list(product(factors, floors))
+
+        def scores(train: LinkageTrainingSet, few: Few) -> Callable[[tuple[float, float]], Floats]:
+            sides = train.probe, train.gallery
+            each = [_profiles(*sides, self, factor, floors, few) for factor in factors]
+            return dict(zip(pairs, np.concatenate(each), strict=True)).__getitem__
+
+        (best,) = learn(context, (pairs,), most=_TAUGHT_BY, scores=scores)
+        return linker(_profiles, self, *best)
+
+
+def _profiles(
+    probe: Release,
+    gallery: Release,
+    attack: Profile,
+    factor: float,
+    floors: float | Sequence[float],
+    few: Few = EVERYBODY,
+) -> Floats:
+    """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
+    p, g = motions(probe, gallery, factor, attack.turn_m, few)
+    score: Floats = -np.log(aligned_costs(p, g, floors=floors, rank=_RANK, reach_s=attack.reach_s))
+    return score
