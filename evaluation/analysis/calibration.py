@@ -23,7 +23,7 @@ from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
 from evaluation.analysis.paper import PREDICTOR, PUBLISHED
 from evaluation.cells.tables import ROWS
 from evaluation.cells.work import Block, Levels, cells
-from evaluation.experiment.axes import Consumer, n_blocks
+from evaluation.experiment.axes import Consumer
 from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import plugins, privacy, sensing, sharing
 from isac_track.config import SensingSettings, StageSettings
@@ -210,8 +210,7 @@ def _blocks(
 ) -> Iterator[Block]:
     agents = stages.scenes.agents
     order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=seed)
-    for number in range(n_blocks(n_scenes)):
-        first = number * BLOCK_SCENES
+    for number, first in enumerate(range(0, n_scenes, BLOCK_SCENES)):
         yield Block(number, first, order[first : first + BLOCK_SCENES], levels)
 
 

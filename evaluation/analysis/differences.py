@@ -17,7 +17,7 @@ from evaluation.analysis import run_changes
 from evaluation.analysis.families import LEVEL_UNITS, families_in
 from evaluation.analysis.linkability import cards
 from evaluation.analysis.metrics import METRICS
-from evaluation.analysis.run_changes import mechanisms, short_list
+from evaluation.analysis.run_changes import short_list
 from evaluation.analysis.summary import estimates, linkage_estimates
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError
@@ -118,10 +118,10 @@ def compare(
     of_a, of_b = list(found_a), list(found_b)
     if mechanism_a is None or mechanism_b is None:
         pairs = [(key, key) for key in of_a if key in found_b]
+        has_a, has_b = (short_list([*families_in(one["cells"])]) for one in (first, second))
         lacks = (
-            f"{out_a} and {out_b} share no number: A has {short_list(mechanisms(first))}, "
-            f"B has {short_list(mechanisms(second))}; compare runs with a common mechanism, "
-            "level and consumer, or name --mechanism-a and --mechanism-b"
+            f"{out_a} and {out_b} share no number: A has {has_a}, B has {has_b}; compare runs with "
+            "a common mechanism, level and consumer, or name --mechanism-a and --mechanism-b"
         )
     else:
         of_a = _of_mechanism(of_a, mechanism_a, first, "--mechanism-a", out_a)
@@ -188,8 +188,8 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
 
 def counts(rows: pd.DataFrame) -> dict[str, int]:
     """Return how many rows there are of each finding."""
-    found = rows["finding"].value_counts()
-    return {name: int(found.get(name, 0)) for name in (IDENTICAL, DIFFERS, UNDECIDED, UNTESTED)}
+    found = [*rows["finding"]]
+    return {name: found.count(name) for name in (IDENTICAL, DIFFERS, UNDECIDED, UNTESTED)}
 
 
 def _of_mechanism(
@@ -203,7 +203,7 @@ def _of_mechanism(
     }
     mine = [key for key in keys if key.where in wanted]
     if not mine:
-        known = short_list(mechanisms(manifest))
+        known = short_list([*families_in(manifest["cells"])])
         raise SettingsError(
             f"{option} {named}: {out} has no such mechanism; it has {known}, "
             "or a level as in manifest.json, such as fid:1000,adding=independent"

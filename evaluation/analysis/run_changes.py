@@ -119,11 +119,6 @@ def _axes(manifest: Manifest) -> dict[str, list[str]]:
     }
 
 
-def mechanisms(manifest: Manifest) -> list[str]:
-    """Return the names of a run's mechanisms, in its order."""
-    return list(dict.fromkeys(entry["mechanism"] for entry in manifest["cells"]))
-
-
 def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
     """Return the decisions that changed; None unless both runs have a verdict."""
     if not all((out / _VERDICT).is_file() for out in (out_a, out_b)):
@@ -132,13 +127,12 @@ def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
         {item["id"]: item["decision"] for item in verdict_of(out)["items"]}
         for out in (out_a, out_b)
     )
-    only_a, only_b, apart = _beside(a, b), _beside(b, a), _unequal(a, b)
-    changed = [{"id": name, "a": of_a, "b": of_b} for name, (of_a, of_b) in apart.items()]
+    both = [name for name in a if name in b]
     return {
-        "in_both": len(a) - len(only_a),
-        "only_a": only_a,
-        "only_b": only_b,
-        "changed": [one for one in changed if None not in one.values()],
+        "in_both": len(both),
+        "only_a": _beside(a, b),
+        "only_b": _beside(b, a),
+        "changed": [{"id": one, "a": a[one], "b": b[one]} for one in both if a[one] != b[one]],
     }
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from attacks.tasks.build import sessions_of
 from evaluation.experiment import fingerprint
-from evaluation.experiment.axes import Axes, Consumer, axes, n_blocks
+from evaluation.experiment.axes import Axes, Consumer, axes
 from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import datasets
 from isac_track.datasets import Dataset, crowd
@@ -164,7 +164,7 @@ def _units(
 
     units = []
     for mechanisms, consumers, count in (
-        (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
+        (crossed.mechanisms, crossed.consumers, -(-settings.n_scenes // BLOCK_SCENES)),
         *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
     ):
         by_stage: dict[str, dict[str, Consumer]] = {}

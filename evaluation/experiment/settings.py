@@ -51,39 +51,36 @@ class Settings:
         if self.preset not in PRESETS:
             hint = did_you_mean(self.preset, PRESETS, quote="'") or f"; known: {', '.join(PRESETS)}"
             raise SettingsError(f"unknown preset {self.preset!r}{hint}")
-        if self.scenes is not None and not 2 <= self.scenes <= MOST_SCENES:  # noqa: PLR2004 - one of each label
-            raise SettingsError(
-                f"a run needs at least 2 scenes (one of each label) and at most {MOST_SCENES:,}, "
-                f"got {self.scenes}"
-            )
-        if self.seed < 0:
-            raise SettingsError(f"the seed must not be negative, got {self.seed}")
-        if self.jobs is not None and self.jobs < 1:
-            raise SettingsError(f"jobs must be at least 1, got {self.jobs}")
-        if self.cell_timeout_s is not None and not self.cell_timeout_s > 0:
-            raise SettingsError(f"cell_timeout must be positive, got {self.cell_timeout_s:g} s")
-        if self.fps is not None and not self.fps > 0:
-            raise SettingsError(f"fps must be positive, got {self.fps:g}")
-        self._check_executor()
-
-    def _check_executor(self) -> None:
-        if self.executor not in ("local", "dask"):
-            raise SettingsError(f"the executor is local or dask, got {self.executor!r}")
-        if self.executor == "local":
-            if self.scheduler is not None:
-                raise SettingsError("--scheduler ADDRESS goes with --executor dask")
-            return
-        if not self.scheduler:
-            raise SettingsError(
-                "--executor dask needs --scheduler ADDRESS, as tcp://host:8786; "
-                "`dask scheduler` starts one and tells its address"
-            )
-        if self.jobs is not None:
-            raise SettingsError("--jobs is of --executor local: a cluster has the workers it has")
-        if self.cell_timeout_s is not None:
-            raise SettingsError(
-                "--cell-timeout is of --executor local: limits of a cluster are its own"
-            )
+        is_local = self.executor == "local"
+        wrong = {
+            f"a run needs at least 2 scenes (one of each label) and at most {MOST_SCENES:,}, "
+            f"got {self.scenes}": not 2 <= self.n_scenes <= MOST_SCENES,  # noqa: PLR2004 - as it says
+            f"the seed must not be negative, got {self.seed}": self.seed < 0,
+            f"jobs must be at least 1, got {self.jobs}": self.jobs is not None and self.jobs < 1,
+            f"cell_timeout must be positive, got {self.cell_timeout_s or 0:g} s": (
+                self.cell_timeout_s is not None and not self.cell_timeout_s > 0
+            ),
+            f"fps must be positive, got {self.fps or 0:g}": (
+                self.fps is not None and not self.fps > 0
+            ),
+            f"the executor is local or dask, got {self.executor!r}": (
+                self.executor not in ("local", "dask")
+            ),
+            "--scheduler ADDRESS goes with --executor dask": (
+                is_local and self.scheduler is not None
+            ),
+            "--executor dask needs --scheduler ADDRESS, as tcp://host:8786; "
+            "`dask scheduler` starts one and tells its address": not (is_local or self.scheduler),
+            "--jobs is of --executor local: a cluster has the workers it has": (
+                not is_local and self.jobs is not None
+            ),
+            "--cell-timeout is of --executor local: limits of a cluster are its own": (
+                not is_local and self.cell_timeout_s is not None
+            ),
+        }
+        for why, is_wrong in wrong.items():
+            if is_wrong:
+                raise SettingsError(why)
 
     @property
     def n_scenes(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from evaluation.analysis.families import ADDING_RULES, FID
 from evaluation.analysis.keys import AS_SHARED, Measure, Source
-from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED, Comparison
+from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED, Comparison, Sweeps
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, UNDECIDED, Draft, known, with_interval
@@ -20,8 +20,6 @@ from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
-
-    from evaluation.analysis.sweeps import Sweeps
 
 _CRITERIA: Final = {
     MISSED: "equal missed-conflict rate",

@@ -12,7 +12,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, FID
-from evaluation.analysis.matching import MISSED, Comparison
+from evaluation.analysis.matching import MISSED, Comparison, Sweeps
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import rules
 from evaluation.verdict.claim import AFTER, AS_IS, LINKED, claims, inflation
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from evaluation.analysis.keys import Source
-    from evaluation.analysis.sweeps import Sweeps
 
     Items = Sequence[dict[str, Any]]
 

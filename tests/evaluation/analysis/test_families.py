@@ -6,7 +6,7 @@ import pytest
 
 from evaluation import matrix
 from evaluation.analysis.families import FID, Family, families_in
-from evaluation.analysis.sweeps import Sweeps
+from evaluation.analysis.matching import Sweeps
 from isac_track.errors import PluginError
 from isac_track.plugins import parse
 
