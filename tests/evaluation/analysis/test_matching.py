@@ -73,23 +73,16 @@ def test_levels_run_from_the_noisiest():
     assert sweeps.levels("fixed" + RULE) == list(FIXED)[::-1]
     assert sweeps.levels("mine:Ou") == [2.0 - level for level in FIXED][::-1]
     assert sweeps.levels("unknown") == []
-
-
-def test_a_mechanism_is_judged_under_its_own_rule_and_without_one_under_both():
-    sweeps = sweeps_of(run(stranger=0.1))
+    # A mechanism is judged under its own rule, and without one under both.
     assert sweeps.swept("linear") == ["fid", "fixed", "mine:Ou"]
     assert sweeps.swept("independent") == [f"fid{RULE}", f"fixed{RULE}", "mine:Ou"]
 
 
-def test_a_curve_ends_at_raw():
+def test_a_curve_ends_at_raw_and_without_it_or_with_one_level_there_is_none():
     found = run()
     curve = sweeps_of(found).curve("fid", Measure(SHARED, "plr"))
     assert curve.shape == (201, len(FID) + 1)
     assert curve[0, -1] == pytest.approx(found[Key("raw", None, SHARED, "plr")].value)
-
-
-def test_without_raw_or_with_one_level_there_is_none():
-    found = run()
     no_raw = {key: one for key, one in found.items() if key.mechanism != "raw"}
     assert sweeps_of(no_raw).curve("fid", Measure(SHARED, "plr")) is None
     one_level = {key: one for key, one in found.items() if key.level in (None, 1.0)}
