@@ -259,26 +259,17 @@ def compare(
             "defined": defined,
         }
         for names, values in zip(_INTERVALS, (compared, fixed, difference), strict=True):
-            points |= zip(names, _summarised(values, defined), strict=True)
+            ends = np.where(defined >= MIN_DEFINED, percentile_intervals(values[1:].T), np.nan)
+            points |= zip(names, (values[0], *ends), strict=True)
         yield Comparison(
             mechanism=arms[0],
             measure=measure,
             points=points,
-            mean_difference=_mean(difference[:, counts]),
-            mean_fixed=float(_mean(fixed[:1, counts])[0]),
+            # Of each row over what is known; NaN where nothing is.
+            mean_difference=pd.DataFrame(difference[:, counts]).mean(axis=1).to_numpy(np.float64),
+            mean_fixed=float(pd.Series(fixed[0, counts]).mean()),
             n=min(sweeps.n(arm, measure) for arm in arms),
         )
-
-
-def _summarised(values: Floats, defined: Floats) -> Floats:
-    """Return the estimate and the ends of its interval, (3, P), of (1 + B, P) values."""
-    ends = np.where(defined >= MIN_DEFINED, percentile_intervals(values[1:].T), np.nan)
-    return np.concatenate([values[:1], ends])
-
-
-def _mean(values: Floats) -> Floats:
-    """Return the mean of each row over what is known, (R,); NaN where nothing is."""
-    return pd.DataFrame(values).mean(axis=1).to_numpy(np.float64)
 
 
 def monotone(values: Floats, *, increasing: bool) -> Floats:

@@ -99,7 +99,7 @@ def flags(
     levels: dict[Where, dict[Source, Estimate]] = {}
     for key, one in found.items():
         if key.metric == EXPOSURE and key.knowledge:
-            levels.setdefault(key.where, {})[key.source] = one
+            levels.setdefault(key.where, {})[key.measure.source] = one
     left_out: Counter[str] = Counter()
     pairs = [
         *_beaten_pairs(levels, found, slow=slow, once=once or {}, left_out=left_out),
