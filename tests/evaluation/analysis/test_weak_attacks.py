@@ -142,25 +142,21 @@ def leaking(mechanism):
     return run_of(plr, mechanism=mechanism, level=None, shared=1.0, rmse=0.0)
 
 
+FEW = {("savgol", BLIND): estimate(0.7, n=19), ("kalman_rts", BLIND): 0.6}
+SLOW = of("kalman_rts blind .7, slow_one blind .6")
+
+
 @pytest.mark.parametrize(
     ("found", "why"),
     [
-        *(
-            (leaking(mechanism), "all that is shared leaks already")
-            for mechanism in ("clean", "mine")
-        ),
-        (
-            run_of({("savgol", BLIND): estimate(0.7, n=19), ("kalman_rts", BLIND): 0.6}),
-            "fewer than 20 clusters",
-        ),
+        (leaking("clean"), "all that is shared leaks already"),
+        (leaking("mine"), "all that is shared leaks already"),
+        (run_of(FEW), "fewer than 20 clusters"),
         (ends(0.7, 0.8, rmse=(1.0, 1.09)), "the noise hardly rises"),
         (ends(0.7, 0.8, shared=(0.5, 0.5)), "PLR as shared does not fall either"),
-        (
-            run_of({("kalman_rts", BLIND): 0.7, ("slow_one", BLIND): 0.6}),
-            "a slow attack, without the others on the same tracks",
-        ),
+        (run_of(SLOW), "a slow attack, without the others on the same tracks"),
         (ends(0.7, 0.8, mechanism="clean"), None),
-        (run_of({("kalman_rts", BLIND): 0.5}), None),
+        (run_of(of("kalman_rts blind .5")), None),
     ],
 )
 def test_what_is_no_test_is_left_out_and_told(found, why):
@@ -179,9 +175,8 @@ def test_the_noisiest_level_is_that_of_the_largest_error_whatever_its_number():
 
 @pytest.mark.parametrize(("plr", "gaps"), [(0.55, []), (0.65, [0.05])])
 def test_a_slow_attack_is_compared_on_its_own_tracks_only(plr, gaps):
-    found = run_of({("kalman_rts", BLIND): 0.7, ("slow_one", BLIND): 0.6})
-    once = run_of({("kalman_rts", BLIND): plr, ("slow_one", BLIND): 0.6})
-    rows = flags.flags(found, slow={"slow_one"}, once=once)[0]
+    once = run_of(SLOW | {("kalman_rts", BLIND): plr})
+    rows = flags.flags(run_of(SLOW), slow={"slow_one"}, once=once)[0]
     assert rows["difference"].tolist() == pytest.approx(gaps)
 
 
