@@ -13,10 +13,9 @@ from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
-from evaluation.analysis.matching import comparisons, matched
+from evaluation.analysis.matching import Sweeps, comparisons, matched
 from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
-from evaluation.analysis.sweeps import Sweeps
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings
 from evaluation.reporting.rows import Results
@@ -99,7 +98,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     predictors = manifest["settings"]["predictors"]
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     once = flags.on_first_releases(out, manifest)
-    flagged = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
+    flagged, looked = flags.flags(found, slow=flags.slow_attacks(manifest), once=once)
     read = linkability.cards(out, manifest, drawn=ACHIEVED)
     linked = summary.linkage_estimates(read)
     known = families_in(manifest["cells"])
@@ -118,7 +117,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
         matched=at_equal,
         decisions=decided,
         curves=curves,
-        flags=flagged.rows,
+        flags=flagged,
         linkability=linkability.linkability(read, dataset=dataset),
         verdict=said,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
@@ -127,7 +126,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     )
     for of, name in FRAMES.items():
         write_whole(out / name, getattr(results, of).to_csv(index=False).encode())
-    write_whole(out / "flags.json", flags.to_json(flagged))
+    write_whole(out / "flags.json", flags.to_json(flagged, looked))
     write_whole(out / "verdict.json", verdict.to_bytes(said))
     write_tex(results, folder=out / "tables")
     folder.remove_figures(out)  # those of an earlier report tell of other results

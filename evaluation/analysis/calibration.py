@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy.optimize import brentq
 
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
 from evaluation.analysis.paper import PREDICTOR, PUBLISHED
+from evaluation.analysis.summary import ratios
 from evaluation.cells.tables import ROWS
 from evaluation.cells.work import Block, Levels, cells
-from evaluation.experiment.axes import Consumer, n_blocks
+from evaluation.experiment.axes import Consumer
 from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import plugins, privacy, sensing, sharing
 from isac_track.config import SensingSettings, StageSettings
@@ -187,22 +187,18 @@ def _fitted(sensing: SensingSettings, *constants: float) -> SensingSettings:
 def predictions(
     tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
 ) -> dict[tuple[str, str], float]:
-    """Return the run's numbers for the paper's levels, ``{(spec, metric): value}``."""
+    """Return the run's numbers for the paper's levels and metrics, ``{(spec, metric): value}``."""
     (predictor,) = plugins.parse("predictors", PREDICTOR)
     consumers = (Consumer("shared"), Consumer("predictor", predictor))
     levels = tuple((one, consumers) for one in plugins.parse_all("mechanisms", _LEVELS))
-    parts: dict[tuple[str, str], list[Floats]] = {}
+    sums: dict[tuple[str, str], Floats] = {}
     for block in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed, levels=levels):
         for _, level, consumer, tables in cells(block, tracks=tracks, stages=stages, seed=seed):
-            rows = tables[ROWS]
-            if consumer.kind == "shared":
-                found = {name: rows[METRICS[name].column].to_numpy() for name in DESCRIPTORS}
-            else:
-                predicted, conflict = (rows[one].to_numpy() for one in ("predicted", "conflict"))
-                found = {MISSED_RATE: ~predicted[conflict]}
-            for metric, values in found.items():
-                parts.setdefault((level.spec, metric), []).append(values)
-    return {key: float(np.concatenate(values).mean()) for key, values in parts.items()}
+            for metric, ratio in ratios(consumer.kind, tables[ROWS]).items():
+                key = level.spec, metric
+                sums[key] = sums.get(key, 0.0) + np.sum(ratio, axis=1)
+    wanted = {metric for _, _, metric, _ in PUBLISHED}
+    return {key: float(over / under) for key, (over, under) in sums.items() if key[1] in wanted}
 
 
 def _blocks(
@@ -210,8 +206,7 @@ def _blocks(
 ) -> Iterator[Block]:
     agents = stages.scenes.agents
     order = track_order(n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=seed)
-    for number in range(n_blocks(n_scenes)):
-        first = number * BLOCK_SCENES
+    for number, first in enumerate(range(0, n_scenes, BLOCK_SCENES)):
         yield Block(number, first, order[first : first + BLOCK_SCENES], levels)
 
 

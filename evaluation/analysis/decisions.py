@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -128,7 +127,7 @@ def decisions(
     at_reference: dict[Where, tuple[Floats, Floats]] = {}
     at_raw_alarms: dict[Key, Estimate] = {}
     points = [np.zeros(0)]
-    rows: list[tuple[int, dict[str, Any]]] = []
+    rows: list[dict[str, Any]] = []
     # The reference first: the others are compared with its curve.
     order = sorted(enumerate(scored), key=lambda one: one[1][0]["consumer"] != reference)
     for place, (entry, cluster, columns) in order:
@@ -153,24 +152,22 @@ def decisions(
             level = np.nan if where[1] is None else where[1]
             whose = (manifest["dataset"]["name"], where[0], level, consumer, name)
             points.append(drawn.points())
-            row = dict(zip(_ABOUT, whose, strict=True)) | _with_ends("area", "area", drawn.areas())
+            row = dict(zip(_ABOUT, whose, strict=True)) | {"place": place}
+            row |= _with_ends("area", "area", drawn.areas())
             if where in at_reference:
                 false_alarm, reference_missed = at_reference[where]
                 missed = drawn.missed_at(false_alarm)
                 row |= {"reference": reference, "false_alarm_rate": false_alarm[0]}
                 row |= _with_ends("missed_conflict_rate", "missed", missed)
                 row |= _with_ends("difference", "ci", missed - reference_missed)
-            rows.append((place, row))
-    about = pd.DataFrame([row for _, row in rows], columns=list(_ABOUT))
-    curves = about.loc[about.index.repeat(N_POINTS)].assign(
+            rows.append(row)
+    table = pd.DataFrame(rows, columns=[*DECISION_COLUMNS, "place"])
+    curves = table.loc[table.index.repeat(N_POINTS), list(_ABOUT)].assign(
         false_alarm_rate=np.tile(np.linspace(0.0, 1.0, N_POINTS), len(rows)),
         missed_conflict_rate=np.concatenate(points),
     )
-    return (
-        curves,
-        pd.DataFrame([row for _, row in sorted(rows, key=itemgetter(0))], columns=DECISION_COLUMNS),
-        at_raw_alarms,
-    )
+    in_order = table.sort_values("place", kind="stable", ignore_index=True)
+    return curves, in_order[DECISION_COLUMNS], at_raw_alarms
 
 
 def _with_ends(name: str, ends: str, values: Floats) -> dict[str, float]:

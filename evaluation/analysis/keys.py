@@ -85,11 +85,6 @@ class Key(NamedTuple):
         """What is measured there."""
         return Measure(self.consumer, self.metric, self.knowledge)
 
-    @property
-    def source(self) -> Source:
-        """Whose it is."""
-        return Source(self.consumer, self.knowledge)
-
 
 def level_text(level: float | None) -> str:
     """Return a level, short; empty for a mechanism without one."""

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 AUDIT_LEVEL: Final = 0.01
 """Of the shortcut audit, two-sided, over all audits of a cell (Holm): set before any was run."""
-_ABOUT = ("dataset", "mechanism", "level", "consumer", "knowledge")
+_RANK1, _SIZES = ("rank1", "ci_low", "ci_high"), ("gallery_min", "gallery_max", "gallery_mean")
 COLUMNS = [
-    *(*_ABOUT, "cohort", "outcome", "invalid", "p_value", "p_rank1"),
-    *("rank1", "ci_low", "ci_high", "chance", "minimum_detectable_rank1"),
+    *("dataset", "mechanism", "level", "consumer", "knowledge", "cohort"),
+    *("outcome", "invalid", "p_value", "p_rank1", *_RANK1, "chance", "minimum_detectable_rank1"),
     *("n_probes", "n_mated", "n_clusters", "gallery_min", "gallery_mean", "gallery_max"),
     *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins", "inverted"),
 ]
@@ -99,7 +99,7 @@ def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
         else:
             ceiling = ceilings[consumer, entry["knowledge"]]
             found = outcome(p_value=p_value, ceiling_p_value=ceiling)
-        rank1, (low, high, mean) = card.estimates["rank1"], numbers["gallery_sizes"]
+        rank1 = card.estimates["rank1"]
         row = {
             **{name: entry[name] for name in ("mechanism", "consumer", "knowledge")},
             "dataset": dataset_of(consumer, dataset=dataset),
@@ -108,12 +108,9 @@ def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
         }
         everybody = {name: numbers[name] for name in _AS_SCORED} | {
             "outcome": found,
-            **{name: getattr(rank1, name) for name in ("ci_low", "ci_high")},
-            "rank1": rank1.value,
+            **dict(zip(_RANK1, (rank1.value, rank1.ci_low, rank1.ci_high), strict=True)),
             "chance": card.estimates["chance"].value,
-            "gallery_min": low,
-            "gallery_mean": mean,
-            "gallery_max": high,
+            **dict(zip(_SIZES, numbers["gallery_sizes"], strict=True)),
             "inverted": numbers["is_inverted"],
         }
         rows += [

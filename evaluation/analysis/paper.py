@@ -10,15 +10,13 @@ import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
 from evaluation.analysis.keys import Measure
-from evaluation.analysis.matching import MIN_DEFINED, MISSED
+from evaluation.analysis.matching import MIN_DEFINED, MISSED, Sweeps
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import difference
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-    from evaluation.analysis.sweeps import Sweeps
 
 DATASET = "students03"
 """The recording that the paper used."""
@@ -102,7 +100,9 @@ def claims(
     - *history*: 366 points within 4, at 0.083 to 0.084 s; of the paper's recording only.
     """
     # What attacks get is no part of the claims, and may be known of fewer people.
-    plain = (one.n for key, one in sweeps.found.items() if not (key.knowledge or key.source.task))
+    plain = (
+        one.n for key, one in sweeps.found.items() if not key.knowledge and "/" not in key.consumer
+    )
     n_clusters = min(plain, default=0)
     rows: list[tuple[object, ...]] = []
     for adding in ADDING_RULES:
@@ -146,17 +146,11 @@ def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[tuple[object, ...]]:
 def _monotone_in_eta(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
     lowest, highest = 1.0, 1000.0
     for metric, sign in ((MISSED_RATE, -1.0), ("plr", 1.0), ("mel", 1.0)):
-        found = {
-            key.level: one
-            for key, one in sweeps.found.items()
-            if key.mechanism == fid
-            and key.measure == _measure(metric)
-            and key.level is not None
-            and lowest <= key.level <= highest
-        }
+        keys = (_measure(metric).at(fid, level) for level in sweeps.levels(fid))
+        found = {key.level: sweeps.found[key] for key in keys if key in sweeps.found}
+        points = [one for level, one in found.items() if lowest <= (level or 0.0) <= highest]
         if not {lowest, highest} <= found.keys():
             continue
-        points = [found[level] for level in sorted(found)]
         # Turned so that what is claimed is a rise.
         change, *steps = (
             difference(*((b, a) if sign > 0 else (a, b)))

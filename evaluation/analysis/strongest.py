@@ -69,8 +69,8 @@ def by_task(found: Mapping[Key, Estimate], *, metric: str) -> dict[str, Levels]:
     values: dict[str, Levels] = {}
     for key, one in found.items():
         if key.metric == metric:
-            of_task = values.setdefault(key.source.task, {})
-            of_task.setdefault(key.where, {})[key.source] = one.value
+            source = key.measure.source
+            values.setdefault(source.task, {}).setdefault(key.where, {})[source] = one.value
     return values
 
 

@@ -66,7 +66,7 @@ def estimates(
         if entry["kind"] == "predictor":
             columns = {name: table[name].to_numpy() for name in _COLUMNS_OF["predictor"][1:]}
             scored.append((entry, cluster, columns))
-        for metric, ratio in _ratios(entry["kind"], table).items():
+        for metric, ratio in ratios(entry["kind"], table).items():
             found[key_of(entry, metric)] = estimate(
                 metric, *ratio, cluster=cluster, weights=weights
             )
@@ -143,8 +143,8 @@ def to_frame(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
-    """Return numerator and denominator of each metric, (R,), of a cell of this kind.
+def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
+    """Return numerator and denominator of each metric, (R,), of the R rows of a cell of this kind.
 
     Of an attack also the ratio to the linear benchmark: sums over the same tracks.
     """
@@ -158,7 +158,7 @@ def _ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
             "false_alarm_rate": ((~conflict & predicted) * 1.0, ~conflict * 1.0),
             "distance_mae": (np.abs(ours - truth), np.ones_like(ours)),
         }
-    ratios = {}
+    found = {}
     for metric in _POSITIONS:
         if metric.over and metric.over not in table.column_names:
             continue
@@ -166,8 +166,8 @@ def _ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
         over = table[metric.over].to_numpy() if metric.over else np.ones_like(values)
         # A one-sample track that leaks has no exposure length (NaN): it does not count there.
         known = ~np.isnan(over if metric.over else values)
-        ratios[metric.name] = (
+        found[metric.name] = (
             np.where(known & ~np.isnan(values), values, 0.0),
             np.where(known, over, 0.0),
         )
-    return ratios
+    return found

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -73,18 +72,6 @@ _INTERVALS = (
 )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Flags:
-    """What the detector found, and how much it looked at."""
-
-    rows: pd.DataFrame
-    """`COLUMNS`; a row is one flag."""
-    comparisons: dict[str, int]
-    """Kind to the number of intervals looked at."""
-    left_out: dict[str, int]
-    """Why comparisons were left out, and how many."""
-
-
 class _Pair(NamedTuple):
     """Two estimates to compare: an attack's, and what should not be above it."""
 
@@ -100,8 +87,11 @@ class _Pair(NamedTuple):
 
 def flags(
     found: Found, *, slow: AbstractSet[str] = frozenset(), once: Found | None = None
-) -> Flags:
-    """Return the flags of a run.
+) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
+    """Return the flags of a run, a row each (`COLUMNS`), and how much was looked at.
+
+    The latter is `comparisons`, kind to the number of intervals looked at, and `left_out`, why
+    comparisons were left out, and how many.
 
     `slow` are the attacks that saw one release of each source track only; `once` is PLR of all
     attacks on those releases, from `on_first_releases`: without it they are compared with no other.
@@ -109,7 +99,7 @@ def flags(
     levels: dict[Where, dict[Source, Estimate]] = {}
     for key, one in found.items():
         if key.metric == EXPOSURE and key.knowledge:
-            levels.setdefault(key.where, {})[key.source] = one
+            levels.setdefault(key.where, {})[key.measure.source] = one
     left_out: Counter[str] = Counter()
     pairs = [
         *_beaten_pairs(levels, found, slow=slow, once=once or {}, left_out=left_out),
@@ -129,11 +119,9 @@ def flags(
         sentence = f"{attack.label} {said}, {_points(*interval, sign='+')} points"
         rows.append((*about, *interval, compared[kind, attack, by], sentence))
     looked = Counter(pair.kind for pair in enough)
-    return Flags(
-        rows=pd.DataFrame(rows, columns=COLUMNS),
-        comparisons={kind: looked[kind] for kind in (BEATEN, DOES_NOT_FALL)},
-        left_out=dict(left_out),
-    )
+    comparisons = {kind: looked[kind] for kind in _ABOUT}
+    about_it = {"comparisons": comparisons, "left_out": dict(left_out)}
+    return pd.DataFrame(rows, columns=COLUMNS), about_it
 
 
 def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
@@ -166,18 +154,16 @@ def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estim
     return found
 
 
-def to_json(found: Flags) -> bytes:
-    """Return the content of `flags.json`."""
-    level = found.rows["level"].astype(object)
-    rows = found.rows.assign(level=level.where(level.notna(), None))
+def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
+    """Return the content of `flags.json`, from what `flags` returns."""
+    known = rows.astype(object)
     content = {
         "about": "Attacks that may be too weak for their numbers to mean privacy.",
         "kinds": _ABOUT,
         "simpler": {"order": SIMPLER, "others": "held against all of these", **_ALONE},
         "intervals": _INTERVALS,
-        "comparisons": found.comparisons,
-        "left_out": found.left_out,
-        "flags": rows.to_dict("records"),
+        **looked,
+        "flags": known.where(known.notna(), None).to_dict("records"),
     }
     return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
 

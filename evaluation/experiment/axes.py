@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
-from evaluation.experiment.constants import BLOCK_SCENES, SHARED, WINDOWS
+from evaluation.experiment.constants import SHARED, WINDOWS
 from evaluation.experiment.presets import PRESETS
 from isac_track import plugins
 from isac_track.errors import SettingsError
@@ -208,8 +208,3 @@ def _linked(
                 f"task {task.name} has no attack that can run in it; name one with --attack"
             )
     return tuple((task, link) for task in tasks for link in links if task in chosen[link.spec])
-
-
-def n_blocks(n_scenes: int) -> int:
-    """Return how many blocks of scenes a run has."""
-    return -(-n_scenes // BLOCK_SCENES)

@@ -60,13 +60,6 @@ def code_hash() -> str:
     return whole.hexdigest()[:16]
 
 
-def stage_of(consumer: Consumer) -> str:
-    """Return which stage of the work a consumer belongs to."""
-    if consumer.task:
-        return consumer.task
-    return RECONSTRUCTION if consumer.kind == "attack" else SHARING
-
-
 def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
     """Return the modules whose import closures a stage, or some plug-ins, are computed by."""
     own = (one.origin.partition(":")[0] for one in plugins)

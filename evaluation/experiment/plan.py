@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from attacks.tasks.build import sessions_of
 from evaluation.experiment import fingerprint
-from evaluation.experiment.axes import Axes, Consumer, axes, n_blocks
+from evaluation.experiment.axes import Axes, Consumer, axes
 from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import datasets
 from isac_track.datasets import Dataset, crowd
@@ -100,6 +100,8 @@ def plan(settings: Settings) -> Plan:
     crossed = axes(settings)
     dataset = datasets.load(settings.dataset, format=settings.format, fps=settings.fps)
     tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
+    # One task always uses the bundled crowd.
+    bundled = b"".join(crowd.bundled_path(session).read_bytes() for session in crowd.FILES)
     identity = {
         "dataset": dataset.name,
         "sha256": dataset.sha256,
@@ -107,7 +109,7 @@ def plan(settings: Settings) -> Plan:
         "fps": settings.fps,
         "seed": settings.seed,
         "scenes": settings.n_scenes,
-        "crowd": _crowd_hash(),
+        "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
     sessions, skipped = [], {}
@@ -142,14 +144,6 @@ def plan(settings: Settings) -> Plan:
     )
 
 
-def _crowd_hash() -> str:
-    """Return a digest of the bundled crowd, which one task always uses."""
-    whole = hashlib.sha256()
-    for session in crowd.FILES:
-        whole.update(crowd.bundled_path(session).read_bytes())
-    return whole.hexdigest()[:16]
-
-
 def _units(
     crossed: Axes, settings: Settings, *, identity: Mapping[str, Any]
 ) -> tuple[tuple[Unit, ...], dict[str, str]]:
@@ -164,14 +158,17 @@ def _units(
 
     units = []
     for mechanisms, consumers, count in (
-        (crossed.mechanisms, crossed.consumers, n_blocks(settings.n_scenes)),
+        (crossed.mechanisms, crossed.consumers, -(-settings.n_scenes // BLOCK_SCENES)),
         *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
     ):
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:
             own = code("", *consumer.plugins).values()
             key = fingerprint.consumer_key(consumer, code=own, keep_scores=settings.keep_scores)
-            by_stage.setdefault(fingerprint.stage_of(consumer), {})[key] = consumer
+            of_block = (
+                fingerprint.RECONSTRUCTION if consumer.kind == "attack" else fingerprint.SHARING
+            )
+            by_stage.setdefault(consumer.task or of_block, {})[key] = consumer
         for mechanism in mechanisms:
             about = (BLOCK_SCENES, mechanism.spec, mechanism.origin)
             for stage, of_stage in by_stage.items():

@@ -8,18 +8,21 @@ from typing import TYPE_CHECKING, Any
 from evaluation.analysis.calibration import FITTED, Calibration
 from evaluation.analysis.differences import (
     DIFFERS,
+    DRAWS,
     IDENTICAL,
+    NONE,
+    PEOPLE,
     SIGNIFICANCE,
     UNDECIDED,
     UNTESTED,
     Comparison,
     counts,
+    short_list,
 )
 from evaluation.analysis.families import with_unit
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
-from evaluation.analysis.run_changes import DRAWS, NONE, PEOPLE, short_list
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.table import Cell, Column, Table

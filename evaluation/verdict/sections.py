@@ -17,7 +17,7 @@ import numpy as np
 
 from evaluation.analysis.families import ADDING_RULES, FID
 from evaluation.analysis.keys import AS_SHARED, Source
-from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED, Comparison
+from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED, Comparison, Sweeps
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.verdict import rules
 from evaluation.verdict.rules import DOES_NOT, NAME, TRACKS, UNDECIDED, WEAKLY, Draft
@@ -27,8 +27,6 @@ from isac_track.intervals import CONFIDENCE, estimate_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-
-    from evaluation.analysis.sweeps import Sweeps
 
     Items = Sequence[dict[str, Any]]
 

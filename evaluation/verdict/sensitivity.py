@@ -8,7 +8,7 @@ from urllib.parse import quote_plus, unquote_plus
 
 import pandas as pd
 
-from evaluation.analysis.run_changes import verdict_of
+from evaluation.analysis.differences import verdict_of
 from evaluation.experiment.variants import BASE, variants
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError

@@ -14,10 +14,9 @@ import numpy as np
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
 from evaluation.analysis.keys import AS_SHARED, Measure, Source
-from evaluation.analysis.matching import MIN_DEFINED, compare
+from evaluation.analysis.matching import MIN_DEFINED, Sweeps, compare, interpolated, places
 from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
 from evaluation.analysis.strongest import by_task, strongest_of
-from evaluation.analysis.sweeps import Sweeps, interpolated, places
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import Estimate, estimate_of

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from evaluation.analysis.keys import Source
-    from evaluation.analysis.sweeps import Sweeps
+    from evaluation.analysis.matching import Sweeps
     from isac_track.types import Floats, Ints
 
 COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")

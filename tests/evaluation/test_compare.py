@@ -20,10 +20,9 @@ from scipy.stats import t as student
 import evaluation
 from evaluation import compare
 from evaluation.analysis import summary
-from evaluation.analysis.differences import COLUMNS
+from evaluation.analysis.differences import COLUMNS, pairing
 from evaluation.analysis.differences import compare as compared
 from evaluation.analysis.metrics import METRICS
-from evaluation.analysis.run_changes import pairing
 from evaluation.reporting.difference_tables import show
 from evaluation.runs.manifest import read_manifest
 from isac_track.config import StageSettings

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from evaluation.analysis.families import Family
-from evaluation.analysis.sweeps import Sweeps
+from evaluation.analysis.matching import Sweeps
 from isac_track.sharing import perturb
 
 RULE = ":adding=independent"

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from helpers.small_runs import smoke
 from sklearn.metrics import roc_auc_score, roc_curve
 
 import evaluation
 from evaluation.analysis.decisions import N_BINS, curve, decisions
-from evaluation.experiment.settings import Settings
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
 
@@ -69,15 +69,8 @@ def test_one_label_alone_has_no_curve_and_nan_is_refused():
 
 
 def test_a_run_leaves_curves_and_compares_with_the_first_predictor(csv_recording, tmp_path):
-    settings = Settings(
-        preset="smoke",
-        dataset=str(csv_recording),
-        scenes=40,
-        mechanisms=("raw", "fixed:0.7"),
-        predictors=("least_squares", "least_squares:4"),
-        tasks=(),
-        out=tmp_path / "run",
-    )
+    two = ("least_squares", "least_squares:4")
+    settings = smoke(csv_recording, tmp_path / "run", scenes=40, predictors=two)
     results = evaluation.run(settings, pictures=False)
     rows = results.decisions.set_index(["mechanism", "consumer"])
     assert set(results.decisions["reference"]) == {"least_squares"}

@@ -6,7 +6,7 @@ import pytest
 
 from evaluation import matrix
 from evaluation.analysis.families import FID, Family, families_in
-from evaluation.analysis.sweeps import Sweeps
+from evaluation.analysis.matching import Sweeps
 from isac_track.errors import PluginError
 from isac_track.plugins import parse
 
@@ -71,11 +71,8 @@ def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(csv_recording, tm
     summary = pd.read_csv(out / "summary.csv", keep_default_na=False)
     assert list(summary.columns[-2:]) == ["family", "adding"]
     told = summary[["mechanism", "family", "adding"]].drop_duplicates().to_numpy().tolist()
-    assert told == [
-        ["raw", "raw", ""],
-        ["fixed", "fixed", "linear"],
-        ["helpers.mechanisms:Twice", "helpers.mechanisms:Twice", ""],
-    ]
+    twice = "helpers.mechanisms:Twice"
+    assert told == [["raw", "raw", ""], ["fixed", "fixed", "linear"], [twice, twice, ""]]
     matched = pd.read_csv(out / "matched.csv")
     assert set(matched["family"]) == {"helpers.mechanisms:Twice"}
     assert set(matched["adding"]) == {"linear"}  # of the other rule there is no fixed noise

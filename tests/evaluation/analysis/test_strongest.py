@@ -22,42 +22,34 @@ def values(by, *, metric="rank1", levels=LEVELS):
     }
 
 
-def best(found):
-    return strongest(found, families_of(found))
-
-
-def test_it_has_the_highest_mean_over_raw_fixed_and_fid():
-    assert best(values({SHAPE: (0.9, 0.1, 0.1), DTW: 0.4})) == {"rerelease": DTW}
+OTHERS = (("raw", None), ("clean", None), ("mine:Ou", 1.0))
+ALONE = values({SHAPE: (0.5, 0.9, 0.1), DTW: (0.4, 0.1, 0.3)}, levels=OTHERS)
+ORACLE, CONTROL = Source("rerelease/dtw", "oracle"), Source("rerelease/control-times", "")
+SMOOTHER = Source("kalman_rts", "informed")
+AS_THEY_ARE = {Source("shared"): 0.9, Source("identity", "blind"): 0.8}
 
 
 @pytest.mark.parametrize(
-    "other", [Source("rerelease/dtw", "oracle"), Source("rerelease/control-times", "")]
+    ("found", "expected"),
+    [
+        # The highest mean over raw, fixed noise and FID; of equals the first of the run.
+        (values({SHAPE: (0.9, 0.1, 0.1), DTW: 0.4}), {"rerelease": DTW}),
+        (values({DTW: 0.4, SHAPE: 0.4}), {"rerelease": DTW}),
+        # Neither the oracle nor a control is one, nor who takes positions as they are.
+        *((values({SHAPE: 0.1, other: 0.9}), {"rerelease": SHAPE}) for other in (ORACLE, CONTROL)),
+        *((values({other: 0.9}), {}) for other in (ORACLE, CONTROL)),
+        (values(AS_THEY_ARE | {SMOOTHER: 0.3}, metric="plr"), {"": SMOOTHER}),
+        # It ran at all levels that any did.
+        (values({SHAPE: 0.3, DTW: (0.9, np.nan, 0.9)}), {"rerelease": SHAPE}),
+        # Other mechanisms do not move it unless there is nothing else.
+        (ALONE, {"rerelease": DTW}),
+        (ALONE | values({SHAPE: 0.5, DTW: 0.4}), {"rerelease": SHAPE}),
+    ],
 )
-def test_neither_the_oracle_nor_a_control_is_one(other):
-    assert best(values({SHAPE: 0.1, other: 0.9})) == {"rerelease": SHAPE}
-    assert best(values({other: 0.9})) == {}
+def test_which_it_is(found, expected):
+    assert strongest(found, families_of(found)) == expected
 
 
-def test_who_takes_positions_as_they_are_is_no_reconstruction():
-    smoother = Source("kalman_rts", "informed")
-    shared, control = Source("shared"), Source("identity", "blind")
-    found = values({shared: 0.9, control: 0.8, smoother: 0.3}, metric="plr")
-    assert best(found) == {"": smoother}
-
-
-def test_it_ran_at_all_levels_that_any_did_and_its_mean_is_a_number():
-    assert best(values({SHAPE: 0.3, DTW: (0.9, np.nan, 0.9)})) == {"rerelease": SHAPE}
-    rows = [{SHAPE: 0.3, DTW: np.nan}]
-    assert strongest_of(rows) == SHAPE
+def test_its_mean_is_a_number():
+    assert strongest_of([{SHAPE: 0.3, DTW: np.nan}]) == SHAPE
     assert strongest_of([]) is None
-
-
-def test_other_mechanisms_do_not_move_it_unless_there_is_nothing_else():
-    levels = (("raw", None), ("clean", None), ("mine:Ou", 1.0))
-    alone = values({SHAPE: (0.5, 0.9, 0.1), DTW: (0.4, 0.1, 0.3)}, levels=levels)
-    assert best(alone) == {"rerelease": DTW}
-    assert best(alone | values({SHAPE: 0.5, DTW: 0.4})) == {"rerelease": SHAPE}
-
-
-def test_of_equals_the_first_of_the_run_counts():
-    assert best(values({DTW: 0.4, SHAPE: 0.4})) == {"rerelease": DTW}
