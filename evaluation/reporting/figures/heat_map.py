@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 from collections import Counter
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,9 +63,8 @@ def _heat_figure(run: Results, *, task: LinkedTask) -> Figure:
     cells, known = task.cells, run.families
     # Names of what is swept, longest first.
     titles = {
-        mechanism: [scheme.label, scheme.name, known[mechanism].family]
-        for scheme in schemes(run.summary)
-        for mechanism in scheme.mechanisms.values()
+        one.mechanism: [one.label, one.name, known[one.mechanism].family]
+        for one in schemes(run.summary)
     }
     sources = list(dict.fromkeys(source for block in cells.values() for source in block))
     # The adversaries of one attack together, attacks as in the run.
@@ -163,7 +161,7 @@ def _draw_heat(ax: Axes, rows: Sequence[Sequence[Mapping[str, Any] | None]]) -> 
     ax.tick_params(length=0, pad=2)
 
 
-@functools.cache
+@cache
 def _width_in(text: str, *, size: float = 7.0) -> float:
     """Return how wide a text of so many points is set."""
     font = FontProperties(family="DejaVu Sans", size=size)
