@@ -241,10 +241,8 @@ def show(choice: design.Choice, *, console: Console | None = None) -> None:
     """Print the answer in one sentence, the levels behind it, and why."""
     console = terminal.standard_output() if console is None else console
     terminal.show(_printed(choice, width=console.width), console=console, whole=True)
-    command = closer(choice)
-    if command:
-        told = "To look closer where the answer turns:", "bold"
-        terminal.show(["", told], console=console)
+    if command := closer(choice):
+        terminal.show(["", ("To look closer where the answer turns:", "bold")], console=console)
         # As one line, whatever the width: it is there to be copied.
         console.print(Text(terminal.literal(console, command)), soft_wrap=True)
 
@@ -304,7 +302,7 @@ def answer_tables(choice: design.Choice) -> list[Table]:
     for place, task in enumerate(choice.tasks):
         limit = choice.limits.given.get(SUCCESS) if task.limited else None
         above, cell = _limit(SUCCESS, limit), partial(_rank1, place)
-        columns.append(make.metric_column(SUCCESS, cell, name=task.task, above=above))
+        columns.append(Column(task.task, cell, METRICS[SUCCESS].unit, above=above))
         ran = [one for *_, row in rows if row and (one := row.tasks[place]).attack]
         chances = ", ".join(dict.fromkeys(make.amount(SUCCESS, one.chance).text for one in ran))
         where = "" if task.limited else f", {task.dataset}"
@@ -318,11 +316,12 @@ def answer_tables(choice: design.Choice) -> list[Table]:
 def _number(name: str, limits: Mapping[str, float]) -> Column:
     """Return the column of a number of a level, or of what attacks leave there."""
     metric = design.METRIC_OF[name]
+    shown, limit = METRICS[metric], _limit(metric, limits.get(name))
 
     def cell(row: tuple[str, str, str, design.Level | design.Attacked | None]) -> Cell:
         return make.estimated(metric, row[3].numbers[name] if row[3] else design.UNKNOWN)
 
-    return make.metric_column(metric, cell, above=_limit(metric, limits.get(name)))
+    return Column(shown.head, cell, shown.unit, above=limit)
 
 
 def _limit(metric: str, limit: float | None) -> str:

@@ -172,9 +172,7 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
     source = Source(row["consumer"], row["knowledge"]).label
     a, b = (
-        f"{row[f'mechanism_{side}']} {level_text(row[f'level_{side}'])}".rstrip()
-        if _apart(row)
-        else str(row[f"mechanism_{side}"])
+        f"{row[f'mechanism_{side}']} {level_text(row[f'level_{side}']) * _apart(row)}".rstrip()
         for side in "ab"
     )
     if a == b and len(full := f"{source}: {with_unit(a)}") <= room:

@@ -17,7 +17,7 @@ from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command
 from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
 from evaluation.reporting.figures.drawing import figures_of
-from evaluation.reporting.markup import HTML, TEMPLATES
+from evaluation.reporting.markup import HTML
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
 from evaluation.runs.files import write_whole
@@ -99,22 +99,16 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
     return HTML.get_template("report.html.j2").render(
         contents=SECTIONS,
         run=run,
-        manifest=run.manifest,
-        dataset=run.dataset,
-        verdict=run.verdict or {},
         questions=QUESTIONS,
         decision=decision,
         figures=figures,
         tables=page_tables(run),
-        tasks=run.tasks,
         known_tasks=TASKS,
         flag_lines=[one.removeprefix("flag: ").removesuffix(": flags.json") for one in flags],
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
-        css=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
         figure_css=style_css(styles),
         dark_css=DARK_CSS,
-        js=(TEMPLATES / "report.js").read_text(encoding="utf-8"),
     )
 
 

@@ -32,14 +32,11 @@ from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Collection, Mapping, Sequence
 
     import pandas as pd
 
 _WEIGHTS = {MISSED_RATE: 3.0, EXPOSURE: 3.0, "rmse": 2.5, "ael": 2.0, "mel": 2.0}
-SCOPE = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
-"""What the levels are."""
 MARKS = dict(zip(REMARKS, "~?!", strict=True))
 """Of what is to be said of a cell that does not simply link."""
 MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
@@ -52,10 +49,6 @@ _LABEL_WIDTH = 30
 def sweep_tables(summary: pd.DataFrame) -> list[Table]:
     """Return every level: descriptors as shared with the first predictor, then the others'."""
     others = summary[~is_attack(summary)]
-    is_shared = others["consumer"] == SHARED
-    others = others[
-        others["metric"].isin(DESCRIPTORS).where(is_shared, others["metric"].isin(UTILITY))
-    ]
     predictors = list(others.loc[others["consumer"] != SHARED, "consumer"].unique())
     found = []
     for place, predictor in enumerate(predictors or [SHARED]):
@@ -70,7 +63,8 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
         ]
         name, title = (f"sweep-{place}", "") if place else ("sweep", " as shared")
         title += f", predictor {predictor}" if predictor != SHARED else ""
-        notes = [] if place else [f"Levels: {SCOPE}."]
+        units = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
+        notes = [] if place else [f"Levels: {units}."]
         found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
     return [one for one in found if one.rows]
 
@@ -104,7 +98,7 @@ def _by_level(
 def _column(source: Source, metric: str, name: str) -> Column:
     """Return the column of a metric of some positions."""
     weight = _WEIGHTS.get(metric, 1.0)
-    return make.metric_column(metric, partial(_cell, source, metric), name=name, weight=weight)
+    return Column(name, partial(_cell, source, metric), METRICS[metric].unit, weight=weight)
 
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
@@ -127,7 +121,7 @@ def sources_of(rows: pd.DataFrame) -> list[Source]:
     return list(picked.sources_at(first.to_dict("records")))
 
 
-def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset()) -> Table:
+def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Table:
     """Return PLR as shared and after each attack, all levels.
 
     Of each attack the adversary is shown that knows most, short of the oracle. `slow` attacks saw

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -77,9 +77,7 @@ class Results:
     @cached_property
     def tasks(self) -> list[LinkedTask]:
         """The tasks in which somebody links, of the run's data set or of their own."""
-        expected = self.linkability["consumer"].map(
-            lambda name: dataset_of(name, dataset=self.dataset)
-        )
+        expected = self.linkability["consumer"].map(partial(dataset_of, dataset=self.dataset))
         return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
 
     def link_of(self, task: LinkedTask) -> Source:

@@ -14,9 +14,7 @@ from rich.text import Text
 from evaluation.reporting.table import Table, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from collections.abc import Set as AbstractSet
-
+    from collections.abc import Collection, Iterable, Sequence
 
 PIPE_WIDTH = 116
 """Columns where there is no terminal: room for every interval of a sweep."""
@@ -63,7 +61,7 @@ def literal(console: Console, text: str) -> str:
     return printable(text).encode(console.encoding, "replace").decode(console.encoding)
 
 
-def aligned(rows: Sequence[Sequence[str]], *, left: AbstractSet[int] = frozenset()) -> list[str]:
+def aligned(rows: Sequence[Sequence[str]], *, left: Collection[int] = frozenset()) -> list[str]:
     """Return the rows as lines whose columns line up, to the right of them except in `left`."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     places = list(enumerate(widths))
@@ -189,7 +187,7 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
 
 
 def _wrapped(
-    grid: Sequence[Sequence[str]], *, left: AbstractSet[int], width: int
+    grid: Sequence[Sequence[str]], *, left: Collection[int], width: int
 ) -> list[tuple[int, list[str]]]:
     """Return the lines of rows whose widest words are wrapped to fit, each with its row."""
     widths = [max(map(len, column)) for column in zip(*grid, strict=True)]

@@ -257,8 +257,7 @@ def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
 
 def _headline_figure(run: picked.Results) -> Figure | None:
     """Return PLR as shared and after attack, and the strongest link, under one adding rule."""
-    lines = _headline_lines(run)
-    rule, known = _headline_schemes(run)
+    lines, rule, known = _headline(run)
     known = picked.shown_in(known, lines[0].rows)
     if not known:
         return None
@@ -281,15 +280,8 @@ def _headline_figure(run: picked.Results) -> Figure | None:
     return drawing.finish(figure, handles, dataset=run.dataset, what=f"{rule} adding", columns=1)
 
 
-def _headline_schemes(run: picked.Results) -> tuple[str, list[picked.Scheme]]:
-    """Return the adding rule of the headline, and what is swept under it."""
-    known = picked.schemes(run.ours)
-    rule = next(iter(picked.rules_of(known)), "")
-    return rule, [one for one in known if rule in one.rules]
-
-
-def _headline_lines(run: picked.Results) -> list[Line]:
-    """Return the lines of the headline, those as shared first."""
+def _headline(run: picked.Results) -> tuple[list[Line], str, list[picked.Scheme]]:
+    """Return its lines, those as shared first, its adding rule, and what is swept under that."""
     plr = _exposure(run.ours)
     rows = {"PLR as shared: the descriptor": picked.of_source(plr, AS_SHARED)}
     attack = run.strongest.get("")
@@ -301,11 +293,13 @@ def _headline_lines(run: picked.Results) -> list[Line]:
         label = f"found again ({task.name}, rank 1): {drawing.short(source)}"
         rows[label] = picked.rank1_rows(task, source)
     looked = zip(rows.items(), _HEADLINE_LOOKS, strict=False)
-    return [Line(label, look, of) for (label, of), look in looked]
+    lines = [Line(label, look, of) for (label, of), look in looked]
+    known = picked.schemes(run.ours)
+    rule = next(iter(picked.rules_of(known)), "")
+    return lines, rule, [one for one in known if rule in one.rules]
 
 
 def _headline_words(run: picked.Results) -> str:
-    rule, known = _headline_schemes(run)
-    lines = {line.label: line for line in _headline_lines(run)}
-    said = _ends({one.title: one for one in known}, lines)
+    lines, rule, known = _headline(run)
+    said = _ends(picked.by_title(known), {line.label: line for line in lines})
     return f"Lines over the level, {rule} adding. {said}"

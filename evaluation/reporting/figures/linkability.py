@@ -66,15 +66,15 @@ def _linkage_figure(run: picked.Results) -> Figure | None:
     """Return rank 1 over the level, a row for each task; at most five attacks, alike everywhere."""
     looks = dict(zip(_strongest(run.tasks), LOOKS, strict=False))
     known = picked.schemes(run.summary)
-    found = {task.name: _lines(task, looks, known) for task in run.tasks}
-    rows = [(task, lines) for task in run.tasks if (lines := found[task.name])]
+    rows = {task: lines for task in run.tasks if (lines := _lines(task, looks, known))}
+    every = rows.values()
     if not rows:
         return None
-    known = picked.shown_in(known, *(line.rows for _, lines in rows for line in lines.values()))
+    known = picked.shown_in(known, *(line.rows for of in every for line in of.values()))
     figure, panels = drawing.panels(
         len(rows), len(known), height_in=1.05 * len(rows) + 1.3, sharex="col", sharey="row"
     )
-    for (task, lines), in_row in zip(rows, panels, strict=True):
+    for (task, lines), in_row in zip(rows.items(), panels, strict=True):
         is_simulated = task.name in TASKS and TASKS[task.name].simulated
         note = "(simulated)" if is_simulated else _NOTES.get(task.name, "")
         in_row[0].set_ylabel("\n".join(filter(None, [task.name, note, "rank 1 (%)"])))
@@ -95,10 +95,9 @@ def _linkage_figure(run: picked.Results) -> Figure | None:
             # Few, lest those of two panels meet.
             in_column[0].xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 5, 10]))
     # Whose walks they are: a simulated task has people of its own.
-    of = {dataset_of(f"{task.name}/", dataset=run.dataset): task.name for task, _ in rows}
+    of = {dataset_of(f"{task.name}/", dataset=run.dataset): task.name for task in rows}
     name = run.dataset if run.dataset in of else next(iter(of))
     others = ", ".join(f"{task}: {one}" for one, task in of.items() if one != name)
-    every = [lines for _, lines in rows]
     has_raw, has_ceiling = (any(_alone(of, name) for of in every) for name in (RAW, CLEAN))
     has_silent = not all(_points(of, known)["links"].all() for of in every)
     is_banded = all(line.has_band for of in every for line in of.values())
@@ -255,15 +254,14 @@ def _dissociation_figure(run: picked.Results, *, task: LinkedTask) -> Figure | N
 
 def _beside(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
     """Return the descriptors as shared (with `_low` and `_high`) beside `rank1_rows`."""
-    known = families_in(summary)
     points = picked.rank1_rows(task, source)
     for metric in DESCRIPTORS:
         rows = summary[(summary["consumer"] == SHARED) & (summary["metric"] == metric)]
         names = dict(zip(picked.ENDS, (metric, f"{metric}_low", f"{metric}_high"), strict=True))
         rows = rows[["mechanism", "level", *picked.ENDS]].rename(columns=names)
         points = points.merge(rows, on=["mechanism", "level"])
-    of = [picked.family_of(known, name) for name in points["mechanism"]]
-    return points.assign(family=[one.family for one in of], adding=[one.adding for one in of])
+    about = summary[["mechanism", "family", "adding"]].drop_duplicates("mechanism").fillna("")
+    return points.merge(about, on="mechanism")
 
 
 def _descriptor_words(run: picked.Results, *, task: LinkedTask) -> str:

@@ -155,10 +155,9 @@ def _curves_figure(run: picked.Results) -> Figure | None:
                 ax.plot(x, y, linewidth=0.9, **look_of)
             rows = operating[operating["consumer"] == name].drop_duplicates("metric")
             value = PERCENT * rows.set_index("metric")["value"]
-            if {_FALSE_ALARMS, MISSED_RATE} <= set(value.index):
-                mark = {"color": look.colour, "markerfacecolor": "white", "markersize": 4.5}
-                point = [value[_FALSE_ALARMS]], [value[MISSED_RATE]]
-                ax.plot(*point, look.marker, **mark, zorder=3)
+            mark = {"color": look.colour, "markerfacecolor": "white", "markersize": 4.5}
+            at = ([one] for one in value.reindex([_FALSE_ALARMS, MISSED_RATE]))
+            ax.plot(*at, look.marker, **mark, zorder=3)
     for ax in panels.flat[len(wheres) :]:
         ax.set_axis_off()
     for ax in panels[:, 0]:

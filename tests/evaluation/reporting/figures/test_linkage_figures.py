@@ -49,10 +49,6 @@ def curves(ax):
     return [line for line in ax.lines if "None" not in (line.get_marker(), line.get_linestyle())]
 
 
-def across(ax):
-    return [line.get_ydata()[0] for line in ax.lines if tuple(line.get_xdata()) == (0, 1)]
-
-
 class TestLinesOverTheLevel:
     def test_levels_in_any_order_are_drawn_by_rising_level_and_gaps_do_not_stop_it(self):
         frame = make_frame({"rerelease": ATTACKS}, at=LEVELS[::-1])
@@ -99,7 +95,8 @@ class TestLinesOverTheLevel:
     def test_without_raw_and_the_ceiling_there_is_chance(self):
         bare = make_frame()
         bare = drawn_from(bare[bare["level"].notna()])
-        assert across(bare.axes[0]) == pytest.approx([0.72])
+        across = [line for line in bare.axes[0].lines if tuple(line.get_xdata()) == (0, 1)]
+        assert [line.get_ydata()[0] for line in across] == pytest.approx([0.72])
         assert named(bare)[5:] == ["chance", "95 % interval (the 2 strongest)"]
 
     def test_recorded_tasks_are_of_the_data_set_and_the_simulated_one_has_its_own(self):
