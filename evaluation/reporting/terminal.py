@@ -89,7 +89,7 @@ def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
         )
         for n in range(len(order), -1, -1):
             lines = _lines(table, part, intervals=set(order[:n]), width=console.width)
-            if _width(lines) <= console.width:
+            if max(len(line) for line, _ in lines) <= console.width:
                 break
         console.print()
         say(console, table.title + told * (n < len(order)), "bold", wrap=True)
@@ -104,10 +104,6 @@ def _intervals(table: Table, columns: Iterable[int]) -> set[int]:
     return {place for place in columns if any(row[place].low for row in table.rows)}
 
 
-def _width(lines: Lines) -> int:
-    return max(len(line) for line, _ in lines)
-
-
 def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
     """Return the columns in parts that fit, with intervals if `whole`, each beside the keys."""
     shown = [place for place, column in enumerate(table.columns) if not column.is_long]
@@ -117,7 +113,7 @@ def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
         wider = [*parts[-1], place]
         intervals = _intervals(table, wider) if whole else set()
         lines = _lines(table, wider, intervals=intervals, width=width)
-        if len(parts[-1]) > len(keys) and _width(lines) > width:
+        if len(parts[-1]) > len(keys) and max(len(line) for line, _ in lines) > width:
             parts.append([*keys, place])
         else:
             parts[-1] = wider

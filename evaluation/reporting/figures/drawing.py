@@ -54,6 +54,7 @@ Dashes = Literal["", "-", "--", "-.", ":"] | tuple[float, tuple[float, ...]]
 
 SINGLE_COLUMN_IN, DOUBLE_COLUMN_IN = 3.5, 7.16
 """Widths of a figure in an IEEE journal."""
+IMAGE_DPI = 200
 CHARACTERS_PER_IN = 17.5
 """At 7 to 8 points."""
 LOG_RATIO = 5.0
@@ -62,7 +63,6 @@ NAME_LENGTH = 40
 PERCENT = 100.0
 
 _BAND_ALPHA = 0.18
-_IMAGE_DPI = 200
 _HANDLE_CHARACTERS = 10
 _CANVASES: dict[str, tuple[Any, ...]] = {
     "svg": (FigureCanvasSVG, "Date", "Creator"),
@@ -163,11 +163,6 @@ def style() -> Iterator[None]:
         yield
 
 
-def blank(*, height_in: float, width_in: float = DOUBLE_COLUMN_IN) -> Figure:
-    """Return a figure whose panels are placed by hand."""
-    return Figure(figsize=(width_in, height_in), dpi=_IMAGE_DPI)
-
-
 def panels(
     rows: int,
     columns: int,
@@ -186,7 +181,8 @@ def panels(
         width_in = SINGLE_COLUMN_IN if columns == 1 else DOUBLE_COLUMN_IN
         figure = Figure(figsize=(width_in, height_in), layout="constrained")
         return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
-    figure = blank(height_in=height_in, width_in=sharing.pop("width_in", DOUBLE_COLUMN_IN))
+    width_in = sharing.pop("width_in", DOUBLE_COLUMN_IN)
+    figure = Figure(figsize=(width_in, height_in), dpi=IMAGE_DPI)
     size_in, gaps = figure.get_size_inches(), np.array(margins_in[4:])
     left, right, top, bottom = np.array(margins_in[:4]) / size_in[[0, 0, 1, 1]]
     n, share = np.array([columns, rows]), np.array([1.0 - left - right, 1.0 - top - bottom])

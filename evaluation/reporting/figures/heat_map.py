@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath, text_to_path
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.path import Path
 
 # The page turns pure black and white over in the dark; what stands on a colour must stay.
@@ -89,8 +89,9 @@ def _heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         heads[mechanism, level] = " ".join(filter(None, parts))
     head_in = 0.2 + max(0.5, *map(_width_in, heads.values()))
     top_in, block_in = 0.22, _CELL_IN * len(sources)
-    figure = drawing.blank(height_in=top_in + len(blocks) * (head_in + block_in) + 0.42)
-    width_in, height_in = figure.get_size_inches()
+    width_in = drawing.DOUBLE_COLUMN_IN
+    height_in = top_in + len(blocks) * (head_in + block_in) + 0.42
+    figure = Figure(figsize=(width_in, height_in), dpi=drawing.IMAGE_DPI)
     for place, (rule, columns) in enumerate(blocks.items(), start=1):
         bottom = (height_in - top_in - place * (head_in + block_in)) / height_in
         size = cell_in * len(columns) / width_in, block_in / height_in

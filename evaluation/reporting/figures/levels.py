@@ -173,9 +173,8 @@ def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: picked.Scheme) -> 
     """Mark the paper's numbers; raw, which has no level, goes to the edge next to it."""
     for mechanism, level, of, value in PUBLISHED:
         if of == metric and mechanism in ("raw", scheme.name):
-            edge = 1.0 if scheme.log else 0.0
             transform = ax.get_yaxis_transform() if level is None else ax.transData
-            at = [edge if level is None else level], [value * METRICS[metric].scale]
+            at = [float(scheme.log) if level is None else level], [value * METRICS[metric].scale]
             mark: dict[str, Any] = {"marker": look.marker, "markersize": 5, "clip_on": False}
             mark |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 5}
             ax.plot(*at, **mark, transform=transform)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_R
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting.figures import drawing
-from evaluation.reporting.figures.drawing import LOOKS, PERCENT, Dashes, Drawing, Look
+from evaluation.reporting.figures.drawing import LOOKS, PERCENT, Dashes, Drawing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -167,10 +168,7 @@ def _curves_figure(run: picked.Results) -> Figure | None:
         ax.tick_params(labelbottom=True)
     panels[0, 0].set(xlim=(-2.0, 102.0), ylim=(-2.0, 102.0))
     handles = [
-        *(
-            drawing.handle(name, Look(look.colour, look.marker, "-"))
-            for name, look in looks.items()
-        ),
+        *(drawing.handle(name, replace(look, dashes="-")) for name, look in looks.items()),
         drawing.black_handle("by predicted separation", dashes=_DASHES["separation"]),
         drawing.black_handle("by conflict probability", dashes=_DASHES["probability"]),
         drawing.black_handle("as the paper's robot decides", marker="o", hollow=True),
