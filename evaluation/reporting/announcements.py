@@ -125,10 +125,8 @@ def command(manifest: Mapping[str, Any]) -> str:
     else:
         options = same_run(manifest, axes=("mechanism", *CONSUMERS))
     named = {word.partition("=")[0] for word in options}
-    for name, value in (
-        ("--dataset", manifest["dataset"]["name"]),
-        ("--seed", manifest["settings"]["seed"]),
-    ):
+    usual = {"--dataset": manifest["dataset"]["name"], "--seed": manifest["settings"]["seed"]}
+    for name, value in usual.items():
         options += [] if name in named else [name, str(value)]
     return shlex.join(["python", "-m", "evaluation.matrix", *options])
 

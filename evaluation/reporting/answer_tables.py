@@ -86,20 +86,20 @@ def paper_table(run: Results) -> Table:
         make.measured("ours - paper", "bias", sign="+"),
     ]
     notes = [f"The paper used {DATASET}; ours are of {run.dataset}, so they need not agree."]
+    judged = "paper in our interval", "tolerance at 5,000 scenes"
     if run.dataset == DATASET:
         notes = []
-        judged = ("paper in our interval", "tolerance at 5,000 scenes")
         columns += [replace(make.decided(name), align="right") for name in judged]
     frame = run.paper_table
     records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
     for row in records:
         is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(row["ci_low"])
-        row["paper in our interval"] = ("yes" if row["within"] else "no") if is_judged else ""
+        row[judged[0]] = ("yes" if row["within"] else "no") if is_judged else ""
         allowed = tolerance(row["mechanism"], row["metric"], row["paper"])
         # A hair more: the difference of two rounded fractions may miss the limit itself.
         met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
         text = f"{met} ({make.amount(row['metric'], allowed).text})"
-        row["tolerance at 5,000 scenes"] = text if np.isfinite(row["ours"]) else ""
+        row[judged[1]] = text if np.isfinite(row["ours"]) else ""
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
     return make.built("paper", title, records, columns, notes=notes, n_headings=2, n_keys=4)
 
@@ -196,11 +196,8 @@ def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
             records.setdefault(row, start)[head] = make.number(one["effect"]) if is_number else text
             heads[head] = None
         question, about = SECTIONS.get(name, (name, ""))
-        columns = [
-            make.held(first, align="left"),
-            make.held("of", align="left"),
-            *map(make.held, heads),
-        ]
+        columns = [make.held(key, align="left") for key in (first, "of")]
+        columns += map(make.held, heads)
         options = {"notes": [about], "n_keys": 2}
         found.append(make.built(f"short-{name}", question, records.values(), columns, **options))
     return found

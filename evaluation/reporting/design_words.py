@@ -21,18 +21,7 @@ from evaluation.reporting import terminal
 from evaluation.reporting.announcements import same_run
 from evaluation.reporting.result_tables import MARKS, MEANING
 from evaluation.reporting.table import Cell, Column, Table
-from evaluation.verdict.choose_level import (
-    ASKED,
-    METRIC_OF,
-    TARGETS,
-    UNKNOWN,
-    Attacked,
-    Check,
-    Choice,
-    Level,
-    Linked,
-    Scheme,
-)
+from evaluation.verdict import choose_level as design
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
@@ -40,7 +29,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-_Row: TypeAlias = "tuple[str, str, str, Level | None]"
+_Row: TypeAlias = "tuple[str, str, str, design.Level | None]"
 """Adding rule, mechanism, level, and what it comes to."""
 _ANSWERED = ("met", "chosen", "stricter", "also_meets", "is_saturated")
 _CHECKED = ("name", "limit", "measured", "status")
@@ -48,10 +37,10 @@ _UNMET = {"not met": "exceeds the limits of", "cannot say": "cannot be judged by
 _LEVEL_NAMES = {FID: "eta", FIXED: "d_sigma"}
 
 
-def to_json(choice: Choice) -> dict[str, Any]:
+def to_json(choice: design.Choice) -> dict[str, Any]:
     """Return the answer as plain values; what is unknown is None."""
     identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
-    limits: dict[str, Any] = {name: choice.limits.given.get(name) for name in ASKED}
+    limits: dict[str, Any] = {name: choice.limits.given.get(name) for name in design.ASKED}
     schemes = [
         {
             "adding": one.adding,
@@ -102,24 +91,22 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - what JSON has
     return {name: _plain(of) for name, of in value.items()} if isinstance(value, dict) else value
 
 
-def reason(check: Check) -> str:
+def reason(check: design.Check) -> str:
     """Return why a target or limit is not met; empty if it is."""
     if check.status == "met":
         return ""
-    metric = METRIC_OF.get(check.name, SUCCESS)
+    metric = design.METRIC_OF.get(check.name, SUCCESS)
     shown = METRICS[metric]
     what = f"{shown.head} {check.whose}".strip()
     if check.why_unknown:
         return f"{what}: cannot say, {check.why_unknown}"
     text = make.estimated(metric, check.measured)
-    excess = (check.measured.ci_high - check.limit) * shown.scale
-    return (
-        f"{what} {text.text} {shown.unit} {text.interval}: the upper end is "
-        f"{excess:.2g} {'points' if shown.unit == '%' else shown.unit} too high"
-    )
+    excess = f"{(check.measured.ci_high - check.limit) * shown.scale:.2g}"
+    excess += " points" if shown.unit == "%" else f" {shown.unit}"
+    return f"{what} {text.text} {shown.unit} {text.interval}: the upper end is {excess} too high"
 
 
-def reasons(scheme: Scheme) -> list[str]:
+def reasons(scheme: design.Scheme) -> list[str]:
     """Return how the level was chosen, why not a stricter one, and which limits do not hold."""
     extreme, opposite = ("smallest", "largest") if scheme.falls else ("largest", "smallest")
     symbol = _LEVEL_NAMES.get(scheme.family.family, "level")
@@ -141,22 +128,22 @@ def reasons(scheme: Scheme) -> list[str]:
     return [found, *[also] * bool(scheme.also_meets), *_reasons(scheme.checks)]
 
 
-def _reasons(checks: Iterable[Check]) -> list[str]:
+def _reasons(checks: Iterable[design.Check]) -> list[str]:
     return [reason(check) for check in checks if check.status != "met"]
 
 
-def _at(scheme: Scheme, level: Level | None) -> str:
+def _at(scheme: design.Scheme, level: design.Level | None) -> str:
     symbol = _LEVEL_NAMES.get(scheme.family.family, "level")
     return f"{symbol} = {level_text(level.level) or 'none'}" if level else ""
 
 
-def sentence(choice: Choice) -> str:
+def sentence(choice: design.Choice) -> str:
     """Return the plain answer."""
     asked, limits = choice.asked, choice.limits
     if not choice.met:
         # What fails comes first.
         return f"No: {'; '.join(map(_said, sorted(asked, key=lambda scheme: scheme.met)))}."
-    rates = {name: f"{100.0 * limit:.4g} %" for name, limit in limits.of(*TARGETS).items()}
+    rates = {name: f"{100.0 * limit:.4g} %" for name, limit in limits.of(*design.TARGETS).items()}
     target = f"at most {rates['missed']} of the conflicts are missed"
     if "false_alarm" in rates:
         target += f" at no more than {rates['false_alarm']} false alarms"
@@ -165,7 +152,7 @@ def sentence(choice: Choice) -> str:
     return f"Yes: with {' and '.join(map(_name, asked))} {target}{privacy}."
 
 
-def _said(scheme: Scheme) -> str:
+def _said(scheme: design.Scheme) -> str:
     """Return what a scheme comes to where not all schemes meet everything."""
     if scheme.chosen is None:
         name = _LEVEL_NAMES.get(scheme.name, f"level of {scheme.name}")
@@ -175,18 +162,18 @@ def _said(scheme: Scheme) -> str:
     what = []
     for status, text in _UNMET.items():
         names = [check.name for check in scheme.checks if check.status == status]
-        heads = ", ".join(METRICS[METRIC_OF[name]].head for name in names if "/" not in name)
+        heads = ", ".join(METRICS[design.METRIC_OF[name]].head for name in names if "/" not in name)
         tasks = ", ".join(name.partition("/")[2] for name in names if "/" in name)
         listed = " and ".join(filter(None, [heads, tasks and f"rank 1 in {tasks}"]))
         what += [f"{text} {listed}"] if names else []
     return f"{_name(scheme)} meets the targets but {' and '.join(what)}"
 
 
-def _name(scheme: Scheme) -> str:
+def _name(scheme: design.Scheme) -> str:
     return f"{scheme.name} {_at(scheme, scheme.chosen)} ({scheme.adding})"
 
 
-def notes(choice: Choice) -> list[str]:
+def notes(choice: design.Choice) -> list[str]:
     """Return what else is to be known of the run and of the question."""
     dataset, schemes = choice.manifest["dataset"], choice.schemes
     has_fixed = {scheme.adding for scheme in schemes if scheme.name == FIXED}
@@ -209,7 +196,7 @@ def notes(choice: Choice) -> list[str]:
     return [text for text, is_so in found.items() if is_so]
 
 
-def closer(choice: Choice) -> str | None:
+def closer(choice: design.Choice) -> str | None:
     """Return the command that adds levels where the answer turns; None if none would help.
 
     A run of another version of the code is left alone; its new folder needs what the levels are
@@ -233,7 +220,7 @@ def closer(choice: Choice) -> str | None:
     return shlex.join([*words, "--out", str(folder)])
 
 
-def _ends(scheme: Scheme, *, hopeless: bool) -> str:
+def _ends(scheme: design.Scheme, *, hopeless: bool) -> str:
     """Return where to look closer, as LOW..HIGH/COUNT; empty: nowhere."""
     chosen = scheme.chosen.level if scheme.chosen else None
     stricter = scheme.stricter.level if scheme.stricter else None
@@ -250,19 +237,17 @@ def _ends(scheme: Scheme, *, hopeless: bool) -> str:
     return f"{low:.12g}..{high:.12g}/10"
 
 
-def show(choice: Choice, *, console: Console | None = None) -> None:
+def show(choice: design.Choice, *, console: Console | None = None) -> None:
     """Print the answer in one sentence, the levels behind it, and why."""
     console = terminal.standard_output() if console is None else console
     terminal.show(_printed(choice, width=console.width), console=console, whole=True)
-    command = closer(choice)
-    if command:
-        told = "To look closer where the answer turns:", "bold"
-        terminal.show(["", told], console=console)
+    if command := closer(choice):
+        terminal.show(["", ("To look closer where the answer turns:", "bold")], console=console)
         # As one line, whatever the width: it is there to be copied.
         console.print(Text(terminal.literal(console, command)), soft_wrap=True)
 
 
-def _printed(choice: Choice, *, width: int) -> Iterator[terminal.Part]:
+def _printed(choice: design.Choice, *, width: int) -> Iterator[terminal.Part]:
     identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
     about = (
         f"{dataset['name']}: {identity['scenes']} scenes, seed {identity['seed']}; predictor "
@@ -293,7 +278,7 @@ def _printed(choice: Choice, *, width: int) -> Iterator[terminal.Part]:
             yield line, style
 
 
-def answer_tables(choice: Choice) -> list[Table]:
+def answer_tables(choice: design.Choice) -> list[Table]:
     """Return the chosen levels beside raw: as shared, after a reconstruction, and linked."""
     rows: list[_Row] = [("", "raw", "", choice.raw)] if choice.raw else []
     for scheme in choice.schemes:
@@ -302,10 +287,10 @@ def answer_tables(choice: Choice) -> list[Table]:
     keys = [make.said("adding", itemgetter(0)), make.said("", itemgetter(1))]
     keys.append(Column("level", lambda row: make.word(row[2])))
     options: dict[str, Any] = {"marks": MEANING, "n_headings": 1, "n_keys": 3}
-    limits = choice.limits.of(*METRIC_OF)
+    limits = choice.limits.of(*design.METRIC_OF)
     after = choice.limits.of(*DESCRIPTORS) if choice.limits.after_attack else {}
     shared = {name: limit for name, limit in limits.items() if name not in after}
-    columns = [*keys, *(_number(name, shared) for name in METRIC_OF)]
+    columns = [*keys, *(_number(name, shared) for name in design.METRIC_OF)]
     found = [make.built("shared", "Utility, and privacy as shared", rows, columns, **options)]
     attacked = [level.after_attack if level else None for *_, level in rows]
     if any(attacked):
@@ -317,7 +302,7 @@ def answer_tables(choice: Choice) -> list[Table]:
     for place, task in enumerate(choice.tasks):
         limit = choice.limits.given.get(SUCCESS) if task.limited else None
         above, cell = _limit(SUCCESS, limit), partial(_rank1, place)
-        columns.append(make.metric_column(SUCCESS, cell, name=task.task, above=above))
+        columns.append(Column(task.task, cell, METRICS[SUCCESS].unit, above=above))
         ran = [one for *_, row in rows if row and (one := row.tasks[place]).attack]
         chances = ", ".join(dict.fromkeys(make.amount(SUCCESS, one.chance).text for one in ran))
         where = "" if task.limited else f", {task.dataset}"
@@ -330,12 +315,13 @@ def answer_tables(choice: Choice) -> list[Table]:
 
 def _number(name: str, limits: Mapping[str, float]) -> Column:
     """Return the column of a number of a level, or of what attacks leave there."""
-    metric = METRIC_OF[name]
+    metric = design.METRIC_OF[name]
+    shown, limit = METRICS[metric], _limit(metric, limits.get(name))
 
-    def cell(row: tuple[str, str, str, Level | Attacked | None]) -> Cell:
-        return make.estimated(metric, row[3].numbers[name] if row[3] else UNKNOWN)
+    def cell(row: tuple[str, str, str, design.Level | design.Attacked | None]) -> Cell:
+        return make.estimated(metric, row[3].numbers[name] if row[3] else design.UNKNOWN)
 
-    return make.metric_column(metric, cell, above=_limit(metric, limits.get(name)))
+    return Column(shown.head, cell, shown.unit, above=limit)
 
 
 def _limit(metric: str, limit: float | None) -> str:
@@ -350,7 +336,7 @@ def _rank1(place: int, row: _Row) -> Cell:
     return make.estimated(SUCCESS, one.rank1, mark="".join(marks))
 
 
-def _attacks(found: Iterable[Attacked | Linked | None]) -> str:
+def _attacks(found: Iterable[design.Attacked | design.Linked | None]) -> str:
     """Return the attacks of some levels, each once."""
     labels = [Source(one.attack, one.knowledge).label for one in found if one]
     return ", ".join(dict.fromkeys(labels))

@@ -5,20 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from evaluation.analysis import differences as comparing
 from evaluation.analysis.calibration import FITTED, Calibration
-from evaluation.analysis.differences import (
-    DIFFERS,
-    DRAWS,
-    IDENTICAL,
-    NONE,
-    PEOPLE,
-    SIGNIFICANCE,
-    UNDECIDED,
-    UNTESTED,
-    Comparison,
-    counts,
-    short_list,
-)
 from evaluation.analysis.families import with_unit
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
@@ -43,14 +31,13 @@ _ROOM = 24
 _SURE = 0.001
 """Smaller p-values are not written out."""
 _PAIRED = {
-    DRAWS: "paired over people and draws",
-    PEOPLE: "paired over people, not over draws (scenes and errors are others)",
-    NONE: "not paired: intervals as of independent estimates",
+    comparing.DRAWS: "paired over people and draws",
+    comparing.PEOPLE: "paired over people, not over draws (scenes and errors are others)",
+    comparing.NONE: "not paired: intervals as of independent estimates",
 }
-_MARKS = {PEOPLE: "~", NONE: "*"}
+_FINDINGS = comparing.DIFFERS, comparing.UNDECIDED, comparing.IDENTICAL, comparing.UNTESTED
+_MARKS = {comparing.PEOPLE: "~", comparing.NONE: "*"}
 """Of a difference that is not paired in full."""
-
-
 _ABOUT_ITEMS = (
     "(Signs of decisions: base against the run's own verdict, all others against base. lost: "
     "decided before, undecided now; gained: the reverse; missing: not tested there.)"
@@ -61,7 +48,7 @@ _ABOUT_CONSTANTS = (
 )
 
 
-def to_json(comparison: Comparison, *, every: bool = False) -> dict[str, Any]:
+def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[str, Any]:
     """Return a comparison as one object of plain values; what is unknown is None.
 
     `every` adds the numbers that are not in the headline.
@@ -80,8 +67,8 @@ def to_json(comparison: Comparison, *, every: bool = False) -> dict[str, Any]:
             "in_both": len(comparison.rows),
             "only_a": comparison.only_numbers[0],
             "only_b": comparison.only_numbers[1],
-            "headline": counts(comparison.headline),
-            "other": counts(comparison.rows[~comparison.rows["headline"]]),
+            "headline": comparing.counts(comparison.headline),
+            "other": comparing.counts(comparison.rows[~comparison.rows["headline"]]),
             "pairing": comparison.rows["pairing"].value_counts().to_dict(),
         },
         "verdicts": comparison.verdicts,
@@ -89,7 +76,9 @@ def to_json(comparison: Comparison, *, every: bool = False) -> dict[str, Any]:
     }
 
 
-def show(comparison: Comparison, *, every: bool = False, console: Console | None = None) -> None:
+def show(
+    comparison: comparing.Comparison, *, every: bool = False, console: Console | None = None
+) -> None:
     """Print what changed, how much of it counts, and the surest differences.
 
     `every` shows all numbers that are not identical instead of the surest of the headline.
@@ -98,7 +87,7 @@ def show(comparison: Comparison, *, every: bool = False, console: Console | None
     terminal.show(_printed(comparison, every=every, room=console.width), console=console)
 
 
-def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part]:
+def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Iterator[Part]:
     for name, about in (("A", comparison.a), ("B", comparison.b)):
         mechanism = f", mechanism {about['mechanism']}" if "mechanism" in about else ""
         text = f"{about['out']} ({about['dataset']}, {about['people']} clusters of people"
@@ -106,13 +95,7 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
         yield f"{name}: {text}", "bold"
     yield ""
     changed = [
-        [
-            f"{kind}:",
-            name,
-            " -> ".join(
-                "-" if one is None else make.shortened(str(one), room=_ROOM) for one in pair
-            ),
-        ]
+        [f"{kind}:", name, " -> ".join(map(_value, pair))]
         for kind, values in comparison.changed.items()
         for name, pair in values.items()
     ]
@@ -122,24 +105,22 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
     for axis, sides in comparison.only.items():
         for side, names in zip("AB", sides, strict=True):
             if names:
-                yield f"{axis} only in {side}: {short_list(names)}"
+                yield f"{axis} only in {side}: {comparing.short_list(names)}"
     rows, headline, only = comparison.rows, comparison.headline, comparison.only_numbers
-    text = f"{counts(rows)[IDENTICAL]} of {len(rows)} numbers are identical"
+    text = f"{comparing.counts(rows)[comparing.IDENTICAL]} of {len(rows)} numbers are identical"
     yield ""
     yield f"{text} ({only[0]} more are only in A, {only[1]} only in B)", "bold"
     for name, of in (("headline", headline), ("others", rows[~rows["headline"]])):
-        found = counts(of)
+        differ, undecided, identical, untested = map(comparing.counts(of).get, _FINDINGS)
         if len(of):
-            untested = f", {found[UNTESTED]} without an interval" * bool(found[UNTESTED])
-            yield (
-                f"{name}: {found[DIFFERS]} of {len(of)} differ (p <= {SIGNIFICANCE:g} after "
-                f"Holm), {found[UNDECIDED]} undecided, {found[IDENTICAL]} identical{untested}"
-            )
+            told = f"{differ} of {len(of)} differ (p <= {comparing.SIGNIFICANCE:g} after Holm)"
+            alone = f", {untested} without an interval" * bool(untested)
+            yield f"{name}: {told}, {undecided} undecided, {identical} identical{alone}"
     kinds = rows["pairing"].value_counts()
     text = "; ".join(f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds)
     yield f"({text})"
     rows = rows if every else headline
-    other = rows[rows["finding"] != IDENTICAL]
+    other = rows[rows["finding"] != comparing.IDENTICAL]
     shown = other if every else other.head(_MOST_SHOWN)
     yield differences(shown, of=len(other), room=room)
     if len(shown) < len(other):
@@ -147,10 +128,14 @@ def _printed(comparison: Comparison, *, every: bool, room: int) -> Iterator[Part
     verdicts = comparison.verdicts
     if verdicts is not None and any(verdicts.values()):
         text = f"Verdict: {len(verdicts['changed'])} of {verdicts['in_both']} decisions changed"
-        alone = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
-        yield from ("", (f"{text} ({', '.join(alone)})", "bold"))
+        either = [f"{len(verdicts[f'only_{side}'])} only in {side.upper()}" for side in "ab"]
+        yield from ("", (f"{text} ({', '.join(either)})", "bold"))
         for item in verdicts["changed"]:
             yield f"{item['id']}: {item['a']} -> {item['b']}"
+
+
+def _value(setting: object) -> str:
+    return "-" if setting is None else make.shortened(str(setting), room=_ROOM)
 
 
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
@@ -186,9 +171,7 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
     source = Source(row["consumer"], row["knowledge"]).label
     a, b = (
-        f"{row[f'mechanism_{side}']} {level_text(row[f'level_{side}'])}".rstrip()
-        if _apart(row)
-        else str(row[f"mechanism_{side}"])
+        f"{row[f'mechanism_{side}']} {level_text(row[f'level_{side}']) * _apart(row)}".rstrip()
         for side in "ab"
     )
     if a == b and len(full := f"{source}: {with_unit(a)}") <= room:
@@ -235,16 +218,15 @@ def variants_json(
 
 def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
     """Print the table, and what changed sign, in words."""
-    records = [
-        {"variant": make.word(variant)}
-        | {
-            section: make.word(", ".join(f"{n} {change}" for change, n in found.items()))
-            for section, found in of.items()
-        }
-        for variant, of in sensitivity.counts(rows).items()
-    ]
     shown = [section for section in SECTIONS if section in set(rows["section"])]
-    columns = [make.held(name, align="left") for name in ("variant", *shown)]
+    records = []
+    for variant, of in sensitivity.counts(rows).items():
+        changes = {name: of.get(name, {}).items() for name in shown}
+        said = {
+            name: ", ".join(f"{n} {one}" for one, n in found) for name, found in changes.items()
+        }
+        records.append({"variant": variant} | said)
+    columns = [make.said(name) for name in ("variant", *shown)]
     lines = turned(rows)
     terminal.show(
         [
@@ -272,8 +254,7 @@ def show_constants(found: Mapping[str, Calibration]) -> None:
         numbers = {"paper": published} | {
             case: ours[spec, metric] for case, (_, ours) in found.items()
         }
-        shown = METRICS[metric]
-        digits = 1 if shown.is_share else 2
+        shown, digits = METRICS[metric], 1 if METRICS[metric].is_share else 2
         cells = {
             case: make.number(one, scale=shown.scale, digits=digits)
             for case, one in numbers.items()

@@ -17,7 +17,7 @@ from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command
 from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
 from evaluation.reporting.figures.drawing import figures_of
-from evaluation.reporting.markup import HTML, TEMPLATES
+from evaluation.reporting.markup import HTML
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
 from evaluation.runs.files import write_whole
@@ -60,8 +60,7 @@ DARK = {
 }
 """Colours of the figures that change in the dark: the others can be read on either ground."""
 DARK_CSS: Final = "".join(f"--f-{old[1:]}:{new};" for old, new in DARK.items())
-_HEAD = re.compile(r"^.*?<svg\b([^>]*)>", re.DOTALL)
-_VIEW_BOX = re.compile(r'viewBox="([\d. +-]+)"')
+_HEAD = re.compile(r'^.*?<svg\b[^>]*viewBox="([\d. +-]+)"[^>]*>', re.DOTALL)
 _DROPPED = re.compile(
     r"<metadata>.*?</metadata>|<!--.*?-->|<defs>\s*<style.*?</style>\s*</defs>|<title>.*?</title>",
     re.DOTALL,
@@ -70,8 +69,7 @@ _REFERENCE = re.compile(r'(?:xlink:)?href="#([^"]+)"|url\(#([^)]+)\)')
 _ID = re.compile(r'\sid="([^"]+)"')
 _STYLE = re.compile(r'\sstyle="([^"]*)"')
 _PATH = re.compile(r'\sd="([^"]*)"')
-_PLACE = re.compile(r'\s(x|y)="(-?\d+\.\d+)"')
-_MOVE = re.compile(r"translate\([^)]*\)")
+_PLACE = re.compile(r'\s[xy]="-?\d+\.\d+"|translate\([^)]*\)')
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _EMPTY = re.compile(r"<g(?:\s[^<>]*)?/>|<g(?:\s[^<>]*)?>\s*</g>")
 _DIGITS = 2
@@ -101,22 +99,16 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
     return HTML.get_template("report.html.j2").render(
         contents=SECTIONS,
         run=run,
-        manifest=run.manifest,
-        dataset=run.dataset,
-        verdict=run.verdict or {},
         questions=QUESTIONS,
         decision=decision,
         figures=figures,
         tables=page_tables(run),
-        tasks=run.tasks,
         known_tasks=TASKS,
         flag_lines=[one.removeprefix("flag: ").removesuffix(": flags.json") for one in flags],
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
-        css=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
         figure_css=style_css(styles),
         dark_css=DARK_CSS,
-        js=(TEMPLATES / "report.js").read_text(encoding="utf-8"),
     )
 
 
@@ -135,8 +127,7 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
     """
     text = svg.decode()
     head = _HEAD.match(text)
-    box = _VIEW_BOX.search(head.group(1)) if head else None
-    if head is None or box is None:
+    if head is None:
         raise DataError(f"figure {name} is no SVG with a view box; draw it again")
     body = _DROPPED.sub("", text[head.end() : text.rindex("</svg>")])
     referred = {one or other for one, other in _REFERENCE.findall(body)}
@@ -156,16 +147,13 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
         return f' class="{name}"'
 
     body = _ID.sub(lambda one: f' id="{short[one[1]]}"' if one[1] in short else "", body)
-    body = _REFERENCE.sub(reference, body)
-    body = _PATH.sub(path, body)
-    for kind in (_PLACE, _MOVE):
-        body = kind.sub(lambda one: _rounded(one[0]), body)
-    body = _STYLE.sub(style, body)
+    body = _PATH.sub(path, _REFERENCE.sub(reference, body))
+    body = _STYLE.sub(style, _PLACE.sub(lambda one: _rounded(one[0]), body))
     body = re.sub(r">\s+<", "><", body)
     before = ""
     while before != body:  # a group of empty groups is empty
         before, body = body, _EMPTY.sub("", body)
-    return body.strip(), box.group(1)
+    return body.strip(), head[1]
 
 
 def _rounded(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from functools import partial
 from operator import itemgetter
@@ -25,28 +26,17 @@ from evaluation.analysis.metrics import (
 from evaluation.analysis.strongest import most_knowing
 from evaluation.cells.link_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
 from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import (
-    Results,
-    by_level,
-    family_of,
-    mechanism_columns,
-    of_source,
-    sources_at,
-    telling,
-)
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Collection, Mapping, Sequence
 
     import pandas as pd
 
 _WEIGHTS = {MISSED_RATE: 3.0, EXPOSURE: 3.0, "rmse": 2.5, "ael": 2.0, "mel": 2.0}
-SCOPE = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
-"""What the levels are."""
 MARKS = dict(zip(REMARKS, "~?!", strict=True))
 """Of what is to be said of a cell that does not simply link."""
 MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
@@ -59,10 +49,6 @@ _LABEL_WIDTH = 30
 def sweep_tables(summary: pd.DataFrame) -> list[Table]:
     """Return every level: descriptors as shared with the first predictor, then the others'."""
     others = summary[~is_attack(summary)]
-    is_shared = others["consumer"] == SHARED
-    others = others[
-        others["metric"].isin(DESCRIPTORS).where(is_shared, others["metric"].isin(UTILITY))
-    ]
     predictors = list(others.loc[others["consumer"] != SHARED, "consumer"].unique())
     found = []
     for place, predictor in enumerate(predictors or [SHARED]):
@@ -77,22 +63,23 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
         ]
         name, title = (f"sweep-{place}", "") if place else ("sweep", " as shared")
         title += f", predictor {predictor}" if predictor != SHARED else ""
-        notes = [] if place else [f"Levels: {SCOPE}."]
+        units = "; ".join(f"{family}: {unit}" for family, unit in LEVEL_UNITS.items())
+        notes = [] if place else [f"Levels: {units}."]
         found.append(_by_level(name, f"All levels{title}", rows, columns, notes=notes))
     return [one for one in found if one.rows]
 
 
 def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source, str]]) -> Table:
     """Return the levels that tell, a column for each metric of some positions or a predictor."""
-    known, found = families_in(summary), by_level(summary)
+    known, found = families_in(summary), picked.by_level(summary)
     records = [
         {"mechanism": mechanism, "level": at, "of": sources}
-        for mechanism, at in telling(found, known, controls=False)
-        if (sources := sources_at(found[mechanism, at]))
+        for mechanism, at in picked.telling(found, known, controls=False)
+        if (sources := picked.sources_at(found[mechanism, at]))
         and any(metric in sources.get(one, {}) for one, metric in of)
     ]
     columns = [_column(one, metric, f"{METRICS[metric].head}, {one.label}") for one, metric in of]
-    return make.built(name, "", records, [*mechanism_columns(known), *columns], n_keys=3)
+    return make.built(name, "", records, [*picked.mechanism_columns(known), *columns], n_keys=3)
 
 
 def _by_level(
@@ -100,10 +87,10 @@ def _by_level(
 ) -> Table:
     """Return a table with a row for each mechanism level."""
     records = [
-        {"mechanism": mechanism, "level": at, "of": sources_at(of)}
-        for (mechanism, at), of in by_level(rows).items()
+        {"mechanism": mechanism, "level": at, "of": picked.sources_at(of)}
+        for (mechanism, at), of in picked.by_level(rows).items()
     ]
-    columns = [*mechanism_columns(families_in(rows)), *columns]
+    columns = [*picked.mechanism_columns(families_in(rows)), *columns]
     title = f"{title}; 95 % intervals"
     return make.built(name, title, records, columns, notes=notes, n_headings=2, n_keys=3)
 
@@ -111,7 +98,7 @@ def _by_level(
 def _column(source: Source, metric: str, name: str) -> Column:
     """Return the column of a metric of some positions."""
     weight = _WEIGHTS.get(metric, 1.0)
-    return make.metric_column(metric, partial(_cell, source, metric), name=name, weight=weight)
+    return Column(name, partial(_cell, source, metric), METRICS[metric].unit, weight=weight)
 
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
@@ -130,10 +117,11 @@ def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
 
 def sources_of(rows: pd.DataFrame) -> list[Source]:
     """Return whose positions the rows are of, in the order of the run."""
-    return list(sources_at(rows.drop_duplicates(["consumer", "knowledge"]).to_dict("records")))
+    first = rows.drop_duplicates(["consumer", "knowledge"])
+    return list(picked.sources_at(first.to_dict("records")))
 
 
-def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset()) -> Table:
+def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Table:
     """Return PLR as shared and after each attack, all levels.
 
     Of each attack the adversary is shown that knows most, short of the oracle. `slow` attacks saw
@@ -145,7 +133,8 @@ def exposure_table(summary: pd.DataFrame, *, slow: AbstractSet[str] = frozenset(
     columns = []
     for source in shown:
         # The strongest keep their intervals longest.
-        weight = np.inf if source == AS_SHARED else float(of_source(rows, source)["value"].mean())
+        mean = float(picked.of_source(rows, source)["value"].mean())
+        weight = np.inf if source == AS_SHARED else mean
         columns.append(Column(source.label, partial(_cell, source, EXPOSURE), weight=weight))
     oracle = "The oracle is a reference: it stands where nobody less can run the attack."
     notes = [oracle] * any(source.knowledge == ORACLE for source in shown)
@@ -162,16 +151,16 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     was shared. With `only` of this one alone, but all levels.
     """
     rows = after_attack(summary)
-    known, blocks = families_in(rows), by_level(rows)
+    known, blocks = families_in(rows), picked.by_level(rows)
     title = "After attack, every adversary" if only is None else f"After {only.label}"
     title = "As shared" if only == AS_SHARED else title
     records = []
-    for where in telling(blocks, known) if only is None else blocks:
-        found = sources_at(blocks[where])
+    for where in picked.telling(blocks, known) if only is None else blocks:
+        found = picked.sources_at(blocks[where])
         told = _merged(found if only is None else {only: found[only]} if only in found else {})
         records += [{"mechanism": where[0], "level": where[1]} | row for row in told]
     columns = [
-        *mechanism_columns(known),
+        *picked.mechanism_columns(known),
         *map(make.said, ("positions", "adversary")),
         *(
             make.held(METRICS[one].head, one, unit=METRICS[one].unit, weight=_WEIGHTS.get(one, 1.0))
@@ -207,13 +196,13 @@ def _merged(found: Mapping[Source, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def rank_table(run: Results, task: LinkedTask) -> Table:
+def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     """Return rank 1 of the attacks of a task, a row each, at the levels that tell."""
     known = run.families
-    wheres = telling(task.cells, known, controls=False)
+    wheres = picked.telling(task.cells, known, controls=False)
     columns = [make.said("attack", itemgetter(0))]
     for place, (name, at) in enumerate(wheres, start=1):
-        one = family_of(known, name)
+        one = picked.family_of(known, name)
         # A level of the default rule keeps its interval longest.
         weight = 2.0 * (one.adding != "independent") + (at is not None)
         heading = f"{one.name} {level_text(at)}".rstrip()
@@ -232,20 +221,20 @@ def rank_table(run: Results, task: LinkedTask) -> Table:
         about += " clean: no error at all, the ceiling."
     people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
     notes = _size(some[0], people=people), _confounders(task, wheres, known), _controls(task), about
-    title = f"{_title(task)}; rank 1 in %, 95 % intervals"
+    title = f"{task.name}: {task.about}; rank 1 in %, 95 % intervals"
     options = {"notes": list(filter(None, notes)), "marks": MEANING}
     return make.built(f"linkage-{task.name}", title, records, columns, **options)
 
 
-def cells_table(run: Results, task: LinkedTask) -> Table:
+def cells_table(run: picked.Results, task: LinkedTask) -> Table:
     """Return every attack and adversary of a task at the levels that tell, a row each."""
     records = [
         {**row, "attack": source.consumer}
-        for where in telling(task.cells, run.families)
+        for where in picked.telling(task.cells, run.families)
         for source, row in task.cells[where].items()
     ]
     columns = [
-        *mechanism_columns(run.families),
+        *picked.mechanism_columns(run.families),
         make.said("attack"),
         make.said("adversary", "knowledge"),
         make.measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
@@ -255,11 +244,11 @@ def cells_table(run: Results, task: LinkedTask) -> Table:
         make.counted("candidates", "", "gallery_mean", digits=0),
         make.counted("people", "", "n_clusters", digits=0),
     ]
-    title = f"{_title(task)}, every adversary; 95 % intervals"
+    title = f"{task.name}: {task.about}, every adversary; 95 % intervals"
     return make.built(f"cells-{task.name}", title, records, columns, n_headings=3, n_keys=5)
 
 
-def doubt_table(run: Results) -> Table:
+def doubt_table(run: picked.Results) -> Table:
     """Return the linkage cells that measure nothing: invalid ones, and too weak attacks."""
     of = run.linkability[run.linkability["cohort"] == "all"]
     of = of.assign(**of[["knowledge", "outcome", "invalid"]].astype(object).fillna(""))
@@ -272,15 +261,11 @@ def doubt_table(run: Results) -> Table:
     columns = [
         make.said("task/attack", "consumer"),
         make.said("adversary", "knowledge"),
-        *mechanism_columns(run.families),
+        *picked.mechanism_columns(run.families),
         make.said("why", why),
     ]
     title = "Linkage cells that measure nothing"
     return make.built("doubts", title, of.to_dict("records"), columns, n_keys=5)
-
-
-def _title(task: LinkedTask) -> str:
-    return f"{task.name}: {task.about}" if task.about else task.name
 
 
 def _rank(row: Mapping[str, Any] | None) -> Cell:
@@ -317,7 +302,7 @@ def _confounders(task: LinkedTask, wheres: Sequence[Where], known: Mapping[str, 
             if (cohort := task.cohorts.get(name, {}).get(where, {}).get(best)) is not None
         ]
         if parts:
-            one = family_of(known, where[0])
+            one = picked.family_of(known, where[0])
             rule = f" ({one.adding})" if one.adding == "independent" else ""
             place = f"{one.name} {level_text(where[1])}".rstrip()
             value = _against_chance(block[best], before="chance ")
@@ -343,13 +328,10 @@ def _controls(task: LinkedTask) -> str:
     beaten = {name: (sum(found), len(found)) for name, found in tests.items()}
     often = [f"{name} {n} of {of}" for name, (n, of) in beaten.items() if n > of / 2]
     told = "; ".join([f"{LEVEL * len(every):.1f} expected", *often])
-    count = f"{sum(every)} of {len(every)}"
-    parts = [f"controls: {count} beat chance at {100 * LEVEL:g} % ({told})"] * bool(tests)
-    blocks = task.cells.values()
-    said = ({row[INVALID] for row in block.values()} for block in blocks)
-    leaks = Counter(
-        name for of in said for name in sorted({n for one in of for n in one.split(", ") if n})
-    )
+    count = f"controls: {sum(every)} of {len(every)} beat chance"
+    parts = [f"{count} at {100 * LEVEL:g} % ({told})"] * bool(tests)
+    said = (",".join(row[INVALID] for row in block.values()) for block in task.cells.values())
+    leaks = Counter(name for of in said for name in sorted({*re.split(", *", of)}) if name)
     leaky = [f"{name} at {count} of {len(task.cells)} levels" for name, count in leaks.items()]
     if leaky or tests:
         parts.append(f"audits that leak: {', '.join(leaky) or 'none'}")

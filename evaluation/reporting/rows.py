@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,12 +13,12 @@ import pandas as pd
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
 from evaluation.analysis.keys import Source, Where, level_text
 from evaluation.analysis.linkability import LinkedTask, dataset_of, linked_tasks, remarks
-from evaluation.analysis.metrics import METRICS, MISSED_RATE
+from evaluation.analysis.metrics import MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.reporting.table import Column, level, said
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
@@ -77,9 +77,7 @@ class Results:
     @cached_property
     def tasks(self) -> list[LinkedTask]:
         """The tasks in which somebody links, of the run's data set or of their own."""
-        expected = self.linkability["consumer"].map(
-            lambda name: dataset_of(name, dataset=self.dataset)
-        )
+        expected = self.linkability["consumer"].map(partial(dataset_of, dataset=self.dataset))
         return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
 
     def link_of(self, task: LinkedTask) -> Source:
@@ -168,104 +166,89 @@ def telling(
     named = {name for name, _ in HEADLINE}
     told: dict[str, list[float | None]] = {}
     for mechanism, ats in levels.items():
-        told[mechanism] = ats if len(ats) == 1 else [ats[0], ats[-1]]
+        told[mechanism] = list(dict.fromkeys([ats[0], ats[-1]]))
         if of[mechanism].name in named:
             told[mechanism] = [at for at in ats if (of[mechanism].name, at) in HEADLINE]
         elif is_control(of[mechanism]):
             told[mechanism] = [at for at in ats if controls or at is None]
     if not any(set(told[name]) - {None} for name in told if of[name].name in named):
         told = levels
-
-    def place(mechanism: str) -> tuple[bool, int]:
-        one = of[mechanism]
-        return one.is_added, one.is_added * [*ADDING_RULES, one.adding].index(one.adding)
-
-    return [(name, at) for name in sorted(told, key=place) for at in told[name]]
+    # What adds nothing comes first, what declares no rule last.
+    rules = [*ADDING_RULES, ""]
+    order = sorted(told, key=lambda name: of[name].is_added and 1 + rules.index(of[name].adding))
+    return [(name, at) for name in order for at in told[name]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scheme:
-    """A way of adding error, and the axis of its level."""
+    """A swept mechanism, and the axis of its level."""
 
+    mechanism: str
     name: str
     """Family and parameters, without the adding rule."""
+    rules: Sequence[str]
+    """Adding rules under which it is shown: its own, or all where it declares none."""
     title: str
     label: str
     """Of the axis."""
     log: bool
-    mechanisms: Mapping[str, str]
-    """By adding rule; the same under both where none is declared."""
     place: int
-    """Among all schemes: what it looks like."""
+    """Of the name among all: what it looks like."""
 
     @property
-    def has_rule(self) -> bool:
-        """Whether it declares an adding rule; without one it is shown wherever a rule is."""
-        return len(set(self.mechanisms.values())) == len(self.mechanisms)
-
-    @property
-    def rules(self) -> list[str]:
-        """Adding rules under which it was run; one of them where it declares none."""
-        return list(self.mechanisms)[: None if self.has_rule else 1]
-
-    def rules_in(self, *frames: pd.DataFrame) -> list[str]:
-        """Return those of its rules under which any of some frames has rows."""
-        return [rule for rule in self.rules if any(len(self.of(one, rule)) for one in frames)]
-
-    def rule_text(self, rule: str) -> str:
-        """Return an adding rule of it in words."""
-        return f"{rule} adding" if self.has_rule else "any adding"
+    def rule_text(self) -> str:
+        """Its adding rule in words."""
+        return f"{self.rules[0] if len(self.rules) == 1 else 'any'} adding"
 
     def at(self, level: float) -> str:
         """Return a level with what it is."""
         return _LEVELS.get(self.name, "{}").format(level_text(level))
 
-    def of(self, frame: pd.DataFrame, rule: str) -> pd.DataFrame:
-        """Return the rows of its levels under a rule that its axis can show, levels rising."""
-        rows = frame[frame["mechanism"] == self.mechanisms.get(rule)]
+    def of(self, frame: pd.DataFrame) -> pd.DataFrame:
+        """Return the rows of its levels that its axis can show, levels rising."""
+        rows = frame[frame["mechanism"] == self.mechanism]
         rows = rows[rows["level"] > 0 if self.log else rows["level"].notna()]
         return rows.sort_values("level")
-
-    def ends(self, lines: Mapping[str, tuple[str, pd.DataFrame]], rule: str) -> str:
-        """Return the ends of lines in words, as `PLR 18.7 % at η = 1 to 51.9 % at η = 1000; ...`.
-
-        `lines` has a metric and its rows under the words before it; what has no rows is left out.
-        """
-        found = {}
-        for name, (metric, rows) in lines.items():
-            of, shown = self.of(rows[np.isfinite(rows["value"])], rule), METRICS[metric]
-            found[name] = " to ".join(
-                f"{row['value'] * shown.scale:.{shown.digits}f} {shown.unit} "
-                f"at {self.at(row['level'])}"
-                for row in of.iloc[[0, -1] if len(of) > 1 else slice(None)].to_dict("records")
-            )
-        return "; ".join(f"{name} {ends}" for name, ends in found.items() if ends)
 
 
 def schemes(summary: pd.DataFrame) -> list[Scheme]:
     """Return what is swept in a run: every mechanism with levels but the controls.
 
-    FID and fixed noise come first, the others in the order of the run; adding rules of one are
-    one scheme.
+    FID and fixed noise come first, the others in the order of the run; adding rules of one stand
+    together.
     """
-    found: dict[str, dict[str, str]] = {name: {} for name in _KNOWN}
-    levels = summary[["mechanism", "level"]].dropna().groupby("mechanism")["level"]
-    for mechanism, one in families_in(summary).items():
-        if one.is_added and not is_control(one) and mechanism in levels.groups:
-            found.setdefault(one.name, {}).update(dict.fromkeys(one.rules, mechanism))
-    result = []
-    for place, (name, rules) in enumerate(found.items()):
-        ordered = {rule: rules[rule] for rule in ADDING_RULES if rule in rules}
-        own = [at for one in set(rules.values()) for at in levels.get_group(one)]
-        spans = bool(own) and min(own) > 0 and max(own) >= _LOG_SPAN * min(own)
-        title, label, log = _KNOWN.get(name, (name, f"level of {name}", spans))
-        result += [Scheme(name, title, label, log, ordered, place)] if rules else []
-    return result
+    levels = summary.dropna(subset="level").groupby("mechanism")["level"].agg(["min", "max"])
+    swept = [
+        one
+        for name, one in families_in(summary).items()
+        if one.is_added and not is_control(one) and name in levels.index
+    ]
+    names = list(dict.fromkeys([*_KNOWN, *(one.name for one in swept)]))
+    swept.sort(key=lambda one: (names.index(one.name), ADDING_RULES.index(one.rules[0])))
+    found = []
+    for one in swept:
+        own = levels.loc[[other.mechanism for other in swept if other.name == one.name]]
+        low, high = own["min"].min(), own["max"].max()
+        usual = one.name, f"level of {one.name}", bool(0 < low <= high / _LOG_SPAN)
+        place, axis = names.index(one.name), _KNOWN.get(one.name, usual)
+        found.append(Scheme(one.mechanism, one.name, one.rules, *axis, place))
+    return found
 
 
-def rules_of(of: list[Scheme]) -> list[str]:
+def shown_in(known: Iterable[Scheme], *frames: pd.DataFrame) -> list[Scheme]:
+    """Return those of some schemes of which any of some frames has rows."""
+    return [one for one in known if any(len(one.of(frame)) for frame in frames)]
+
+
+def rules_of(known: Iterable[Scheme]) -> list[str]:
     """Return the adding rules of some schemes."""
-    return [rule for rule in ADDING_RULES if any(rule in one.mechanisms for one in of)]
+    every = {rule for one in known for rule in one.rules}
+    return [rule for rule in ADDING_RULES if rule in every]
+
+
+def by_title(known: Iterable[Scheme]) -> dict[str, Scheme]:
+    """Return some schemes by what they are called, whatever their rule."""
+    return {one.title: one for one in known}
 
 
 def compared_levels(summary: pd.DataFrame) -> list[Where]:
@@ -274,19 +257,17 @@ def compared_levels(summary: pd.DataFrame) -> list[Where]:
     Under each adding rule; without FID the level that costs most.
     """
     rates = summary[(summary["metric"] == MISSED_RATE) & summary["value"].notna()]
-    if rates.empty:
-        return []
-    rates = rates[rates["consumer"] == rates["consumer"].iloc[0]]
-    wheres: list[Where] = [("raw", None)] if (rates["mechanism"] == "raw").any() else []
-    known = schemes(summary)
+    rates = rates[rates["consumer"] == next(iter(rates["consumer"]), "")]
+    found: dict[str, float | None] = {"raw": None} if (rates["mechanism"] == "raw").any() else {}
+    known = shown_in(schemes(summary), rates)
     for rule in rules_of(known):
         target = np.inf
         for one in known:
-            rows, mechanism = one.of(rates, rule), one.mechanisms.get(rule, "")
-            if rows.empty or any(name == mechanism for name, _ in wheres):
+            if rule not in one.rules or one.mechanism in found:
                 continue
+            rows = one.of(rates)
             nearest = (rows["value"] - min(target, rows["value"].max())).abs().idxmin()
             row = rows.iloc[0] if one.name == FID else rows.loc[nearest]
             target = row["value"] if one.name == FID else target
-            wheres.append((mechanism, float(row["level"])))
-    return wheres
+            found[one.mechanism] = float(row["level"])
+    return list(found.items())

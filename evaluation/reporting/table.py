@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from evaluation.analysis.keys import level_text
 from evaluation.analysis.metrics import METRICS
@@ -63,16 +63,12 @@ class Cell:
         return f"{sign} {self.full}".strip()
 
 
-Makes: TypeAlias = "Callable[[Any], Cell]"
-"""The cell of a record."""
-
-
 @dataclass(frozen=True, slots=True)
 class Column:
     """A column: what its numbers are, in which unit, and what makes the cell of a record."""
 
     name: str
-    of: Makes = lambda _: Cell()
+    of: Callable[[Any], Cell] = lambda _: Cell()
     unit: str = ""
     align: Literal["left", "right"] = "right"
     above: str = ""
@@ -171,11 +167,6 @@ def measured(name: str, *keys: str, metric: str = "", sign: str = "-") -> Column
         return amount(metric or record["metric"], *(record[key] for key in keys), sign=sign)
 
     return Column(name, cell, METRICS[metric].unit if metric else "")
-
-
-def metric_column(metric: str, of: Makes, name: str = "", **more: Any) -> Column:  # noqa: ANN401 - see `Column`
-    """Return the column of a metric, under its own name or another."""
-    return Column(name or METRICS[metric].head, of, METRICS[metric].unit, **more)
 
 
 def word(text: object) -> Cell:

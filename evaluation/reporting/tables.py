@@ -12,7 +12,7 @@ import math
 import re
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
 
@@ -24,8 +24,8 @@ from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
 from evaluation.reporting.markup import latex, markdown
-from evaluation.reporting.rows import ENDS, Results, by_level, telling
-from evaluation.reporting.table import Table, amount, built, held, said
+from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
+from evaluation.reporting.table import Cell, Table, amount, built, held, said
 from evaluation.runs.files import write_whole
 from evaluation.runs.pieces import failed_lines
 from isac_track.errors import DataError
@@ -125,25 +125,19 @@ def _linkage(summary: pd.DataFrame) -> Table:
     """Return rank 1 of every informed linker, a column for each level."""
     rows = summary[summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)]
     known, found = families_in(rows), by_level(rows)
-    wheres = telling(found, known, controls=False)
-    of = {(where, row["consumer"], row["metric"]): row for where in wheres for row in found[where]}
-    records = []
-    for consumer in dict.fromkeys(consumer for _, consumer, _ in of):
-        task, _, linker = consumer.partition("/")
-        chances = (row["value"] for (_, *one), row in of.items() if one == [consumer, "chance"])
-        ranks = {
-            f"{where}": amount(SUCCESS, *(row[end] for end in ENDS))
-            for where in wheres
-            if (row := of.get((where, consumer, SUCCESS)))
-        }
-        chance = f"{100 * next(chances):.1f}"
-        records.append({"task": task, "chance": chance, "linker": linker, **ranks})
     columns = [said("task"), replace(said("chance"), unit="%", align="right"), said("linker")]
-    for mechanism, at in wheres:
-        one, level = known[mechanism], "" if at is None else f" {at:g}"
+    records: dict[Source, dict[str, Any]] = {}
+    for where in telling(found, known, controls=False):
+        one, level = known[where[0]], "" if where[1] is None else f" {where[1]:g}"
         heading = f"{one.name}{level}{', ind.' * (one.adding == 'independent')}"
-        columns.append(held(heading, f"{(mechanism, at)}"))
-    return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records, columns)
+        columns.append(held(heading, f"{where}"))
+        for source, of in sources_at(found[where]).items():
+            about = {"task": source.task, "linker": source.attack.consumer}
+            about["chance"] = f"{100 * of['chance']['value']:.1f}"
+            rank = of.get(SUCCESS)
+            cell = amount(SUCCESS, *(rank[end] for end in ENDS)) if rank else Cell()
+            records.setdefault(source, about)[f"{where}"] = cell
+    return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
 
 
 _HEADLINE: Final = (

@@ -14,9 +14,7 @@ from rich.text import Text
 from evaluation.reporting.table import Table, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from collections.abc import Set as AbstractSet
-
+    from collections.abc import Collection, Iterable, Sequence
 
 PIPE_WIDTH = 116
 """Columns where there is no terminal: room for every interval of a sweep."""
@@ -63,7 +61,7 @@ def literal(console: Console, text: str) -> str:
     return printable(text).encode(console.encoding, "replace").decode(console.encoding)
 
 
-def aligned(rows: Sequence[Sequence[str]], *, left: AbstractSet[int] = frozenset()) -> list[str]:
+def aligned(rows: Sequence[Sequence[str]], *, left: Collection[int] = frozenset()) -> list[str]:
     """Return the rows as lines whose columns line up, to the right of them except in `left`."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     places = list(enumerate(widths))
@@ -91,7 +89,7 @@ def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
         )
         for n in range(len(order), -1, -1):
             lines = _lines(table, part, intervals=set(order[:n]), width=console.width)
-            if _width(lines) <= console.width:
+            if max(len(line) for line, _ in lines) <= console.width:
                 break
         console.print()
         say(console, table.title + told * (n < len(order)), "bold", wrap=True)
@@ -106,10 +104,6 @@ def _intervals(table: Table, columns: Iterable[int]) -> set[int]:
     return {place for place in columns if any(row[place].low for row in table.rows)}
 
 
-def _width(lines: Lines) -> int:
-    return max(len(line) for line, _ in lines)
-
-
 def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
     """Return the columns in parts that fit, with intervals if `whole`, each beside the keys."""
     shown = [place for place, column in enumerate(table.columns) if not column.is_long]
@@ -119,7 +113,7 @@ def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
         wider = [*parts[-1], place]
         intervals = _intervals(table, wider) if whole else set()
         lines = _lines(table, wider, intervals=intervals, width=width)
-        if len(parts[-1]) > len(keys) and _width(lines) > width:
+        if len(parts[-1]) > len(keys) and max(len(line) for line, _ in lines) > width:
             parts.append([*keys, place])
         else:
             parts[-1] = wider
@@ -189,7 +183,7 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
 
 
 def _wrapped(
-    grid: Sequence[Sequence[str]], *, left: AbstractSet[int], width: int
+    grid: Sequence[Sequence[str]], *, left: Collection[int], width: int
 ) -> list[tuple[int, list[str]]]:
     """Return the lines of rows whose widest words are wrapped to fit, each with its row."""
     widths = [max(map(len, column)) for column in zip(*grid, strict=True)]

@@ -40,7 +40,7 @@ ATTACKS = (
     *(("radial_rts", knows) for knows in ("blind", "informed")),
     ("averaging", "oracle"),
 )
-LINKERS = {"shape": 0.4, "shape@radial_rts": 0.6}
+LINKERS = {"rerelease": {"shape": 0.4, "shape@radial_rts": 0.6}}
 COHORTS = {"without_groups": 0.0206, "without_frozen": 0.0073}
 """Chance without a confounder."""
 CHANCE = 0.0072
@@ -95,16 +95,10 @@ def make_summary(at=None, *, dataset="students03", predictors=("least_squares",)
     return pd.DataFrame(rows, columns=summary.COLUMNS)
 
 
-def make_linkability(
-    at=None, *, tasks=("rerelease",), linkers=LINKERS, dataset="students03", cohorts=COHORTS
-):
-    """As `linkability.csv`: three adversaries of each linker, controls, and the cohorts.
-
-    `tasks` may say which linkers each has.
-    """
-    per_task = tasks if isinstance(tasks, dict) else dict.fromkeys(tasks, linkers)
+def make_linkability(at=None, *, tasks=LINKERS, dataset="students03", cohorts=COHORTS):
+    """As `linkability.csv`: three adversaries of each linker of a task, controls, and cohorts."""
     rows = []
-    for task, strengths in per_task.items():
+    for task, strengths in tasks.items():
         for place, (mechanism, level) in enumerate(levels() if at is None else at):
             where = {
                 "dataset": linkability.dataset_of(f"{task}/x", dataset=dataset),
@@ -126,18 +120,17 @@ def make_linkability(
     return pd.DataFrame(rows, columns=linkability.COLUMNS)
 
 
-def make_matched(*, dataset="students03", predictors=("least_squares",)):
+def make_matched(*, dataset="students03"):
     """As `matched.csv`, at three rates each."""
     rows = [
         {
-            "dataset": dataset, "criterion": "missed", "adding": adding, "predictor": predictor,
-            "consumer": "shared", "knowledge": "", "metric": metric, "at": rate,
+            "dataset": dataset, "criterion": "missed", "adding": adding, "at": rate,
+            "predictor": "least_squares", "consumer": "shared", "knowledge": "", "metric": metric,
             "missed_conflict_rate": 0.1 + rate, "fid": 0.2, "fid_low": 0.1, "fid_high": 0.3,
             "fixed": 0.4, "fixed_low": 0.3, "fixed_high": 0.5, "difference": -rate,
             "ci_low": -rate - 0.01, "ci_high": -rate + 0.01, "defined": 1.0, "n": 50,
             "mechanism": f"fid{INDEPENDENT * (adding == 'independent')}", "family": "fid",
         }
-        for predictor in predictors
         for adding in ("linear", "independent")
         for metric in ("plr", "ael", "mel")
         for rate in (0.12, 0.02, 0.08)
@@ -223,9 +216,8 @@ def everything():
     at += [("ou", level) for level in (0.2, 0.4, 0.8)]
     some = [*(ATTACKS[n] for n in (0, 1, 2)), *ATTACKS[-2:]]
     linked = make_linkability(
-        at, tasks={"rerelease": {"shape": 0.4, "shape@radial_rts": 0.6},
-                   "handover-2s": {"kinematic": 0.8, "dtw@averaging": 0.1}}
-    )  # fmt: skip
+        at, tasks=LINKERS | {"handover-2s": {"kinematic": 0.8, "dtw@averaging": 0.1}}
+    )
 
     def change(values, **where):
         linked.loc[rows_where(linked, **where), list(values)] = list(values.values())

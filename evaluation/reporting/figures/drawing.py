@@ -28,11 +28,12 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import Locator, LogLocator, NullLocator
 
 from evaluation.analysis.families import RAW
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, MISSED_RATE
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, Metric
 from evaluation.cells.work import Failed
+from evaluation.reporting.rows import ENDS, Results, Scheme, by_title
 from evaluation.reporting.table import shortened
 from evaluation.runs.files import write_whole
 from evaluation.runs.workers import spread
@@ -47,13 +48,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from evaluation.analysis.keys import Source
-    from evaluation.reporting.rows import Results, Scheme
     from isac_track.types import Floats
 
 Dashes = Literal["", "-", "--", "-.", ":"] | tuple[float, tuple[float, ...]]
 
 SINGLE_COLUMN_IN, DOUBLE_COLUMN_IN = 3.5, 7.16
 """Widths of a figure in an IEEE journal."""
+IMAGE_DPI = 200
 CHARACTERS_PER_IN = 17.5
 """At 7 to 8 points."""
 LOG_RATIO = 5.0
@@ -62,8 +63,12 @@ NAME_LENGTH = 40
 PERCENT = 100.0
 
 _BAND_ALPHA = 0.18
-_IMAGE_DPI = 200
 _HANDLE_CHARACTERS = 10
+_CANVASES: dict[str, tuple[Any, ...]] = {
+    "svg": (FigureCanvasSVG, "Date", "Creator"),
+    "pdf": (FigureCanvasPdf, "CreationDate", "Creator", "Producer"),
+}
+"""Of a kind of file, with what would make it another each time."""
 _STYLE = Path(__file__).parents[1] / "templates" / "figures.mplstyle"
 
 
@@ -158,11 +163,6 @@ def style() -> Iterator[None]:
         yield
 
 
-def blank(*, height_in: float, width_in: float = DOUBLE_COLUMN_IN) -> Figure:
-    """Return a figure whose panels are placed by hand."""
-    return Figure(figsize=(width_in, height_in), dpi=_IMAGE_DPI)
-
-
 def panels(
     rows: int,
     columns: int,
@@ -181,7 +181,8 @@ def panels(
         width_in = SINGLE_COLUMN_IN if columns == 1 else DOUBLE_COLUMN_IN
         figure = Figure(figsize=(width_in, height_in), layout="constrained")
         return figure, figure.subplots(rows, columns, squeeze=False, **sharing)
-    figure = blank(height_in=height_in, width_in=sharing.pop("width_in", DOUBLE_COLUMN_IN))
+    width_in = sharing.pop("width_in", DOUBLE_COLUMN_IN)
+    figure = Figure(figsize=(width_in, height_in), dpi=IMAGE_DPI)
     size_in, gaps = figure.get_size_inches(), np.array(margins_in[4:])
     left, right, top, bottom = np.array(margins_in[:4]) / size_in[[0, 0, 1, 1]]
     n, share = np.array([columns, rows]), np.array([1.0 - left - right, 1.0 - top - bottom])
@@ -200,15 +201,10 @@ def rendered(figure: Figure, *, pdf: bool) -> dict[str, bytes]:
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine("none")
-    files = {"svg": io.BytesIO()}
-    FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]  # matplotlib leaves it untyped
-        files["svg"], metadata={"Date": None, "Creator": None}
-    )
-    if pdf:
-        files["pdf"] = io.BytesIO()
-        FigureCanvasPdf(figure).print_pdf(  # type: ignore[no-untyped-call]  # matplotlib leaves it untyped
-            files["pdf"], metadata={"CreationDate": None, "Creator": None, "Producer": None}
-        )
+    files = {"svg": io.BytesIO()} | ({"pdf": io.BytesIO()} if pdf else {})
+    for kind, file in files.items():
+        canvas, *dated = _CANVASES[kind]
+        getattr(canvas(figure), f"print_{kind}")(file, metadata=dict.fromkeys(dated))
     return {kind: file.getvalue() for kind, file in files.items()}
 
 
@@ -220,54 +216,41 @@ class Line:
     look: Look
     rows: pd.DataFrame
     """Columns mechanism, level, value, ci_low and ci_high, as in a summary."""
-    scale: float = PERCENT
-    """To the unit of the axis."""
+    shown: Metric = METRICS[EXPOSURE]
+    """In whose unit the axis is: by default a share, in %."""
     has_band: bool = True
     is_raw_across: bool = False
     """Whether raw is drawn from side to side, not only at the edge where levels end in it."""
     apart: Mapping[str, Any] = field(default_factory=dict)
     """What sets it apart from the others, as matplotlib's lines take it."""
 
-    @property
-    def raw(self) -> float | None:
-        """Where it is without any added error, in the unit of the axis."""
-        found = self.rows.loc[self.rows["mechanism"] == RAW, "value"]
-        return self.scale * float(found.iloc[0]) if len(found) else None
+    def alone(self, mechanism: str) -> list[float]:
+        """Return where it is at a mechanism without levels, if anywhere, in the axis's unit."""
+        found = self.rows["value"][self.rows["mechanism"] == mechanism]
+        return [self.shown.scale * one for one in found]
 
     @property
     def handle(self) -> Line2D:
         """The legend's entry of it."""
         return handle(self.label, self.look, **self.apart)
 
-    def draw(self, ax: Axes, scheme: Scheme, rule: str) -> None:
+    def draw(self, ax: Axes, scheme: Scheme) -> None:
         """Draw it over the levels of a scheme, and raw dotted.
 
         Its band has gaps where the interval is unknown.
         """
-        rows = scheme.of(self.rows, rule)
+        rows = scheme.of(self.rows)
         if len(rows):
             x = rows["level"].to_numpy()
-            y, *ends = (self.scale * rows[key].to_numpy() for key in ("value", "ci_low", "ci_high"))
+            y, *ends = (self.shown.scale * rows[key].to_numpy() for key in ENDS)
             ax.plot(x, y, **self.look.line, **self.apart)
             if self.has_band:
                 band(ax, x, *ends, look=self.look)
-        if self.raw is not None:
+        for raw in self.alone(RAW)[:1]:
             at = (0.0, 1.0) if self.is_raw_across else (0.95, 1.0) if scheme.log else (0.0, 0.06)
             # Above the axis itself, where the value is zero.
             look: dict[str, Any] = {"color": self.look.colour, "linestyle": ":", "zorder": 2.6}
-            ax.plot(at, [self.raw] * 2, transform=ax.get_yaxis_transform(), **look)
-
-
-def note(
-    ax: Axes,
-    text: str,
-    at: tuple[float, float],
-    offset_points: tuple[float, float],
-    **look: Any,  # noqa: ANN401 - matplotlib's
-) -> None:
-    """Write a text beside a point, in the middle unless `look` says otherwise."""
-    look = {"textcoords": "offset points", "ha": "center"} | look
-    ax.annotate(text, at, offset_points, **look)
+            ax.plot(at, [raw, raw], transform=ax.get_yaxis_transform(), **look)
 
 
 def band(ax: Axes, x: Floats, low: Floats, high: Floats, *, look: Look) -> None:
@@ -279,17 +262,17 @@ def level_axis(ax: Axes, *, log: bool) -> None:
     """Set the axis of a mechanism's level."""
     if log:
         ax.set_xscale("log")
-        _plain_ticks(ax.xaxis, LogLocator())
+        plain_ticks(ax.xaxis, LogLocator())
     else:
         ax.set_xlim(left=0)
 
 
-def value_axis(ax: Axes, values: Sequence[Floats], *, log: bool) -> None:
+def value_axis(ax: Axes, values: Sequence[Sequence[float] | pd.Series], *, log: bool) -> None:
     """Start at zero, or take a logarithmic axis where it is wanted and the data span it."""
     known = np.concatenate(values)
     if log and known.min() > 0 and known.max() > LOG_RATIO * known.min():
         ax.set_yscale("log")
-        _plain_ticks(ax.yaxis, LogLocator(subs=(1.0, 2.0, 5.0)))
+        plain_ticks(ax.yaxis, LogLocator(subs=(1.0, 2.0, 5.0)))
     else:
         # A little below zero, so that a marker at zero is whole.
         ax.set_ylim(bottom=-0.03 * ax.get_ylim()[1])
@@ -298,6 +281,11 @@ def value_axis(ax: Axes, values: Sequence[Floats], *, log: bool) -> None:
 def look_of(scheme: Scheme) -> Look:
     """Return the look of what is swept, the same in every figure."""
     return LOOKS[scheme.place % len(LOOKS)]
+
+
+def handles_of(known: Sequence[Scheme]) -> list[Line2D]:
+    """Return the legend's entries of what is swept."""
+    return [handle(name, look_of(one)) for name, one in by_title(known).items()]
 
 
 def label(metric: str) -> str:
@@ -369,7 +357,8 @@ def short(source: Source) -> str:
     return shortened(source.label, room=NAME_LENGTH)
 
 
-def _plain_ticks(axis: Axis, locator: LogLocator) -> None:
+def plain_ticks(axis: Axis, locator: Locator) -> None:
+    """Set ticks with short numbers, and none between them."""
     axis.set_major_locator(locator)
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(lambda value, _: number(value))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from collections import Counter
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath, text_to_path
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.path import Path
 
 # The page turns pure black and white over in the dark; what stands on a colour must stay.
@@ -64,9 +63,8 @@ def _heat_figure(run: Results, *, task: LinkedTask) -> Figure:
     cells, known = task.cells, run.families
     # Names of what is swept, longest first.
     titles = {
-        mechanism: [scheme.label, scheme.name, known[mechanism].family]
-        for scheme in schemes(run.summary)
-        for mechanism in scheme.mechanisms.values()
+        one.mechanism: [one.label, one.name, known[one.mechanism].family]
+        for one in schemes(run.summary)
     }
     sources = list(dict.fromkeys(source for block in cells.values() for source in block))
     # The adversaries of one attack together, attacks as in the run.
@@ -91,8 +89,9 @@ def _heat_figure(run: Results, *, task: LinkedTask) -> Figure:
         heads[mechanism, level] = " ".join(filter(None, parts))
     head_in = 0.2 + max(0.5, *map(_width_in, heads.values()))
     top_in, block_in = 0.22, _CELL_IN * len(sources)
-    figure = drawing.blank(height_in=top_in + len(blocks) * (head_in + block_in) + 0.42)
-    width_in, height_in = figure.get_size_inches()
+    width_in = drawing.DOUBLE_COLUMN_IN
+    height_in = top_in + len(blocks) * (head_in + block_in) + 0.42
+    figure = Figure(figsize=(width_in, height_in), dpi=drawing.IMAGE_DPI)
     for place, (rule, columns) in enumerate(blocks.items(), start=1):
         bottom = (height_in - top_in - place * (head_in + block_in)) / height_in
         size = cell_in * len(columns) / width_in, block_in / height_in
@@ -163,7 +162,7 @@ def _draw_heat(ax: Axes, rows: Sequence[Sequence[Mapping[str, Any] | None]]) -> 
     ax.tick_params(length=0, pad=2)
 
 
-@functools.cache
+@cache
 def _width_in(text: str, *, size: float = 7.0) -> float:
     """Return how wide a text of so many points is set."""
     font = FontProperties(family="DejaVu Sans", size=size)

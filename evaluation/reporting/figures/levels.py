@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import re
 from functools import partial
+from itertools import groupby
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.analysis.families import FID, FIXED
+from evaluation.analysis.families import FID, FIXED, RAW
 from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, is_attack
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
+from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.analysis.strongest import most_knowing
 from evaluation.experiment.presets import IDENTITY, SHARED
+from evaluation.reporting import rows as picked
 from evaluation.reporting.figures import drawing
 from evaluation.reporting.figures.drawing import LOOKS, Drawing, Line, Look
 from evaluation.reporting.result_tables import after_attack, sources_of
-from evaluation.reporting.rows import Results, Scheme, of_source, rank1_rows, rules_of, schemes
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -44,54 +48,55 @@ _ORACLE: dict[str, Any] = {"linewidth": 0.8, "markerfacecolor": "white"}
 _ORACLE_LOOKS = Look("#777777", "D", (0, (2, 1.5))), Look("#999999", "v", (0, (4, 1.5)))
 
 
-def drawings(run: Results) -> list[Drawing]:
+def drawings(run: picked.Results) -> list[Drawing]:
     """Return those of the first screen and after attack, and one of each swept mechanism."""
     about = "What the descriptor says, and what an adversary gets"
     caption = "If the descriptor told linkability, the lines would fall together."
     every = "PLR as shared and after each attack, over the level"
-    found = {
-        "after_attack": Drawing("after_attack", "after", every, _attack_figure, _attack_words),
-        "headline": Drawing(
-            "headline", "answer", about, _headline_figure, _headline_words, caption
-        ),
-    }
-    for one in schemes(run.ours):
-        plain = f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', one.name)[:_MOST_CHARACTERS]}"
-        name = _FILES.get(one.name, plain)
-        name += f"-{one.place}" * (name in found)
-        title = f"Missed conflicts, PLR and exposure over the level: {one.title}"
-        draw, words = partial(_sweep_figure, scheme=one), partial(_sweep_words, scheme=one)
-        found[name] = Drawing(name, "figures", title, draw, words)
-    return list(found.values())
+    found = [
+        Drawing("after_attack", "after", every, _attack_figure, _attack_words),
+        Drawing("headline", "answer", about, _headline_figure, _headline_words, caption),
+    ]
+    for swept, of in groupby(picked.schemes(run.ours), key=attrgetter("name")):
+        known = list(of)
+        plain = f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', swept)[:_MOST_CHARACTERS]}"
+        name = _FILES.get(swept, plain)
+        name += f"-{known[0].place}" * any(one.name == name for one in found)
+        title = f"Missed conflicts, PLR and exposure over the level: {known[0].title}"
+        draw, words = partial(_sweep_figure, known=known), partial(_sweep_words, known=known)
+        found.append(Drawing(name, "figures", title, draw, words))
+    return found
 
 
-def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
+def _sweep_figure(run: picked.Results, *, known: Sequence[picked.Scheme]) -> Figure | None:
     """Return a column for each adding rule, a row for each quantity; None without levels."""
-    lines = {of: line for of, line in _swept_lines(run).items() if scheme.rules_in(line.rows)}
-    rules = scheme.rules_in(*(line.rows for line in lines.values()))
-    if not rules:
+    lines = {
+        of: line for of, line in _swept_lines(run).items() if picked.shown_in(known, line.rows)
+    }
+    known = picked.shown_in(known, *(line.rows for line in lines.values()))
+    if not known:
         return None
     labels = list(dict.fromkeys(_axis(metric) for _, metric in lines))
-    has_paper = run.dataset == DATASET and scheme.name in _FILES and "linear" in rules
+    is_papers = run.dataset == DATASET and known[0].name in _FILES
+    of_paper = [one for one in known if is_papers and "linear" in one.rules]
     figure, panels = drawing.panels(
-        len(labels), len(rules), height_in=1.35 * len(labels) + 0.9, sharex=True, sharey="row"
+        len(labels), len(known), height_in=1.35 * len(labels) + 0.9, sharex=True, sharey="row"
     )
-    for rule, axes in zip(rules, panels.T, strict=True):
-        axes[0].set_title(scheme.rule_text(rule))
+    for scheme, axes in zip(known, panels.T, strict=True):
+        axes[0].set_title(scheme.rule_text)
         axes[-1].set_xlabel(scheme.label)
         for (consumer, metric), line in lines.items():
             ax = axes[labels.index(_axis(metric))]
-            line.draw(ax, scheme, rule)
-            if has_paper and rule == "linear" and consumer in (SHARED, PREDICTOR):
+            line.draw(ax, scheme)
+            if scheme in of_paper and consumer in (SHARED, PREDICTOR):
                 _draw_paper(ax, metric, look=line.look, scheme=scheme)
-    drawing.level_axis(panels[0, 0], log=scheme.log)
+    drawing.level_axis(panels[0, 0], log=known[0].log)
     for label, ax in zip(labels, panels[:, 0], strict=True):
         ax.set_ylabel(label)
         drawn = [line for (_, metric), line in lines.items() if _axis(metric) == label]
-        of = [(line.scale, scheme.of(line.rows, rule)) for line in drawn for rule in rules]
-        values = [scale * rows["value"].to_numpy() for scale, rows in of]
-        values += [np.array([line.raw]) for line in drawn if line.raw is not None]
-        drawing.value_axis(ax, values, log=label == _EXPOSURE_LABEL)
+        values = [line.shown.scale * one.of(line.rows)["value"] for line in drawn for one in known]
+        alone = [one for line in drawn for one in line.alone(RAW)]
+        drawing.value_axis(ax, [*values, alone], log=label == _EXPOSURE_LABEL)
     predictors = [line for (_, metric), line in lines.items() if metric == MISSED_RATE]
     # An only predictor is in the title, and PLR has its own axis.
     named = predictors if len(predictors) > 1 else []
@@ -99,38 +104,51 @@ def _sweep_figure(run: Results, *, scheme: Scheme) -> Figure | None:
     banded = "" if all(line.has_band for line in predictors) else predictors[0].label
     handles = [
         *(line.handle for line in named),
-        any(line.raw is not None for line in lines.values())
-        and drawing.black_handle("raw", dashes=":"),
+        any(line.alone(RAW) for line in lines.values()) and drawing.black_handle("raw", dashes=":"),
         drawing.band_handle("95 % interval" + f" (predictors: {banded})" * bool(banded)),
-        has_paper and drawing.black_handle("paper (raw at the edge)", marker="o", hollow=True),
+        bool(of_paper) and drawing.black_handle("paper (raw at the edge)", marker="o", hollow=True),
     ]
     what = f", predictor {predictors[0].label}" if len(predictors) == 1 else ""
-    return drawing.finish(figure, handles, dataset=run.dataset, what=f"{scheme.title}{what}")
+    return drawing.finish(figure, handles, dataset=run.dataset, what=f"{known[0].title}{what}")
 
 
-def _sweep_words(run: Results, *, scheme: Scheme) -> str:
-    of = run.ours[~is_attack(run.ours)]
-    missed = of[of["metric"] == MISSED_RATE]
-    lines = {
-        f"missed conflicts of {name} from": (MISSED_RATE, missed[missed["consumer"] == name])
-        for name in missed["consumer"].head(1)
+def _sweep_words(run: picked.Results, *, known: Sequence[picked.Scheme]) -> str:
+    lines = _swept_lines(run)
+    first = next(consumer for consumer, _ in lines)
+    told = {
+        f"{'missed conflicts of ' * (metric == MISSED_RATE)}{line.label} from": line
+        for (consumer, metric), line in lines.items()
+        if consumer in (first, SHARED)
     }
-    for metric in DESCRIPTORS:
-        rows = of[(of["metric"] == metric) & (of["consumer"] == SHARED)]
-        lines[f"{METRICS[metric].head} from"] = metric, rows
-    parts = [
-        f"{scheme.rule_text(rule)}: {said}."
-        for rule in scheme.rules
-        if (said := scheme.ends(lines, rule))
-    ]
-    return f"Panels over the level, with 95 % bands. {' '.join(parts)}"
+    said = _ends({one.rule_text: one for one in known}, told)
+    return f"Panels over the level, with 95 % bands. {said}"
+
+
+def _ends(named: Mapping[str, picked.Scheme], lines: Mapping[str, Line]) -> str:
+    """Return the ends of lines in words, as `NAME: PLR 18.7 % at η = 1 to 51.9 % at η = 1000; ...`.
+
+    The names of `lines` are the words before their ends; what has no rows is left out.
+    """
+    parts = []
+    for name, scheme in named.items():
+        found = []
+        for before, line in lines.items():
+            of, shown = scheme.of(line.rows).to_dict("records"), line.shown
+            ends = " to ".join(
+                f"{shown.scale * row['value']:.{shown.digits}f} {shown.unit} "
+                f"at {scheme.at(row['level'])}"
+                for row in of[:1] + of[1:][-1:]
+            )
+            found += [f"{before} {ends}"] * bool(ends)
+        parts += [f"{name}: {'; '.join(found)}."] * bool(found)
+    return " ".join(parts)
 
 
 def _axis(metric: str) -> str:
     return _EXPOSURE_LABEL if metric in ("ael", "mel") else drawing.label(metric)
 
 
-def _swept_lines(run: Results) -> dict[tuple[str, str], Line]:
+def _swept_lines(run: picked.Results) -> dict[tuple[str, str], Line]:
     """Return what may be drawn, by consumer and metric."""
     known = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
     predictors = list(known.loc[known["metric"] == MISSED_RATE, "consumer"].unique())[: len(LOOKS)]
@@ -143,7 +161,7 @@ def _swept_lines(run: Results) -> dict[tuple[str, str], Line]:
             METRICS[metric].head if consumer == SHARED else consumer,
             look,
             known[(known["consumer"] == consumer) & (known["metric"] == metric)],
-            METRICS[metric].scale,
+            METRICS[metric],
             has_band=metric != MISSED_RATE or consumer in predictors[:n_bands],
             is_raw_across=True,
         )
@@ -151,19 +169,18 @@ def _swept_lines(run: Results) -> dict[tuple[str, str], Line]:
     }
 
 
-def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: Scheme) -> None:
+def _draw_paper(ax: Axes, metric: str, *, look: Look, scheme: picked.Scheme) -> None:
     """Mark the paper's numbers; raw, which has no level, goes to the edge next to it."""
     for mechanism, level, of, value in PUBLISHED:
         if of == metric and mechanism in ("raw", scheme.name):
-            edge = 1.0 if scheme.log else 0.0
             transform = ax.get_yaxis_transform() if level is None else ax.transData
-            at = [edge if level is None else level], [value * METRICS[metric].scale]
+            at = [float(scheme.log) if level is None else level], [value * METRICS[metric].scale]
             mark: dict[str, Any] = {"marker": look.marker, "markersize": 5, "clip_on": False}
             mark |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 5}
             ax.plot(*at, **mark, transform=transform)
 
 
-def _attack_figure(run: Results) -> Figure | None:
+def _attack_figure(run: picked.Results) -> Figure | None:
     """Return PLR over the level, as shared and after each attack; None without attacks or levels.
 
     Of each attack the adversary is drawn that knows most short of the oracle; an attack that only
@@ -171,33 +188,32 @@ def _attack_figure(run: Results) -> Figure | None:
     out, and so is what lies beyond the looks that there are.
     """
     rows = _exposure(after_attack(run.ours))
-    known = schemes(rows)
+    known = picked.schemes(rows)
     lines = {
-        of: line
-        for of, line in _attack_lines(rows).items()
-        if any(one.rules_in(line.rows) for one in known)
+        of: line for of, line in _attack_lines(rows).items() if picked.shown_in(known, line.rows)
     }
     if not lines.keys() - {AS_SHARED}:
         return None
-    known = [one for one in known if one.rules_in(*(line.rows for line in lines.values()))]
-    columns, height_in = rules_of(known), 2.0 * len(known) + 0.9
+    known = picked.shown_in(known, *(line.rows for line in lines.values()))
+    swept = [list(of) for _, of in groupby(known, key=attrgetter("name"))]
+    columns, height_in = picked.rules_of(known), 2.0 * len(swept) + 0.9
     figure, panels = drawing.panels(
-        len(known), len(columns), height_in=height_in, sharex="row", sharey=True
+        len(swept), len(columns), height_in=height_in, sharex="row", sharey=True
     )
-    for scheme, axes in zip(known, panels, strict=True):
+    for of, axes in zip(swept, panels, strict=True):
         for rule, ax in zip(columns, axes, strict=True):
-            if rule not in scheme.mechanisms:
+            scheme = next((one for one in of if rule in one.rules), None)
+            if scheme is None:
                 ax.set_axis_off()
                 continue
-            ax.set_title(f"{scheme.title}, {scheme.rule_text(rule)}")
-            ax.set_xlabel(scheme.label)
+            ax.set(title=f"{scheme.title}, {scheme.rule_text}", xlabel=scheme.label)
             for line in lines.values():
-                line.draw(ax, scheme, rule)
-        drawing.level_axis(axes[0], log=scheme.log)
+                line.draw(ax, scheme)
+        drawing.level_axis(axes[0], log=of[0].log)
         axes[0].set_ylabel("PLR, shared or attacked (%)")
     # A share: the whole axis, with a little room for markers at its ends.
     panels[0, 0].set_ylim(-3.0, 103.0)
-    has_raw = any(line.raw is not None for line in lines.values())
+    has_raw = any(line.alone(RAW) for line in lines.values())
     handles = [
         *(line.handle for line in lines.values()),
         has_raw and drawing.black_handle("raw (attacks: at its edge)", dashes=":"),
@@ -207,19 +223,14 @@ def _attack_figure(run: Results) -> Figure | None:
     return drawing.finish(figure, handles, dataset=run.dataset, what=what)
 
 
-def _attack_words(run: Results) -> str:
+def _attack_words(run: picked.Results) -> str:
     strongest, rows = run.strongest.get(""), _exposure(after_attack(run.ours))
     if strongest is None:
         return ""
     of = {"as shared": AS_SHARED, f"after {strongest.label}": strongest}
-    lines = {name: (EXPOSURE, of_source(rows, source)) for name, source in of.items()}
-    parts = [
-        f"{scheme.title}, {scheme.rule_text(rule)}: {said}."
-        for scheme in schemes(run.ours)
-        for rule in scheme.rules
-        if (said := scheme.ends(lines, rule))
-    ]
-    return f"Lines of PLR over the level. {' '.join(parts)}"
+    told = {name: Line("", _SHARED_LOOK, picked.of_source(rows, one)) for name, one in of.items()}
+    known = {f"{one.title}, {one.rule_text}": one for one in picked.schemes(run.ours)}
+    return f"Lines of PLR over the level. {_ends(known, told)}"
 
 
 def _exposure(rows: pd.DataFrame) -> pd.DataFrame:
@@ -233,21 +244,20 @@ def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
     oracle = [source for source in chosen if source.knowledge == ORACLE]
     others = [source for source in chosen if source.knowledge and source not in oracle]
     # Raw after attacks would crowd each other.
-    shared = Line("as shared", _SHARED_LOOK, of_source(rows, AS_SHARED), is_raw_across=True)
+    shared = Line("as shared", _SHARED_LOOK, picked.of_source(rows, AS_SHARED), is_raw_across=True)
     lines = {AS_SHARED: shared} if AS_SHARED in chosen else {}
     for of, look in zip(others, LOOKS, strict=False):
-        lines[of] = Line(of.label, look, of_source(rows, of))
+        lines[of] = Line(of.label, look, picked.of_source(rows, of))
     for of, look in zip(oracle, _ORACLE_LOOKS, strict=False):
         label = f"{of.label}, a reference"
-        lines[of] = Line(label, look, of_source(rows, of), apart=_ORACLE)
+        lines[of] = Line(label, look, picked.of_source(rows, of), apart=_ORACLE)
     return lines
 
 
-def _headline_figure(run: Results) -> Figure | None:
+def _headline_figure(run: picked.Results) -> Figure | None:
     """Return PLR as shared and after attack, and the strongest link, under one adding rule."""
-    lines, known = _headline_lines(run), schemes(run.ours)
-    rule = next(iter(rules_of(known)), "")
-    known = [scheme for scheme in known if not scheme.of(lines[0].rows, rule).empty]
+    lines, rule, known = _headline(run)
+    known = picked.shown_in(known, lines[0].rows)
     if not known:
         return None
     widths = drawing.SINGLE_COLUMN_IN, drawing.DOUBLE_COLUMN_IN
@@ -259,38 +269,36 @@ def _headline_figure(run: Results) -> Figure | None:
         sharey=True,
     )
     for scheme, ax in zip(known, panels, strict=True):
-        ax.set_title(scheme.title)
-        ax.set_xlabel(scheme.label)
+        ax.set(title=scheme.title, xlabel=scheme.label)
         for line in lines:
-            line.draw(ax, scheme, rule)
+            line.draw(ax, scheme)
         drawing.level_axis(ax, log=scheme.log)
-    panels[0].set_ylim(0.0, 103.0)
-    panels[0].set_ylabel("%")
+    panels[0].set(ylim=(0.0, 103.0), ylabel="%")
     raw = drawing.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
     handles = [*(line.handle for line in lines), raw]
-    what = f"{rule} adding"
-    return drawing.finish(figure, handles, dataset=run.dataset, what=what, columns=1)
+    return drawing.finish(figure, handles, dataset=run.dataset, what=f"{rule} adding", columns=1)
 
 
-def _headline_lines(run: Results) -> list[Line]:
-    """Return the lines of the headline, those as shared first."""
+def _headline(run: picked.Results) -> tuple[list[Line], str, list[picked.Scheme]]:
+    """Return its lines, those as shared first, its adding rule, and what is swept under that."""
     plr = _exposure(run.ours)
-    rows = {"PLR as shared: the descriptor": of_source(plr, AS_SHARED)}
+    rows = {"PLR as shared: the descriptor": picked.of_source(plr, AS_SHARED)}
     attack = run.strongest.get("")
     if attack is not None:
-        rows[f"PLR after {drawing.short(attack)}"] = of_source(plr, attack)
+        rows[f"PLR after {drawing.short(attack)}"] = picked.of_source(plr, attack)
     # A walk that was shared twice, or whatever was linked first.
     for task in sorted(run.tasks, key=lambda one: one.name != "rerelease")[:1]:
         source = run.link_of(task)
         label = f"found again ({task.name}, rank 1): {drawing.short(source)}"
-        rows[label] = rank1_rows(task, source)
+        rows[label] = picked.rank1_rows(task, source)
     looked = zip(rows.items(), _HEADLINE_LOOKS, strict=False)
-    return [Line(label, look, of) for (label, of), look in looked]
+    lines = [Line(label, look, of) for (label, of), look in looked]
+    known = picked.schemes(run.ours)
+    rule = next(iter(picked.rules_of(known)), "")
+    return lines, rule, [one for one in known if rule in one.rules]
 
 
-def _headline_words(run: Results) -> str:
-    known = schemes(run.ours)
-    rule = next(iter(rules_of(known)), "")
-    lines = {line.label: (EXPOSURE, line.rows) for line in _headline_lines(run)}
-    parts = [f"{scheme.title}: {said}." for scheme in known if (said := scheme.ends(lines, rule))]
-    return f"Lines over the level, {rule} adding. {' '.join(parts)}"
+def _headline_words(run: picked.Results) -> str:
+    lines, rule, known = _headline(run)
+    said = _ends(picked.by_title(known), {line.label: line for line in lines})
+    return f"Lines over the level, {rule} adding. {said}"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import cycle, zip_longest
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.collections import LineCollection
-from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import CLEAN, RAW, families_in
@@ -17,19 +17,9 @@ from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.linkability import LinkedTask, dataset_of
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
 from evaluation.experiment.presets import SHARED
+from evaluation.reporting import rows as picked
 from evaluation.reporting.figures import drawing
 from evaluation.reporting.figures.drawing import LOOKS, PERCENT, Drawing, Line, Look
-from evaluation.reporting.rows import (
-    ENDS,
-    Results,
-    Scheme,
-    family_of,
-    is_control,
-    parameters_text,
-    rank1_rows,
-    rules_of,
-    schemes,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -54,21 +44,7 @@ _RIGHT = 0.6
 _SECONDS = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0]
 
 
-class _Row(NamedTuple):
-    """A row of the figure: a task, and the lines of those who are drawn."""
-
-    task: LinkedTask
-    lines: Mapping[Source, Line]
-    points: pd.DataFrame
-    """Of all lines, over the levels that are shown."""
-
-    def alone(self, mechanism: str) -> list[float]:
-        """Return rank 1 in % at a mechanism without levels."""
-        every = (line.rows for line in self.lines.values())
-        return [PERCENT * one for of in every for one in of["value"][of["mechanism"] == mechanism]]
-
-
-def drawings(run: Results) -> list[Drawing]:
+def drawings(run: picked.Results) -> list[Drawing]:
     """Return the figure of all tasks, and one of each in which the same walk is found again."""
     title = "Rank 1 of the strongest attacks over the level, task by task"
     return [
@@ -86,53 +62,65 @@ def drawings(run: Results) -> list[Drawing]:
     ]
 
 
-def _linkage_figure(run: Results) -> Figure | None:
+def _linkage_figure(run: picked.Results) -> Figure | None:
     """Return rank 1 over the level, a row for each task; at most five attacks, alike everywhere."""
-    known = [(scheme, rule) for scheme in schemes(run.summary) for rule in scheme.rules]
     looks = dict(zip(_strongest(run.tasks), LOOKS, strict=False))
-    rows = [row for task in run.tasks if (row := _row(task, looks, known)).lines]
+    known = picked.schemes(run.summary)
+    rows = {task: lines for task in run.tasks if (lines := _lines(task, looks, known))}
+    every = rows.values()
     if not rows:
         return None
-    points = pd.concat(row.points for row in rows)
-    columns = [(scheme, rule) for scheme, rule in known if len(scheme.of(points, rule))]
+    known = picked.shown_in(known, *(line.rows for of in every for line in of.values()))
     figure, panels = drawing.panels(
-        len(rows), len(columns), height_in=1.05 * len(rows) + 1.3, sharex="col", sharey="row"
+        len(rows), len(known), height_in=1.05 * len(rows) + 1.3, sharex="col", sharey="row"
     )
-    for row, in_row in zip(rows, panels, strict=True):
-        name = row.task.name
-        is_simulated = name in TASKS and TASKS[name].simulated
-        note = "(simulated)" if is_simulated else _NOTES.get(name, "")
-        in_row[0].set_ylabel("\n".join(filter(None, [name, note, "rank 1 (%)"])))
-        ends = PERCENT * row.points[ENDS].to_numpy(dtype=float)
-        highest = max([float(np.nanmax(ends)), *row.alone(RAW), *row.alone(CLEAN)])
+    for (task, lines), in_row in zip(rows.items(), panels, strict=True):
+        is_simulated = task.name in TASKS and TASKS[task.name].simulated
+        note = "(simulated)" if is_simulated else _NOTES.get(task.name, "")
+        in_row[0].set_ylabel("\n".join(filter(None, [task.name, note, "rank 1 (%)"])))
+        ends = PERCENT * _points(lines, known)[picked.ENDS].to_numpy(dtype=float)
+        highest = max([float(np.nanmax(ends)), *_alone(lines, RAW), *_alone(lines, CLEAN)])
         limit = next((limit for limit in _LIMITS if highest <= limit), _LIMITS[-1])
         in_row[0].set_ylim(-0.03 * limit, 1.03 * limit)
         if limit < PERCENT:
             ends_at = f"axis ends at {limit:g} %"
             in_row[0].text(0.03, 0.97, ends_at, transform=in_row[0].transAxes, va="top")
-        for (scheme, rule), ax in zip(columns, in_row, strict=True):
-            _draw(ax, row, scheme=scheme, rule=rule)
-    for (scheme, rule), in_column in zip(columns, panels.T, strict=True):
-        in_column[0].set_title(f"{scheme.title},\n{scheme.rule_text(rule)}")
+        for scheme, ax in zip(known, in_row, strict=True):
+            _draw(ax, task, lines, scheme=scheme)
+    for scheme, in_column in zip(known, panels.T, strict=True):
+        in_column[0].set_title(f"{scheme.title},\n{scheme.rule_text}")
         in_column[-1].set_xlabel(scheme.label)
         drawing.level_axis(in_column[0], log=scheme.log)
         if not scheme.log:
             # Few, lest those of two panels meet.
             in_column[0].xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 5, 10]))
     # Whose walks they are: a simulated task has people of its own.
-    of = {dataset_of(f"{row.task.name}/", dataset=run.dataset): row.task.name for row in rows}
+    of = {dataset_of(f"{task.name}/", dataset=run.dataset): task.name for task in rows}
     name = run.dataset if run.dataset in of else next(iter(of))
     others = ", ".join(f"{task}: {one}" for one, task in of.items() if one != name)
+    has_raw, has_ceiling = (any(_alone(of, name) for of in every) for name in (RAW, CLEAN))
+    has_silent = not all(_points(of, known)["links"].all() for of in every)
+    is_banded = all(line.has_band for of in every for line in of.values())
+    named = {source: line for of in every for source, line in of.items()}
+    handles = [
+        *(named[source].handle for source in looks if source in named),
+        has_raw and drawing.black_handle("raw (at its edge)", dashes=":"),
+        has_ceiling and drawing.handle("ceiling (no error at all)", _CEILING_LOOK),
+        has_silent
+        and drawing.black_handle("does not link, or is invalid", marker="o", hollow=True),
+        drawing.handle("chance", _CHANCE_LOOK),
+        drawing.band_handle("95 % interval" + f" (the {_MOST_BANDS} strongest)" * (not is_banded)),
+    ]
     what = "linkage, the strongest attacks of each task by mean rank 1"
     what += f" ({others})" if others and name == run.dataset else ""
-    return drawing.finish(figure, _handles(rows, looks), dataset=name, what=what)
+    return drawing.finish(figure, handles, dataset=name, what=what)
 
 
-def _level_words(run: Results) -> str:
+def _level_words(run: picked.Results) -> str:
     parts = []
     for task in run.tasks:
         source = run.link_of(task)
-        rows = rank1_rows(task, source)
+        rows = picked.rank1_rows(task, source)
         if rows.empty:
             continue
         noisy = PERCENT * rows.loc[rows["level"].notna(), "value"]
@@ -149,7 +137,8 @@ def _level_words(run: Results) -> str:
 def _strongest(tasks: Sequence[LinkedTask]) -> list[Source]:
     """Return who is drawn: of each task the strongest, then the second of each, and so on."""
     ranked = [
-        sorted(task.attacks, key=lambda source: -_mean(rank1_rows(task, source))) for task in tasks
+        sorted(task.attacks, key=lambda source: -_mean(picked.rank1_rows(task, source)))
+        for task in tasks
     ]
     turns = (source for turn in zip_longest(*ranked) for source in turn if source is not None)
     return list(dict.fromkeys(turns))[: len(LOOKS)]
@@ -160,68 +149,60 @@ def _mean(rows: pd.DataFrame) -> float:
     return float(np.nan_to_num(rows.loc[rows["level"].notna(), "value"].mean(), nan=-1.0))
 
 
-def _row(
-    task: LinkedTask, looks: Mapping[Source, Look], columns: Sequence[tuple[Scheme, str]]
-) -> _Row:
-    drawn: dict[Source, pd.DataFrame] = {}
-    points = []
-    for source in looks:
-        rows = rank1_rows(task, source)
-        series = [of for scheme, rule in columns if len(of := scheme.of(rows, rule))]
-        points += series
-        drawn |= {source: rows} if series else {}
-    # The strongest: the bands of many would hide each other.
-    banded = sorted(drawn, key=lambda source: -_mean(drawn[source]))[:_MOST_BANDS]
-    lines = {
-        of: Line(drawing.short(of), looks[of], rows, has_band=of in banded)
-        for of, rows in drawn.items()
+def _lines(
+    task: LinkedTask, looks: Mapping[Source, Look], known: Sequence[picked.Scheme]
+) -> dict[Source, Line]:
+    """Return what is drawn of a task, with its looks."""
+    found = {
+        of: rows for of in looks if picked.shown_in(known, rows := picked.rank1_rows(task, of))
     }
-    return _Row(task, lines, pd.concat(points) if points else pd.DataFrame())
+    # The strongest: the bands of many would hide each other.
+    banded = sorted(found, key=lambda source: -_mean(found[source]))[:_MOST_BANDS]
+    return {
+        of: Line(drawing.short(of), looks[of], rows, has_band=of in banded)
+        for of, rows in found.items()
+    }
 
 
-def _draw(ax: Axes, row: _Row, *, scheme: Scheme, rule: str) -> None:
-    chance = next(cell["chance"] for block in row.task.cells.values() for cell in block.values())
+def _points(lines: Mapping[Source, Line], known: Sequence[picked.Scheme]) -> pd.DataFrame:
+    """Return the rows of all lines, over the levels that are shown."""
+    return pd.concat(scheme.of(line.rows) for line in lines.values() for scheme in known)
+
+
+def _alone(lines: Mapping[Source, Line], mechanism: str) -> list[float]:
+    """Return rank 1 in % at a mechanism without levels."""
+    return [one for line in lines.values() for one in line.alone(mechanism)]
+
+
+def _draw(
+    ax: Axes, task: LinkedTask, lines: Mapping[Source, Line], *, scheme: picked.Scheme
+) -> None:
+    chance = next(cell["chance"] for block in task.cells.values() for cell in block.values())
     ax.axhline(PERCENT * chance, color=_CHANCE_LOOK.colour, linewidth=0.8, zorder=1.5)
-    if ceilings := row.alone(CLEAN):
+    for ceiling in sorted(_alone(lines, CLEAN))[-1:]:
         colour, dashes = _CEILING_LOOK.colour, _CEILING_LOOK.dashes
-        ax.axhline(max(ceilings), color=colour, linestyle=dashes, linewidth=0.8, zorder=1.6)
-    for line in row.lines.values():
-        line.draw(ax, scheme, rule)
-        found = scheme.of(line.rows, rule)
+        ax.axhline(ceiling, color=colour, linestyle=dashes, linewidth=0.8, zorder=1.6)
+    for line in lines.values():
+        line.draw(ax, scheme)
+        found = scheme.of(line.rows)
         silent = found[~found["links"]]
         look: dict[str, Any] = {"color": line.look.colour, "markerfacecolor": "white"}
         look |= {"markeredgewidth": 0.6, "markersize": 4.2, "zorder": 2.7}
         ax.plot(silent["level"], PERCENT * silent["value"], line.look.marker, **look)
 
 
-def _handles(rows: Sequence[_Row], looks: Mapping[Source, Look]) -> list[Any]:
-    """Return what stands in the legend."""
-    lines = {source: line for row in rows for source, line in row.lines.items()}
-    has_raw, has_ceiling = (any(row.alone(name) for row in rows) for name in (RAW, CLEAN))
-    has_silent = not all(row.points["links"].all() for row in rows)
-    is_banded = all(line.has_band for row in rows for line in row.lines.values())
-    only = "" if is_banded else f" (the {_MOST_BANDS} strongest)"
-    return [
-        *(lines[source].handle for source in looks if source in lines),
-        has_raw and drawing.black_handle("raw (at its edge)", dashes=":"),
-        has_ceiling and drawing.handle("ceiling (no error at all)", _CEILING_LOOK),
-        has_silent
-        and drawing.black_handle("does not link, or is invalid", marker="o", hollow=True),
-        drawing.handle("chance", _CHANCE_LOOK),
-        drawing.band_handle(f"95 % interval{only}"),
-    ]
-
-
-def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
+def _dissociation_figure(run: picked.Results, *, task: LinkedTask) -> Figure | None:
     """Return rank 1 over each descriptor: a line for what is swept, a marker for each control."""
     source = run.link_of(task)
-    points = _points(run.ours, task, source=source)
-    known = schemes(points) if len(points) else []
-    n_levels = {rule: sum(len(one.of(points, rule)) for one in known) for rule in rules_of(known)}
-    rules = [rule for rule, n in n_levels.items() if n > 1]
+    points = _beside(run.ours, task, source=source)
+    known = picked.schemes(points) if len(points) else []
+    under = {rule: [one for one in known if rule in one.rules] for rule in picked.rules_of(known)}
+    rules = [rule for rule, of in under.items() if sum(len(one.of(points)) for one in of) > 1]
     if not rules:
         return None
-    controls = dict.fromkeys(one.family for one in families_in(points).values() if is_control(one))
+    controls = dict.fromkeys(
+        one.family for one in families_in(points).values() if picked.is_control(one)
+    )
     marks = (Look(*mark, "") for mark in zip(cycle(_COLOURS), cycle(_MARKERS), strict=False))
     looks = dict(zip(controls, marks, strict=False))
     figure, panels = drawing.panels(
@@ -235,12 +216,12 @@ def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
         # Descriptor x and rank 1 y with their intervals, in the units of the axes.
         scale = METRICS[metric].scale
         axes = {f"x{end}": scale * points[f"{metric}{end}"] for end in ("", "_low", "_high")}
-        for name, end in zip(("y", "y_low", "y_high"), ENDS, strict=True):
+        for name, end in zip(("y", "y_low", "y_high"), picked.ENDS, strict=True):
             axes[name] = PERCENT * points[end]
         shown = points.assign(**axes)
         for rule, ax in zip(rules, in_column, strict=True):
-            for scheme in known:
-                rows, look = scheme.of(shown, rule), drawing.look_of(scheme)
+            for scheme in under[rule]:
+                rows, look = scheme.of(shown), drawing.look_of(scheme)
                 ax.plot(rows["x"], rows["y"], **look.line, zorder=2.5)
                 _bars(ax, rows, colour=look.colour)
             _draw_controls(ax, shown, rule=rule, looks=looks)
@@ -253,16 +234,13 @@ def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
             threshold, zero = 0.7 * float(x[x > 0].min()), [0.0] * bool((x <= 0).any())
             ax.set_xscale("symlog", linthresh=threshold, linscale=0.3)
             ax.set_xlim(-0.3 * threshold if zero else threshold, 1.5 * float(x.max()))
-            ax.xaxis.set_major_locator(FixedLocator(zero + _SECONDS))
-            ax.xaxis.set_minor_locator(NullLocator())
-            ax.xaxis.set_major_formatter(lambda value, _: drawing.number(value))
+            drawing.plain_ticks(ax.xaxis, FixedLocator(zero + _SECONDS))
     for rule, in_row in zip(rules, panels, strict=True):
-        in_row[0].set_title(f"{rule} adding")
-        in_row[0].set_ylabel("rank 1 (%)")
+        in_row[0].set(title=f"{rule} adding", ylabel="rank 1 (%)")
     panels[0, 0].set_ylim(-3.0, min(103.0, 1.12 * PERCENT * float(points["ci_high"].max())))
     has_raw = bool((points["mechanism"] == RAW).any())
     handles = [
-        *(drawing.handle(one.title, drawing.look_of(one)) for one in known),
+        *drawing.handles_of(known),
         has_raw and drawing.black_handle("raw", marker="*"),
         *(
             drawing.handle(f"control: {name}", look, markersize=6, **_EDGE)
@@ -274,35 +252,34 @@ def _dissociation_figure(run: Results, *, task: LinkedTask) -> Figure | None:
     return drawing.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
-def _points(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
+def _beside(summary: pd.DataFrame, task: LinkedTask, *, source: Source) -> pd.DataFrame:
     """Return the descriptors as shared (with `_low` and `_high`) beside `rank1_rows`."""
-    known = families_in(summary)
-    points = rank1_rows(task, source)
+    points = picked.rank1_rows(task, source)
     for metric in DESCRIPTORS:
         rows = summary[(summary["consumer"] == SHARED) & (summary["metric"] == metric)]
-        names = dict(zip(ENDS, (metric, f"{metric}_low", f"{metric}_high"), strict=True))
-        rows = rows[["mechanism", "level", *ENDS]].rename(columns=names)
+        names = dict(zip(picked.ENDS, (metric, f"{metric}_low", f"{metric}_high"), strict=True))
+        rows = rows[["mechanism", "level", *picked.ENDS]].rename(columns=names)
         points = points.merge(rows, on=["mechanism", "level"])
-    of = [family_of(known, name) for name in points["mechanism"]]
-    return points.assign(family=[one.family for one in of], adding=[one.adding for one in of])
+    about = summary[["mechanism", "family", "adding"]].drop_duplicates("mechanism").fillna("")
+    return points.merge(about, on="mechanism")
 
 
-def _descriptor_words(run: Results, *, task: LinkedTask) -> str:
+def _descriptor_words(run: picked.Results, *, task: LinkedTask) -> str:
     source = run.link_of(task)
-    points = _points(run.ours, task, source=source)
+    points = _beside(run.ours, task, source=source)
     known = families_in(points)
-    marked = points["mechanism"].map(lambda name: is_control(known[name]) or name == RAW)
+    marked = points["mechanism"].map(lambda name: picked.is_control(known[name]) or name == RAW)
     said = [
         f"{row['mechanism']} {level_text(row['level'])}".rstrip()
         + f": PLR {PERCENT * row['plr']:.0f} %, rank 1 {PERCENT * row['value']:.0f} %"
         for row in points[marked].to_dict("records")
     ]
     lines = points[points["level"].notna() & ~marked]
-    titles = ", ".join(scheme.title for scheme in schemes(points))
     return (
-        f"Rank 1 of {source.label} over PLR, AEL and MEL as shared. {titles} are lines from rank 1 "
-        f"of {PERCENT * lines['value'].min():.0f} to {PERCENT * lines['value'].max():.0f} %. Did "
-        f"a descriptor tell linkability by itself, the controls would lie on the lines. "
+        f"Rank 1 of {source.label} over PLR, AEL and MEL as shared. "
+        f"{', '.join(picked.by_title(picked.schemes(points)))} are lines from rank 1 of "
+        f"{PERCENT * lines['value'].min():.0f} to {PERCENT * lines['value'].max():.0f} %. Did a "
+        "descriptor tell linkability by itself, the controls would lie on the lines. "
         f"{'; '.join(said)}."
     )
 
@@ -323,13 +300,13 @@ def _draw_controls(ax: Axes, shown: pd.DataFrame, *, rule: str, looks: Mapping[s
             labelled += 1
             if labelled > _MOST_LABELS or np.isnan(row["level"]):
                 continue
-            parts = drawing.number(row["level"]), parameters_text(known[row["mechanism"]])
+            parts = drawing.number(row["level"]), picked.parameters_text(known[row["mechanism"]])
             text = ", ".join(filter(None, parts))
             # To the side where there is room.
-            offset, side = (4.5, 3.0), "left"
-            if row["x"] > _RIGHT * float(shown["x"].max()):
-                offset, side = (-4.5, 3.0), "right"
-            drawing.note(ax, text, (row["x"], row["y"]), offset, ha=side, zorder=6)
+            is_right = row["x"] > _RIGHT * float(shown["x"].max())
+            offset, side = ((-4.5, 3.0), "right") if is_right else ((4.5, 3.0), "left")
+            where: dict[str, Any] = {"textcoords": "offset points", "ha": side}
+            ax.annotate(text, (row["x"], row["y"]), offset, **where, zorder=6)
 
 
 def _bars(ax: Axes, rows: pd.DataFrame, *, colour: str) -> None:

@@ -109,10 +109,8 @@ def _draw(ax: Axes, part: pd.DataFrame, corners: Floats) -> None:
     said = f"leaks: shared {shares[0]:.0f} %, rebuilt {shares[1]:.0f} %"
     ax.text(0.0, 1.02, said, transform=ax.transAxes, verticalalignment="bottom")
     ax.grid(visible=False)
-    ax.set_xticks([])
-    ax.set_yticks([])
     ax.spines[:].set(visible=True, color="#dddddd")
-    ax.set(xlim=corners[0], ylim=corners[1])
+    ax.set(xticks=[], yticks=[], xlim=corners[0], ylim=corners[1])
     (left, bottom), (span_m, height_m) = corners[:, 0], np.ptp(corners, axis=1)
     length = max((one for one in _BAR_M if one < 0.3 * span_m), default=_BAR_M[0])
     x, y = left + 0.03 * span_m, bottom + 0.06 * height_m

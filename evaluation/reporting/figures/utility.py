@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,9 +12,9 @@ from evaluation.analysis.keys import Where, is_attack, level_text
 from evaluation.analysis.matching import MISSED
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
+from evaluation.reporting import rows as picked
 from evaluation.reporting.figures import drawing
-from evaluation.reporting.figures.drawing import LOOKS, PERCENT, Dashes, Drawing, Look
-from evaluation.reporting.rows import Results, Scheme, compared_levels, rules_of, schemes
+from evaluation.reporting.figures.drawing import LOOKS, PERCENT, Dashes, Drawing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,7 +25,7 @@ _FALSE_ALARMS = "false_alarm_rate"
 _DASHES: dict[str, Dashes] = {"separation": "-", "probability": (0, (3, 1.5))}
 
 
-def drawings(_: Results) -> list[Drawing]:
+def drawings(_: picked.Results) -> list[Drawing]:
     """Return the plane of the first predictor, and misses over false alarms of all."""
     points = "Operating points: each descriptor as shared against missed conflicts"
     better, curves = "Down and to the left is better.", "Missed conflicts against false alarms"
@@ -34,22 +35,14 @@ def drawings(_: Results) -> list[Drawing]:
     ]
 
 
-def _operating_figure(run: Results) -> Figure | None:
+def _operating_figure(run: picked.Results) -> Figure | None:
     """Return the privacy-utility plane of the first predictor: points, and curves as matched."""
     ours = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
-    rates = ours[ours["metric"] == MISSED_RATE]
-    known = schemes(ours)
-    if rates.empty:
-        return None
-    predictor = str(rates["consumer"].iloc[0])
+    known = picked.schemes(ours)
+    predictor = next(iter(ours["consumer"][ours["metric"] == MISSED_RATE]), "")
     planes = {metric: _plane(ours, predictor, metric) for metric in DESCRIPTORS}
-    # What declares no rule stands under each.
-    shown = {
-        rule: [one for one in known if any(len(one.of(plane, rule)) for plane in planes.values())]
-        for rule in rules_of(known)
-    }
-    rules = [rule for rule, of in shown.items() if of]
-    drawn = [scheme for scheme in known if any(scheme in of for of in shown.values())]
+    drawn = picked.shown_in(known, *planes.values())
+    rules = picked.rules_of(drawn)
     if not drawn:
         return None
     wanted = {"dataset": run.dataset, "predictor": predictor, "criterion": MISSED}
@@ -64,18 +57,19 @@ def _operating_figure(run: Results) -> Figure | None:
             ax.set_ylabel(drawing.label(metric))
             part = curves[(curves["adding"] == rule) & (curves["metric"] == metric)]
             for scheme in known:
-                _draw(ax, part, plane, scheme=scheme, rule=rule, metric=metric)
+                if rule in scheme.rules:
+                    _draw(ax, part, plane, scheme, metric)
             raw = plane[plane["mechanism"] == RAW]
             ax.plot(raw["x"], raw["y"], "*", color="black", markersize=6, zorder=4)
     for (metric, plane), axes in zip(planes.items(), panels.T, strict=True):
         axes[-1].set_xlabel(drawing.label(MISSED_RATE))
-        values = [scheme.of(plane, rule)["y"].to_numpy() for scheme in drawn for rule in rules]
+        values = [scheme.of(plane)["y"] for scheme in drawn]
         if any(map(len, values)):
-            values.append(plane["y"][plane["mechanism"] == RAW].to_numpy())
+            values.append(plane["y"][plane["mechanism"] == RAW])
             drawing.value_axis(axes[0], values, log=metric != EXPOSURE)
     has_raw = any((plane["mechanism"] == RAW).any() for plane in planes.values())
     handles = [
-        *(drawing.handle(scheme.title, drawing.look_of(scheme)) for scheme in drawn),
+        *drawing.handles_of(drawn),
         has_raw and drawing.black_handle("raw", marker="*"),
         not curves.empty and drawing.band_handle("95 % interval at matched rates"),
     ]
@@ -83,7 +77,7 @@ def _operating_figure(run: Results) -> Figure | None:
     return drawing.finish(figure, handles, dataset=run.dataset, what=what)
 
 
-def _operating_words(run: Results) -> str:
+def _operating_words(run: picked.Results) -> str:
     raw = run.ours[(run.ours["mechanism"] == RAW) & ~is_attack(run.ours)]
     said = [
         f"{shown.head} {shown.scale * value:.{shown.digits}f} {shown.unit}"
@@ -92,7 +86,7 @@ def _operating_words(run: Results) -> str:
     ]
     return (
         "PLR, AEL and MEL over the missed-conflict rate, a curve for each of "
-        f"{', '.join(scheme.title for scheme in schemes(run.ours))}, all ending at raw "
+        f"{', '.join(picked.by_title(picked.schemes(run.ours)))}, all ending at raw "
         f"({', '.join(said)}). Lower and further left is better. "
         "The table of matched points has the differences."
     )
@@ -108,11 +102,11 @@ def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:
 
 
 def _draw(
-    ax: Axes, curves: pd.DataFrame, plane: pd.DataFrame, *, scheme: Scheme, rule: str, metric: str
+    ax: Axes, curves: pd.DataFrame, plane: pd.DataFrame, scheme: picked.Scheme, metric: str
 ) -> None:
     """Draw a mechanism, or the fixed noise that it is held against: matched curve and points."""
     look, scale, is_fixed = drawing.look_of(scheme), METRICS[metric].scale, scheme.name == FIXED
-    mechanism = next(iter(curves["mechanism"]), "") if is_fixed else scheme.mechanisms.get(rule)
+    mechanism = next(iter(curves["mechanism"]), "") if is_fixed else scheme.mechanism
     rows = curves[curves["mechanism"] == mechanism].sort_values(MISSED_RATE)
     if len(rows):
         column = FIXED if is_fixed else FID
@@ -120,20 +114,21 @@ def _draw(
         ax.plot(x, rows[column] * scale, color=look.colour, linestyle=look.dashes)
         ends = (rows[f"{column}_{end}"].to_numpy() * scale for end in ("low", "high"))
         drawing.band(ax, x, *ends, look=look)
-    points = scheme.of(plane, rule).sort_values("x", kind="stable")
+    points = scheme.of(plane).sort_values("x", kind="stable")
     edge: dict[str, Any] = {"markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.4}
     ax.plot(points["x"], points["y"], look.marker, color=look.colour, **edge)
     if metric == EXPOSURE and len(points):
         # The level that costs most gives the curve a direction.
         noisiest = points.iloc[-1]
         at, offset = (noisiest["x"], noisiest["y"]), (0.0, -9.0 if scheme.log else 5.0)
-        drawing.note(ax, scheme.at(float(noisiest["level"])), at, offset, color=look.colour)
+        text: dict[str, Any] = {"textcoords": "offset points", "color": look.colour}
+        ax.annotate(scheme.at(float(noisiest["level"])), at, offset, ha="center", **text)
 
 
-def _curves_figure(run: Results) -> Figure | None:
+def _curves_figure(run: picked.Results) -> Figure | None:
     """Return misses against false alarms of every predictor, marked where the paper's robot is."""
     of = run.curves[run.curves["dataset"] == run.dataset]
-    wheres = [where for where in compared_levels(run.ours) if not _at(of, where).empty]
+    wheres = [where for where in picked.compared_levels(run.ours) if not _at(of, where).empty]
     if not wheres:
         return None
     columns = min(3, len(wheres))
@@ -146,14 +141,12 @@ def _curves_figure(run: Results) -> Figure | None:
         sharey=True,
     )
     looks = dict(zip(of["consumer"].unique(), LOOKS, strict=False))
-    known = [(scheme, rule) for scheme in schemes(run.ours) for rule in scheme.rules]
-    titles = {scheme.mechanisms[rule]: (scheme, rule) for scheme, rule in known}
+    known = {scheme.mechanism: scheme for scheme in picked.schemes(run.ours)}
     for where, ax in zip(wheres, panels.flat, strict=False):
-        mechanism, level = where
-        ax.set_title(mechanism)
-        if mechanism in titles and level is not None:
-            scheme, rule = titles[mechanism]
-            ax.set_title(f"{scheme.name}, {scheme.at(level)}, {scheme.rule_text(rule)}")
+        ax.set_title(where[0])
+        if where[1] is not None:
+            scheme = known[where[0]]
+            ax.set_title(f"{scheme.name}, {scheme.at(where[1])}, {scheme.rule_text}")
         found, operating = _at(of, where), _at(run.ours, where)
         for name, look in looks.items():
             rows = found[found["consumer"] == name]
@@ -163,24 +156,19 @@ def _curves_figure(run: Results) -> Figure | None:
                 ax.plot(x, y, linewidth=0.9, **look_of)
             rows = operating[operating["consumer"] == name].drop_duplicates("metric")
             value = PERCENT * rows.set_index("metric")["value"]
-            if {_FALSE_ALARMS, MISSED_RATE} <= set(value.index):
-                mark = {"color": look.colour, "markerfacecolor": "white", "markersize": 4.5}
-                point = [value[_FALSE_ALARMS]], [value[MISSED_RATE]]
-                ax.plot(*point, look.marker, **mark, zorder=3)
+            mark = {"color": look.colour, "markerfacecolor": "white", "markersize": 4.5}
+            at = ([one] for one in value.reindex([_FALSE_ALARMS, MISSED_RATE]))
+            ax.plot(*at, look.marker, **mark, zorder=3)
     for ax in panels.flat[len(wheres) :]:
         ax.set_axis_off()
     for ax in panels[:, 0]:
-        ax.set_ylabel("Missed conflicts (%)")
+        ax.set_ylabel(drawing.label(MISSED_RATE))
     for ax in panels.flat[max(0, len(wheres) - columns) : len(wheres)]:
         ax.set_xlabel("False alarms (%)")
         ax.tick_params(labelbottom=True)
-    panels[0, 0].set_xlim(-2.0, 102.0)
-    panels[0, 0].set_ylim(-2.0, 102.0)
+    panels[0, 0].set(xlim=(-2.0, 102.0), ylim=(-2.0, 102.0))
     handles = [
-        *(
-            drawing.handle(name, Look(look.colour, look.marker, "-"))
-            for name, look in looks.items()
-        ),
+        *(drawing.handle(name, replace(look, dashes="-")) for name, look in looks.items()),
         drawing.black_handle("by predicted separation", dashes=_DASHES["separation"]),
         drawing.black_handle("by conflict probability", dashes=_DASHES["probability"]),
         drawing.black_handle("as the paper's robot decides", marker="o", hollow=True),
@@ -189,9 +177,9 @@ def _curves_figure(run: Results) -> Figure | None:
     return drawing.finish(figure, handles, dataset=run.dataset, what=what, columns=4)
 
 
-def _curves_words(run: Results) -> str:
+def _curves_words(run: picked.Results) -> str:
     parts = []
-    for where in compared_levels(run.ours):
+    for where in picked.compared_levels(run.ours):
         rows = _at(run.ours[~is_attack(run.ours)], where)
         said = []
         for consumer in rows.loc[rows["metric"] == MISSED_RATE, "consumer"].unique():

@@ -48,13 +48,10 @@ def test_the_answer_is_letter_for_letter_what_was_read_and_approved(made, tmp_pa
 class TestCloser:
     """The command that adds levels where the answer turns."""
 
-    def words(self, answer):
-        words = shlex.split(closer(answer))
-        assert words[:3] == ["python", "-m", "evaluation.matrix"]
-        return words[3:]
-
     def options(self, answer):
-        return matrix.settings_from(matrix.parser().parse_args(self.words(answer)))
+        python, flag, module, *words = shlex.split(closer(answer))
+        assert (python, flag, module) == ("python", "-m", "evaluation.matrix")
+        return matrix.settings_from(matrix.parser().parse_args(words))
 
     def test_is_between_the_chosen_level_and_the_next_stricter_one(self, made):
         out = made()

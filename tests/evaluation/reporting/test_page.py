@@ -135,15 +135,6 @@ class TestTheInlineFigure:
         for gone in ("metadata", "secret", "style", "xlink", "unused", "empty", "http"):
             assert gone not in content
 
-    def test_ids_get_the_figures_name_and_references_follow(self):
-        one, _ = page.inline(self.SVG, name="f1", styles={})
-        other, _ = page.inline(self.SVG, name="f2", styles={})
-        ids = re.findall(r' id="([^"]+)"', one)
-        assert len(ids) == 2
-        assert not set(ids) & set(re.findall(r' id="([^"]+)"', other))
-        assert f'href="#{ids[0]}"' in one
-        assert f"url(#{ids[1]})" in one
-
     def test_black_and_white_can_change_and_other_colours_stay(self):
         styles = {}
         content, _ = page.inline(self.SVG, name="f1", styles=styles)

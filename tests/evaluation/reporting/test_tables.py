@@ -3,7 +3,6 @@
 import io
 import re
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -47,24 +46,14 @@ def shown(run, *, width=200):
     return raw.getvalue()
 
 
-def heads(table):
-    return [column.head for column in table.columns]
-
-
 def row_of(table, *start):
     """The cells of the row that starts so, behind what it starts with."""
     (row,) = [row for row in table.rows if tuple(cell.text for cell in row[: len(start)]) == start]
     return row[len(start) :]
 
 
-def texts(table):
-    return [[cell.full for cell in row] for row in table.rows]
-
-
-def ranks(frame=None, people=MappingProxyType({})):
-    frame = make_linkability() if frame is None else frame
+def ranks(frame):
     run = make_run(at=[*STRANGER, *levels()], linkability=frame)
-    run.manifest["linkage"]["tasks"] = people
     return rank_table(run, linked_tasks(frame)[0])
 
 
@@ -123,10 +112,10 @@ class TestTheSweep:
         odd = [*ATTACKS, ("least_squares", "informed"), ("shared", "blind")]
         first, second = sweep_tables(make_summary(predictors=names, attacks=odd))
         plain = sweep_tables(make_summary(predictors=names, attacks=()))
-        assert [texts(first), texts(second)] == [texts(one) for one in plain]
+        assert [markdown(first), markdown(second)] == [markdown(one) for one in plain]
         assert "predictor least_squares" in first.title
         assert "predictor kalman_cv" in second.title
-        assert "MEL, shared (s)" not in heads(second)
+        assert "MEL, shared (s)" not in markdown(second)
         (alone,) = sweep_tables(make_summary(predictors=()))
         assert "predictor" not in alone.title
 
@@ -191,7 +180,7 @@ class TestAnswers:
         table = paper_table(make_run(dataset="plaza"))
         told = "The paper used students03; ours are of plaza, so they need not agree."
         assert table.notes == [told]
-        assert heads(table)[-1] == "ours - paper"
+        assert table.columns[-1].head == "ours - paper"
 
     @pytest.mark.parametrize(
         ("unit", "value", "text"),

@@ -34,12 +34,8 @@ STRANGERS = [
 ODD_NAMES = ["<script>", "a_$b^{c}$ & \\d", "広場 & 'x'", "line\nbreak\x1b[31m", "x" * 300, ""]
 
 
-def sweep(frame, name, dataset="students03"):
+def drawn_from(frame, name, dataset="students03"):
     return draw(make_run(dataset=dataset, summary=frame.assign(dataset=dataset)), name)
-
-
-def attacked(frame):
-    return draw(make_run(summary=frame), "after_attack")
 
 
 def figures_from(frame, matched):
@@ -48,22 +44,8 @@ def figures_from(frame, matched):
     return [draw(run, name, whole=True) for name in names]
 
 
-@pytest.fixture(scope="module")
-def drawn():
-    return figures_from(make_summary(BOTH), make_matched())
-
-
-@pytest.fixture(scope="module")
-def strangers():
-    return figures_from(make_summary(STRANGERS), make_matched())
-
-
-def lines_of(ax, linestyle=None):
-    return [
-        line
-        for line in ax.lines
-        if len(line.get_xdata()) > 1 and linestyle in (None, line.get_linestyle())
-    ]
+def lines_of(ax):
+    return [line for line in ax.lines if len(line.get_xdata()) > 1]
 
 
 def test_what_is_drawn_of_a_run_is_what_was_read_and_approved():
@@ -74,8 +56,9 @@ def test_what_is_drawn_of_a_run_is_what_was_read_and_approved():
 
 
 class TestEveryFigure:
-    def test_text_is_readable(self, drawn, strangers):
-        for figure in [*drawn, *strangers]:
+    @pytest.mark.parametrize("at", [BOTH, STRANGERS])
+    def test_text_is_readable(self, at):
+        for figure in figures_from(make_summary(at), make_matched()):
             assert_is_readable(figure)
 
     def test_the_users_own_style_changes_no_byte(self, tmp_path):
@@ -141,21 +124,22 @@ class TestEveryFigure:
 
 
 class TestSchemes:
-    def test_each_mechanism_is_one_but_controls_whatever_its_rule(self):
-        assert [one.name for one in schemes(make_summary(levels()))] == ["fid", "fixed"]
+    def test_each_mechanism_is_one_but_controls_and_its_rules_stand_together(self):
+        names = [one.name for one in schemes(make_summary(levels()))]
+        assert names == ["fid", "fid", "fixed", "fixed"]
         at = [("ou:tau=3", 1.0), ("ou:tau=3,adding=independent", 1.0), ("ou:tau=9", 1.0)]
-        assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3", "ou:tau=9"]
+        assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3"] * 2 + ["ou:tau=9"]
         found = schemes(make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])]))
-        assert [(one.name, one.log) for one in found] == (
-            [("fid", True), ("fixed", False), ("ou", False), ("mine", True)]
-        )
-        fid, _, ou, mine = found
+        assert [(one.mechanism, one.log, one.rule_text) for one in found] == [
+            ("fid", True, "linear adding"),
+            (f"fid{INDEPENDENT}", True, "independent adding"),
+            ("fixed", False, "linear adding"),
+            (f"fixed{INDEPENDENT}", False, "independent adding"),
+            ("ou", False, "any adding"),
+            ("mine", True, "linear adding"),
+        ]
         # Without a rule it is shown under both.
-        assert ou.mechanisms == {"linear": "ou", "independent": "ou"}
-        assert ou.rules == ["linear"]
-        assert ou.rule_text("linear") == "any adding"
-        assert fid.mechanisms["independent"] == f"fid{INDEPENDENT}"
-        assert mine.rule_text("linear") == "linear adding"
+        assert found[4].rules == ("linear", "independent")
 
     def test_compared_is_what_costs_most_nearly_the_same(self):
         # Misses rise along the levels: fid 1 costs less than any fixed level of its rule.
@@ -174,20 +158,22 @@ class TestSchemes:
 
 
 class TestTheSweep:
-    def test_the_paper_is_marked_on_its_own_recording_in_linear_panels_only(self, drawn):
-        def hollow(axes):
-            lines = [line for ax in axes for line in ax.lines]
-            return [one.get_ydata()[0] for one in lines if one.get_markerfacecolor() == "white"]
+    def test_the_paper_is_marked_on_its_own_recording_in_linear_panels_only(self):
+        def hollow(ax):
+            lines = [one for one in ax.lines if one.get_markerfacecolor() == "white"]
+            return sorted(line.get_ydata()[0] for line in lines)
 
-        linear, independent = drawn[0].axes[:2]
-        assert sorted(hollow([linear])) == pytest.approx([10.5, 15.2, 30.5])
-        plaza = sweep(make_summary(BOTH), "fid_threshold", "plaza")
-        ou = sweep(make_summary(STRANGERS), "sweep-ou")
-        assert not hollow([independent, *plaza.axes, *ou.axes])
+        own, plaza = (
+            drawn_from(make_summary(BOTH), "fid_threshold", name)
+            for name in ("students03", "plaza")
+        )
+        ou = drawn_from(make_summary(STRANGERS), "sweep-ou")
+        assert hollow(own.axes[0]) == pytest.approx([10.5, 15.2, 30.5])
+        assert not any(hollow(ax) for ax in [own.axes[1], *plaza.axes, *ou.axes])
 
     def test_several_predictors_have_a_line_each_with_its_own_look(self):
         names = [f"predictor_{n}" for n in range(7)]
-        figure = sweep(make_summary(LINEAR, predictors=names), "fid_threshold")
+        figure = drawn_from(make_summary(LINEAR, predictors=names), "fid_threshold")
         drawn = [line for line in lines_of(figure.axes[0]) if line.get_linestyle() != ":"]
         assert len(drawn) == len({(one.get_color(), one.get_marker()) for one in drawn}) == 5
 
@@ -195,18 +181,17 @@ class TestTheSweep:
         odd = make_summary(LINEAR, attacks=[("least_squares", "blind"), ("shared", "blind")])
         more = odd[odd["knowledge"] != ""].assign(metric="missed_conflict_rate")
         for name in ("fid_threshold", "fixed_error"):
-            one, other = sweep(pd.concat([odd, more]), name), sweep(make_summary(LINEAR), name)
-            for ax, same in zip(one.axes, other.axes, strict=True):
-                for line, same_line in zip(lines_of(ax), lines_of(same), strict=True):
-                    np.testing.assert_array_equal(line.get_ydata(), same_line.get_ydata())
+            one, other = (
+                drawn_from(frame, name) for frame in (pd.concat([odd, more]), make_summary(LINEAR))
+            )
+            assert described(one) == described(other)
 
 
-class TestThePlane:
-    def test_without_any_matched_point_the_measured_ones_are_there(self):
-        nothing = pd.DataFrame(columns=matching.COLUMNS)
-        run = make_run(summary=make_summary(LINEAR), matched=nothing)
-        lines = draw(run, "operating_points").axes[0].lines
-        assert {line.get_linestyle() for line in lines} == {"None"}
+def test_without_any_matched_point_the_measured_ones_are_in_the_plane():
+    nothing = pd.DataFrame(columns=matching.COLUMNS)
+    run = make_run(summary=make_summary(LINEAR), matched=nothing)
+    lines = draw(run, "operating_points").axes[0].lines
+    assert {line.get_linestyle() for line in lines} == {"None"}
 
 
 class TestAfterAttack:
@@ -217,8 +202,8 @@ class TestAfterAttack:
             frame[frame["mechanism"] == "raw"],
             frame[frame["consumer"] == "shared"],
         ):
-            assert attacked(nothing) is None
-        only = attacked(frame[frame["mechanism"] == "fixed"])
+            assert drawn_from(nothing, "after_attack") is None
+        only = drawn_from(frame[frame["mechanism"] == "fixed"], "after_attack")
         assert len(only.axes) == 1
         assert named(only) == ["as shared", "averaging (oracle), a reference", "95 % interval"]
 
@@ -226,5 +211,5 @@ class TestAfterAttack:
         many = [(f"mine_{n}:{'x' * 40}$_", "blind") for n in range(9)]
         frame = make_summary(BOTH, attacks=[*many, *[(f"o{n}", "oracle") for n in range(4)]])
         frame["ci_low"] = np.nan
-        figure = attacked(frame)
+        figure = drawn_from(frame, "after_attack")
         assert len(lines_of(figure.axes[0])) == 2 * (1 + 5 + 2)
