@@ -198,8 +198,8 @@ class _Files:
 def _compute(
     missing: Sequence[Unit], ready: Plan, tell: Callable[[int, int, str], None]
 ) -> list[tuple[Cell, str]]:
-    """Compute what is missing, and return what could not be, and why."""
-    works = deque(pieces_of(missing, ready))
+    """Compute what is missing, here or by workers, and return what could not be, and why."""
+    works, settings = deque(pieces_of(missing, ready)), ready.settings
     if not works:
         return []
     total = sum(len(one.consumers) for one in missing)
@@ -211,7 +211,17 @@ def _compute(
         kalman.prepare()
         for module in _LOOPS[: 3 if has_links else 1]:
             import_module(module)
-    with closing(_computed(works, ready)) as computed:
+    compute = partial(attempt, tracks=ready.tracks, stages=settings.stages, seed=settings.seed)
+    computed: Generator[tuple[Work, Iterable[Item | Failed]]]
+    if settings.scheduler is None:
+        computed = spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
+    else:
+        from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
+
+        cut_for_cluster(works)
+        modules = ready.code_of.keys()
+        computed = spread_on_cluster(compute, works, scheduler=settings.scheduler, modules=modules)
+    with closing(computed):
         for work, items in computed:
             finished: set[tuple[str, str]] = set()
             for item in items:
@@ -227,17 +237,3 @@ def _compute(
                 check_interrupt()
                 tell(files.n_done, total, f"{mechanism.spec} > {consumer.label}")
     return failures.cells
-
-
-def _computed(works: deque[Work], ready: Plan) -> Generator[tuple[Work, Iterable[Item | Failed]]]:
-    """Yield every work with its cells, from this process or from workers; works may be added."""
-    settings = ready.settings
-    compute = partial(attempt, tracks=ready.tracks, stages=settings.stages, seed=settings.seed)
-    if settings.scheduler is None:
-        return spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
-    from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
-
-    cut_for_cluster(works)
-    return spread_on_cluster(
-        compute, works, scheduler=settings.scheduler, modules=ready.code_of.keys()
-    )

@@ -10,8 +10,8 @@ from helpers.cells import EPSILON_M, STAGES, Silent, Spy, World, linked, parsed,
 from attacks.reconstruction.identity import Identity
 from attacks.tasks.sessions import Windows
 from evaluation.cells.link_setup import sensed_sessions
+from evaluation.cells.linkage import WINDOW_COLUMNS, window_tables
 from evaluation.cells.sharing import restricted, samples_shared, share
-from evaluation.cells.windows import COLUMNS, window_tables
 from evaluation.cells.work import LinkWork, cells
 from evaluation.experiment.axes import Consumer, axes
 from evaluation.experiment.presets import DISSOCIATION
@@ -315,7 +315,7 @@ class TestWindows:
         raw, thin, clean, silent = (self.frame(sessions[task], by) for by in levels)
         sides = {side: len(getattr(sessions[task], side)) for side in ("probe", "gallery")}
         for one in (raw, thin, clean, silent):
-            assert tuple(one.columns) == COLUMNS
+            assert tuple(one.columns) == WINDOW_COLUMNS
             assert one["side"].tolist() == [side for side, n in sides.items() for _ in range(n)]
             for name in ("source", "search", "duration_s", "path_m", "speed_mps"):
                 assert one[name].tolist() == raw[name].tolist()
