@@ -195,16 +195,11 @@ def end(process):
     process.communicate()
 
 
-def content(out, *, but=()):
+def content(out):
     """Everything that a run computed, by file; the manifest tells times and the page shows them."""
-    files = [
-        *out.glob("cells/*"),
-        *out.glob("*.csv"),
-        *out.glob("tables/*"),
-        *out.glob("*.parquet"),
-    ]
-    files += [*out.glob("figures/*"), out / "flags.json", out / "verdict.json"]
-    return {str(path.relative_to(out)): path.read_bytes() for path in files if path.name not in but}
+    kinds = ("cells/*", "*.csv", "tables/*", "*.parquet", "figures/*", "flags.json", "verdict.json")
+    files = (path for kind in kinds for path in out.glob(kind))
+    return {str(path.relative_to(out)): path.read_bytes() for path in files}
 
 
 def assert_same(out, expected):
@@ -442,8 +437,8 @@ BAD_OPTIONS = (
 def rows_by_consumer(out, *, but=""):
     """Rows of the summary as text, by consumer."""
     rows = pd.read_csv(out / "summary.csv", dtype=str, keep_default_na=False)
-    rows = rows[rows["mechanism"] != but]
-    return {name: part.to_csv(index=False) for name, part in rows.groupby("consumer")}
+    rows = rows[rows["mechanism"] != but].groupby("consumer")
+    return {name: part.to_csv(index=False) for name, part in rows}
 
 
 @pytest.fixture(scope="module")

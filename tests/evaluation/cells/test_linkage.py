@@ -581,51 +581,38 @@ class TestAxes:
         assert (nothing.links, nothing.ceiling) == ((), None)
 
 
-OF_A_LINKER = {"kind": "linkage", "knowledge": "blind"}
-
-
 def entry(consumer, mechanism, p_value, low=1.0):
     """An entry of a manifest, and what was achieved there."""
     of = Estimate(value=0.1, ci_low=0.0, ci_high=0.2, n=5)
     numbers = defaultdict(int, p_value=p_value, p_value_low=low, gallery_sizes=[5, 5, 5.0])
-    outcome = cell_files.LinkageOutcome({"rank1": of, "chance": of}, numbers=numbers, cohorts={})
-    where = {"consumer": consumer, "mechanism": mechanism, "spec": mechanism}
-    where["level"] = None if mechanism in {"raw", "clean"} else 1.0
-    is_control = "control" in consumer
-    where |= {"kind": "control", "knowledge": ""} if is_control else OF_A_LINKER
-    return where, outcome
-
-
-def outcomes(*entries):
-    found = linkability.linkability([entry(*one) for one in entries], dataset="here")
-    return found.set_index(["mechanism", "consumer"])
+    kind, knowledge = ("control", "") if "control" in consumer else ("linkage", "blind")
+    where = {"consumer": consumer, "mechanism": mechanism, "spec": mechanism, "kind": kind}
+    where |= {"knowledge": knowledge, "level": 1.0 if mechanism == "fixed" else None}
+    return where, cell_files.LinkageOutcome({"rank1": of, "chance": of}, numbers, cohorts={})
 
 
 class TestOutcomes:
-    @pytest.mark.parametrize(
-        ("at_level", "at_ceiling", "expected"),
-        [(0.01, 0.5, "links"), (0.2, 0.001, "no link detected"), (0.2, 0.5, "attack too weak")],
-    )
-    def test_three_outcomes(self, at_level, at_ceiling, expected):
-        found = outcomes(("split/x", "fixed", at_level), ("split/x", "clean", at_ceiling))
-        assert found.loc[("fixed", "split/x"), "outcome"] == expected
-
     def test_a_leak_makes_the_cells_of_its_task_and_level_invalid(self):
-        found = outcomes(
+        entries = (
             ("split/control-duration", "fixed", 0.0004),
             ("split/control-clock", "fixed", 0.02),
             ("split/control-duration", "clean", 0.3),
             # Mates that score low are a leak, and random scores are none.
             ("split/control-duration", "raw", 1.0, 0.0002),
             ("rerelease/control-random", "raw", 0.001),
-            *((f"{task}/x", by, 0.001) for task in ("split", "rerelease") for by in LEVELS),
+            *(("split/x", "fixed", 0.2), ("split/x", "raw", 0.01), ("split/x", "clean", 0.001)),
+            *(("rerelease/x", by, 0.2) for by in LEVELS),
         )
-        for by, task, invalid in (
-            *(("fixed", "split", "duration"), ("clean", "split", ""), ("raw", "split", "duration")),
-            *((by, "rerelease", "") for by in LEVELS),
+        frame = linkability.linkability([entry(*one) for one in entries], dataset="here")
+        found = frame.set_index(["consumer", "mechanism"])
+        assert found.loc[("split/control-duration", "fixed"), "outcome"] == "beats chance"
+        for task, by, invalid, said in (
+            ("split", "fixed", "duration", "no link detected"),
+            *(("split", "raw", "duration", "links"), ("split", "clean", "", "links")),
+            *(("rerelease", by, "", "attack too weak") for by in LEVELS),
         ):
-            assert found.loc[(by, f"{task}/x"), "invalid"] == invalid
-        assert found.loc[("fixed", "split/control-duration"), "outcome"] == "beats chance"
+            row = found.loc[(f"{task}/x", by)]
+            assert (row["invalid"], row["outcome"]) == (invalid, said)
 
     def test_the_simulated_task_has_a_data_set_of_its_own(self):
         assert linkability.dataset_of("new_traversal/x", dataset="here") != "here"
