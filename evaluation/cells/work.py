@@ -83,27 +83,19 @@ class _Here(threading.local):
     """Where this process is, for the one that waits for it; in a Dask worker, this thread."""
 
     at: tuple[str, ...] = ()
+    """As noted last."""
     tell: Callable[[tuple[str, ...]], None] | None = None
+    """Gets what is noted, too."""
 
 
-_here = _Here()
-
-
-def note_to(tell: Callable[[tuple[str, ...]], None]) -> None:
-    """Tell what is noted from now on to the one that waits, too."""
-    _here.tell = tell
+here = _Here()
 
 
 def note(*at: str) -> None:
     """Note where this process is, before it goes there."""
-    _here.at = at
-    if _here.tell is not None:
-        _here.tell(at)
-
-
-def noted() -> tuple[str, ...]:
-    """Return what was noted last."""
-    return _here.at
+    here.at = at
+    if here.tell is not None:
+        here.tell(at)
 
 
 def attempt(
@@ -119,7 +111,7 @@ def attempt(
     try:
         yield from cells(work, tracks=tracks, stages=stages, seed=seed)
     except PluginError as error:
-        yield Failed(noted(), str(error))
+        yield Failed(here.at, str(error))
     except IsacTrackError:
         raise
     except Exception as error:  # noqa: BLE001 - nobody knows what else goes wrong
@@ -130,7 +122,7 @@ def attempt(
         # The innermost of ours; there is one: this very function.
         module, line = [one for one in places if one[0].partition(".")[0] in OURS][-1]
         where = f"in isac-track's own code, {module}, line {line}: please report this"
-        yield Failed(noted(), f"{told(error)} ({where})")
+        yield Failed(here.at, f"{told(error)} ({where})")
 
 
 def cells(

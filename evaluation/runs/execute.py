@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from evaluation.cells.sample_tracks import chosen, gallery_rows
-from evaluation.cells.work import Failed, Item, LinkWork, attempt, note, noted
+from evaluation.cells.work import Failed, Item, LinkWork, attempt, here, note
 from evaluation.experiment.fingerprint import sources
 from evaluation.runs.cell_files import packed, places_of, read_rows, sound_files, write_gallery
 from evaluation.runs.files import FOLDER, locked, write_checked
@@ -159,7 +159,7 @@ def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | 
     try:
         yield gallery_rows(mechanism, **options)
     except Exception as error:  # noqa: BLE001 - the cells are finished: no picture may cost them
-        yield Failed(noted(), str(error) if isinstance(error, PluginError) else told(error))
+        yield Failed(here.at, str(error) if isinstance(error, PluginError) else told(error))
 
 
 class _Files:

@@ -274,8 +274,9 @@ class TestWindows:
     @pytest.mark.parametrize(("side", "row"), [("probe", 0), ("gallery", 17)])
     def test_a_window_by_hand(self, sessions, by, side, row):
         task = sessions["rerelease"]
-        found = self.frame(task, by)
-        known = sensed_sessions(task, groups=(), stages=STAGES, seed=0)
+        stages = StageSettings().changed({"privacy.epsilon_m": 0.6})
+        found = self.frame(task, by, stages)
+        known = sensed_sessions(task, groups=(), stages=stages, seed=0)
         sensed = known.sensed[("probe", "gallery").index(side)]
         windows = getattr(task, side)
         release = share(parsed("mechanisms", by), sensed, "linkage", "rerelease", side, seed=0)[row]
@@ -283,9 +284,7 @@ class TestWindows:
         t, xy = windows.t[window], windows.xy[window]
         held = np.isin(t, release.t)
         person, length_m = windows.person[row], sum(np.hypot(*(b - a)) for a, b in pairwise(xy))
-        leaked = privacy.leakage_indicator(
-            shared_xy=release.xy, true_xy=xy[held], epsilon_m=EPSILON_M
-        )
+        leaked = privacy.leakage_indicator(shared_xy=release.xy, true_xy=xy[held], epsilon_m=0.6)
         exposed = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
         assert found[found["side"] == side].iloc[row].to_dict() == {
             "side": side,
@@ -300,12 +299,6 @@ class TestWindows:
             "sigma_raw_m": pytest.approx(sensed.sigma_raw[window][held].mean()),
             **{name: getattr(exposed, name)[0] for name in ("plr", "ael_s", "mel_s")},
         }
-
-    def test_epsilon_is_the_setting(self, sessions):
-        stages = StageSettings().changed({"privacy.epsilon_m": 0.6})
-        wide = self.frame(sessions["rerelease"], "fixed:0.7", stages)
-        usual = self.frame(sessions["rerelease"], "fixed:0.7")
-        assert wide["plr"].mean() > usual["plr"].mean()
 
     @pytest.mark.parametrize("task", LINKER)
     def test_each_window_of_either_side_has_a_row_and_the_same_walk_at_every_level(
@@ -342,8 +335,4 @@ def test_the_presets_but_smoke_hold_the_controls():
     controls = [one.spec for one in plugins.parse_all("mechanisms", DISSOCIATION)]
     for preset in ("paper", "full"):
         bare = Settings(preset=preset, predictors=(), attacks=(), tasks=())
-        specs = [one.spec for one in axes(bare).mechanisms]
-        assert specs[-len(controls) :] == controls
-        assert len(set(specs)) == len(specs)
-    names = {one.name for one in axes(Settings(preset="smoke")).mechanisms}
-    assert names == {"raw", "fid", "fixed"}
+        assert [one.spec for one in axes(bare).mechanisms][-len(controls) :] == controls

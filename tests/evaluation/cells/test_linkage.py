@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.bad_plugins import spoilt
 from helpers.cells import STAGES, Silent, Spy, linked, parsed, plugin, sessions_of
 from helpers.small_runs import smoke
 from helpers.walkers import walkers, write_walkers
@@ -36,15 +37,9 @@ LEVELS = ("fixed", "raw", "clean")
 
 
 def by_length(probe, gallery):
-    """Scores by how far each walk leads, from its first seconds to its last."""
-
-    def way(track):
-        ends = track.t > track.t[-1] - 2, track.t < track.t[0] + 2
-        return np.hypot(*np.subtract(*(track.xy[at].mean(axis=0) for at in ends)))
-
-    return -np.abs(
-        np.subtract.outer(*([way(track) for track in side] for side in (probe, gallery)))
-    )
+    """Scores by how far each walk leads."""
+    ways = ([np.hypot(*(one.xy[-1] - one.xy[0])) for one in side] for side in (probe, gallery))
+    return -np.abs(np.subtract.outer(*ways))
 
 
 @dataclass(frozen=True)
@@ -192,9 +187,8 @@ class TestWhatAnAdversarySees:
 
     def test_a_stranger_that_writes_to_its_input_harms_nobody(self):
         def vandal(probe, gallery):
-            for one in (probe, gallery):
-                one.xy.flags.writeable = True
-                one.xy[:] = 0.0
+            spoilt(probe.xy)
+            spoilt(gallery.xy)
             return np.zeros((len(probe), len(gallery)))
 
         alone = of_task("rerelease", Linker())
@@ -560,16 +554,13 @@ class TestAxes:
         with pytest.raises(SettingsError, match=message):
             axes(Settings(**given))
 
-    @pytest.mark.parametrize(
-        ("attack", "task", "spec"),
-        [
+    def test_who_links_where(self):
+        for attack, task, spec in (
             ("shape", "handover-1s", "shape"),  # it has no task of its own: it runs where it can
             ("histogram@savgol:0.5", "split", "histogram@savgol:width_s=0.5"),
-        ],
-    )
-    def test_who_links_where(self, attack, task, spec):
-        found = axes(Settings(attacks=(attack,), tasks=(task,)))
-        assert [(where.name, one.spec) for where, one in found.links] == [(task, spec)]
+        ):
+            found = axes(Settings(attacks=(attack,), tasks=(task,)))
+            assert [(where.name, one.spec) for where, one in found.links] == [(task, spec)]
 
     def test_the_default_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(self):
         found = axes(Settings())

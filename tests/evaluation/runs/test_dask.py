@@ -20,7 +20,7 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
-from evaluation.cells.work import Block, Failed, note, noted
+from evaluation.cells.work import Block, Failed, here, note
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster
@@ -76,34 +76,27 @@ def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
     processes = []
 
     def start(module, *arguments, modules=modules):
-        log = mine / f"log-{len(processes)}"
-        environment = dict(os.environ, SLOW_S="0.3", PYTHONPATH=path_of(modules or folder))
-        with log.open("wb") as output:
-            process = subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.{module}", *arguments],
-                env=environment,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-                cwd=modules or folder,  # what is there comes before PYTHONPATH
-            )
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{module}", *arguments],
+            env=dict(os.environ, SLOW_S="0.3", PYTHONPATH=path_of(modules or folder)),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            cwd=modules or folder,  # what is there comes before PYTHONPATH
+        )
         processes.append(process)
         return process
 
     def start_worker(n_threads, modules=modules):
-        return start(
-            "dask_worker", "--scheduler-file", str(file), "--nthreads", str(n_threads),
-            "--no-dashboard", "--local-directory", str(mine / "scratch"), *options,
-            modules=modules,
-        )  # fmt: skip
+        words = f"--nthreads {n_threads} --no-dashboard --scheduler-file {file}".split()
+        scratch = ["--local-directory", str(mine / "scratch")]
+        return start("dask_worker", *words, *scratch, *options, modules=modules)
 
     mine = Path(tempfile.mkdtemp(dir=folder))
     file = mine / "scheduler.json"
     try:
-        scheduler = start(
-            "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file),
-            "--dashboard-address", "127.0.0.1:0", "--no-dashboard",
-        )  # fmt: skip
+        words = ["--host=127.0.0.1", "--port=0", "--dashboard-address=127.0.0.1:0"]
+        scheduler = start("dask_scheduler", *words, "--no-dashboard", "--scheduler-file", str(file))
         workers = [start_worker(n) for n in threads]
         wait_for(lambda: file.is_file() and file.stat().st_size > 0, most_s=30)
         address = json.loads(file.read_text(encoding="utf-8"))["address"]
@@ -397,11 +390,11 @@ class TestADeathAtAnUnknownPlace:
 def test_each_thread_of_a_worker_notes_where_it_is_itself():
     note("raw", "shared")
     seen = []
-    other = threading.Thread(target=lambda: (note("fixed:1", "shared"), seen.append(noted())))
+    other = threading.Thread(target=lambda: (note("fixed:1", "shared"), seen.append(here.at)))
     other.start()
     other.join()
     assert seen == [("fixed:1", "shared")]
-    assert noted() == ("raw", "shared")
+    assert here.at == ("raw", "shared")
     note()
 
 
