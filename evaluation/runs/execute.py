@@ -97,14 +97,9 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
     manifest["gallery_without"] = _write_gallery(ready, without)
     # How many agents kept a place without clearance; None if no cell tells.
-    forecasts = (one for one in manifest["cells"] if one["kind"] == "predictor")
-    manifest["exhausted_redraws"] = next(
-        (
-            int(read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum())
-            for entry in forecasts
-        ),
-        None,
-    )
+    forecasts = [one for one in manifest["cells"] if one["kind"] == "predictor"][:1]
+    exhausted = [read_rows(out, one, columns=["exhausted"])["exhausted"] for one in forecasts]
+    manifest["exhausted_redraws"] = next((int(one.to_numpy().sum()) for one in exhausted), None)
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     write_manifest(out, manifest | {"state": "finished"})
 

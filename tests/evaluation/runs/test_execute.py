@@ -17,7 +17,6 @@ from evaluation.analysis import summary
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
-from evaluation.results import build
 from evaluation.runs.execute import FailedCellsWarning
 from evaluation.runs.manifest import read_manifest
 from isac_track.config import StageSettings
@@ -182,12 +181,6 @@ class TestWhatARunLeaves:
         run(again)
         first = (finished.out / "summary.csv").read_bytes()
         assert (again.out / "summary.csv").read_bytes() == first
-
-    def test_the_report_redraws_without_computing(self, finished):
-        expected = (finished.out / "summary.csv").read_bytes()
-        (finished.out / "summary.csv").unlink()
-        build(finished.out, pictures=False)
-        assert (finished.out / "summary.csv").read_bytes() == expected
 
     def test_pictures_of_an_earlier_report_do_not_stay_beside_new_numbers(self, finished):
         own = finished.out / "figures" / "mine.svg"
