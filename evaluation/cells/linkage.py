@@ -209,7 +209,7 @@ def _smoothed(
 
 
 def _fitted(consumer: Consumer, level: LinkedLevel, fold: int) -> Callable[[Pairing], Floats]:
-    """Return what a linker makes of a search, (p, g), after it has prepared for a fold."""
+    """Return what a linker that is prepared for a fold makes of a search: (p, g), in float32."""
     assert consumer.plugin is not None
     plugin, known, who = consumer.plugin, level.known, f"attack {consumer.label}"
     sides = _sides(consumer, level, fold)
@@ -225,9 +225,8 @@ def _fitted(consumer: Consumer, level: LinkedLevel, fold: int) -> Callable[[Pair
     if Knowledge.TRAIN in granted:
         if not ((learns.mate >= 0).any() and learns.gallery.size):
             raise DataError(
-                f"{who} learns from other people, but there is nobody to learn "
-                f"from in {known.sessions.task.name}; use a recording of more people or leave the "
-                "attack out"
+                f"{who} learns from other people, but there is nobody to learn from in "
+                f"{known.sessions.task.name}; use a recording of more people or leave the attack out"
             )
         train = LinkageTrainingSet(*handed(learns), learns.mate.copy())
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
