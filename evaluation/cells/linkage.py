@@ -225,8 +225,9 @@ def _fitted(consumer: Consumer, level: LinkedLevel, fold: int) -> Callable[[Pair
     if Knowledge.TRAIN in granted:
         if not ((learns.mate >= 0).any() and learns.gallery.size):
             raise DataError(
-                f"{who} learns from other people, but there is nobody to learn from in "
-                f"{known.sessions.task.name}; use a recording of more people or leave the attack out"
+                f"{who} learns from other people, but there is nobody to learn "
+                f"from in {known.sessions.task.name}; use a recording of more people or leave the "
+                "attack out"
             )
         train = LinkageTrainingSet(*handed(learns), learns.mate.copy())
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
