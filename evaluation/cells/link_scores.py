@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
-from isac_track.intervals import Estimate, cluster_sums, ratio_estimates
+from isac_track.intervals import Estimate, cluster_sums, ratio_estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -120,7 +120,9 @@ def read_off(
     if control is None:
         who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
         people = [*zip(searches, probes, galleries, strict=True)]
-        cohorts = _cohorts(people, who, weights=known.weights)
+        cohorts = {
+            name: _cohort(people, among, weights=known.weights) for name, among in who.items()
+        }
     return Linked(
         searches=tuple(searches),
         probe_person=tuple(probes),
@@ -133,50 +135,39 @@ def read_off(
     )
 
 
-def _cohorts(
-    people: Sequence[tuple[linkability.Search, Ints, Ints]],
-    who: Mapping[str, Bools],
-    *,
-    weights: Floats,
-) -> dict[str, dict[str, float]]:
-    """Return rank 1 where only some people are probes and candidates, by who they are.
+def _cohort(
+    people: Sequence[tuple[linkability.Search, Ints, Ints]], among: Bools, *, weights: Floats
+) -> dict[str, float]:
+    """Return rank 1 where only some people are probes and candidates.
 
     `people` are searches with the person of each probe and candidate.
     """
-    found, sums = {}, []
-    for name, among in who.items():
-        hits, chances, clusters = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
-        for search, of_probe, of_candidate in people:
-            probe, gallery = among[of_probe], among[of_candidate]
-            has = np.flatnonzero(probe & (search.mate >= 0) & gallery[search.mate])
-            if not has.size:
-                continue
-            place = np.cumsum(gallery) - 1
-            columns = np.flatnonzero(gallery)
-            scores = search.scores[has[:, None], columns]
-            hits.append(linkability.rank1(scores=scores, mate=place[search.mate[has]]))
-            chances.append(np.full(has.size, 1.0 / columns.size))
-            clusters.append(search.probe_cluster[has])
-        hit, chance = np.concatenate(hits), np.concatenate(chances)
-        cluster = np.concatenate(clusters)
-        for values in (hit, np.ones_like(hit)):
-            n_clusters = weights.shape[1]
-            sums.append(cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters))
-        found[name] = {
-            "chance": float(chance.mean()) if chance.size else np.nan,
-            "p_rank1": linkability.rank1_p(hits=hit, chance=chance) if chance.size else np.nan,
-            "n_mated": hit.size,
-        }
-    estimates = ratio_estimates(
-        numerator=np.stack(sums[::2]),
-        denominator=np.stack(sums[1::2]),
-        weights=weights,
-        is_share=[True] * len(who),
+    parts = [np.zeros((3, 0))]
+    for search, of_probe, of_candidate in people:
+        gallery = among[of_candidate]
+        has = np.flatnonzero(among[of_probe] & (search.mate >= 0) & gallery[search.mate])
+        if has.size:
+            scores = search.scores[has[:, None], np.flatnonzero(gallery)]
+            mate = (np.cumsum(gallery) - 1)[search.mate[has]]
+            chances = np.full(has.size, 1.0 / scores.shape[1])
+            hits = linkability.rank1(scores=scores, mate=mate)
+            parts.append(np.stack([hits, chances, search.probe_cluster[has]]))
+    hit, chance, cluster = np.concatenate(parts, axis=1)
+    of, n_clusters = cluster.astype(np.int64), weights.shape[1]
+    hits, probes = (
+        cluster_sums(values=one, cluster=of, n_clusters=n_clusters)
+        for one in (hit, np.ones_like(hit))
     )
-    for name, one in zip(who, estimates, strict=True):
-        ends = {"rank1": one.value, "ci_low": one.ci_low, "ci_high": one.ci_high}
-        found[name] = {**ends, "n_clusters": one.n, **found[name]}
-    return found
+    one = ratio_estimate(numerator=hits, denominator=probes, weights=weights, is_share=True)
+    return {
+        "rank1": one.value,
+        "ci_low": one.ci_low,
+        "ci_high": one.ci_high,
+        "n_clusters": one.n,
+        "chance": float(chance.mean()) if chance.size else np.nan,
+        "p_rank1": linkability.rank1_p(hits=hit, chance=chance) if chance.size else np.nan,
+        "n_mated": hit.size,
+    }
 
 
 def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibration | None:

@@ -1,7 +1,8 @@
 """The stages of linkage: how well each adversary links at one mechanism level of a task.
 
 An attack that learns does so on people of the other half, and prepares anew for every mechanism
-level.
+level. Beside the attacks a cell has a row for every window, of what it gives away by itself: what a
+person's linkability is compared with.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 
 from attacks.linkage.alignment import Shape
 from attacks.linkage.kinematic import Kinematic
@@ -18,6 +20,15 @@ from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
 from evaluation.cells.link_scores import Linked, calibrated, no_match_score, read_off
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
+from evaluation.cells.tables import (
+    DESCRIPTORS,
+    ROWS,
+    Rows,
+    Tables,
+    descriptors,
+    names_column,
+    track_means,
+)
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
@@ -26,9 +37,18 @@ from isac_track.types import Floats, Knowledge, Release, derived
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from attacks.tasks.sessions import Windows
     from evaluation.experiment.axes import Consumer
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
+
+WINDOW_COLUMNS = (
+    *("side", "search", "source", "group"),
+    *("n_samples", "duration_s", "path_m", "speed_mps"),
+    *("sigma_m", "sigma_raw_m"),
+    *DESCRIPTORS,
+)
+"""Of the rows of a cell of windows."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -101,13 +121,10 @@ def link(consumer: Consumer, level: LinkedLevel, controls: dict[str, Linked]) ->
     calibration: dict[int, Calibration] = {}
     no_match: dict[int, float] = {}
     for fold, half in enumerate(known.halves):
-        sides = _sides(consumer, level, fold)
-        attack = _fitted(consumer, level, fold, sides)
+        score = _fitted(consumer, level, fold)
         for number, pairing in half.searches:
-            scores[number] = _scored(consumer, attack, sides, pairing)
-        on_others = calibrated(
-            [(_scored(consumer, attack, sides, one), one) for one in half.calibrates]
-        )
+            scores[number] = score(pairing)
+        on_others = calibrated([(score(one), one) for one in half.calibrates])
         if on_others is not None:
             calibration[fold] = on_others
             for number, pairing in half.searches:
@@ -191,27 +208,28 @@ def _smoothed(
     return first, second
 
 
-def _fitted(
-    consumer: Consumer, level: LinkedLevel, fold: int, sides: _Sides
-) -> Callable[..., object]:
-    """Return what a linker prepares from what it is granted."""
+def _fitted(consumer: Consumer, level: LinkedLevel, fold: int) -> Callable[[Pairing], Floats]:
+    """Return what a linker that is prepared for a fold makes of a search: (p, g), in float32."""
     assert consumer.plugin is not None
-    plugin, known = consumer.plugin, level.known
+    plugin, known, who = consumer.plugin, level.known, f"attack {consumer.label}"
+    sides = _sides(consumer, level, fold)
     name = f"attack {plugin.spec}"
     granted = granted_at(consumer, plugin, *level.shared, who=name, mechanism=level.mechanism)
+
+    def handed(pairing: Pairing) -> tuple[Release, Release]:
+        probe, gallery = sides.of(pairing)
+        return sharing.handed(probe, plugin), sharing.handed(gallery, plugin)
+
     learns = known.halves[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
         if not ((learns.mate >= 0).any() and learns.gallery.size):
             raise DataError(
-                f"attack {consumer.label} learns from other people, but there is nobody to learn "
+                f"{who} learns from other people, but there is nobody to learn "
                 f"from in {known.sessions.task.name}; use a recording of more people or leave the "
                 "attack out"
             )
-        probe, gallery = sides.of(learns)
-        train = LinkageTrainingSet(
-            sharing.handed(probe, plugin), sharing.handed(gallery, plugin), learns.mate.copy()
-        )
+        train = LinkageTrainingSet(*handed(learns), learns.mate.copy())
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
     context = AttackContext(
         rng=stream(known.seed, "attacks", *key),
@@ -220,28 +238,68 @@ def _fitted(
         mechanism=level.mechanism.instance,
         train=train,
     )
-    attack: Callable[..., object] = sharing.guarded(
-        f"attack {consumer.label}", lambda: plugin.instance.fit(context)
-    )
-    return attack
+    attack = sharing.guarded(who, lambda: plugin.instance.fit(context))
+
+    def score(pairing: Pairing) -> Floats:
+        probe, gallery = handed(pairing)
+        scores = np.asarray(sharing.guarded(who, lambda: attack(probe, gallery)))
+        expected = (pairing.probe.size, pairing.gallery.size)
+        if scores.shape != expected or scores.dtype.kind not in "fiu":
+            raise PluginError(
+                f"{who} must return scores {expected}, got {scores.shape} of {scores.dtype}"
+            )
+        with np.errstate(over="ignore"):
+            single = scores.astype(np.float32)
+        if not np.isfinite(single).all():
+            raise PluginError(f"{who} returned a score that is not finite")
+        return single.astype(np.float64)
+
+    return score
 
 
-def _scored(
-    consumer: Consumer, attack: Callable[..., object], sides: _Sides, pairing: Pairing
-) -> Floats:
-    """Return what a linker makes of a search, (p, g), in single precision."""
-    who = f"attack {consumer.label}"
-    probe, gallery = sides.of(pairing)
-    assert consumer.plugin is not None
-    probe, gallery = (sharing.handed(one, consumer.plugin) for one in (probe, gallery))
-    scores = np.asarray(sharing.guarded(who, lambda: attack(probe, gallery)))
-    expected = (pairing.probe.size, pairing.gallery.size)
-    if scores.shape != expected or scores.dtype.kind not in "fiu":
-        raise PluginError(
-            f"{who} must return scores {expected}, got {scores.shape} of {scores.dtype}"
+def window_tables(level: LinkedLevel) -> Tables:
+    """Return the table of a cell of windows: a row for each of both sides, `WINDOW_COLUMNS`.
+
+    `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`, `group`;
+    of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where none is
+    declared), `sigma_raw_m` (mean of sensing) and `DESCRIPTORS`; of the true walk, alike at all
+    levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
+    """
+    known, sessions = level.known, level.whole.sessions
+    sides = []
+    for side, sensed, release in zip(SIDES, known.sensed, level.shared, strict=True):
+        whole: Windows = getattr(sessions, side)
+        exposed = descriptors(
+            xy=release.xy,
+            truth=getattr(known.sessions, side).xy,
+            t=release.t,
+            offsets=release.offsets,
+            epsilon_m=known.epsilon_m,
         )
-    with np.errstate(over="ignore"):
-        single = scores.astype(np.float32)
-    if not np.isfinite(single).all():
-        raise PluginError(f"{who} returned a score that is not finite")
-    return single.astype(np.float64)
+        sigma_m = np.full(release.t.size, np.nan) if release.sigma is None else release.sigma
+        columns = {
+            "side": pa.array(np.full(len(whole), side)),
+            "search": names_column(whole.search, sessions.searches),
+            "source": names_column(whole.person, sessions.source),
+            "group": names_column(whole.person, sessions.group),
+            "n_samples": np.diff(release.offsets),
+            # What the walk was does not depend on which samples were shared.
+            **_walked(whole),
+            "sigma_m": track_means(sigma_m, release.offsets),
+            "sigma_raw_m": track_means(sensed.sigma_raw, sensed.offsets),
+            **{name: exposed[name] for name in DESCRIPTORS},
+        }
+        sides.append(pa.table(columns))
+    return {ROWS: pa.concat_tables(sides).combine_chunks()}
+
+
+def _walked(windows: Windows) -> Rows:
+    """Return how long each window lasted, how far its walk was and how fast."""
+    step_m = np.zeros(windows.t.size)
+    step_m[1:] = np.hypot(*np.diff(windows.xy, axis=0).T)
+    step_m[windows.offsets[:-1]] = 0.0  # from one window to the next
+    duration_s = windows.t[windows.offsets[1:] - 1] - windows.t[windows.offsets[:-1]]
+    path_m = np.add.reduceat(step_m, windows.offsets[:-1])
+    speed_mps = np.full(duration_s.size, np.nan)
+    np.divide(path_m, duration_s, out=speed_mps, where=duration_s > 0)
+    return {"duration_s": duration_s, "path_m": path_m, "speed_mps": speed_mps}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,10 +23,10 @@ from isac_track.protocols import AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import sense_scenes
-from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed
+from isac_track.types import Ints, Knowledge, Release, Scenes, Sensed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
@@ -73,9 +72,9 @@ class AttackedLevel:
     scenes: Scenes
     """Without the samples that the release left out."""
     release: Release
-    views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Floats, Release, Frame]]
-    """Each half of the release in the true frame, and the truth, (m, 2) m; the half as it shows to
-    who is granted SIGMA, SCENE, both or neither; and in which frame."""
+    views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Frame]]
+    """Each half of the release as it shows to who is granted SIGMA, SCENE, both or neither; and in
+    which frame."""
     training: Mapping[tuple[int, frozenset[Knowledge]], TrainingSet]
     """People to learn from for each half, in a frame of theirs; none where there are none."""
     again: tuple[Release, ...]
@@ -110,13 +109,7 @@ def slow_cost_s(consumers: Sequence[Consumer], *, tracks: Cut, n_levels: int) ->
 
 
 def attacked_block(
-    *,
-    scenes: Scenes,
-    sensed: Sensed,
-    tracks: Cut,
-    repeats: bool,
-    stages: StageSettings,
-    seed: int,
+    *, scenes: Scenes, sensed: Sensed, tracks: Cut, repeats: bool, stages: StageSettings, seed: int
 ) -> AttackedBlock:
     """Prepare a block of scenes of `tracks` for its attacks.
 
@@ -165,18 +158,16 @@ def attacked_level(
     first_scene = int(block.scenes.index[0])
     key = (mechanism.spec, "scene", first_scene, "part")
     views, training = {}, {}
-    scenes = sharing.restricted(block.scenes, left)
     for fold, others in enumerate(block.training):
         shared = None
         if others is not None and Knowledge.TRAIN in granted:
             walks, sensed = others
             shared = sharing.share(mechanism, sensed, "training", fold, seed=seed)
             truth_m = sharing.restricted(walks, sharing.samples_shared(shared, sensed)).xy
-        rows = np.flatnonzero(block.half == fold)
-        own, truth = release.tracks(rows), _truth(scenes, rows)
+        own = release.tracks(np.flatnonzero(block.half == fold))
         for what in {consumer.granted & SHOWS for consumer in consumers}:
             rng = stream(seed, "frames", *key, fold)
-            views[fold, what] = own, truth, *view_of(own, granted=what, rng=rng)
+            views[fold, what] = view_of(own, granted=what, rng=rng)
             if shared is not None:
                 rng = stream(seed, "frames", *key, fold, "training")
                 shown, frame = view_of(shared, granted=what, rng=rng)
@@ -199,7 +190,7 @@ def attacked_level(
         mechanism=mechanism,
         block=block,
         key=key,
-        scenes=scenes,
+        scenes=sharing.restricted(block.scenes, left),
         release=release,
         views=views,
         training=training,
@@ -208,71 +199,32 @@ def attacked_level(
     )
 
 
-def _truth(scenes: Scenes, rows: Ints) -> Floats:
-    """Return where some tracks truly were, (m, 2) m."""
-    xy: Floats = scenes.xy.take(sharing.samples_of(scenes.offsets, rows).rows, axis=0)
-    return xy
-
-
 def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
-    """Return the descriptors of every attacked track, in the order of the block."""
-    nobody = np.zeros(0, dtype=np.int64)
-    victims, parts = [], []
-    nothing = nobody, level.release.tracks(nobody), np.zeros((0, 2)), np.zeros((0, 2))
-    for some, own, truth, found in chain([nothing], _attacked(consumer, level)):
-        victims.append(some)
-        parts.append(
-            descriptors(
-                xy=found,
-                truth=truth,
-                t=own.t,
-                offsets=own.offsets,
-                epsilon_m=level.block.stages.privacy.epsilon_m,
-            )
-        )
-    rows = np.concatenate(victims)
-    order = np.argsort(rows)
-    return {
-        **track_columns(level.scenes, rows[order]),
-        **{name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]},
-        **{name: values[rows[order]] for name, values in level.benchmark.items()},
-    }
-
-
-def _attacked(
-    consumer: Consumer, level: AttackedLevel
-) -> Iterator[tuple[Ints, Release, Floats, Floats]]:
-    """Yield tracks, what was shared of them, the truth and what is rebuilt, (m, 2) m each.
+    """Return the descriptors of every attacked track, in the order of the block.
 
     A release holds every walk once: of two copies an adversary could make one better one. The
     built-in attacks work track by track (tested) and take all passes in one call.
     """
     assert consumer.plugin is not None
-    who = f"attack {consumer.label}"
-    granted = granted_at(
-        consumer, consumer.plugin, level.release, who=who, mechanism=level.mechanism
-    )
-    block = level.block
+    who, block, release = f"attack {consumer.label}", level.block, level.release
+    granted = granted_at(consumer, consumer.plugin, release, who=who, mechanism=level.mechanism)
     at_once = consumer.is_built_in and not consumer.is_slow
+    xy, is_attacked = release.xy.copy(), np.zeros(len(release), dtype=bool)
     for fold in _FOLDS:
         mine = block.half == fold
-        parts = [mine & (block.turn == one) for one in np.unique(block.turn[mine])]
-        if consumer.is_slow:
-            parts = [mine & (block.turn == 0)]
-        elif at_once:
-            parts = [mine]
+        turns = [0] if consumer.is_slow else np.unique(block.turn[mine])
+        parts = [mine] if at_once else [mine & (block.turn == one) for one in turns]
         attack: Callable[..., object] | None = None
         for number, part in enumerate(parts):
             victims = np.flatnonzero(part)
             if not victims.size:
                 continue
             if at_once:
-                own, truth, shown, frame = level.views[fold, consumer.granted & SHOWS]
+                shown, frame = level.views[fold, consumer.granted & SHOWS]
                 given = shown
             else:
-                own, truth = level.release.tracks(victims), _truth(level.scenes, victims)
                 rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
-                shown, frame = view_of(own, granted=granted, rng=rng)
+                shown, frame = view_of(release.tracks(victims), granted=granted, rng=rng)
                 # A stranger may unlock arrays: what it writes to is its own.
                 given = sharing.copied(shown)
             if attack is None or Knowledge.REPEATS in granted:
@@ -280,7 +232,21 @@ def _attacked(
                 attack = sharing.guarded(who, partial(consumer.plugin.instance.fit, context))
             found = reconstructed(attack, given, who=who)
             # Only the correction is turned back: what is left alone stays as it was, bit by bit.
-            yield victims, own, truth, own.xy + frame.back(found - shown.xy)
+            xy[sharing.samples_of(release.offsets, victims).rows] += frame.back(found - shown.xy)
+            is_attacked |= part
+    rows = np.flatnonzero(is_attacked)
+    own = sharing.samples_of(release.offsets, rows)
+    return {
+        **track_columns(level.scenes, rows),
+        **descriptors(
+            xy=xy.take(own.rows, axis=0),
+            truth=level.scenes.xy.take(own.rows, axis=0),
+            t=release.t[own.rows],
+            offsets=own.offsets,
+            epsilon_m=block.stages.privacy.epsilon_m,
+        ),
+        **{name: values[rows] for name, values in level.benchmark.items()},
+    }
 
 
 def _context(

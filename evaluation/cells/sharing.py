@@ -7,8 +7,8 @@ What a stranger wrote is called here as everywhere by `guarded`: their mistakes 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -40,8 +40,7 @@ OURS = ("isac_track.", "attacks.", "predictors.")
 _PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Samples:
+class Samples(NamedTuple):
     """Some of the samples of a batch of tracks."""
 
     rows: Ints

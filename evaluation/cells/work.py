@@ -16,7 +16,7 @@ from evaluation.cells import sharing
 from evaluation.cells.forecasts import sharing_rows
 from evaluation.cells.link_scores import Linked, linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.cells.linkage import link, linked_level
+from evaluation.cells.linkage import link, linked_level, window_tables
 from evaluation.cells.reconstruction import (
     AttackedBlock,
     AttackedLevel,
@@ -26,7 +26,7 @@ from evaluation.cells.reconstruction import (
 )
 from evaluation.cells.sharing import release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, Tables, rows_table
-from evaluation.cells.windows import window_tables
+from evaluation.experiment.fingerprint import OURS
 from isac_track.errors import IsacTrackError, PluginError, told
 from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import sense_scenes
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
-
-_OURS = ("isac_track", "predictors", "attacks", "evaluation")
 
 Levels: TypeAlias = "tuple[tuple[Plugin, tuple[Consumer, ...]], ...]"
 """Mechanisms, and the consumers that are missing of each."""
@@ -85,27 +83,19 @@ class _Here(threading.local):
     """Where this process is, for the one that waits for it; in a Dask worker, this thread."""
 
     at: tuple[str, ...] = ()
+    """As noted last."""
     tell: Callable[[tuple[str, ...]], None] | None = None
+    """Gets what is noted, too."""
 
 
-_here = _Here()
-
-
-def note_to(tell: Callable[[tuple[str, ...]], None]) -> None:
-    """Tell what is noted from now on to the one that waits, too."""
-    _here.tell = tell
+here = _Here()
 
 
 def note(*at: str) -> None:
     """Note where this process is, before it goes there."""
-    _here.at = at
-    if _here.tell is not None:
-        _here.tell(at)
-
-
-def noted() -> tuple[str, ...]:
-    """Return what was noted last."""
-    return _here.at
+    here.at = at
+    if here.tell is not None:
+        here.tell(at)
 
 
 def attempt(
@@ -121,7 +111,7 @@ def attempt(
     try:
         yield from cells(work, tracks=tracks, stages=stages, seed=seed)
     except PluginError as error:
-        yield Failed(noted(), str(error))
+        yield Failed(here.at, str(error))
     except IsacTrackError:
         raise
     except Exception as error:  # noqa: BLE001 - nobody knows what else goes wrong
@@ -130,9 +120,9 @@ def attempt(
             for frame, line in traceback.walk_tb(error.__traceback__)
         )
         # The innermost of ours; there is one: this very function.
-        module, line = [one for one in places if one[0].partition(".")[0] in _OURS][-1]
+        module, line = [one for one in places if one[0].partition(".")[0] in OURS][-1]
         where = f"in isac-track's own code, {module}, line {line}: please report this"
-        yield Failed(noted(), f"{told(error)} ({where})")
+        yield Failed(here.at, f"{told(error)} ({where})")
 
 
 def cells(

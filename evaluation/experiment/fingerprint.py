@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 """Stages of a block of scenes; the others are the linkage tasks, by their names."""
-_OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
+OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
+"""The packages of the project."""
 _COMMON: Final = (
     *("isac_track.datasets", "isac_track.scenes", "isac_track.sensing"),
     *("evaluation.cells.sharing", "evaluation.cells.tables"),
@@ -32,16 +33,13 @@ _STAGES: Final = {
     SHARING: ("evaluation.cells.forecasts", *_COMMON),
     RECONSTRUCTION: ("evaluation.cells.reconstruction", *_COMMON),
 }
-_LINKAGE: Final = (
-    *("evaluation.cells.linkage", "evaluation.cells.windows", "attacks.tasks.build"),
-    *_COMMON,
-)
+_LINKAGE: Final = ("evaluation.cells.linkage", "attacks.tasks.build", *_COMMON)
 _COMPUTES_NOTHING: Final = re.compile(
     r"evaluation|evaluation\.experiment\.presets|isac_track\.plugins"
     r"|(attacks|isac_track)\.(templates|testing)(\..*)?"
 )
 """Presets and the table of plug-ins only name what is computed; kits only test it."""
-_MODULE: Final = re.compile(rf"({'|'.join(_OURS)})(\.\w+)+(:\w+)?")
+_MODULE: Final = re.compile(rf"({'|'.join(OURS)})(\.\w+)+(:\w+)?")
 
 
 def code_hash() -> str:
@@ -131,8 +129,8 @@ def _where(module: str) -> tuple[Path | None, tuple[str, ...]]:
     path = Path(found.origin)
     root = path.parents[module.count(".") + (path.name == "__init__.py")]
     top = module.partition(".")[0]
-    if top in _OURS:
-        return root, _OURS
+    if top in OURS:
+        return root, OURS
     return root, (top,) if root in {Path(one) for one in sysconfig.get_paths().values()} else ()
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, REPLICATES
@@ -28,7 +29,7 @@ from isac_track.intervals import Estimate
 from isac_track.linkability import ProbeRanks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from evaluation.experiment.axes import Consumer
@@ -219,14 +220,16 @@ def _rank_replicates(
     rows: pa.Table, about: Mapping[str, Any], *, task: str, drawn: Collection[str] | None
 ) -> dict[str, Any]:
     """Return the replicates of the rank metrics, which follow from the probes."""
-    place = {name: column for column, name in enumerate(about["clusters"])}
-    assigned = _each(rows["assigned"], lambda name: ASSIGNED.index(name) - 1)
+    assigned, cluster = (
+        pc.index_in(rows[name].cast(pa.string()), value_set=pa.array(known)).to_numpy()
+        for name, known in (("assigned", ASSIGNED), ("group", about["clusters"]))
+    )
     probes = ProbeRanks(
         above=rows["above"].to_numpy().astype(np.int64),
         tied=rows["tied"].to_numpy().astype(np.int64),
         chance=rows["chance"].to_numpy(),
-        assigned=assigned,
-        cluster=_each(rows["group"], place.__getitem__),
+        assigned=assigned.astype(np.int64) - 1,
+        cluster=cluster.astype(np.int64),
         n_gallery=about["numbers"]["gallery_sizes"][1],
     )
     weights = _weights(tuple(about["drawn_as"]), about["n_groups"], task, about["seed"])
@@ -236,16 +239,8 @@ def _rank_replicates(
         if name not in DERIVED
     }
     for name in found.keys() & {"rank1_assigned", "false_link_rate"}:
-        if ASSIGNED[assigned[0] + 1] == "unknown":
+        if ASSIGNED[assigned[0]] == "unknown":
             found[name] = np.full_like(found[name], np.nan)
-    return found
-
-
-def _each(names: pa.ChunkedArray, number: Callable[[str], int]) -> Ints:
-    """Return the number of each name, (n,), asked for once a name."""
-    encoded = names.combine_chunks()
-    numbers = np.array([number(name) for name in encoded.dictionary.to_pylist()], dtype=np.int64)
-    found: Ints = numbers[encoded.indices.to_numpy()]
     return found
 
 
@@ -326,10 +321,5 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
     path = out / GALLERY
     if not path.exists():
         return None
-    try:
-        rows = pd.read_parquet(path)
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path} cannot be read ({error}); delete it") from None
-    if not set(SAMPLE_COLUMNS) <= set(rows.columns):
-        raise DataError(f"{path} is of another version; delete it")
-    return rows
+    with _readable(path):
+        return pd.read_parquet(path, columns=SAMPLE_COLUMNS)

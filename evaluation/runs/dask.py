@@ -21,7 +21,7 @@ from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
 
 from evaluation.cells.work import Failed, note
-from evaluation.experiment.fingerprint import code_hash, source_digest
+from evaluation.experiment.fingerprint import OURS, code_hash, source_digest
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, told
 
@@ -48,7 +48,6 @@ _AHEAD: Final = 3
 _LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
 """Dask warns of large graphs; ours holds the tracks, once."""
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
-_OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
 _LOADING: Final = threading.Lock()
 _FIRST_SEEN: Final[dict[str, str]] = {}
 """Digests of the source as this process loaded it: files may change under a running worker."""
@@ -72,7 +71,7 @@ def spread_on_cluster(
     Raises SettingsError if the scheduler cannot be reached or is gone, no worker is there, or a
     worker would not compute the same.
     """
-    strange = tuple(one for one in modules if one.partition(".")[0] not in _OURS)
+    strange = tuple(one for one in modules if one.partition(".")[0] not in OURS)
     with _connected(scheduler) as client:
         cluster = _Cluster(function, client, scheduler, strange)
         suspects: deque[W] = deque()

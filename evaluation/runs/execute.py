@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from evaluation.cells.sample_tracks import chosen, gallery_rows
-from evaluation.cells.work import Failed, Item, LinkWork, attempt, note, noted
+from evaluation.cells.work import Failed, Item, LinkWork, attempt, here, note
 from evaluation.experiment.fingerprint import sources
 from evaluation.runs.cell_files import packed, places_of, read_rows, sound_files, write_gallery
 from evaluation.runs.files import FOLDER, locked, write_checked
@@ -97,14 +97,9 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
     manifest["gallery_without"] = _write_gallery(ready, without)
     # How many agents kept a place without clearance; None if no cell tells.
-    forecasts = (one for one in manifest["cells"] if one["kind"] == "predictor")
-    manifest["exhausted_redraws"] = next(
-        (
-            int(read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum())
-            for entry in forecasts
-        ),
-        None,
-    )
+    forecasts = [one for one in manifest["cells"] if one["kind"] == "predictor"][:1]
+    exhausted = [read_rows(out, one, columns=["exhausted"])["exhausted"] for one in forecasts]
+    manifest["exhausted_redraws"] = next((int(one.to_numpy().sum()) for one in exhausted), None)
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     write_manifest(out, manifest | {"state": "finished"})
 
@@ -159,7 +154,7 @@ def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | 
     try:
         yield gallery_rows(mechanism, **options)
     except Exception as error:  # noqa: BLE001 - the cells are finished: no picture may cost them
-        yield Failed(noted(), str(error) if isinstance(error, PluginError) else told(error))
+        yield Failed(here.at, str(error) if isinstance(error, PluginError) else told(error))
 
 
 class _Files:
@@ -198,8 +193,8 @@ class _Files:
 def _compute(
     missing: Sequence[Unit], ready: Plan, tell: Callable[[int, int, str], None]
 ) -> list[tuple[Cell, str]]:
-    """Compute what is missing, and return what could not be, and why."""
-    works = deque(pieces_of(missing, ready))
+    """Compute what is missing, here or by workers, and return what could not be, and why."""
+    works, settings = deque(pieces_of(missing, ready)), ready.settings
     if not works:
         return []
     total = sum(len(one.consumers) for one in missing)
@@ -211,7 +206,17 @@ def _compute(
         kalman.prepare()
         for module in _LOOPS[: 3 if has_links else 1]:
             import_module(module)
-    with closing(_computed(works, ready)) as computed:
+    compute = partial(attempt, tracks=ready.tracks, stages=settings.stages, seed=settings.seed)
+    computed: Generator[tuple[Work, Iterable[Item | Failed]]]
+    if settings.scheduler is None:
+        computed = spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
+    else:
+        from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
+
+        cut_for_cluster(works)
+        modules = ready.code_of.keys()
+        computed = spread_on_cluster(compute, works, scheduler=settings.scheduler, modules=modules)
+    with closing(computed):
         for work, items in computed:
             finished: set[tuple[str, str]] = set()
             for item in items:
@@ -227,17 +232,3 @@ def _compute(
                 check_interrupt()
                 tell(files.n_done, total, f"{mechanism.spec} > {consumer.label}")
     return failures.cells
-
-
-def _computed(works: deque[Work], ready: Plan) -> Generator[tuple[Work, Iterable[Item | Failed]]]:
-    """Yield every work with its cells, from this process or from workers; works may be added."""
-    settings = ready.settings
-    compute = partial(attempt, tracks=ready.tracks, stages=settings.stages, seed=settings.seed)
-    if settings.scheduler is None:
-        return spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
-    from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
-
-    cut_for_cluster(works)
-    return spread_on_cluster(
-        compute, works, scheduler=settings.scheduler, modules=ready.code_of.keys()
-    )

@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Any
 from evaluation.experiment.fingerprint import can_be_found, source_digest
 from evaluation.runs.cell_files import Index, label_of, sound_files
 from evaluation.runs.files import FOLDER, LOCK, MANIFEST, PAGE, WRITTEN, forget_missing
-from evaluation.runs.manifest import (
-    CELL_NAME,
-    parsed,
-    read_manifest,
-    undamaged,
-    write_manifest,
-)
+from evaluation.runs.manifest import CELL_NAME, parsed, read_manifest, undamaged, write_manifest
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
@@ -110,25 +104,20 @@ def _drop_other_code(out: Path, manifest: dict[str, Any], files: dict[str, Index
     }
     here = {name: source_digest(name)[:16] for name in modules if can_be_found(name)}
     current = {
-        name: {
-            label
-            for label, held in index.consumers.items()
-            if all(
-                here.get(name, one) == one
-                for name, one in (*index.code.items(), *held.code.items())
-            )
-        }
+        (name, label)
         for name, index in files.items()
+        for label, held in index.consumers.items()
+        if all(here.get(one, was) == was for one, was in {**index.code, **held.code}.items())
     }
     cells = [
         entry
         for entry in manifest["cells"]
-        if all(label_of(entry) in current.get(name, (label_of(entry),)) for name in entry["files"])
+        if all((one, label_of(entry)) in current or one not in files for one in entry["files"])
     ]
     before, after = (sum(len(one["files"]) for one in of) for of in (manifest["cells"], cells))
     manifest["cells"] = cells
     manifest["dropped_cells"] = before - after or manifest["dropped_cells"]
-    for name in [name for name in files if not current[name]]:
+    for name in files.keys() - {name for name, _ in current}:
         (out / FOLDER / name).unlink(missing_ok=True)
         del files[name]
 

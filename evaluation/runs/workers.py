@@ -25,7 +25,7 @@ import pyarrow as pa
 from cloudpickle import dumps
 from threadpoolctl import threadpool_limits
 
-from evaluation.cells.work import Failed, note, note_to
+from evaluation.cells.work import Failed, here, note
 from isac_track.command_line import check_interrupt
 from isac_track.errors import told
 
@@ -207,7 +207,7 @@ class _Lane(Generic[W, R]):
 def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, untyped
     """Do what comes through a pipe, and tell where that is and what came of it."""
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    note_to(lambda at: pipe.send(("at", at)))
+    here.tell = lambda at: pipe.send(("at", at))
     with contextlib.suppress(EOFError):
         function = pipe.recv()
         while True:

@@ -1,5 +1,6 @@
 """Plug-ins that fail, or write where they should not, each in one way."""
 
+import contextlib
 import os
 import threading
 from dataclasses import dataclass, field
@@ -24,8 +25,12 @@ class NotAt3(Fixed):
 
 
 def spoilt(array):
-    array.setflags(write=True)
-    array += 7.0
+    """Unlock an array, and all that it is a view of, and write into it."""
+    while array is not None:
+        with contextlib.suppress(ValueError):
+            array.setflags(write=True)
+            array += 1000.0
+        array = array.base
 
 
 class Spoils(Fixed):

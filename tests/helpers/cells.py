@@ -92,17 +92,20 @@ class SlowBlur(Blur):
 class World:
     """Some scenes of four agents, and what is computed of them in blocks."""
 
-    def __init__(self, tracks, *, n_scenes, mechanism="raw"):
-        self.tracks = cut(tracks, settings=STAGES, seed=0)
-        self.order = track_order(n_tracks=len(self.tracks), n_scenes=n_scenes, agents=4, seed=0)
-        self.scenes = make_scenes(self.tracks, order=self.order, first=0, settings=STAGES, seed=0)
-        self.sensed = sense_scenes(self.scenes, settings=STAGES.sensing, seed=0)
+    def __init__(self, tracks, *, n_scenes, mechanism="raw", stages=STAGES, seed=0):
+        self.stages, self.seed = stages, seed
+        own = {"settings": stages, "seed": seed}
+        self.tracks = cut(tracks, **own)
+        n_tracks, agents = len(self.tracks), stages.scenes.agents
+        self.order = track_order(n_tracks=n_tracks, n_scenes=n_scenes, agents=agents, seed=seed)
+        self.scenes = make_scenes(self.tracks, order=self.order, first=0, **own)
+        self.sensed = sense_scenes(self.scenes, settings=stages.sensing, seed=seed)
         self.release = self.share(mechanism)
-        self.half = folds(self.tracks.group, seed=0)
+        self.half = folds(self.tracks.group, seed=seed)
 
     def share(self, by):
         """What a mechanism shares of all scenes, as of the first block."""
-        return share(parsed("mechanisms", by), self.sensed, "block", 0, seed=0)
+        return share(parsed("mechanisms", by), self.sensed, "block", 0, seed=self.seed)
 
     def rows(self, fold):
         """Tracks whose people belong to that half."""
@@ -130,7 +133,8 @@ class World:
         size = size or len(self.order)
         for number, first in enumerate(range(0, len(self.order), size)):
             block = Block(number, first, self.order[first : first + size], levels)
-            for _, by, one, tables in cells(block, tracks=self.tracks, stages=STAGES, seed=0):
+            own = {"tracks": self.tracks, "stages": self.stages, "seed": self.seed}
+            for _, by, one, tables in cells(block, **own):
                 yield by, one, arrays(tables, tracks=self.tracks)
 
 

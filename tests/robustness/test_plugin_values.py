@@ -5,6 +5,8 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.recordings import write_csv
+from helpers.walkers import walkers
 
 from evaluation import matrix
 from evaluation.cells.sharing import guarded
@@ -41,16 +43,6 @@ class Shared(Fixed):
         return replace(release, xy=xy, sigma=sigma)
 
 
-class Later(Shared):
-    """Writes into what it has built already, when nobody looks any more."""
-
-    def share(self, sensed, rng):
-        xy = super().share(sensed, rng).xy.copy()
-        release = replace(super().share(sensed, rng), xy=xy)
-        xy[0] = np.nan
-        return release
-
-
 @dataclass(frozen=True)
 class Wrong(Shared):
     """What it is called with says what it does."""
@@ -61,6 +53,11 @@ class Wrong(Shared):
         if self.what == "mutates":
             sensed.xy[0] = 0
         release = super().share(sensed, rng)
+        if self.what == "later":  # writes into what it has built already, when nobody looks
+            xy = release.xy.copy()
+            release = replace(release, xy=xy)
+            xy[0] = np.nan
+            return release
         return replace(release, t=release.t + 1) if self.what == "retimes" else None
 
 
@@ -84,10 +81,10 @@ class Predicted(KalmanCV):
 
 
 ERRORS = {
-    "torn": lambda: ValueError("half a pair \\udcff and \\x1b[31mred"),
-    "lengthy": lambda: ValueError("one\\ntwo\\n" + "all work and no play\\n" * 50_000),
-    "leaves": lambda: SystemExit(0),
-    "interrupts": KeyboardInterrupt,
+    "torn": ValueError("half a pair \\udcff and \\x1b[31mred"),
+    "lengthy": ValueError("one\\ntwo\\n" + "all work and no play\\n" * 50_000),
+    "leaves": SystemExit(0),
+    "interrupts": KeyboardInterrupt(),
 }
 
 
@@ -100,7 +97,7 @@ class Fails(KalmanCV):
             return Prediction(np.zeros((1, 1, 2)))
         if self.what == "peeks":
             return Prediction(np.zeros((*t_future.shape, 2)) + release.sigma.max())
-        raise ERRORS[self.what]()
+        raise ERRORS[self.what]
 
 
 class Signals(KalmanCV):
@@ -128,7 +125,7 @@ MECHANISMS = {
     "Shared:0.5,sigma_m=100000000000": "declared a sigma above 1e+10 m, the limit",
     "Shared:0.5,sigma_m=-0.1": "declared a sigma below 0 or NaN",
     "Shared:0.5,east_m=1e+250": "shared a position that is not within 1e+10 m of the origin",
-    "Later:0.5": "shared a position that is not within 1e+10 m of the origin",
+    "Wrong:0.5,what=later": "shared a position that is not within 1e+10 m of the origin",
     "Wrong:0.5": "must return a Release, got NoneType",
     "Wrong:0.5,what=mutates": "failed: ValueError: assignment destination is read-only",
     "Wrong:0.5,what=retimes": "changed the tracks or their times: ",
@@ -144,30 +141,31 @@ PREDICTORS = {
     "Fails:what=peeks": "failed: AttributeError",
 }
 ATTACKS = {"Distant": "failed: ValueError: a reconstructed position lies beyond 1e+12 m"}
+ALONE = ("--attack", "none", "--task", "none", "--jobs", 1)
+"""As few cells as there can be."""
 GOOD = (
-    *("--mechanism", "fixed:0.7", "--predictor", "kalman_cv", "--attack", "moving_average"),
-    *("--attack", "shape", "--set", "conflict.decision=probability"),
+    *("--task", "rerelease", "--mechanism", "fixed:0.7", "--predictor", "kalman_cv"),
+    *("--attack", "moving_average", "--attack", "shape", "--set", "conflict.decision=probability"),
 )
 
 
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """So many people that no operating point is refused."""
+    path = tmp_path_factory.mktemp("odd") / "walkers.csv"
+    write_csv(path, walkers(150))
+    return path
+
+
 @pytest.fixture
-def odd(tmp_path, monkeypatch):
-    """The module of the plug-ins, which workers find as well."""
+def arguments(recording, tmp_path, monkeypatch):
+    """The words of a command; the module of the plug-ins is there, for workers as well."""
     (tmp_path / "odd.py").write_text(PLUGINS, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    yield
+    words = ["--dataset", recording, "--preset", "smoke", "--scenes", 8]
+    yield lambda *options: [str(word) for word in (*words, *options)]
     sys.modules.pop("odd", None)
-
-
-def arguments(out, *options, task="rerelease", jobs=1):
-    words = ["--dataset", "plaza", "--preset", "smoke", "--scenes", 8, "--task", task]
-    return [str(word) for word in [*words, "--jobs", jobs, "--out", out, *options]]
-
-
-def alone(out, *options):
-    """As few cells as there can be."""
-    return arguments(out, "--attack", "none", *options, task="none")
 
 
 def named(**axes):
@@ -193,12 +191,12 @@ def rows(out):
     return set(table[own].itertuples(index=False, name=None))
 
 
-@pytest.mark.usefixtures("odd")
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_each_fails_alone_by_name_and_on_one_line(tmp_path, capsys, jobs):
-    assert matrix.main(arguments(tmp_path / "good", *GOOD)) == 0
+def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, jobs):
+    assert matrix.main(arguments("--out", tmp_path / "good", *GOOD, "--jobs", 1)) == 0
     bad = named(mechanism=[*MECHANISMS, "Strange"], predictor=PREDICTORS, attack=ATTACKS)
-    assert matrix.main(arguments(tmp_path / "all", *GOOD, *EDGE, *bad, jobs=jobs)) == 3
+    options = ("--out", tmp_path / "all", *GOOD, *EDGE, *bad, "--jobs", jobs)
+    assert matrix.main(arguments(*options)) == 3
     captured = capsys.readouterr()
     assert "Traceback" not in captured.err
     table = pd.read_csv(tmp_path / "all" / "failed.csv", keep_default_na=False)
@@ -236,12 +234,11 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, capsys, jobs):
     assert np.isfinite(own[["value", "ci_low", "ci_high"]]).all(axis=None)
 
 
-@pytest.mark.usefixtures("odd")
 @pytest.mark.parametrize("name", ["Signals", "Swallows"])
-def test_a_ctrl_c_while_a_plugin_runs_is_the_users(tmp_path, capsys, name):
+def test_a_ctrl_c_while_a_plugin_runs_is_the_users(tmp_path, arguments, capsys, name):
     """Even where the plug-in computes the last cell and makes another error of it."""
-    words = alone(tmp_path / "run", "--mechanism", "raw", *named(predictor=[name]))
-    assert matrix.main(words) == 130
+    options = ("--out", tmp_path / "run", "--mechanism", "raw", *named(predictor=[name]))
+    assert matrix.main(arguments(*options, *ALONE)) == 130
     assert "interrupted; finished cells are kept" in capsys.readouterr().err
 
 
@@ -255,9 +252,8 @@ def test_without_a_command_nobody_knows_whose_ctrl_c_it_was():
         guarded("mine", interrupted)
 
 
-@pytest.mark.usefixtures("odd")
-def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, capsys):
-    bad = named(mechanism=["Shared:east_m=1e250"])
-    assert matrix.main(alone(tmp_path / "run", *bad, "--predictor", "none")) == 2
+def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, arguments, capsys):
+    options = ("--out", tmp_path / "run", "--predictor", "none", *ALONE)
+    assert matrix.main(arguments(*options, *named(mechanism=["Shared:east_m=1e250"]))) == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("error: mechanism 'odd:Shared:0.5,east_m=1e+250' shared a position")

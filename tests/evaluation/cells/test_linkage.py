@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.bad_plugins import spoilt
 from helpers.cells import STAGES, Silent, Spy, linked, parsed, plugin, sessions_of
 from helpers.small_runs import smoke
 from helpers.walkers import walkers, write_walkers
@@ -36,15 +37,9 @@ LEVELS = ("fixed", "raw", "clean")
 
 
 def by_length(probe, gallery):
-    """Scores by how far each walk leads, from its first seconds to its last."""
-
-    def way(track):
-        ends = track.t > track.t[-1] - 2, track.t < track.t[0] + 2
-        return np.hypot(*np.subtract(*(track.xy[at].mean(axis=0) for at in ends)))
-
-    return -np.abs(
-        np.subtract.outer(*([way(track) for track in side] for side in (probe, gallery)))
-    )
+    """Scores by how far each walk leads."""
+    ways = ([np.hypot(*(one.xy[-1] - one.xy[0])) for one in side] for side in (probe, gallery))
+    return -np.abs(np.subtract.outer(*ways))
 
 
 @dataclass(frozen=True)
@@ -192,9 +187,8 @@ class TestWhatAnAdversarySees:
 
     def test_a_stranger_that_writes_to_its_input_harms_nobody(self):
         def vandal(probe, gallery):
-            for one in (probe, gallery):
-                one.xy.flags.writeable = True
-                one.xy[:] = 0.0
+            spoilt(probe.xy)
+            spoilt(gallery.xy)
             return np.zeros((len(probe), len(gallery)))
 
         alone = of_task("rerelease", Linker())
@@ -560,16 +554,13 @@ class TestAxes:
         with pytest.raises(SettingsError, match=message):
             axes(Settings(**given))
 
-    @pytest.mark.parametrize(
-        ("attack", "task", "spec"),
-        [
+    def test_who_links_where(self):
+        for attack, task, spec in (
             ("shape", "handover-1s", "shape"),  # it has no task of its own: it runs where it can
             ("histogram@savgol:0.5", "split", "histogram@savgol:width_s=0.5"),
-        ],
-    )
-    def test_who_links_where(self, attack, task, spec):
-        found = axes(Settings(attacks=(attack,), tasks=(task,)))
-        assert [(where.name, one.spec) for where, one in found.links] == [(task, spec)]
+        ):
+            found = axes(Settings(attacks=(attack,), tasks=(task,)))
+            assert [(where.name, one.spec) for where, one in found.links] == [(task, spec)]
 
     def test_the_default_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(self):
         found = axes(Settings())
@@ -581,51 +572,38 @@ class TestAxes:
         assert (nothing.links, nothing.ceiling) == ((), None)
 
 
-OF_A_LINKER = {"kind": "linkage", "knowledge": "blind"}
-
-
 def entry(consumer, mechanism, p_value, low=1.0):
     """An entry of a manifest, and what was achieved there."""
     of = Estimate(value=0.1, ci_low=0.0, ci_high=0.2, n=5)
     numbers = defaultdict(int, p_value=p_value, p_value_low=low, gallery_sizes=[5, 5, 5.0])
-    outcome = cell_files.LinkageOutcome({"rank1": of, "chance": of}, numbers=numbers, cohorts={})
-    where = {"consumer": consumer, "mechanism": mechanism, "spec": mechanism}
-    where["level"] = None if mechanism in {"raw", "clean"} else 1.0
-    is_control = "control" in consumer
-    where |= {"kind": "control", "knowledge": ""} if is_control else OF_A_LINKER
-    return where, outcome
-
-
-def outcomes(*entries):
-    found = linkability.linkability([entry(*one) for one in entries], dataset="here")
-    return found.set_index(["mechanism", "consumer"])
+    kind, knowledge = ("control", "") if "control" in consumer else ("linkage", "blind")
+    where = {"consumer": consumer, "mechanism": mechanism, "spec": mechanism, "kind": kind}
+    where |= {"knowledge": knowledge, "level": 1.0 if mechanism == "fixed" else None}
+    return where, cell_files.LinkageOutcome({"rank1": of, "chance": of}, numbers, cohorts={})
 
 
 class TestOutcomes:
-    @pytest.mark.parametrize(
-        ("at_level", "at_ceiling", "expected"),
-        [(0.01, 0.5, "links"), (0.2, 0.001, "no link detected"), (0.2, 0.5, "attack too weak")],
-    )
-    def test_three_outcomes(self, at_level, at_ceiling, expected):
-        found = outcomes(("split/x", "fixed", at_level), ("split/x", "clean", at_ceiling))
-        assert found.loc[("fixed", "split/x"), "outcome"] == expected
-
     def test_a_leak_makes_the_cells_of_its_task_and_level_invalid(self):
-        found = outcomes(
+        entries = (
             ("split/control-duration", "fixed", 0.0004),
             ("split/control-clock", "fixed", 0.02),
             ("split/control-duration", "clean", 0.3),
             # Mates that score low are a leak, and random scores are none.
             ("split/control-duration", "raw", 1.0, 0.0002),
             ("rerelease/control-random", "raw", 0.001),
-            *((f"{task}/x", by, 0.001) for task in ("split", "rerelease") for by in LEVELS),
+            *(("split/x", "fixed", 0.2), ("split/x", "raw", 0.01), ("split/x", "clean", 0.001)),
+            *(("rerelease/x", by, 0.2) for by in LEVELS),
         )
-        for by, task, invalid in (
-            *(("fixed", "split", "duration"), ("clean", "split", ""), ("raw", "split", "duration")),
-            *((by, "rerelease", "") for by in LEVELS),
+        frame = linkability.linkability([entry(*one) for one in entries], dataset="here")
+        found = frame.set_index(["consumer", "mechanism"])
+        assert found.loc[("split/control-duration", "fixed"), "outcome"] == "beats chance"
+        for task, by, invalid, said in (
+            ("split", "fixed", "duration", "no link detected"),
+            *(("split", "raw", "duration", "links"), ("split", "clean", "", "links")),
+            *(("rerelease", by, "", "attack too weak") for by in LEVELS),
         ):
-            assert found.loc[(by, f"{task}/x"), "invalid"] == invalid
-        assert found.loc[("fixed", "split/control-duration"), "outcome"] == "beats chance"
+            row = found.loc[(f"{task}/x", by)]
+            assert (row["invalid"], row["outcome"]) == (invalid, said)
 
     def test_the_simulated_task_has_a_data_set_of_its_own(self):
         assert linkability.dataset_of("new_traversal/x", dataset="here") != "here"

@@ -106,7 +106,7 @@ MADE_OF = {
     (RECONSTRUCTION, "rerelease"): ("isac_track.kalman._linear_loops",),
     ("rerelease",): (
         *("isac_track.linkability._loops", "attacks.tasks.build"),
-        *("evaluation.cells.link_scores", "evaluation.cells.windows"),
+        "evaluation.cells.link_scores",
     ),
     (): (
         *("evaluation.experiment.presets", "evaluation.experiment.axes", "isac_track.plugins"),

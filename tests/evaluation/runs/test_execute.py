@@ -7,23 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.cells import World, parsed
 from helpers.recordings import write_csv
-from helpers.runs import arrays, change_code, held_by, rows_of
+from helpers.runs import change_code, held_by, rows_of
 from helpers.small_runs import smoke
 
 import evaluation
 from evaluation.analysis import summary
-from evaluation.cells.work import Block, cells
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.plan import plan
 from evaluation.experiment.settings import Settings
-from evaluation.results import build
 from evaluation.runs.execute import FailedCellsWarning
 from evaluation.runs.manifest import read_manifest
-from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, PluginError, SettingsError
-from isac_track.scenes import cut, track_order
 
 KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
@@ -65,15 +62,9 @@ def assert_kept(before):
 
 def computed(tracks, *, spec="fid:100", stages=None, seed=0, predictor="least_squares"):
     """Rows of one block of 12 scenes: descriptors, then forecasts."""
-    stages = stages or StageSettings()
-    known = cut(tracks, settings=stages, seed=seed)
-    order = track_order(n_tracks=len(known), n_scenes=12, agents=stages.scenes.agents, seed=seed)
-    (mechanism,) = plugins.parse("mechanisms", spec)
-    (forecaster,) = plugins.parse("predictors", predictor)
-    consumers = (Consumer("shared"), Consumer("predictor", forecaster))
-    block = Block(number=0, first_scene=0, order=order, levels=((mechanism, consumers),))
-    found = cells(block, tracks=known, stages=stages, seed=seed)
-    return [arrays(tables) for *_, tables in found]
+    world = World(tracks, n_scenes=12, stages=stages or StageSettings(), seed=seed)
+    consumers = (Consumer("shared"), Consumer("predictor", parsed("predictors", predictor)))
+    return [rows for *_, rows in world.cells([spec], consumers)]
 
 
 @pytest.fixture(scope="module")
@@ -125,12 +116,8 @@ class TestWhatARunLeaves:
             assert (drawn.out / name).is_file()
         held = held_by(drawn.out)  # a level each: the descriptors as shared and the predictor
         assert list(held.values()) == [{"shared", "least_squares"}] * 3
-        for folder_name, kinds in {
-            "cells": {"parquet"},
-            "figures": {"svg"},
-            "tables": {"tex"},
-        }.items():
-            assert {path.suffix[1:] for path in (drawn.out / folder_name).iterdir()} == kinds
+        for name, kind in (("cells", ".parquet"), ("figures", ".svg"), ("tables", ".tex")):
+            assert {path.suffix for path in (drawn.out / name).iterdir()} == {kind}
         assert list(drawn.summary.columns) == [
             *("dataset", "mechanism", "level", "consumer", "knowledge", "metric", "value"),
             *("ci_low", "ci_high", "n", "unit", "family", "adding"),
@@ -183,22 +170,17 @@ class TestWhatARunLeaves:
             manifest["environment"].keys()
         )
         assert manifest["wall_time_s"] > 0
+        names = ("preset", "scenes", "seed"), ("mechanisms", "predictors", "attacks")
         again = Settings(
             dataset=finished.dataset,
             out=finished.out.with_name("again"),
             stages=StageSettings().changed(known["stages"]),
-            **{name: known[name] for name in ("preset", "scenes", "seed")},
-            **{name: tuple(known[name]) for name in ("mechanisms", "predictors", "attacks")},
+            **{name: known[name] for name in names[0]},
+            **{name: tuple(known[name]) for name in names[1]},
         )
         run(again)
         first = (finished.out / "summary.csv").read_bytes()
         assert (again.out / "summary.csv").read_bytes() == first
-
-    def test_the_report_redraws_without_computing(self, finished):
-        expected = (finished.out / "summary.csv").read_bytes()
-        (finished.out / "summary.csv").unlink()
-        build(finished.out, pictures=False)
-        assert (finished.out / "summary.csv").read_bytes() == expected
 
     def test_pictures_of_an_earlier_report_do_not_stay_beside_new_numbers(self, finished):
         own = finished.out / "figures" / "mine.svg"
@@ -208,14 +190,6 @@ class TestWhatARunLeaves:
         run(finished)
         assert own.exists()
         assert not any(path.exists() for path in stale)
-
-
-def test_workers_change_no_bit(settings, tmp_path):
-    """Three blocks for two workers."""
-    for jobs in (1, 2):
-        run(settings, scenes=501, jobs=jobs, out=tmp_path / f"{jobs}")
-    one, two = (tmp_path / f"{jobs}" / "summary.csv" for jobs in (1, 2))
-    assert one.read_bytes() == two.read_bytes()
 
 
 def test_one_block_that_is_shared_out_by_levels_changes_no_bit(finished, drawn, monkeypatch):
@@ -294,17 +268,17 @@ class TestAnotherRunInTheSameFolder:
         ):
             with pytest.raises(SettingsError, match=rf"{message}.*--fresh .* or another --out"):
                 run(finished, **change)
-        run(finished, stages=wider, fresh=True)
         text = csv_recording.read_text(encoding="utf-8").replace("0.40,w0,", "0.41,w0,")
         csv_recording.write_text(text, encoding="utf-8")
         with pytest.raises(SettingsError, match="sha256"):
-            run(finished, stages=wider)
+            run(finished)
 
     def test_that_is_fresh_removes_only_what_a_run_wrote(self, finished):
         notes = [finished.out / place / "mine.txt" for place in (".", "cells", "figures", "tables")]
         for note in notes:
             note.write_text("keep me", encoding="utf-8")
-        run(finished, mechanisms=("raw",), fresh=True)
+        wider = StageSettings().changed({"privacy.epsilon_m": 0.5})
+        run(finished, mechanisms=("raw",), fresh=True, stages=wider)  # whatever was there
         assert all(note.read_text(encoding="utf-8") == "keep me" for note in notes)
         assert len(list((finished.out / "cells").glob("*.parquet"))) == 1
         assert [path.name for path in (finished.out / "figures").iterdir()] == ["mine.txt"]

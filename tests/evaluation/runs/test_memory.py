@@ -11,10 +11,6 @@ import pytest
 from evaluation.runs.workers import given_back
 
 
-def has_glibc():
-    return sys.platform == "linux" and hasattr(ctypes.CDLL(None), "malloc_trim")
-
-
 def resident_mb():
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123 - no file to keep
         return int(file.read().split()[1]) * 4096 / 1e6
@@ -27,7 +23,10 @@ def test_the_pool_is_the_users_again_even_after_an_error():
     assert pa.default_memory_pool().backend_name == before
 
 
-@pytest.mark.skipif(not has_glibc(), reason="only glibc's malloc can be asked to")
+@pytest.mark.skipif(
+    sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "malloc_trim"),
+    reason="only glibc's malloc can be asked to",
+)
 def test_what_threads_freed_goes_back():
     """80 MB in pieces of 40 kB, which malloc keeps: each is below what it maps by itself."""
     kept = []
