@@ -1,11 +1,9 @@
 """Plant one-line faults, one at a time, and count those that the tests notice.
 
-`python benchmarks/planted_faults.py --tree DIR` works on a copy of the tree. The tests run once
-with coverage.py, which tells which of them reach which line; a fault is then shown only to those
-that reach it, the fastest first, until one fails. What fixtures reach is reached by all tests of
-their file. A line that no test reaches in its own process
-(those of workers) is shown to a few end-to-end tests. The draw depends on the seed and on the
-tree alone: every statement of the package weighs as much as it has lines.
+`python benchmarks/planted_faults.py --tree DIR` works on two copies of the tree. The tests run once
+with a probe at the place of every fault, which tells which of them get there, in whatever process;
+a fault is then shown only to those, the fastest first, until one fails. The draw depends on the
+seed and on the tree alone: every statement of the package weighs as much as it has lines.
 """
 
 from __future__ import annotations
@@ -14,8 +12,10 @@ import argparse
 import ast
 import contextlib
 import copy
+import importlib.util
 import json
 import os
+import queue
 import re
 import shutil
 import signal
@@ -23,26 +23,18 @@ import subprocess
 import sys
 import tempfile
 import time
-import xml.etree.ElementTree as ET
-from collections import Counter
+from collections import Counter, defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-try:
-    import coverage
-except ImportError:  # the benchmark says so
-    coverage = None
-
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 ROOT = Path(__file__).resolve().parent.parent
-END_TO_END = tuple(
-    f"test_{name}*" for name in ("matrix", "command", "run", "execute", "dask", "faults")
-)
-"""Names of test files that are shown the lines that no test reaches in its own process."""
+PROBE = Path(__file__).with_name("planted_probe.py")
 _HANGS_S: Final = 60.0
 """Tests that take this much, and 20 times what they took, hang: the fault is noticed."""
 _NOT_COPIED = shutil.ignore_patterns(".git", "*.pyc", ".*_cache", ".hypothesis", "mutants")
@@ -75,18 +67,20 @@ class Statement(NamedTuple):
     file: str
     first: int
     last: int
-    reached_by: range
-    """Lines whose tests are those of the statement; empty: those that use what it names."""
+    before: int
+    """Line before which it can be told that the statement is reached; 0: outside of functions."""
     names: tuple[str, ...]
     """What a statement outside of any function gives a value."""
     rewrites: tuple[Rewrite, ...]
 
 
 def statements(path: Path, *, root: Path) -> list[Statement]:
-    """Return the statements of a file in which a fault can be planted."""
+    """Return all statements of a file, with the faults that can be planted in each."""
+    source = path.read_bytes()
+    text = source.splitlines()
     found: list[Statement] = []
 
-    def visit(body: Sequence[ast.stmt], *, inside: bool, owner: str) -> None:
+    def visit(body: Sequence[ast.stmt], *, inside: bool, owner: str, before: int = 0) -> None:
         for node in body:
             if isinstance(node, ast.If) and _NOT_RUN.search(ast.unparse(node.test)):
                 continue
@@ -97,30 +91,33 @@ def statements(path: Path, *, root: Path) -> list[Statement]:
             first = node.lineno
             last = min(part[0].lineno for part in inner) - 1 if inner else node.end_lineno
             last = max(first, last or first)
-            lines = range(first, last + 1)
-            if is_function:  # its defaults have their values before it runs
-                lines = range(inner[0][0].lineno, (node.end_lineno or last) + 1)
+            # No line can stand before an elif; defaults have their values before a function runs.
+            place = before if text[first - 1].lstrip().startswith(b"elif") else first
+            if is_function:
+                place = next((one.lineno for one in inner[0] if not _is_text(one)), 0)
+            is_in = inside or is_function
+            given = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
+            assigned = (one.id for one in given if isinstance(one.ctx, ast.Store))
+            names = () if is_in else (owner,) if owner else tuple(assigned)
+            file = str(path.relative_to(root))
             rewrites = tuple(_rewrites(node))
-            if rewrites:
-                given = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
-                assigned = (one.id for one in given if isinstance(one.ctx, ast.Store))
-                is_in = inside or is_function
-                names = () if is_in else (owner,) if owner else tuple(assigned)
-                lines = lines if is_in else range(0)
-                file = str(path.relative_to(root))
-                found.append(Statement(file, first, last, lines, names, rewrites))
+            found.append(Statement(file, first, last, place * is_in, names, rewrites))
             below = node.name if isinstance(node, ast.ClassDef) else owner
             for part in inner:
-                visit(part, inside=inside or is_function, owner=below)
+                visit(part, inside=is_in, owner=below, before=place)
 
-    visit(ast.parse(path.read_bytes()).body, inside=False, owner="")
+    visit(ast.parse(source).body, inside=False, owner="")
     return found
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def _rewrites(node: ast.stmt) -> Iterator[Rewrite]:
     """Yield every fault of a statement."""
-    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-        return  # a docstring
+    if _is_text(node):
+        return
     if isinstance(node, ast.If | ast.While | ast.Assert):
         yield "condition negated", node.test, f"not ({ast.unparse(node.test)})"
     if isinstance(node, ast.Return) and node.value is not None:
@@ -206,6 +203,7 @@ def drawn(
     The kind of a fault is drawn from those that its statement can have, then the fault itself.
     """
     rng = np.random.default_rng(seed)
+    found = [one for one in found if one.rewrites]
     weights = np.array([one.last - one.first + 1.0 for one in found])
     order = rng.choice(len(found), size=len(found), replace=False, p=weights / weights.sum())
     for one in (found[place] for place in order):
@@ -223,169 +221,188 @@ def drawn(
                 yield one, fault | {"before": before, "after": text}, faulty
 
 
-def pytest(
-    tests: Sequence[str], *, root: Path, limit_s: float | None = None, measured: Path | None = None
-) -> tuple[dict[str, float], list[str], str]:
-    """Run tests in a copy of the tree: all with coverage, or up to the first failure.
+def probed(source: bytes, *, faults: Mapping[int, Iterable[int]]) -> bytes:
+    """Return a source that says, before some of its lines, that the places of faults are reached.
 
-    Returns the seconds of every test that ran, those that failed, and how it ended if that was odd.
+    The lines that are there stay what they are.
     """
-    said = root.parent / "said.xml"
-    said.unlink(missing_ok=True)
-    words = [sys.executable, "-m"]
-    words += ["coverage", "run", f"--rcfile={measured}", "-m"] if measured else []
-    words += ["pytest", "-q", "-p", "no:cacheprovider", f"--junitxml={said}", *tests]
-    words += [f"--basetemp={root.parent / 'pytest'}", *([] if measured else ["-x"])]
-    own = {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
-    own["HYPOTHESIS_STORAGE_DIRECTORY"] = str(root.parent / "hypothesis")
+    lines = source.splitlines(keepends=True)
+    for number, which in sorted(faults.items(), reverse=True):
+        line = lines[number - 1]
+        indent = line[: len(line) - len(line.lstrip())]
+        names = ", ".join(repr(str(fault)) for fault in sorted(which))
+        lines.insert(number - 1, indent + f"__import__('{PROBE.stem}').hit({names})\n".encode())
+    return b"".join(lines)
+
+
+def places(one: Statement, *, found: Sequence[Statement], root: Path) -> set[tuple[str, int]]:
+    """Return where it shows that a statement is reached: file and line before which to ask.
+
+    For one outside of functions, where what it gives a value is used; all of its file if nowhere.
+    """
+    if one.before:
+        return {(one.file, one.before)}
+    used: set[tuple[str, int]] = set()
+    for file in {other.file for other in found}:
+        nodes = ast.walk(ast.parse((root / file).read_bytes()))
+        named = ((node, getattr(node, "id", getattr(node, "attr", ""))) for node in nodes)
+        used |= {(file, node.lineno) for node, name in named if name in one.names}
+    inside = [other for other in found if other.before]
+    at = {
+        (other.file, other.before)
+        for other in inside
+        if any((other.file, line) in used for line in range(other.first, other.last + 1))
+    }
+    return at or {(other.file, other.before) for other in inside if other.file == one.file}
+
+
+class Told(NamedTuple):
+    """What the tests said: seconds of each, how it ended, and by fault which of them reach it."""
+
+    seconds: dict[str, float]
+    failed: list[str]
+    reached_by: dict[str, set[str]]
+    note: str
+    """How it ended, if that was odd."""
+
+
+def pytest(words: Sequence[str], *, root: Path, limit_s: float | None = None) -> Told:
+    """Run tests in a copy of the tree."""
+    record = root.parent / "record"
+    record.write_text("")
+    own = {"PYTHONPATH": os.pathsep.join([str(root), str(root.parent)]), "PLANTED_RECORD": record}
+    own |= {"PYTHONDONTWRITEBYTECODE": "1", "HYPOTHESIS_STORAGE_DIRECTORY": root.parent / "found"}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", PROBE.stem]
+    command += [f"--basetemp={root.parent / 'pytest'}", *words]
     with (root.parent / "output.txt").open("w") as output:
-        streams = {"stdout": output, "stderr": subprocess.STDOUT}
         process = subprocess.Popen(
-            words, cwd=root, env=os.environ | own, start_new_session=True, **streams
+            command,
+            cwd=root,
+            env=os.environ | own,
+            start_new_session=True,
+            stdout=output,
+            stderr=subprocess.STDOUT,
         )
+        note = ""
         try:
             code = process.wait(limit_s)
+            note = "" if code in (0, 1) else f"pytest ended with {code}"
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-            return {}, [], "time limit"
-    try:
-        cases = [*ET.parse(said).iter("testcase")]  # noqa: S314 - pytest wrote it
-    except (FileNotFoundError, ET.ParseError):  # it died before, or while it told
-        return {}, [], f"pytest ended with {code}"
-    seconds, failed = {}, []
-    for case in cases:
-        # A test's class comes after the module of its file.
-        parts = case.get("classname", "").split(".")
-        lengths = [
-            n for n in range(len(parts) + 1) if (root / f"{'/'.join(parts[:n])}.py").is_file()
-        ]
-        n = max(lengths, default=0)
-        name = "::".join([f"{'/'.join(parts[:n])}.py", *parts[n:], case.get("name", "")])
-        if case.find("skipped") is None:
-            seconds[name] = seconds.get(name, 0.0) + float(case.get("time", 0.0))
-        if case.find("failure") is not None or case.find("error") is not None:
-            failed.append(name)
-    return seconds, failed, ""
+            note = "time limit"
+    return _told(record, note=note)
 
 
-def reached(options: argparse.Namespace, *, root: Path) -> dict[str, Any]:
-    """Return seconds of all tests that pass, those that fail, and by file and line who reaches it.
-
-    As known already, or of runs with coverage; a file that ends its process costs no other.
-    """
-    kept = options.reach or root.parent / "reach.json"
-    found: dict[str, Any] = {"seconds": {}, "failed": [], "lines": {}, "files": []}
-    if kept.is_file():
-        found = json.loads(kept.read_text(encoding="utf-8"))
-    settings, data = root.parent / "coverage.ini", root.parent / "coverage"
-    settings.write_text(
-        f"[run]\ndata_file={data}\ndynamic_context=test_function\n"
-        f"include={root / options.package}/*\n",
-        encoding="utf-8",
-    )
-    files = [
-        str(file.relative_to(root))
-        for name in options.tests
-        for file in (sorted((root / name).rglob("test_*.py")) or [root / name])
-    ]
-    for file in [file for file in files if file not in found["files"]]:
-        data.unlink(missing_ok=True)
-        seconds, failed, note = pytest([file], root=root, measured=settings)
-        say(f"{file}, with coverage: {sum(seconds.values()):.0f} s {note}")
-        found["failed"] += failed
-        found["seconds"] |= {name: took for name, took in seconds.items() if name not in failed}
-        found["files"].append(file)
-        lines = coverage.CoverageData(str(data))
-        lines.read()
-        for path in lines.measured_files():
-            known = found["lines"].setdefault(str(Path(path).relative_to(root)), {})
-            for line, contexts in lines.contexts_by_lineno(path).items():
-                # A test's name in its file, or the file where that is not known.
-                by = {f"{file}::{one.rpartition('.')[2]}" if one else file for one in contexts}
-                known[str(line)] = sorted({*known.get(str(line), ()), *by})
-        kept.write_text(json.dumps(found), encoding="utf-8")
-    return found
-
-
-def tests_of(one: Statement, *, reach: dict[str, Any], root: Path, package: str) -> list[str]:
-    """Return the tests that reach a statement, or what it gives a value; the fastest first."""
-
-    def contexts(file: str, lines: Iterable[int] | None) -> set[str]:
-        known = reach["lines"].get(file, {})
-        places = known if lines is None else map(str, lines)
-        return {context for place in places for context in known.get(place, ())}
-
-    found = contexts(one.file, one.reached_by)
-    if not one.reached_by:
-        for path in sorted((root / package).rglob("*.py")):
-            nodes = ast.walk(ast.parse(path.read_bytes()))
-            named = ((node, getattr(node, "id", getattr(node, "attr", ""))) for node in nodes)
-            lines = [node.lineno for node, name in named if name in one.names]
-            found |= contexts(str(path.relative_to(root)), lines)
-        found = found or contexts(one.file, None)
-    tests = []
-    for test in reach["seconds"]:
-        file, *_, name = test.partition("[")[0].split("::")
-        if file in found or f"{file}::{name}" in found:
-            tests.append(test)
-    return sorted(tests, key=reach["seconds"].__getitem__)
+def _told(record: Path, *, note: str) -> Told:
+    seconds: dict[str, float] = defaultdict(float)
+    failed: dict[str, None] = {}
+    users, hits = defaultdict(set), defaultdict(set)
+    for words in map(json.loads, record.read_text(encoding="utf-8").splitlines()):
+        what, test, *more = words
+        if what == "hit":
+            for fault in more[1:]:
+                hits[fault].add((test, more[0]))
+        elif what == "uses":
+            for fixture in more:
+                users[fixture].add(test)
+        elif more[0] == "failed":
+            failed[test] = None
+        elif more[0] == "passed":
+            seconds[test] += more[1]
+    reached = {fault: {test for test, _ in by} for fault, by in hits.items()}
+    for fault, by in hits.items():
+        reached[fault] = reached[fault].union(*(users[fixture] for _, fixture in by if fixture))
+    passed = {test: took for test, took in seconds.items() if test not in failed}
+    return Told(passed, list(failed), reached, note)
 
 
 def measure(options: argparse.Namespace, *, scratch: Path) -> list[dict[str, Any]]:
-    """Plant the faults in a copy of the tree; return what became of them."""
-    root = scratch / "tree"
+    """Plant the faults in copies of the tree; return what became of them."""
 
     def left_out(folder: str, names: list[str]) -> set[str]:
         # Results of runs lie beside the packages; evaluation/runs is one of them.
         return _NOT_COPIED(folder, names) | ({"runs"} if Path(folder) == options.tree else set())
 
-    shutil.copytree(options.tree, root, ignore=left_out)
-    reach = reached(options, root=root)
-    for test in reach["failed"]:
-        say(f"left out, it fails without any fault: {test}")
+    free: queue.SimpleQueue[Path] = queue.SimpleQueue()
+    for name in ("first", "second"):
+        shutil.copytree(options.tree, scratch / name / "tree", ignore=left_out)
+        shutil.copy(PROBE, scratch / name)
+        free.put(scratch / name / "tree")
+    root = free.get()
     paths = sorted((root / options.package).rglob("*.py"))
     found = [one for path in paths for one in statements(path, root=root)]
-    faults: list[dict[str, Any]] = []
-    finished = earlier(options)
-    for one, planted, faulty in drawn(found, root=root, count=options.faults, seed=options.seed):
-        fault = finished.get(tuple(planted.values()))
-        if fault is None:
-            tests = tests_of(one, reach=reach, root=root, package=options.package)
-            by = "tests that reach it"
-            if not tests:
-                by = "end-to-end tests"
-                files = {test: Path(test.partition("::")[0]) for test in reach["seconds"]}
-                tests = [one for one, at in files.items() if any(map(at.match, options.end_to_end))]
-            place, started = root / planted["file"], time.monotonic()
-            sound = place.read_bytes()
-            place.write_bytes(faulty)
-            killed_by, note = judged(tests, reach=reach, root=root, most_s=options.limit)
-            place.write_bytes(sound)
-            took = round(time.monotonic() - started, 1)
-            fault = planted | {"killed_by": killed_by, "seconds": took, "tests": len(tests)}
-            fault |= {"shown_to": by, "note": note}
+    faults = list(drawn(found, root=root, count=options.faults, seed=options.seed))
+    told = reached(options, statements=[one for one, _, _ in faults], found=found, root=root)
+    free.put(root)
+
+    def shown(number: int) -> dict[str, Any]:
+        _, planted, faulty = faults[number]
+        tests = sorted(
+            told.reached_by.get(str(number), set()) & told.seconds.keys(),
+            key=told.seconds.__getitem__,
+        )
+        root, started = free.get(), time.monotonic()
+        place = root / planted["file"]
+        sound = place.read_bytes()
+        place.write_bytes(faulty)
+        killed_by, note = judged(tests, told=told, root=root, most_s=options.limit)
+        place.write_bytes(sound)
+        free.put(root)
+        took = round(time.monotonic() - started, 1)
+        return planted | {
+            "killed_by": killed_by,
+            "seconds": took,
+            "tests": len(tests),
+            "note": note,
+        }
+
+    done: list[dict[str, Any]] = []
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for fault in pool.map(shown, range(len(faults))):
+            done.append(fault)
             survived = fault["killed_by"] or "SURVIVED"
-            say(f"{len(faults) + 1}: {fault['file']}:{fault['line']} {fault['kind']}: {survived}")
-        faults.append(fault)
-        write(options, reach, faults)
-    return faults
+            say(f"{len(done)}: {fault['file']}:{fault['line']} {fault['kind']}: {survived}")
+            write(options, told, done)
+    return done
 
 
-def judged(
-    tests: Sequence[str], *, reach: dict[str, Any], root: Path, most_s: float
-) -> tuple[str, str]:
+def reached(
+    options: argparse.Namespace,
+    *,
+    statements: Sequence[Statement],
+    found: Sequence[Statement],
+    root: Path,
+) -> Told:
+    """Run all tests, two at a time where pytest-xdist is at hand, with a probe for every fault."""
+    asked: dict[str, dict[int, set[int]]] = defaultdict(lambda: defaultdict(set))
+    for number, one in enumerate(statements):
+        for file, line in places(one, found=found, root=root):
+            asked[file][line].add(number)
+    sound = {file: (root / file).read_bytes() for file in asked}
+    for file, lines in asked.items():
+        (root / file).write_bytes(probed(sound[file], faults=lines))
+    two = ["-n", "2", "--dist", "loadfile"] if importlib.util.find_spec("xdist") else []
+    told = pytest([*two, *options.tests], root=root)
+    for file, source in sound.items():
+        (root / file).write_bytes(source)
+    say(f"{len(told.seconds)} tests pass, {sum(told.seconds.values()):.0f} s {told.note}")
+    for test in told.failed:
+        say(f"left out, it fails without any fault: {test}")
+    return told
+
+
+def judged(tests: Sequence[str], *, told: Told, root: Path, most_s: float) -> tuple[str, str]:
     """Run tests; return which failed, if one did, and how it ended if that was odd."""
     if not tests:
         return "", "no test reaches it"
     # Far beyond what they took it is noticed, too: something hangs.
-    usual_s = _HANGS_S + 20.0 * sum(reach["seconds"][test] for test in tests)
+    usual_s = _HANGS_S + 20.0 * sum(told.seconds[test] for test in tests)
     names = list(dict.fromkeys(test.partition("[")[0] for test in tests))
-    names += [f"--deselect={test}" for test in reach["failed"]]
-    _, failed, note = pytest(names, root=root, limit_s=min(most_s, usual_s))
-    if note == "time limit" and usual_s < most_s:
-        note = "pytest hangs"
-    return failed[0] if failed else note if note.startswith("pytest") else "", note
+    names += [f"--deselect={test}" for test in told.failed]
+    now = pytest(["-x", *names], root=root, limit_s=min(most_s, usual_s))
+    note = "pytest hangs" if now.note == "time limit" and usual_s < most_s else now.note
+    return now.failed[0] if now.failed else note if note.startswith("pytest") else "", note
 
 
 def say(text: str) -> None:
@@ -393,26 +410,15 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def write(options: argparse.Namespace, reach: dict[str, Any], faults: list[dict[str, Any]]) -> None:
+def write(options: argparse.Namespace, told: Told, faults: list[dict[str, Any]]) -> None:
     """Write what is known so far as JSON, if a file was asked for."""
     if options.json is not None:
-        took = round(sum(reach["seconds"].values()), 1)
-        suite = {"tests": len(reach["seconds"]), "seconds": took, "failed": reach["failed"]}
+        took = round(sum(told.seconds.values()), 1)
+        suite = {"tests": len(told.seconds), "seconds": took, "failed": told.failed}
         killed = sum(bool(one["killed_by"]) for one in faults)
         found = {"tree": str(options.tree), "package": options.package, "seed": options.seed}
         found |= {"suite": suite, "planted": len(faults), "killed": killed, "faults": faults}
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-
-
-def earlier(options: argparse.Namespace) -> dict[tuple[Any, ...], dict[str, Any]]:
-    """Return the faults of an earlier start of the same command that was cut short."""
-    found: dict[str, Any] = {"faults": []}
-    if options.json is not None and options.json.is_file():
-        found = json.loads(options.json.read_text(encoding="utf-8"))
-        if (found["tree"], found["seed"]) != (str(options.tree), options.seed):
-            return {}
-    names = ("file", "line", "kind", "before", "after")
-    return {tuple(one[name] for name in names): one for one in found["faults"]}
 
 
 def show(faults: Sequence[dict[str, Any]]) -> None:
@@ -426,7 +432,7 @@ def show(faults: Sequence[dict[str, Any]]) -> None:
     for one in faults:
         if not one["killed_by"]:
             where = f"{one['file']}:{one['line']}: {one['kind']}"
-            print(f"\n{where}, survived {one['tests']} {one['shown_to']}")
+            print(f"\n{where}, survived {one['tests']} tests that reach it")
             print(f"  - {' '.join(one['before'].split())}\n  + {one['after']}")
 
 
@@ -434,7 +440,7 @@ def parser() -> argparse.ArgumentParser:
     """Return the options of the command."""
     command = argparse.ArgumentParser(
         description="Plant one-line faults, one at a time, and count those the tests notice.",
-        epilog="exit codes: 0 done, 2 wrong usage, or coverage.py is missing",
+        epilog="exit codes: 0 done, 2 wrong usage",
         allow_abbrev=False,
     )
     add = command.add_argument
@@ -444,9 +450,7 @@ def parser() -> argparse.ArgumentParser:
     add("--faults", type=int, default=60, metavar="N")
     add("--seed", type=int, default=1)
     add("--limit", type=float, default=300.0, metavar="S", help="seconds of tests for a fault")
-    add("--end-to-end", nargs="+", default=END_TO_END, metavar="GLOB", help="names of test files")
-    add("--reach", type=Path, metavar="FILE", help="keep which tests reach what, or go on from it")
-    add("--json", type=Path, metavar="FILE", help="write every fault, or go on from it")
+    add("--json", type=Path, metavar="FILE", help="write every fault")
     return command
 
 
@@ -456,9 +460,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.tree = options.tree.resolve()
     if not (options.tree / options.package).is_dir():
         say(f"error: {options.tree} has no folder {options.package}")
-        return 2
-    if coverage is None:
-        say("error: coverage.py is missing: nothing else tells which tests reach a line")
         return 2
     with tempfile.TemporaryDirectory(prefix="planted-") as folder:
         faults = measure(options, scratch=Path(folder).resolve())

@@ -36,8 +36,6 @@ def benchmark(name):
 
     @pytest.fixture(name=name)
     def load(monkeypatch):
-        if name == "planted_faults":
-            pytest.importorskip("coverage")
         monkeypatch.syspath_prepend(str(ROOT))
         return import_module(f"benchmarks.{name}")
 
