@@ -8,6 +8,7 @@ were computed. A consumer that is added later has a further file: none is rewrit
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,7 +23,7 @@ from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, RE
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import ROWS, Tables
-from evaluation.runs.files import FOLDER, GALLERY, checked, write_whole, written_down
+from evaluation.runs.files import FOLDER, GALLERY, checked, content_of, write_whole, written_down
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 from isac_track.linkability import ProbeRanks
@@ -327,7 +328,7 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     try:
-        rows = pd.read_parquet(path)
+        rows = pd.read_parquet(io.BytesIO(content_of(path)))
     except (OSError, ValueError) as error:
         raise DataError(f"{path} cannot be read ({error}); delete it") from None
     if not set(SAMPLE_COLUMNS) <= set(rows.columns):

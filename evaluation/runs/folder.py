@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from evaluation.experiment.fingerprint import can_be_found, source_digest
 from evaluation.runs.cell_files import Index, label_of, sound_files
-from evaluation.runs.files import FOLDER, LOCK, MANIFEST, PAGE, WRITTEN, forget_missing
+from evaluation.runs.files import (
+    FOLDER,
+    LOCK,
+    MANIFEST,
+    PAGE,
+    SUBFOLDERS,
+    WRITTEN,
+    forget_missing,
+    is_temporary,
+)
 from evaluation.runs.manifest import (
     CELL_NAME,
     parsed,
@@ -53,7 +62,7 @@ def check_folder(out: Path) -> None:
             return
         for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
             is_empty = path.name == FOLDER and path.is_dir() and not any(path.iterdir())
-            if not is_empty and path.name not in (LOCK, f".{MANIFEST}.tmp"):
+            if not is_empty and path.name != LOCK and not is_temporary(path.name):
                 raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
 
 
@@ -143,7 +152,7 @@ def _remove_run(out: Path) -> None:
     try:
         for path in ours:
             path.unlink(missing_ok=True)
-        for folder in (FOLDER, "figures", "tables"):
+        for folder in SUBFOLDERS:
             if (out / folder).is_dir() and not any((out / folder).iterdir()):
                 (out / folder).rmdir()
         (out / MANIFEST).unlink()
