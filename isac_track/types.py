@@ -339,7 +339,11 @@ def _check_covariances(cov: Floats) -> None:
 def _freeze(container: object, **shapes: Sequence[int | str]) -> None:
     """Make fields read-only arrays of floats; a letter in a shape is any length."""
     for name, shape in shapes.items():
-        array = np.asarray(getattr(container, name), dtype=np.float64)
+        given = getattr(container, name)
+        if np.ma.isMaskedArray(given) or np.iscomplexobj(given):
+            kind = "complex" if np.iscomplexobj(given) else "masked"
+            raise ValueError(f"{name} must hold real numbers, all of them, got a {kind} array")
+        array = np.asarray(given, dtype=np.float64)
         if array.ndim != len(shape):
             raise ValueError(f"{name} must have {len(shape)} dimension(s), got shape {array.shape}")
         for want, got in zip(shape, array.shape, strict=True):

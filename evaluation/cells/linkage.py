@@ -234,7 +234,10 @@ def _scored(
     probe, gallery = sides.of(pairing)
     assert consumer.plugin is not None
     probe, gallery = (sharing.handed(one, consumer.plugin) for one in (probe, gallery))
-    scores = np.asarray(sharing.guarded(who, lambda: attack(probe, gallery)))
+    found = sharing.guarded(who, lambda: attack(probe, gallery))
+    if np.ma.isMaskedArray(found):
+        raise PluginError(f"{who} must return a score for every pair, got a masked array")
+    scores = np.asarray(found)
     expected = (pairing.probe.size, pairing.gallery.size)
     if scores.shape != expected or scores.dtype.kind not in "fiu":
         raise PluginError(

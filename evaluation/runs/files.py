@@ -16,6 +16,8 @@ import secrets
 import stat
 from typing import TYPE_CHECKING, Final
 
+from pandas.api.types import is_numeric_dtype
+
 from isac_track.errors import DataError, SettingsError
 
 try:
@@ -26,6 +28,8 @@ except ImportError:  # pragma: no cover - Windows has no flock
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
+
+    import pandas as pd
 
 FOLDER: Final = "cells"
 SUBFOLDERS: Final = (FOLDER, "tables", "figures")
@@ -75,6 +79,19 @@ def write_whole(path: Path, content: bytes) -> None:
         raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
 
 
+def to_csv(frame: pd.DataFrame) -> bytes:
+    """Return a table as CSV; no text in it is a formula to a spreadsheet, wherever it came from."""
+    safe = frame.copy(deep=False)
+    for name in frame.columns:
+        if not is_numeric_dtype(frame[name]):
+            safe[name] = frame[name].map(lambda one: f"'{one}" if _is_formula(one) else one)
+    return safe.to_csv(index=False).encode()
+
+
+def _is_formula(one: object) -> bool:
+    return isinstance(one, str) and one.startswith(("=", "+", "-", "@", "\t", "\r"))
+
+
 def is_temporary(name: str) -> bool:
     """Return whether a file is one that `write_whole` had no time to rename."""
     return _TEMPORARY.fullmatch(name) is not None
@@ -86,9 +103,12 @@ def opened(path: Path, flags: int) -> int:
     Raises OSError if it is a link, a pipe, a device or a folder, or as `os.open` does.
     """
     file = os.open(path, flags | _NOT_FOLLOWED, 0o644)
-    if stat.S_ISREG(os.fstat(file).st_mode):
+    mode = os.fstat(file).st_mode
+    if stat.S_ISREG(mode):
         return file
     os.close(file)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     raise OSError(errno.EINVAL, "it is no regular file", str(path))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +40,7 @@ def usable(out: Path) -> Iterator[None]:
     Raises SettingsError if no folder can have that name, or it cannot be entered, read or changed.
     """
     try:
-        is_name = b"\0" not in os.fsencode(out)
+        is_name = "\0" not in str(out) and bool(str(out).encode())
     except UnicodeEncodeError:
         is_name = False
     if not is_name:
@@ -56,8 +55,10 @@ def usable(out: Path) -> Iterator[None]:
 def check_folder(out: Path) -> None:
     """Raise SettingsError if a folder holds something that is no run, or cannot be entered."""
     with usable(out):
-        if out.exists() and not out.is_dir():
-            raise SettingsError(f"{out} is a file; choose another --out")
+        there = next(path for path in (out, *out.absolute().parents) if path.exists())
+        if not there.is_dir():
+            what = there if there == out else f"{out}: {there}"
+            raise SettingsError(f"{what} is a file; choose another --out")
         if not out.exists() or (out / MANIFEST).exists():
             return
         for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
