@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from evaluation.analysis.differences import compare
 from evaluation.reporting.difference_tables import show, to_json
+from evaluation.runs.files import to_csv
 from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError, SettingsError
 
@@ -64,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     comparison = compare(options.out_a, options.out_b or options.out_a, **named)
     if options.csv is not None:
         try:
-            comparison.rows.to_csv(options.csv, index=False)
+            options.csv.write_bytes(to_csv(comparison.rows))
         except OSError as error:
             raise DataError(f"cannot write {options.csv}: {error.strerror or error}") from None
     if options.json:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.presets import PRESETS
-from evaluation.experiment.settings import Settings
+from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting.announcements import broken, listing, notices, plan_lines
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
@@ -138,6 +138,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         _say(broken(), stream=sys.stderr)
         return DONE
     settings = settings_from(options)
+    check_drawing()
     # Heavy imports only now: --help, --list and a typing error answer at once.
     from evaluation.experiment.plan import plan  # noqa: PLC0415 - as said
 

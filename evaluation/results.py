@@ -17,13 +17,13 @@ from evaluation.analysis.matching import Sweeps, comparisons, matched
 from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
 from evaluation.experiment.plan import Plan, plan
-from evaluation.experiment.settings import Settings
+from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex
 from evaluation.runs import folder
 from evaluation.runs.cell_files import read_gallery
 from evaluation.runs.execute import execute
-from evaluation.runs.files import FRAMES, check_sound, locked, write_whole
+from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import given_back
 from evaluation.verdict import sections as verdict
@@ -61,6 +61,8 @@ def run(
     """
     if ready is None:
         ready = plan(settings or Settings())
+    if pictures:
+        check_drawing()
     folder.check_folder(ready.out)
     with given_back(), locked(ready.out), _one_thread():
         execute(ready, progress or (lambda _done, _total, _what: None))
@@ -81,6 +83,8 @@ def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Result
     Raises IsacTrackError if the folder holds no run, or a cell is missing or not as it was written.
     """
     out = Path(out)
+    if pictures:
+        check_drawing()
     manifest = read_manifest(out)
     with locked(out), _one_thread():
         check_sound(out, (name for entry in manifest["cells"] for name in entry["files"]))
@@ -125,7 +129,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
         gallery=read_gallery(out),
     )
     for of, name in FRAMES.items():
-        write_whole(out / name, getattr(results, of).to_csv(index=False).encode())
+        write_whole(out / name, to_csv(getattr(results, of)))
     write_whole(out / "flags.json", flags.to_json(flagged, looked))
     write_whole(out / "verdict.json", verdict.to_bytes(said))
     write_tex(results, folder=out / "tables")

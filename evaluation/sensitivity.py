@@ -83,7 +83,7 @@ def _run(
     from evaluation.reporting import difference_tables  # noqa: PLC0415 - for --help
     from evaluation.results import run  # noqa: PLC0415 - for --help
     from evaluation.runs.execute import borrow  # noqa: PLC0415 - for --help
-    from evaluation.runs.files import write_whole  # noqa: PLC0415 - for --help
+    from evaluation.runs.files import to_csv, write_whole  # noqa: PLC0415 - for --help
     from evaluation.verdict import sensitivity as held  # noqa: PLC0415 - for --help
 
     attacks = held.attacks_of(held.read_verdict(options.out)["items"])
@@ -122,7 +122,7 @@ def _run(
             print(f"notice: left out: {one}", file=sys.stderr)
         print(f"failed: {why}" if why else f"done in {seconds:.0f} s", file=sys.stderr)
         rows, not_shown = held.collect(options.out)
-        write_whole(options.out / held.TABLE, rows.to_csv(index=False).encode())
+        write_whole(options.out / held.TABLE, to_csv(rows))
     if options.json:
         found = difference_tables.variants_json(rows, outcomes, out=options.out)
         print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True)

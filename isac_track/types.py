@@ -334,7 +334,11 @@ def _freeze(
 ) -> None:
     """Make fields read-only arrays of one kind of numbers; a letter in a shape is any length."""
     for name, shape in shapes.items():
-        array = np.asarray(getattr(container, name))
+        given = getattr(container, name)
+        if np.ma.isMaskedArray(given) or np.iscomplexobj(given):
+            wrong = "complex" if np.iscomplexobj(given) else "masked"
+            raise ValueError(f"{name} must hold real numbers, all of them, got a {wrong} array")
+        array = np.asarray(given)
         if array.ndim != len(shape):
             raise ValueError(f"{name} must have {len(shape)} dimension(s), got shape {array.shape}")
         for want, got in zip(shape, array.shape, strict=True):

@@ -242,7 +242,10 @@ def _fitted(consumer: Consumer, level: LinkedLevel, fold: int) -> Callable[[Pair
 
     def score(pairing: Pairing) -> Floats:
         probe, gallery = handed(pairing)
-        scores = np.asarray(sharing.guarded(who, lambda: attack(probe, gallery)))
+        found = sharing.guarded(who, lambda: attack(probe, gallery))
+        if np.ma.isMaskedArray(found):
+            raise PluginError(f"{who} must return a score for every pair, got a masked array")
+        scores = np.asarray(found)
         expected = (pairing.probe.size, pairing.gallery.size)
         if scores.shape != expected or scores.dtype.kind not in "fiu":
             raise PluginError(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from evaluation.experiment.constants import MOST_SCENES
@@ -89,3 +91,15 @@ class Settings:
     def n_scenes(self) -> int:
         """Scenes of the run."""
         return PRESETS[self.preset].scenes if self.scenes is None else self.scenes
+
+
+def check_drawing() -> None:
+    """Raise SettingsError if matplotlib would refuse to be imported: before a run, not after it."""
+    if "MPLBACKEND" in os.environ:  # else there is nothing to ask, and the import takes its time
+        try:
+            import_module("matplotlib")
+        except ValueError:
+            raise SettingsError(
+                f"matplotlib knows no backend {os.environ['MPLBACKEND']!r}; unset MPLBACKEND: "
+                "figures need none"
+            ) from None

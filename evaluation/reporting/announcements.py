@@ -61,10 +61,11 @@ def broken() -> list[str]:
 def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
     from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415 - names alone need none
-    from evaluation.runs.folder import usable  # noqa: PLC0415 - names alone need none
+    from evaluation.runs.folder import check_folder, usable  # noqa: PLC0415 - names alone need none
     from evaluation.runs.pieces import n_finished  # noqa: PLC0415 - names alone need none
 
     # Reading all of them would take seconds here; the run does, and says which are damaged.
+    check_folder(ready.out)
     with usable(ready.out):
         finished = n_finished(ready)
     is_continued = finished and not ready.settings.fresh

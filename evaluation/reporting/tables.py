@@ -26,7 +26,7 @@ from evaluation.reporting import terminal
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
 from evaluation.reporting.table import Cell, Table, amount, built, held, said
-from evaluation.runs.files import write_whole
+from evaluation.runs.files import to_csv, write_whole
 from evaluation.runs.pieces import failed_lines
 from isac_track.errors import DataError
 
@@ -182,7 +182,7 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
     settings, results = run.manifest["settings"], root / "docs" / "results"
     results.mkdir(parents=True, exist_ok=True)
     path = results / f"{run.dataset}-{settings['preset']}-{settings['seed']}.csv"
-    write_whole(path, published(run).to_csv(index=False).encode())
+    write_whole(path, to_csv(published(run)))
     changed = [path]
     for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
         text = page.read_text(encoding="utf-8")

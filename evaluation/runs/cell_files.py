@@ -8,6 +8,7 @@ were computed. A consumer that is added later has a further file: none is rewrit
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,7 +24,7 @@ from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, RE
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import ROWS, Tables
-from evaluation.runs.files import FOLDER, GALLERY, checked, write_whole, written_down
+from evaluation.runs.files import FOLDER, GALLERY, checked, content_of, write_whole, written_down
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 from isac_track.linkability import ProbeRanks
@@ -322,4 +323,4 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     with _readable(path):
-        return pd.read_parquet(path, columns=SAMPLE_COLUMNS)
+        return pd.read_parquet(io.BytesIO(content_of(path)), columns=SAMPLE_COLUMNS)

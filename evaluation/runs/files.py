@@ -8,9 +8,15 @@ and is computed again.
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
+import re
+import secrets
+import stat
 from typing import TYPE_CHECKING, Final
+
+from pandas.api.types import is_numeric_dtype
 
 from isac_track.errors import DataError, SettingsError
 
@@ -23,7 +29,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
+    import pandas as pd
+
 FOLDER: Final = "cells"
+SUBFOLDERS: Final = (FOLDER, "tables", "figures")
 MANIFEST: Final = "manifest.json"
 CHECKSUMS: Final = "SHA256SUMS"
 GALLERY: Final = "gallery.parquet"
@@ -47,19 +56,66 @@ WRITTEN: Final = (
 """All that a run leaves beside its manifest, its cells, and its figures."""
 
 
+_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")
+_NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+"""A link is an error, and a pipe nothing to wait for."""
+
+
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file to a temporary name beside it and rename it.
+    """Write a file to a temporary name beside it, which nobody can foresee, and rename it.
+
+    What has the file's name, a link say, is replaced and not written to.
 
     Raises DataError if the disk is full or the folder cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
     try:
-        temporary.write_bytes(content)
+        with temporary.open("xb") as file:
+            file.write(content)
         os.replace(temporary, path)  # noqa: PTH105 - atomic on one file system
     except OSError as error:
         with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
             temporary.unlink(missing_ok=True)
         raise DataError(f"cannot write {path}: {error.strerror}; finished cells are kept") from None
+
+
+def to_csv(frame: pd.DataFrame) -> bytes:
+    """Return a table as CSV; no text in it is a formula to a spreadsheet, wherever it came from."""
+    safe = frame.copy(deep=False)
+    for name in frame.columns:
+        if not is_numeric_dtype(frame[name]):
+            safe[name] = frame[name].map(lambda one: f"'{one}" if _is_formula(one) else one)
+    return safe.to_csv(index=False).encode()
+
+
+def _is_formula(one: object) -> bool:
+    return isinstance(one, str) and one.startswith(("=", "+", "-", "@", "\t", "\r"))
+
+
+def is_temporary(name: str) -> bool:
+    """Return whether a file is one that `write_whole` had no time to rename."""
+    return _TEMPORARY.fullmatch(name) is not None
+
+
+def opened(path: Path, flags: int) -> int:
+    """Open a regular file of a run folder by the flags of `os.open`.
+
+    Raises OSError if it is a link, a pipe, a device or a folder, or as `os.open` does.
+    """
+    file = os.open(path, flags | _NOT_FOLLOWED, 0o644)
+    mode = os.fstat(file).st_mode
+    if stat.S_ISREG(mode):
+        return file
+    os.close(file)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise OSError(errno.EINVAL, "it is no regular file", str(path))
+
+
+def content_of(path: Path) -> bytes:
+    """Return what is in a regular file of a run folder; raises OSError as `opened` does."""
+    with os.fdopen(opened(path, os.O_RDONLY), "rb") as file:
+        return file.read()
 
 
 def write_checked(out: Path, name: str, content: bytes) -> None:
@@ -70,7 +126,7 @@ def write_checked(out: Path, name: str, content: bytes) -> None:
     # First the line: a kill in between leaves one without a cell, not a cell that looks damaged.
     path = out / CHECKSUMS
     try:
-        with path.open("ab+") as file:
+        with os.fdopen(opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND), "ab+") as file:
             file.seek(max(file.tell() - 1, 0))
             # A line that was cut short, by a full disk say, must not spoil the next.
             start = "" if file.read(1) in (b"", b"\n") else "\n"
@@ -98,7 +154,7 @@ def checked(out: Path, names: Iterable[str]) -> Iterator[tuple[str, bytes | None
     for name in dict.fromkeys(names):
         content = None
         try:
-            content = (out / FOLDER / name).read_bytes()
+            content = content_of(out / FOLDER / name)
         except FileNotFoundError:
             continue
         except OSError:
@@ -144,7 +200,7 @@ def _lines(out: Path) -> list[tuple[str, str]]:
     """Return file and checksum of every whole line; of one that is there twice the last counts."""
     path = out / CHECKSUMS
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = content_of(path).decode(errors="replace")
     except FileNotFoundError:
         return []
     except OSError as error:
@@ -161,7 +217,10 @@ def locked(out: Path) -> Iterator[None]:
 
     The lock is the system's (flock): it ends with its process, however that ends.
 
-    Raises SettingsError if another process holds it, or the folder cannot be written.
+    What killed runs left half written is removed.
+
+    Raises SettingsError if another process holds it, the folder cannot be written, or a folder in
+    it is a link to somewhere else.
     """
     if fcntl is None:  # pragma: no cover - as above
         raise SettingsError("runs need a system with flock (Linux, macOS, WSL)")
@@ -172,11 +231,25 @@ def locked(out: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
             os.ftruncate(file, 0)
             os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+        for folder in (out, *(out / name for name in SUBFOLDERS)):
+            _check_folder(folder, is_within=folder != out)
         yield
     finally:
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
         os.close(file)
+
+
+def _check_folder(folder: Path, *, is_within: bool) -> None:
+    """Refuse a folder of the run that leads elsewhere; remove what a killed run left in it."""
+    if is_within and folder.is_symlink():
+        raise SettingsError(
+            f"{folder} is a link, and a run writes into folders of its own alone; "
+            "remove it or choose another --out"
+        )
+    with contextlib.suppress(OSError):  # it is not there, or what cannot be removed may stay
+        for path in [path for path in folder.iterdir() if is_temporary(path.name)]:
+            path.unlink()
 
 
 def _locked(path: Path) -> int | None:
@@ -185,7 +258,7 @@ def _locked(path: Path) -> int | None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         way_out, what = f"make the folder writable or {way_out}", f"write {path}"
-        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        file = opened(path, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         raise SettingsError(f"cannot {what}: {error.strerror}; {way_out}") from None
     try:

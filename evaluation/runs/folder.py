@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluation.experiment.fingerprint import can_be_found, source_digest
 from evaluation.runs.cell_files import Index, label_of, sound_files
-from evaluation.runs.files import FOLDER, LOCK, MANIFEST, PAGE, WRITTEN, forget_missing
+from evaluation.runs.files import (
+    FOLDER,
+    LOCK,
+    MANIFEST,
+    PAGE,
+    SUBFOLDERS,
+    WRITTEN,
+    forget_missing,
+    is_temporary,
+)
 from evaluation.runs.manifest import CELL_NAME, parsed, read_manifest, undamaged, write_manifest
 from isac_track.errors import DataError, SettingsError
 
@@ -26,7 +34,7 @@ def usable(out: Path) -> Iterator[None]:
     Raises SettingsError if no folder can have that name, or it cannot be entered, read or changed.
     """
     try:
-        is_name = b"\0" not in os.fsencode(out)
+        is_name = "\0" not in str(out) and bool(str(out).encode())
     except UnicodeEncodeError:
         is_name = False
     if not is_name:
@@ -41,13 +49,15 @@ def usable(out: Path) -> Iterator[None]:
 def check_folder(out: Path) -> None:
     """Raise SettingsError if a folder holds something that is no run, or cannot be entered."""
     with usable(out):
-        if out.exists() and not out.is_dir():
-            raise SettingsError(f"{out} is a file; choose another --out")
+        there = next(path for path in (out, *out.absolute().parents) if path.exists())
+        if not there.is_dir():
+            what = there if there == out else f"{out}: {there}"
+            raise SettingsError(f"{what} is a file; choose another --out")
         if not out.exists() or (out / MANIFEST).exists():
             return
         for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
             is_empty = path.name == FOLDER and path.is_dir() and not any(path.iterdir())
-            if not is_empty and path.name not in (LOCK, f".{MANIFEST}.tmp"):
+            if not is_empty and path.name != LOCK and not is_temporary(path.name):
                 raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
 
 
@@ -132,7 +142,7 @@ def _remove_run(out: Path) -> None:
     try:
         for path in ours:
             path.unlink(missing_ok=True)
-        for folder in (FOLDER, "figures", "tables"):
+        for folder in SUBFOLDERS:
             if (out / folder).is_dir() and not any((out / folder).iterdir()):
                 (out / folder).rmdir()
         (out / MANIFEST).unlink()

@@ -26,7 +26,7 @@ import numpy as np
 import isac_track
 from evaluation.experiment.fingerprint import digest
 from evaluation.runs.cell_files import Index, label_of
-from evaluation.runs.files import MANIFEST, write_whole
+from evaluation.runs.files import MANIFEST, content_of, write_whole
 from isac_track.errors import DataError
 from isac_track.privacy import mean_interval_s
 
@@ -76,7 +76,7 @@ def parsed(out: Path) -> dict[str, Any]:
     """Return what the manifest's file holds, if it is one at all; DataError if not."""
     path = out / MANIFEST
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = json.loads(content_of(path))
     except FileNotFoundError:
         raise DataError(
             f"{out} holds no run ({MANIFEST} is missing); make one with "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import time
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -32,6 +33,9 @@ _OPENTRAJ = (
 )
 CONNECT_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 30.0
+LEAST_S = 60.0
+"""A whole download may take this long and, beyond it, what a slow line takes for its size."""
+LEAST_BYTES_PER_S = 50_000.0
 _CHUNK_BYTES = 16_384
 _MOST_BYTES = 100_000_000
 """Far more than any known file: what goes on for longer is not one of them."""
@@ -192,6 +196,7 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     if a file cannot be had, with the way out, or if the user's own is not the right one.
     """
     import requests  # noqa: PLC0415 - a plain import of the package stays quick
+    import urllib3  # noqa: PLC0415 - as above
 
     folder = cache_folder() / data_set.name
     files, absent = locate(data_set)
@@ -211,11 +216,12 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
         unchecked = folder / f".{file_name}.{os.getpid()}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            _remove_leftovers(folder, file_name)
             actual = _download(url, unchecked, title=f"{data_set.name}/{file_name}")
             if actual != data_set.sha256[file_name]:
                 raise ValueError(f"sha256 is {actual}, expected {data_set.sha256[file_name]}")  # noqa: TRY301 - told below
             unchecked.replace(target)
-        except requests.RequestException as error:
+        except (requests.RequestException, urllib3.exceptions.HTTPError) as error:
             raise DataError(f"{url}: {_reason(error)}. {way_out}") from None
         except OSError as error:
             reason = error.strerror or type(error).__name__
@@ -229,9 +235,21 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     return files, bool(absent)
 
 
+def _remove_leftovers(folder: Path, file_name: str) -> None:
+    """Remove what killed downloads left: the file says which process it was."""
+    for path in folder.glob(f".{file_name}.*"):
+        number = path.name.rpartition(".")[2]
+        if number.isdecimal():
+            try:
+                os.kill(int(number), 0)  # asks whether it is there
+            except OSError:
+                path.unlink(missing_ok=True)
+
+
 def _reason(error: Exception) -> str:
     """Return in words why requests got nothing."""
     from requests import exceptions  # noqa: PLC0415 - as above
+    from urllib3.exceptions import ProtocolError, ReadTimeoutError  # noqa: PLC0415 - as above
 
     if isinstance(error, exceptions.HTTPError):
         return f"the server answered {getattr(error.response, 'status_code', '')}"
@@ -241,8 +259,8 @@ def _reason(error: Exception) -> str:
     for kind, reason in (
         (exceptions.ProxyError, "the proxy refuses the connection"),
         (exceptions.SSLError, "no trusted connection (a proxy that opens TLS?)"),
-        (exceptions.ChunkedEncodingError, "the connection broke off"),
-        (exceptions.Timeout, silent),
+        (ProtocolError, "the connection broke off"),
+        (exceptions.Timeout | ReadTimeoutError, silent),
         (exceptions.ConnectionError, broken),
     ):
         if isinstance(error, kind):
@@ -264,13 +282,19 @@ def _download(url: str, into: Path, *, title: str) -> str:
     # Unpacked on the way, a body could not be measured against its announced length.
     headers = {"Accept-Encoding": "identity"}
     timeout_s = (CONNECT_TIMEOUT_S, READ_TIMEOUT_S)
+    began_s = time.monotonic()
     with requests.get(url, stream=True, timeout=timeout_s, headers=headers) as response:
         response.raise_for_status()
         announced = response.headers.get("Content-Length", "")
+        expected = min(int(announced), _MOST_BYTES) if announced.isdecimal() else _MOST_BYTES
+        limit_s = LEAST_S + expected / LEAST_BYTES_PER_S
         digest = hashlib.sha256()
         with bar, into.open("wb") as file:
-            task = bar.add_task(title, total=int(announced) if announced.isdigit() else None)
-            for chunk in response.iter_content(_CHUNK_BYTES):
+            task = bar.add_task(title, total=int(announced) if announced.isdecimal() else None)
+            # What is there, each time: a whole chunk may take a slow server for ever.
+            while chunk := response.raw.read1(_CHUNK_BYTES):
+                if time.monotonic() - began_s > limit_s:
+                    raise requests.Timeout(f"timed out: over {limit_s:.0f} s")
                 file.write(chunk)
                 digest.update(chunk)
                 if file.tell() > _MOST_BYTES:

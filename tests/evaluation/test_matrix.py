@@ -1,5 +1,6 @@
 """The command: its words, its exit codes, its files."""
 
+import os
 import re
 
 import pandas as pd
@@ -67,6 +68,32 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(arguments, message, capsys,
     assert last.startswith("error: ")
     assert message in last
     assert "Traceback" not in shown.err
+
+
+@pytest.mark.parametrize("out", ["walks.csv", "walks.csv/run", "run\udcff"])
+def test_what_cannot_be_a_folder_is_said_before_anything_is_announced(out, small, tmp_path, capsys):
+    assert run(*small[:-1], tmp_path / out) == 2
+    shown = capsys.readouterr().err
+    assert len(shown.splitlines()) == 1
+    assert shown.endswith("choose another --out\n")
+
+
+def test_a_backend_that_matplotlib_does_not_know_is_said_before_anything_is_announced(small):
+    words = [sys.executable, "-m", "evaluation.matrix", *map(str, small)]
+    environment = os.environ | {"MPLBACKEND": "nonsense"}
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "no backend 'nonsense'; unset MPLBACKEND" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_name_that_a_spreadsheet_would_run_is_text_in_every_table(small, csv_recording, tmp_path):
+    named = csv_recording.rename(tmp_path / "=cmd.csv")
+    assert run("--dataset", named, *small[2:]) == 0
+    tables = [path.read_text() for path in (tmp_path / "run").rglob("*.csv")]
+    assert any("'=cmd" in one for one in tables)
+    cells = [cell for one in tables for line in one.splitlines() for cell in line.split(",")]
+    assert not any(one.startswith("=") for one in cells)
 
 
 def test_an_interruption_is_exit_code_130_and_says_how_to_continue(small, capsys, monkeypatch):

@@ -145,6 +145,8 @@ REFUSED = [
     (RAGGED, {"xy": XY[:5]}, r"xy must have shape \(6, 2\)"),
     (RAGGED, {"xy": np.zeros((6, 3))}, r"xy must have shape \(6, 2\)"),
     (MADE, {"xy": np.zeros(6)}, "xy must have 2 dimension"),
+    (MADE, {"xy": np.zeros((6, 2), complex)}, "xy must hold real numbers, .* got a complex array"),
+    (MADE, {"t": np.ma.masked_less(T, 0.2)}, "t must hold real numbers, all of them, got a masked"),
     (RAGGED, {"xy": np.where(XY == 4, np.nan, XY)}, "a position is not finite"),
     (RAGGED, {"xy": np.where(XY == 4, np.inf, XY)}, "a position is not finite"),
     ([tracks], {"source": ("a", "b")}, "source must name 3 tracks, got 2"),

@@ -303,6 +303,7 @@ class TestBreaches:
     @pytest.mark.parametrize(
         ("score", "message"),
         [
+            (lambda p, g: np.ma.zeros((len(p), len(g))), "for every pair, got a masked array"),
             (lambda p, g: np.zeros((len(g), len(p) + 1)), r"must return scores \(\d+, \d+\)"),
             (lambda p, g: np.full((len(p), len(g)), np.nan), "score that is not finite"),
             (lambda p, g: np.full((len(p), len(g)), 1e300), "score that is not finite"),

@@ -92,7 +92,7 @@ class TestWhereTheFolderCannotBeUsed:
         ("name", "said"),
         [
             ("n" * 300, "File name too long; "),
-            ("file/run", "Not a directory; "),
+            ("file/run", "is a file; "),
             ("/proc/run", "No such file or directory; "),
         ],
     )

@@ -141,6 +141,13 @@ def endless(handler):
             handler.wfile.write(bytes(100_000))
 
 
+def trickling(handler):
+    with contextlib.suppress(OSError):
+        while not handler.server.over.wait(0.2):
+            handler.wfile.write(b"x")
+            handler.wfile.flush()
+
+
 TRUNCATED = (len(WALK), WALK[:10], None)
 
 
@@ -155,6 +162,7 @@ TRUNCATED = (len(WALK), WALK[:10], None)
         (closed, "no connection, or it broke off"),
         ((len(WALK), WALK[:10], silent), "no answer in time"),
         (silent, "no answer in time"),
+        ((len(WALK), WALK[:10], trickling), "no answer in time"),
         ((None, b"", endless), "not the expected file: over 100000000 bytes"),
     ],
 )
@@ -162,6 +170,7 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(
     mirror, empty_machine, monkeypatch, answer, message
 ):
     monkeypatch.setattr(registry, "READ_TIMEOUT_S", 0.4)
+    monkeypatch.setattr(registry, "LEAST_S", 2.0)
     mirror.files["/base/small/obsmat.txt"] = answer
     mirror.over = threading.Event()
     began = time.monotonic()
@@ -174,6 +183,20 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(
     assert "save in DIR/small and set ISAC_TRACK_DATA=DIR" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert files_in(empty_machine) == []
+
+
+def test_what_a_killed_download_left_goes_and_that_of_another_process_stays(mirror, empty_machine):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    put(empty_machine, "small")
+    left, others = (
+        empty_machine / "small" / f".obsmat.txt.{pid}" for pid in (ended.pid, os.getppid())
+    )
+    left.write_bytes(b"half")
+    others.write_bytes(b"half")
+    mirror.files["/base/small/obsmat.txt"] = WALK
+    fetch(SMALL)
+    assert {one.name for one in (empty_machine / "small").iterdir()} == {"obsmat.txt", others.name}
 
 
 def test_what_was_fetched_earlier_stays_and_a_damaged_file_is_replaced_by_a_good_one_alone(
