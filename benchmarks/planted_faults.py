@@ -271,6 +271,8 @@ def pytest(words: Sequence[str], *, root: Path, limit_s: float | None = None) ->
     record = root.parent / "record"
     record.write_text("")
     own = {"PYTHONPATH": os.pathsep.join([str(root), str(root.parent)]), "PLANTED_RECORD": record}
+    # It may be a test that asks, in a process of pytest-xdist.
+    inherited = {name: one for name, one in os.environ.items() if not name.startswith("PYTEST_")}
     own |= {"PYTHONDONTWRITEBYTECODE": "1", "HYPOTHESIS_STORAGE_DIRECTORY": root.parent / "found"}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", PROBE.stem]
     command += [f"--basetemp={root.parent / 'pytest'}", *words]
@@ -278,7 +280,7 @@ def pytest(words: Sequence[str], *, root: Path, limit_s: float | None = None) ->
         process = subprocess.Popen(
             command,
             cwd=root,
-            env=os.environ | own,
+            env=inherited | own,
             start_new_session=True,
             stdout=output,
             stderr=subprocess.STDOUT,
