@@ -86,6 +86,7 @@ def _measure_all(options: argparse.Namespace) -> int:
                 "cpu_ratio": result["cpu_s"] / calibration,
             }
             results.append(result)
+            print(f"{result['tree']}, {dataset}: {result['wall_s']:.0f} s", file=sys.stderr)
     columns = [
         *("tree", "dataset", "wall_s", "cpu_s", "peak_mb", "files", "disk_mb"),
         *("calibration_s", "ratio", "cpu_ratio", "load"),

@@ -206,6 +206,7 @@ class _Lane(Generic[W, R]):
 
 def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, untyped
     """Do what comes through a pipe, and tell where that is and what came of it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # one here is a plug-in's: the user's goes above
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     here.tell = lambda at: pipe.send(("at", at))
     with contextlib.suppress(EOFError):

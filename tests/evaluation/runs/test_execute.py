@@ -192,6 +192,14 @@ class TestWhatARunLeaves:
         assert not any(path.exists() for path in stale)
 
 
+def test_workers_change_no_bit(settings, tmp_path):
+    """Three blocks for two workers."""
+    for jobs in (1, 2):
+        run(settings, scenes=501, jobs=jobs, out=tmp_path / f"{jobs}")
+    one, two = (tmp_path / f"{jobs}" / "summary.csv" for jobs in (1, 2))
+    assert one.read_bytes() == two.read_bytes()
+
+
 def test_one_block_that_is_shared_out_by_levels_changes_no_bit(finished, drawn, monkeypatch):
     def here(compute, works, **_):
         assert len(works) == n_pieces
