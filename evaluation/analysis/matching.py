@@ -259,7 +259,8 @@ def compare(
             "defined": defined,
         }
         for names, values in zip(_INTERVALS, (compared, fixed, difference), strict=True):
-            ends = np.where(defined >= MIN_DEFINED, percentile_intervals(values[1:].T), np.nan)
+            has_ends = np.isfinite(values[1:]).all(axis=0) | (defined >= MIN_DEFINED)
+            ends = np.where(has_ends, percentile_intervals(values[1:].T), np.nan)
             points |= zip(names, (values[0], *ends), strict=True)
         yield Comparison(
             mechanism=arms[0],

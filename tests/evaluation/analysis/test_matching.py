@@ -165,8 +165,10 @@ def test_a_point_that_few_replicates_reach_has_no_interval():
     last = table[(table["criterion"] == MISSED) & (table["predictor"] == PREDICTORS[0])]
     last = last[(last["adding"] == "linear") & (last["at"] == last["at"].max())]
     assert (last["defined"] < 0.6).all()
-    assert np.isnan(last["ci_low"]).all()
+    assert np.isnan(last[["ci_low", "fid_low"]]).all(axis=None)
     assert np.isfinite(last["difference"]).all()
+    # Where all of them reach one of the two, that one has its own.
+    assert np.isfinite(last[["fixed_low", "fixed_high"]]).all(axis=None)
 
 
 def test_the_mean_difference_is_over_points_with_an_interval_and_paired():
