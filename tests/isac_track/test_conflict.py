@@ -142,3 +142,15 @@ class TestProbabilityOfAConflict:
         every_step = disc_probability(mean=mean - robot, cov=cov, radius_m=0.9)
         expected = 1 - np.prod(1 - every_step.max(axis=2), axis=1)
         assert np.allclose(found, expected, atol=1e-8)
+
+    def test_five_standard_deviations_away_are_not_nothing(self):
+        """North of the robot, where the position is known but for how far north."""
+        mean, cov = np.array([0.0, 0.9 + 4.8 * 2.0]), np.diag([0.0, 4.0])
+        found = conflict_probability(
+            robot=np.zeros((1, 1, 1, 2)),
+            mean=mean[None, None, None],
+            cov=cov[None, None, None],
+            radius_m=0.9,
+        )
+        assert found == pytest.approx(disc_probability(mean=mean, cov=cov, radius_m=0.9), rel=1e-6)
+        assert found > 1e-7
