@@ -223,6 +223,7 @@ def _connected(scheduler: str) -> Iterator[Client]:
             logger.setLevel(logging.CRITICAL)  # what matters is told in one line
         ends.enter_context(dask.config.set(_LARGE))
         try:
+            # Some versions of distributed have no types here, others do.
             client: Client = distributed.Client(  # type: ignore[no-untyped-call,unused-ignore]
                 scheduler, timeout=_CONNECT_S, set_as_default=False
             )

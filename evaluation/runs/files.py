@@ -23,7 +23,7 @@ from isac_track.errors import DataError, SettingsError
 try:
     import fcntl
 except ImportError:  # pragma: no cover - Windows has no flock
-    fcntl = None  # type: ignore[assignment]  # not on Windows
+    fcntl = None  # type: ignore[assignment]  # a module, where there is one
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -89,7 +89,13 @@ def to_csv(frame: pd.DataFrame) -> bytes:
 
 
 def _is_formula(one: object) -> bool:
-    return isinstance(one, str) and one.startswith(("=", "+", "-", "@", "\t", "\r"))
+    if not isinstance(one, str) or not one.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return False
+    try:
+        float(one)
+    except ValueError:
+        return True
+    return False  # a number, in a column of names
 
 
 def is_temporary(name: str) -> bool:

@@ -3,7 +3,7 @@
 Run it as it is (`python tutorial.py`, half a minute), or cell by cell in an editor that knows
 `# %%`. It writes `walks.csv` and the folder `tutorial-run` where it is started.
 """
-# ruff: noqa: T201
+# ruff: noqa: T201 - a tutorial shows what it does
 
 import numpy as np
 import pandas as pd

@@ -3,8 +3,7 @@
 The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance per mode.
 """
 
-# Small matrices are spelled out.
-# ruff: noqa: C901, PLR0912
+# ruff: noqa: C901, PLR0912 - small matrices are spelled out
 from __future__ import annotations
 
 from math import exp, inf, log, pi

@@ -12,8 +12,7 @@ samples that change nothing, bit by bit: no time passes, and the variance is a p
 that its gain vanishes. A track's result thus does not depend on its neighbours.
 """
 
-# Small matrices are spelled out.
-# ruff: noqa: C901, PLR0912
+# ruff: noqa: C901, PLR0912 - small matrices are spelled out
 from __future__ import annotations
 
 from math import log, pi

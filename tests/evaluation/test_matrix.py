@@ -13,6 +13,7 @@ from evaluation import matrix
 from evaluation.experiment.axes import axes
 from evaluation.experiment.presets import DISSOCIATION, PRESETS
 from evaluation.experiment.settings import Settings
+from evaluation.runs.files import to_csv
 from isac_track import plugins
 from isac_track.config import StageSettings
 
@@ -96,6 +97,12 @@ def test_a_name_that_a_spreadsheet_would_run_is_text_in_every_table(small, csv_r
     assert any("'=cmd" in one for one in tables)
     cells = [cell for one in tables for line in one.splitlines() for cell in line.split(",")]
     assert not any(one.startswith("=") for one in cells)
+
+
+def test_numbers_among_names_stay_numbers():
+    assert to_csv(pd.DataFrame({"level": ["-0.5", "-1+1", "+x", "a", None]})) == (
+        b"level\n-0.5\n'-1+1\n'+x\na\n\"\"\n"
+    )
 
 
 def test_an_interruption_is_exit_code_130_and_says_how_to_continue(small, capsys, monkeypatch):

@@ -93,7 +93,7 @@ class TestBlock:
         monkeypatch.setattr(
             reconstruction,
             "_people",
-            lambda half, *, fold, seed: np.flatnonzero(half == 1 - fold)[-1:],  # noqa: ARG005
+            lambda half, *, fold, seed: np.flatnonzero(half == 1 - fold)[-1:],  # noqa: ARG005 - called so
         )
         for n_groups in (12, 4):
             world = World(in_groups(tracks, n_groups), n_scenes=N_SCENES)
