@@ -7,7 +7,6 @@ and what sees nothing else is computed once for levels that are shared alike.
 
 from __future__ import annotations
 
-import threading
 import traceback
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
@@ -26,6 +25,7 @@ from evaluation.cells.reconstruction import (
 )
 from evaluation.cells.sharing import release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, Tables, rows_table
+from evaluation.cells.where import Failed, here, note
 from evaluation.experiment.fingerprint import OURS
 from isac_track.errors import IsacTrackError, PluginError, told
 from isac_track.scenes import Cut, make_scenes
@@ -33,7 +33,7 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import Ints, Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from attacks.tasks.sessions import Sessions
     from evaluation.experiment.axes import Consumer
@@ -66,36 +66,6 @@ class LinkWork:
     """Clusters of the run's scenes."""
     levels: Levels
     keep_scores: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """A plug-in or a worker failed; what came before it in the work is finished."""
-
-    at: tuple[str, ...]
-    """As noted with `note`; empty if that is not known."""
-    why: str
-    died: bool = False
-    """The worker did, and all of its work with it: another try may go well."""
-
-
-class _Here(threading.local):
-    """Where this process is, for the one that waits for it; in a Dask worker, this thread."""
-
-    at: tuple[str, ...] = ()
-    """As noted last."""
-    tell: Callable[[tuple[str, ...]], None] | None = None
-    """Gets what is noted, too."""
-
-
-here = _Here()
-
-
-def note(*at: str) -> None:
-    """Note where this process is, before it goes there."""
-    here.at = at
-    if here.tell is not None:
-        here.tell(at)
 
 
 def attempt(

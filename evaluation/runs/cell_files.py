@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.experiment.axes import Consumer
     from isac_track.types import Floats, Ints
 
 _INDEX: Final = b"isac_track.cells"
@@ -82,23 +81,23 @@ class LinkageOutcome:
 
 
 def packed(
-    found: Sequence[tuple[Consumer, str, Mapping[str, str], Tables]],
+    found: Sequence[tuple[str, str, Mapping[str, str], Tables]],
     *,
     unit: str,
     code: Mapping[str, str],
 ) -> bytes:
-    """Return the file of a unit of work: of each consumer key, code of its plug-ins, and tables.
+    """Return the file of a unit of work: label, key, code of plug-ins, and tables of its consumers.
 
     `unit` is the key of the whole, `code` its digest by module.
     """
     consumers, stacked, start = {}, [], 0
-    for consumer, key, own, tables in found:
+    for label, key, own, tables in found:
         places = {}
         for name, table in tables.items():
             places[name] = (start, table.num_rows)
             start += table.num_rows
             stacked.append(table)
-        consumers[consumer.label] = {"key": key, "code": dict(own), "tables": places}
+        consumers[label] = {"key": key, "code": dict(own), "tables": places}
     whole = pa.concat_tables(stacked, promote_options="default").combine_chunks()
     index = {"unit": unit, "code": dict(code), "consumers": consumers}
     # The leading bytes of like numbers are alike: apart from the others they compress.

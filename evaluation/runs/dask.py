@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
 
-from evaluation.cells.work import Failed, note
+from evaluation.cells.where import Failed, note
 from evaluation.experiment.fingerprint import OURS, code_hash, source_digest
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, told

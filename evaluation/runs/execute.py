@@ -11,9 +11,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from evaluation.cells.sample_tracks import chosen, gallery_rows
-from evaluation.cells.work import Failed, Item, LinkWork, attempt, here, note
-from evaluation.experiment.fingerprint import sources
-from evaluation.runs.cell_files import packed, places_of, read_rows, sound_files, write_gallery
+from evaluation.cells.where import Failed, here, note
+from evaluation.cells.work import Item, LinkWork
+from evaluation.runs.cell_files import places_of, read_rows, sound_files, write_gallery
 from evaluation.runs.files import FOLDER, locked, write_checked
 from evaluation.runs.folder import check_folder, open_run
 from evaluation.runs.manifest import (
@@ -24,7 +24,17 @@ from evaluation.runs.manifest import (
     with_ceiling,
     write_manifest,
 )
-from evaluation.runs.pieces import Cell, Failures, Work, cut_for_cluster, missing_of, pieces_of
+from evaluation.runs.pieces import (
+    Cell,
+    Failures,
+    Place,
+    Work,
+    cut_for_cluster,
+    missing_of,
+    pieces_of,
+    place_of,
+)
+from evaluation.runs.whole_files import Gathered, WholeFile, files_to_come, in_files
 from evaluation.runs.workers import spread
 from isac_track import kalman
 from isac_track.command_line import check_interrupt
@@ -36,7 +46,6 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from evaluation.cells.tables import Tables
     from evaluation.experiment.plan import Plan, Unit
     from isac_track.plugins import Plugin
 
@@ -157,39 +166,6 @@ def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pd.DataFrame | 
         yield Failed(here.at, str(error) if isinstance(error, PluginError) else told(error))
 
 
-class _Files:
-    """The files to come, and what is computed of them so far: each is written when it is whole."""
-
-    def __init__(self, missing: Sequence[Unit], ready: Plan) -> None:
-        self.n_done, self._ready = 0, ready
-        self._of = {
-            (unit.block, unit.mechanism.spec, consumer.label): unit
-            for unit in missing
-            for consumer in unit.consumers.values()
-        }
-        self._found: dict[str, dict[str, Tables | None]] = {one.file: {} for one in missing}
-
-    def add(self, cell: Cell, tables: Tables | None) -> None:
-        """Take what a consumer makes of a unit; None if it fails."""
-        block, mechanism, consumer = cell
-        unit = self._of[block, mechanism.spec, consumer.label]
-        file, code = unit.file, self._ready.code_of
-        found = self._found[file]
-        found[consumer.label] = tables
-        self.n_done += 1
-        if len(found) < len(unit.consumers):
-            return
-        del self._found[file]
-        whole = [
-            (one, key, {name: code[name] for name in sources("", *one.plugins)}, tables)
-            for key, one in unit.consumers.items()
-            if (tables := found[one.label]) is not None
-        ]
-        if whole:
-            content = packed(whole, unit=unit.key, code=unit.code)
-            write_checked(self._ready.out, file, content)
-
-
 def _compute(
     missing: Sequence[Unit], ready: Plan, tell: Callable[[int, int, str], None]
 ) -> list[tuple[Cell, str]]:
@@ -198,7 +174,6 @@ def _compute(
     if not works:
         return []
     total = sum(len(one.consumers) for one in missing)
-    files, failures = _Files(missing, ready), Failures()
     tell(0, total, "starting")
     origins = {plugin.origin for _, one in ready.pairs for plugin in one.plugins}
     has_links = any(isinstance(work, LinkWork) for work in works)
@@ -206,8 +181,11 @@ def _compute(
         kalman.prepare()
         for module in _LOOPS[: 3 if has_links else 1]:
             import_module(module)
-    compute = partial(attempt, tracks=ready.tracks, stages=settings.stages, seed=settings.seed)
-    computed: Generator[tuple[Work, Iterable[Item | Failed]]]
+    files = files_to_come(missing, ready.code_of)
+    compute = partial(
+        in_files, files=files, tracks=ready.tracks, stages=settings.stages, seed=settings.seed
+    )
+    computed: Generator[tuple[Work, Iterable[WholeFile | Item | Failed]]]
     if settings.scheduler is None:
         computed = spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
     else:
@@ -216,19 +194,31 @@ def _compute(
         cut_for_cluster(works)
         modules = ready.code_of.keys()
         computed = spread_on_cluster(compute, works, scheduler=settings.scheduler, modules=modules)
+    finished: set[Place] = set()
+    failures, gathered, n_failed = Failures(), Gathered(files), 0
     with closing(computed):
-        for work, items in computed:
-            finished: set[tuple[str, str]] = set()
-            for item in items:
-                if isinstance(item, Failed):
-                    before = len(failures.cells)
-                    works.extend(failures.rest(work, item, finished=finished))
-                    for cell, _ in failures.cells[before:]:
-                        files.add(cell, None)
+        for work, found in computed:
+            for one in found:
+                if isinstance(one, WholeFile):
+                    _write(ready.out, one)
+                    finished.update(one.places)
+                    _, spec, label = one.places[-1]
+                elif isinstance(one, Failed):
+                    works.extend(failures.rest(work, one, finished=finished))
+                    for cell, _ in failures.cells[n_failed:]:
+                        _write(ready.out, gathered.add(place_of(cell), None))
+                    n_failed = len(failures.cells)
                     continue
-                block, mechanism, consumer, tables = item
-                files.add((block, mechanism, consumer), tables)
-                finished.add((mechanism.spec, consumer.label))
+                else:
+                    place = place_of(one[:3])
+                    _write(ready.out, gathered.add(place, one))
+                    finished.add(place)
+                    _, spec, label = place
                 check_interrupt()
-                tell(files.n_done, total, f"{mechanism.spec} > {consumer.label}")
+                tell(len(finished) + n_failed, total, f"{spec} > {label}")
     return failures.cells
+
+
+def _write(out: Path, file: WholeFile | None) -> None:
+    if file is not None:
+        write_checked(out, file.name, file.content)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from evaluation.cells.work import Block, Failed, Levels, LinkWork
+from evaluation.cells.work import Block, Levels, LinkWork
 from evaluation.experiment.constants import BLOCK_SCENES
 from evaluation.runs.cell_files import index_of, places_of
 from evaluation.runs.files import FOLDER, written_down
@@ -18,10 +18,11 @@ from isac_track.scenes import track_order
 
 if TYPE_CHECKING:
     from collections import deque
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 
     import pandas as pd
 
+    from evaluation.cells.where import Failed
     from evaluation.experiment.axes import Consumer
     from evaluation.experiment.plan import Plan, Unit
     from isac_track.plugins import Plugin
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 Work: TypeAlias = "Block | LinkWork"
 Cell: TypeAlias = "tuple[int, Plugin, Consumer]"
 """Block (0 for what is linked), mechanism and consumer."""
+Place: TypeAlias = "tuple[int, str, str]"
+"""Of a cell: its block, the SPEC of its mechanism, and the label of its consumer."""
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12
 """Of what is linked."""
@@ -131,9 +134,9 @@ def cells_of(work: Work) -> Iterator[Cell]:
             yield number, mechanism, consumer
 
 
-def specs_of(cell: Cell) -> tuple[str, str]:
-    """Return how a cell is noted while it is computed."""
-    return cell[1].spec, cell[2].label
+def place_of(cell: Cell) -> Place:
+    """Return which cell it is, by names: those that are noted while it is computed."""
+    return cell[0], cell[1].spec, cell[2].label
 
 
 class Failures:
@@ -141,19 +144,21 @@ class Failures:
 
     def __init__(self) -> None:
         self.cells: list[tuple[Cell, str]] = []
-        self._died_at: set[tuple[tuple[int, str, str], ...]] = set()
+        self._died_at: set[tuple[Place, ...]] = set()
 
-    def rest(self, work: Work, failure: Failed, *, finished: set[tuple[str, str]]) -> list[Work]:
+    def rest(self, work: Work, failure: Failed, *, finished: Container[Place]) -> list[Work]:
         """Return what is still to be done of a work in which something failed.
 
-        A worker's death is tried once more. `finished` has the specs of what is finished of it.
+        A worker's death is tried once more. `finished` has what is finished.
         """
         spec, label = failure.at or ("", "")
 
         def is_at(cell: Cell) -> bool:  # in a mechanism, all of its consumers are
             return not spec or (cell[1].spec == spec and label in ("", cell[2].label))
 
-        left = _only(work, lambda cell: specs_of(cell) not in finished)
+        left = _only(work, lambda cell: place_of(cell) not in finished)
+        if not left.levels:
+            return []
         culprits, innocent = _only(left, is_at), _only(left, lambda cell: not is_at(cell))
         if not culprits.levels:  # none is there: it cannot be told, and must not go on for ever
             culprits, innocent = innocent, culprits
@@ -164,7 +169,7 @@ class Failures:
 
     def _once_more(self, culprits: Work, *, place_is_known: bool) -> list[Work]:
         """Return the work at which a worker died, to be tried again; none if it was its second."""
-        key = tuple((cell[0], *specs_of(cell)) for cell in cells_of(culprits))
+        key = tuple(map(place_of, cells_of(culprits)))
         if not place_is_known and len(key) > 1:  # nobody knows which it was: each by itself, once
             self._died_at.update((one,) for one in key)
             return [

@@ -25,7 +25,7 @@ import pyarrow as pa
 from cloudpickle import dumps
 from threadpoolctl import threadpool_limits
 
-from evaluation.cells.work import Failed, here, note
+from evaluation.cells.where import Failed, here, note
 from isac_track.command_line import check_interrupt
 from isac_track.errors import told
 
@@ -56,19 +56,24 @@ _M_ARENA_MAX: Final = -8
 
 
 def spread(
-    function: Callable[[W], Iterable[R]], works: deque[W], *, jobs: int, limit_s: float | None
+    function: Callable[[W], Iterable[R]],
+    works: deque[W],
+    *,
+    jobs: int,
+    limit_s: float | None,
+    apart: bool = False,
 ) -> Generator[tuple[W, Iterable[R | Failed]]]:
-    """Yield each work with what the function makes of it, as it is finished.
+    """Yield each work with what the function makes of it, again and again as it comes.
 
     The function notes with `note` where it is. Works may be added while this runs. With one job and
-    no limit, all is computed in this process and while what is yielded is read; else a worker's
-    whole list is yielded at once, and a worker that takes longer than `limit_s` between two notes
-    is killed. One piece of work that is left of many still gets a worker: it may be what kills its
-    process.
+    no limit, all is computed in this process and while what is yielded is read, unless it is to be
+    kept `apart`; else by workers, and one that takes longer than `limit_s` between two notes is
+    killed: what it has sent stays. One piece of work that is left of many still gets a worker: it
+    may be what kills its process.
 
     Raises what the function raises.
     """
-    if limit_s is None and jobs == 1:
+    if limit_s is None and jobs == 1 and not apart:
         with threadpool_limits(limits=1):
             while works:
                 work = works.popleft()
@@ -87,8 +92,7 @@ def spread(
                     lane.start(works.popleft())
             connection.wait([lane.pipe for lane in lanes if lane.is_busy], timeout=_LOOK_S)
             for lane in lanes:
-                if lane.is_busy and (items := lane.items()) is not None:
-                    lane.is_busy = False
+                if lane.is_busy and (items := lane.items()):
                     yield lane.work, items
 
 
@@ -102,21 +106,28 @@ def given_back() -> Iterator[None]:
     already keeps it), and pyarrow takes its memory from malloc meanwhile. With another C library,
     malloc is left as it is.
     """
-    pool = pa.default_memory_pool()
-    libc: Any = None
-    with contextlib.suppress(OSError, TypeError):  # Windows: there is no name for "this process"
-        libc = ctypes.CDLL(None)
-    is_glibc = hasattr(libc, "malloc_trim")
-    if is_glibc:
+    pool, libc = pa.default_memory_pool(), _glibc()
+    if libc is not None:
         libc.mallopt(_M_ARENA_MAX, 1)
     pa.set_memory_pool(pa.system_memory_pool())
     try:
         yield
     finally:
         pa.set_memory_pool(pool)
-        gc.collect()
-        if is_glibc:
-            libc.malloc_trim(ctypes.c_size_t(0))
+        _give_back(libc)
+
+
+def _glibc() -> Any | None:  # noqa: ANN401 - untyped
+    with contextlib.suppress(OSError, TypeError):  # Windows: there is no name for "this process"
+        libc = ctypes.CDLL(None)
+        return libc if hasattr(libc, "malloc_trim") else None
+    return None
+
+
+def _give_back(libc: Any | None) -> None:  # noqa: ANN401 - untyped
+    gc.collect()
+    if libc is not None:
+        libc.malloc_trim(ctypes.c_size_t(0))
 
 
 class _Lane(Generic[W, R]):
@@ -158,33 +169,39 @@ class _Lane(Generic[W, R]):
         with contextlib.suppress(OSError):  # as above
             self.pipe.send(sys.path)
 
-    def items(self) -> list[R | Failed] | None:
-        """Return what came of the work, if it is done or the worker is; kill one that is late."""
-        kind, process = "at", self._process
-        said: Any = None
+    def items(self) -> list[R | Failed]:
+        """Return what has come of the work since; kill a worker that is late.
+
+        Afterwards it is not busy if that was all, because it is done or the worker is.
+        """
+        found: list[R | Failed] = []
+        # First: what it said before it ended is still there.
+        is_gone = self._process is not None and self._process.poll() is not None
         try:
-            while kind == "at" and self.pipe.poll():
+            while self.is_busy and self.pipe.poll():
                 kind, said = self.pipe.recv()
                 if kind == "at":
                     self._at, self._since_s = said, time.monotonic()
-            is_gone = kind == "at" and process is not None and process.poll() is not None
+                elif kind == "item":
+                    found.append(said)
+                elif kind == "raised" and isinstance(said, Exception):
+                    raise said
+                else:
+                    self.is_busy = False
+                    if kind == "raised":  # KeyboardInterrupt, say: no Ctrl-C reaches a worker
+                        found.append(Failed(self._at, f"it raised {type(said).__name__}"))
         except (EOFError, ConnectionError):
             is_gone = True
-        if is_gone:
+        if is_gone and self.is_busy:
             self.stop()
+            self.is_busy = False
             why = self._overdue or "its worker died (killed, crashed or out of memory)"
-            return [Failed(self._at, why, died=not self._overdue)]
-        if kind == "done":
-            return [*said]
-        if kind == "raised" and isinstance(said, Exception):
-            raise said
-        if kind == "raised":  # KeyboardInterrupt, say: no Ctrl-C reaches a worker
-            return [Failed(self._at, f"it raised {type(said).__name__}")]
+            return [*found, Failed(self._at, why, died=not self._overdue)]
         is_late = self._limit_s is not None and time.monotonic() - self._since_s > self._limit_s
-        if self._at and is_late and not self._overdue:
+        if self.is_busy and self._at and is_late and not self._overdue:
             self._overdue = f"it ran for longer than {self._limit_s:g} s"
             self._kill()
-        return None
+        return found
 
     def _kill(self) -> None:
         """Kill the worker, whatever it is at, and all that it started."""
@@ -209,10 +226,16 @@ def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, un
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # one here is a plug-in's: the user's goes above
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     here.tell = lambda at: pipe.send(("at", at))
+    # What was imported stays, and arrays form no circles: to look for them takes one second of 20.
+    gc.disable()
+    libc = _glibc()
     with contextlib.suppress(EOFError):
         function = pipe.recv()
         while True:
-            pipe.send_bytes(_answered(function, pipe.recv()))
+            for answer in _answers(function, pipe.recv()):
+                pipe.send_bytes(answer)
+            _give_back(libc)
+            gc.freeze()
 
 
 def _end_with(parent: int) -> None:
@@ -221,19 +244,16 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def _answered(function: Callable[[W], Iterable[R]], work: W) -> Any:  # noqa: ANN401 - bytes
-    # What was imported stays, and arrays form no circles: to look for them takes one second of 20.
-    gc.freeze()
-    gc.disable()
+def _answers(function: Callable[[W], Iterable[R]], work: W) -> Iterator[bytes]:
+    """Yield messages: each item as it comes, and at last that this was all, or what was raised."""
     try:
         note()
-        return dumps(("done", list(function(work))))
+        for item in function(work):
+            yield dumps(("item", item))
+        yield dumps(("done", None))
     except BaseException as error:  # noqa: BLE001 - whatever it is, it is the parent's to tell
         error.add_note(traceback.format_exc())
         try:
-            return dumps(("raised", error))
+            yield dumps(("raised", error))
         except Exception:  # noqa: BLE001 - a stranger's error may not be sendable
-            return dumps(("raised", RuntimeError(told(error))))
-    finally:
-        gc.enable()
-        gc.collect()
+            yield dumps(("raised", RuntimeError(told(error))))

@@ -32,7 +32,7 @@ from matplotlib.ticker import Locator, LogLocator, NullLocator
 
 from evaluation.analysis.families import RAW
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, Metric
-from evaluation.cells.work import Failed
+from evaluation.cells.where import Failed
 from evaluation.reporting.rows import ENDS, Results, Scheme, by_title
 from evaluation.reporting.table import shortened
 from evaluation.runs.files import write_whole

@@ -339,7 +339,7 @@ def written(out, task, *, control="", keep_scores=False):
     result = found[consumer.spec, consumer.knowledge]
     tables = linkage_tables(result, level.known, keep_scores=keep_scores)
     (out / "cells").mkdir()
-    content = cell_files.packed([(consumer, "key", {}, tables)], unit="", code={})
+    content = cell_files.packed([(consumer.label, "key", {}, tables)], unit="", code={})
     (out / "cells" / "one.parquet").write_bytes(content)
     where = {"consumer": consumer.spec, "knowledge": consumer.knowledge, "files": ["one.parquet"]}
     return result, level.known, tables, where

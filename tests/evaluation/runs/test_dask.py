@@ -20,12 +20,13 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
-from evaluation.cells.work import Block, Failed, here, note
+from evaluation.cells.where import Failed, here, note
+from evaluation.cells.work import Block
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.settings import Settings
 from evaluation.runs import dask as on_cluster
 from evaluation.runs.execute import FailedCellsWarning
-from evaluation.runs.pieces import Failures, cells_of, specs_of
+from evaluation.runs.pieces import Failures, cells_of, place_of
 from isac_track import plugins
 from isac_track.errors import SettingsError
 
@@ -367,14 +368,14 @@ class TestADeathAtAnUnknownPlace:
         works = deque([self.block("raw", "fixed:0.5", "fixed:0.7")])
         while works:
             work = works.popleft()
-            names = [specs_of(cell) for cell in cells_of(work)]
-            if ("fixed:0.5", "least_squares") in names:
+            names = [place_of(cell) for cell in cells_of(work)]
+            if (3, "fixed:0.5", "least_squares") in names:
                 tries += 1
                 works.extend(failures.rest(work, Failed((), "died", died=True), finished=set()))
             else:
                 finished += names
         ((cell, why),) = failures.cells
-        assert (cell[0], *specs_of(cell), why) == (3, "fixed:0.5", "least_squares", "died")
+        assert (*place_of(cell), why) == (3, "fixed:0.5", "least_squares", "died")
         assert len(finished) == len(set(finished)) == 5
         assert tries == 2  # the work, the cell
 
@@ -383,7 +384,7 @@ class TestADeathAtAnUnknownPlace:
         work = self.block("raw")
         work = replace(work, levels=((work.levels[0][0], (Consumer("shared"),)),))
         (again,) = failures.rest(work, death, finished=set())
-        assert [specs_of(cell) for cell in cells_of(again)] == [("raw", "shared")]
+        assert [place_of(cell) for cell in cells_of(again)] == [(3, "raw", "shared")]
         assert failures.cells == []
         assert failures.rest(again, death, finished=set()) == []
         assert len(failures.cells) == 1
