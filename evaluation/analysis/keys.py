@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from evaluation.experiment.presets import SHARED
 from isac_track.protocols import ADVERSARIES
@@ -93,6 +93,13 @@ def level_text(level: float | None) -> str:
     short = f"{level:.4g}"
     # As it is typed: 10000, not 1e+04, as long as it can be read.
     return f"{level:.0f}" if "e+" in short and abs(level) < _MOST_WRITTEN_OUT else short
+
+
+def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows of a table as dictionaries, as `to_dict` does in ten times as long."""
+    names = list(frame.columns)
+    columns = (frame[name].to_numpy(dtype=object).tolist() for name in names)
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:

@@ -18,7 +18,7 @@ import pandas as pd
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import CLEAN
-from evaluation.analysis.keys import Source, Where
+from evaluation.analysis.keys import Source, Where, rows_of
 from evaluation.analysis.strongest import most_knowing
 from evaluation.runs.cell_files import LinkageOutcome, read_outcome
 from isac_track.linkability.significance import LEVEL, holm, outcome
@@ -163,14 +163,14 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
     order = {name: place for place, name in enumerate(linkability["mechanism"].unique())}
     tidy = tidy.sort_values("level", kind="stable", na_position="first")
     found = []
-    for task in dict.fromkeys(Source(name).task for name in linkability["consumer"]):
-        of = tidy[[Source(name).task == task for name in tidy["consumer"]]]
+    tasks = {name: Source(name).task for name in linkability["consumer"].unique()}
+    task_of = tidy["consumer"].map(tasks)
+    for task in dict.fromkeys(tasks.values()):
+        of = tidy[task_of == task]
         cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]] = {}
         linked = of[of["knowledge"] != ""]
-        rows: Any = linked.sort_values(
-            "mechanism", kind="stable", key=lambda name: name.map(order)
-        ).to_dict("records")
-        for row in rows:
+        linked = linked.sort_values("mechanism", kind="stable", key=lambda name: name.map(order))
+        for row in rows_of(linked):
             where = row["mechanism"], None if math.isnan(row["level"]) else float(row["level"])
             source = Source(row["consumer"], row["knowledge"]).attack
             cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
@@ -186,7 +186,7 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
                 about=TASKS[task].about if task in TASKS else "",
                 attacks=tuple(source for behind in linkers.values() for source in behind),
                 cohorts=cohorts,
-                controls=tuple(of[of["knowledge"] == ""].to_dict("records")),
+                controls=tuple(rows_of(of[of["knowledge"] == ""])),
             )
         )
     return found

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from evaluation.analysis.keys import AS_SHARED, Source
+from evaluation.analysis.keys import AS_SHARED, Source, rows_of
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, tolerance
@@ -123,11 +125,14 @@ def matched_table(run: Results) -> Table:
     for task, one in run.strongest.items():
         sources.add(Source(f"{task}/{one.consumer}" if task else one.consumer, one.knowledge))
     texts = run.matched.assign(**run.matched[_POINT].astype(object).fillna(""))
+    parts: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in rows_of(texts):
+        parts.setdefault(tuple(row[name] for name in _POINT), []).append(row)
     rows = []
-    for _, part in texts.groupby(_POINT, sort=False):
-        known = part[part["ci_low"].notna()]
-        ordered = (part if known.empty else known).sort_values("at")
-        row = ordered.iloc[max(0, len(known) - 1) // 2].to_dict()
+    for part in parts.values():
+        known = [row for row in part if not math.isnan(row["ci_low"])]
+        ordered = sorted(known or part, key=itemgetter("at"))
+        row = ordered[max(0, len(known) - 1) // 2]
         if Source(row["consumer"], row["knowledge"]) in sources:
             whose = "as shared" if row["consumer"] == SHARED else row["consumer"]
             rows.append(row | {"positions or attack": whose})
@@ -175,7 +180,7 @@ def flag_table(run: Results) -> Table:
         *mechanism_columns(run.families),
         make.points("PLR difference", "difference", "ci_low", "ci_high"),
     ]
-    return make.built("flags", "All flags", texts.to_dict("records"), columns, n_keys=6)
+    return make.built("flags", "All flags", rows_of(texts), columns, n_keys=6)
 
 
 _EFFECT: Final = Column("effect", partial(effect, signed=True))

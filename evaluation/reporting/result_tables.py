@@ -12,7 +12,15 @@ import numpy as np
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN, LEVEL_UNITS, Family, families_in
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Source, Where, is_attack, level_text
+from evaluation.analysis.keys import (
+    AS_SHARED,
+    ORACLE,
+    Source,
+    Where,
+    is_attack,
+    level_text,
+    rows_of,
+)
 from evaluation.analysis.linkability import INVALID, REMARKS, LinkedTask, remarks
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
@@ -48,7 +56,8 @@ _LABEL_WIDTH = 30
 
 def sweep_tables(summary: pd.DataFrame) -> list[Table]:
     """Return every level: descriptors as shared with the first predictor, then the others'."""
-    others = summary[~is_attack(summary)]
+    is_shown = summary["metric"].isin([*UTILITY, *DESCRIPTORS])  # a control of linkage has neither
+    others = summary[is_shown & ~is_attack(summary)]
     predictors = list(others.loc[others["consumer"] != SHARED, "consumer"].unique())
     found = []
     for place, predictor in enumerate(predictors or [SHARED]):
@@ -110,15 +119,15 @@ def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of descriptors as shared and after attacks; none without attacks."""
     is_attacked = is_attack(summary)
-    rows = summary.assign(knowledge=summary["knowledge"].where(is_attacked, ""))
-    is_shown = (is_attacked | (rows["consumer"] == SHARED)) & bool(is_attacked.any())
-    return rows[is_shown & rows["metric"].isin(RECONSTRUCTION)]
+    is_shown = (is_attacked | (summary["consumer"] == SHARED)) & bool(is_attacked.any())
+    rows = summary[is_shown & summary["metric"].isin(RECONSTRUCTION)]
+    return rows.assign(knowledge=rows["knowledge"].where(is_attack(rows), ""))
 
 
 def sources_of(rows: pd.DataFrame) -> list[Source]:
     """Return whose positions the rows are of, in the order of the run."""
     first = rows.drop_duplicates(["consumer", "knowledge"])
-    return list(picked.sources_at(first.to_dict("records")))
+    return list(picked.sources_at(rows_of(first)))
 
 
 def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Table:
@@ -151,14 +160,14 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     was shared. With `only` of this one alone, but all levels.
     """
     rows = after_attack(summary)
+    rows = rows if only is None else picked.of_source(rows, only)
     known, blocks = families_in(rows), picked.by_level(rows)
     title = "After attack, every adversary" if only is None else f"After {only.label}"
     title = "As shared" if only == AS_SHARED else title
-    records = []
+    told = []
     for where in picked.telling(blocks, known) if only is None else blocks:
         found = picked.sources_at(blocks[where])
-        told = _merged(found if only is None else {only: found[only]} if only in found else {})
-        records += [{"mechanism": where[0], "level": where[1]} | row for row in told]
+        told += [{"mechanism": where[0], "level": where[1]} | row for row in _merged(found)]
     columns = [
         *picked.mechanism_columns(known),
         *map(make.said, ("positions", "adversary")),
@@ -168,7 +177,7 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
         ),
     ]
     title = f"{title}; 95 % intervals"
-    return make.built("attacks", title, records, columns, n_headings=3, n_keys=5)
+    return make.built("attacks", title, told, columns, n_headings=3, n_keys=5)
 
 
 def _merged(found: Mapping[Source, Any]) -> list[dict[str, Any]]:
@@ -265,7 +274,7 @@ def doubt_table(run: picked.Results) -> Table:
         make.said("why", why),
     ]
     title = "Linkage cells that measure nothing"
-    return make.built("doubts", title, of.to_dict("records"), columns, n_keys=5)
+    return make.built("doubts", title, rows_of(of), columns, n_keys=5)
 
 
 def _rank(row: Mapping[str, Any] | None) -> Cell:

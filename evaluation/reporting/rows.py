@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
-from evaluation.analysis.keys import Source, Where, level_text
+from evaluation.analysis.keys import Source, Where, level_text, rows_of
 from evaluation.analysis.linkability import LinkedTask, dataset_of, linked_tasks, remarks
 from evaluation.analysis.metrics import MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION
@@ -110,15 +110,14 @@ def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
     ]
 
 
-def by_level(frame: pd.DataFrame) -> dict[Where, list[dict[Any, Any]]]:
+def by_level(frame: pd.DataFrame) -> dict[Where, list[dict[str, Any]]]:
     """Return the rows of each mechanism level, levels rising, mechanisms as in the run."""
-    found: dict[Where, list[dict[Any, Any]]] = {}
-    ordered = frame.sort_values("level", kind="stable", na_position="first")
-    for name in frame["mechanism"].unique():
-        for row in ordered[ordered["mechanism"] == name].to_dict("records"):
-            at = None if math.isnan(row["level"]) else float(row["level"])
-            found.setdefault((name, at), []).append(row)
-    return found
+    found: dict[str, dict[Where, list[dict[str, Any]]]]
+    found = {name: {} for name in frame["mechanism"].unique()}
+    for row in rows_of(frame.sort_values("level", kind="stable", na_position="first")):
+        name, at = row["mechanism"], None if math.isnan(row["level"]) else float(row["level"])
+        found[name].setdefault((name, at), []).append(row)
+    return {where: rows for of in found.values() for where, rows in of.items()}
 
 
 def sources_at(rows: Iterable[Mapping[Any, Any]]) -> dict[Source, dict[str, Mapping[Any, Any]]]:

@@ -109,10 +109,11 @@ def write_tex(run: Results, *, folder: Path) -> None:
     """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
-    sources = measured.sources_of(measured.after_attack(run.ours))
+    attacked = measured.after_attack(run.ours)
+    sources = measured.sources_of(attacked)
     files = {
         "sweep": measured.sweep_tables(run.ours),
-        "attacks": [measured.attack_table(run.ours, only=source) for source in sources],
+        "attacks": [measured.attack_table(attacked, only=source) for source in sources],
         "paper": [answers.paper_table(run)],
         "linkability": [measured.rank_table(run, task) for task in run.tasks],
         "verdict": answers.short_tables(run.verdict) if run.verdict else [],

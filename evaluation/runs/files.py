@@ -8,12 +8,15 @@ and is computed again.
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import hashlib
+import io
 import os
 import re
 import secrets
 import stat
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pandas.api.types import is_numeric_dtype
@@ -81,21 +84,28 @@ def write_whole(path: Path, content: bytes) -> None:
 
 def to_csv(frame: pd.DataFrame) -> bytes:
     """Return a table as CSV; no text in it is a formula to a spreadsheet, wherever it came from."""
-    safe = frame.copy(deep=False)
+    columns = []  # frame.to_csv would take five times as long
     for name in frame.columns:
+        column = frame[name].to_numpy(dtype=object, na_value="").tolist()
         if not is_numeric_dtype(frame[name]):
-            safe[name] = frame[name].map(lambda one: f"'{one}" if _is_formula(one) else one)
-    return safe.to_csv(index=False).encode()
+            column = [_safe(one) if isinstance(one, str) else one for one in column]
+        columns.append(column)
+    sink = io.StringIO()
+    lines = csv.writer(sink, lineterminator="\n")
+    lines.writerow(frame.columns)
+    lines.writerows(zip(*columns, strict=True))
+    return sink.getvalue().encode()
 
 
-def _is_formula(one: object) -> bool:
-    if not isinstance(one, str) or not one.startswith(("=", "+", "-", "@", "\t", "\r")):
-        return False
+@lru_cache(maxsize=4096)  # the same few names in every row
+def _safe(text: str) -> str:
+    if not text.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return text
     try:
-        float(one)
+        float(text)
     except ValueError:
-        return True
-    return False  # a number, in a column of names
+        return f"'{text}"
+    return text  # a number, in a column of names
 
 
 def is_temporary(name: str) -> bool:
