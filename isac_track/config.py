@@ -167,6 +167,9 @@ class LinkageSettings:
     """... and at most so many, evenly over the recording"""
     most_people: int = _number(300, 1, 10_000)
     """people who are linked in the other tasks, at most: of more, so many are drawn"""
+    candidates: int = _number(0, 0, 10_000)
+    """how many of a gallery a linker scores for each probe, those that a cheap one puts first;
+    0: all. Then metrics of all pairs are refused and the loss of rank 1 is measured"""
     trait_strength: float = _number(1.0, 0, 10)
     """spread of the crowd's planted traits; 1 is the bundled one, another is simulated anew"""
 

@@ -64,6 +64,9 @@ class Linked:
     is_control: bool
     is_assigned: bool
     """Whether probes can be left alone at a known cost, or need not be."""
+    checked: tuple[Floats, Floats] | None = None
+    """Where some candidates alone are scored: hits of probes that are searched in full as well,
+    (n,), by all pairs and as they are."""
 
 
 def read_off(
@@ -74,12 +77,16 @@ def read_off(
     no_match: Mapping[int, float],
     rng: Generator,
     control: Control | None,
+    checked: tuple[Floats, Floats] | None = None,
 ) -> Linked:
     """Return the scorecard of an attack or a control, and of an attack without confounders.
 
     `scores` are those of every search, (P, G) each, by its number, `calibration` those by fold that
     there was somebody for. `no_match` says by search what a pair of an open gallery must score to
     be linked: without it there is no assignment. In a closed gallery everybody is linked.
+
+    With `known.candidates` all is read off the ranks; of an attack that scored so few of a gallery,
+    `checked` says what it lost.
     """
     sessions = known.sessions
     searches, probes, galleries = [], [], []
@@ -100,15 +107,19 @@ def read_off(
     if sessions.task.shows_scene and scores.keys() <= no_match.keys():
         needed = [no_match[number] for number in sorted(scores)]
     is_assigned = needed is not None or not sessions.task.shows_scene
+    is_assigned &= not known.candidates  # what was not scored has no score to be summed
     is_calibrated = {search.scale for search in searches} <= set(calibration)
-    scored = linkability.scorecard(
-        searches,
-        weights=known.weights,
-        calibration=calibration if is_calibrated else None,
-        no_match_score=needed,
-        rng=rng,
-        n_shuffles=AUDIT_SHUFFLES if control is not None and control.is_audit else SHUFFLES,
-    )
+    n_shuffles = AUDIT_SHUFFLES if control is not None and control.is_audit else SHUFFLES
+    common: Any = {"weights": known.weights, "rng": rng, "n_shuffles": n_shuffles}
+    if known.candidates:
+        scored = linkability.rank_scorecard(searches, **common)
+    else:
+        scored = linkability.scorecard(
+            searches,
+            calibration=calibration if is_calibrated else None,
+            no_match_score=needed,
+            **common,
+        )
     if not is_assigned:  # nobody knows what leaving somebody alone costs
         unknown = {
             name: Estimate(np.nan, n=one.n, replicates=np.full_like(one.replicates, np.nan))
@@ -132,6 +143,7 @@ def read_off(
         cohorts=cohorts,
         is_control=control is not None,
         is_assigned=is_assigned,
+        checked=checked,
     )
 
 
@@ -209,8 +221,9 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     - `rows`, one a probe: `search` (a half, or the instant of a handover), `source`, `group`;
       `above` and `tied`, how many candidates score above its mate and how many as high, the mate
       included (-1 and 0 without a mate); `mate_score`, `best_other_score` (NaN where there is
-      none, and of controls), `chance` of rank 1, `assigned` (`ASSIGNED`); with the raw scores
-      also `mate` (place in the gallery, or -1) and `scores` against the whole gallery;
+      none, of controls, and with `SensedSessions.candidates`), `chance` of rank 1, `assigned`
+      (`ASSIGNED`); with the raw scores also `mate` (place in the gallery, or -1) and `scores`
+      against the whole gallery;
     - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
     - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
     - `about`: one row with all other numbers as JSON.
@@ -219,7 +232,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     persons = np.concatenate(linked.probe_person)
     n_probes = [len(search.mate) for search in linked.searches]
     own, best = np.concatenate([_own_and_best(one) for one in linked.searches], axis=1)
-    if linked.is_control:
+    if linked.is_control or linked.checked is not None:
         own, best = np.full((2, persons.size), np.nan)
     assigned = probes.assigned + 1 if linked.is_assigned else np.full(persons.size, 3)
     rows = {
@@ -242,6 +255,12 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         "numbers": {name: getattr(scored, name) for name in _NUMBERS},
         "cohorts": linked.cohorts,
     }
+    if linked.checked is not None:
+        exact, approximate = linked.checked
+        about["numbers"] |= {
+            "n_checked": exact.size,
+            "rank1_loss": float((exact - approximate).mean()) if exact.size else None,
+        }
     if keep_scores:
         sizes = [one.scores.shape[1] for one in linked.searches]
         flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(np.float32)

@@ -72,6 +72,8 @@ class SensedSessions:
     """(K,) cluster of each person: a column of the weights."""
     epsilon_m: float
     seed: int
+    candidates: int = 0
+    """How many of a gallery are scored for each probe; 0: all."""
 
 
 def sensed_sessions(
@@ -85,6 +87,8 @@ def sensed_sessions(
     known = {name: place for place, name in enumerate(groups)}
     drawn_as = np.array([known.get(name, -1) for name in names.tolist()])
     task = sessions.task
+    largest = int(np.bincount(sessions.gallery.search).max())
+    candidates = stages.linkage.candidates
     frames = () if task.shows_scene else tuple(_frames(sessions, one, seed=seed) for one in SIDES)
     return SensedSessions(
         sessions=sessions,
@@ -97,6 +101,7 @@ def sensed_sessions(
         cluster=cluster.astype(np.int64),
         epsilon_m=stages.privacy.epsilon_m,
         seed=seed,
+        candidates=candidates if candidates < largest else 0,
     )
 
 

@@ -14,10 +14,10 @@ import numpy as np
 import pyarrow as pa
 
 from attacks.linkage.alignment import Shape
-from attacks.linkage.kinematic import Kinematic
 from attacks.tasks.controls import CONTROLS
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
+from evaluation.cells.candidates import CHECKED, Approximated, among_candidates, first_stage
 from evaluation.cells.link_scores import Linked, calibrated, no_match_score, read_off
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
 from evaluation.cells.tables import (
@@ -30,7 +30,12 @@ from evaluation.cells.tables import (
     track_means,
 )
 from isac_track.errors import DataError, PluginError
-from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
+from isac_track.protocols import (
+    AttackContext,
+    LinkageAttack,
+    LinkageTrainingSet,
+    TrainingSet,
+)
 from isac_track.rng import stream
 from isac_track.types import Floats, Knowledge, Release, derived
 
@@ -120,11 +125,13 @@ def link(consumer: Consumer, level: LinkedLevel, controls: dict[str, Linked]) ->
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
     no_match: dict[int, float] = {}
+    if known.candidates:
+        return _approximated(consumer, level)
     for fold, half in enumerate(known.halves):
-        score = _fitted(consumer, level, fold)
+        score, sides = _fitted(consumer, level, fold), _sides(consumer, level, fold)
         for number, pairing in half.searches:
-            scores[number] = score(pairing)
-        on_others = calibrated([(score(one), one) for one in half.calibrates])
+            scores[number] = score(*sides.of(pairing))
+        on_others = calibrated([(score(*sides.of(one)), one) for one in half.calibrates])
         if on_others is not None:
             calibration[fold] = on_others
             for number, pairing in half.searches:
@@ -137,6 +144,49 @@ def link(consumer: Consumer, level: LinkedLevel, controls: dict[str, Linked]) ->
         rng=stream(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
         control=None,
     )
+
+
+def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
+    """Return what a linkage attack achieves that scores the best candidates of each probe alone."""
+    known = level.known
+    rng = stream(known.seed, "linkage", "candidates", consumer.spec, consumer.knowledge)
+    n_searches = sum(len(half.searches) for half in known.halves)
+    found: dict[int, Approximated] = {}
+    for fold, half in enumerate(known.halves):
+        score, sides = _fitted(consumer, level, fold), _sides(consumer, level, fold)
+        for number, pairing in half.searches:
+            found[number] = among_candidates(
+                score,
+                *sides.of(pairing),
+                mate=pairing.mate,
+                first=_untaught(first_stage(known.sessions.task), sides, pairing, known),
+                n_candidates=known.candidates,
+                n_checked=-(-CHECKED // n_searches),
+                rng=rng,
+            )
+    exact = np.concatenate([one.exact for one in found.values()])
+    approximate = np.concatenate([one.approximate for one in found.values()])
+    return read_off(
+        {number: one.scores for number, one in found.items()},
+        known=known,
+        calibration={},
+        no_match={},
+        rng=stream(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
+        control=None,
+        checked=(exact, approximate),
+    )
+
+
+def _untaught(
+    attack: LinkageAttack, sides: _Sides, pairing: Pairing, known: SensedSessions
+) -> Floats:
+    """Return the scores of a linker of ours that is granted what the task grants to everyone."""
+    context = AttackContext(
+        rng=stream(known.seed, "linkage", "untaught"),
+        epsilon_m=known.epsilon_m,
+        granted=attack.requires & known.sessions.task.everyone,
+    )
+    return attack.fit(context)(*sides.of(pairing))
 
 
 def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
@@ -153,10 +203,8 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
         if score is not None:
             scores[number] = score(*level.seen.of(pairing), rng)
             continue
-        attack = Kinematic() if task.shows_scene else Shape()
-        granted = attack.requires & task.everyone
-        context = AttackContext(rng=rng, epsilon_m=known.epsilon_m, granted=granted)
-        real = attack.fit(context)(*blind.of(pairing))
+        attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
+        real = _untaught(attack, blind, pairing, known)
         scores[number] = real[:, rng.permutation(real.shape[1])]
     return read_off(scores, known=known, calibration={}, no_match={}, rng=rng, control=control)
 
@@ -208,17 +256,15 @@ def _smoothed(
     return first, second
 
 
-def _fitted(consumer: Consumer, level: LinkedLevel, fold: int) -> Callable[[Pairing], Floats]:
-    """Return what a linker that is prepared for a fold makes of a search: (p, g), in float32."""
+def _fitted(
+    consumer: Consumer, level: LinkedLevel, fold: int
+) -> Callable[[Release, Release], Floats]:
+    """Return what a linker, prepared for a fold, makes of two releases: (p, g), in float32."""
     assert consumer.plugin is not None
     plugin, known, who = consumer.plugin, level.known, f"attack {consumer.label}"
     sides = _sides(consumer, level, fold)
     name = f"attack {plugin.spec}"
     granted = granted_at(consumer, plugin, *level.shared, who=name, mechanism=level.mechanism)
-
-    def handed(pairing: Pairing) -> tuple[Release, Release]:
-        probe, gallery = sides.of(pairing)
-        return sharing.handed(probe, plugin), sharing.handed(gallery, plugin)
 
     learns = known.halves[fold].learns
     train = None
@@ -229,7 +275,8 @@ def _fitted(consumer: Consumer, level: LinkedLevel, fold: int) -> Callable[[Pair
                 f"from in {known.sessions.task.name}; use a recording of more people or leave the "
                 "attack out"
             )
-        train = LinkageTrainingSet(*handed(learns), learns.mate.copy())
+        probes, gallery = (sharing.handed(one, plugin) for one in sides.of(learns))
+        train = LinkageTrainingSet(probes, gallery, learns.mate.copy())
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
     context = AttackContext(
         rng=stream(known.seed, "attacks", *key),
@@ -240,13 +287,13 @@ def _fitted(consumer: Consumer, level: LinkedLevel, fold: int) -> Callable[[Pair
     )
     attack = sharing.guarded(who, lambda: plugin.instance.fit(context))
 
-    def score(pairing: Pairing) -> Floats:
-        probe, gallery = handed(pairing)
-        found = sharing.guarded(who, lambda: attack(probe, gallery))
+    def score(probe: Release, gallery: Release) -> Floats:
+        shown = [sharing.handed(one, plugin) for one in (probe, gallery)]
+        found = sharing.guarded(who, lambda: attack(*shown))
         if np.ma.isMaskedArray(found):
             raise PluginError(f"{who} must return a score for every pair, got a masked array")
         scores = np.asarray(found)
-        expected = (pairing.probe.size, pairing.gallery.size)
+        expected = (len(probe), len(gallery))
         if scores.shape != expected or scores.dtype.kind not in "fiu":
             raise PluginError(
                 f"{who} must return scores {expected}, got {scores.shape} of {scores.dtype}"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 CONSUMERS: Final = ("predictor", "attack", "task")
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _MOST_SECONDS = 120
+_LARGE_GALLERY = 3000
+"""People, above which it is proposed to score some alone."""
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
 
@@ -78,6 +81,7 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     )
     for why in ready.axes.skipped.values():
         yield f"notice: left out: {why}"
+    yield from _large_galleries(ready)
     slow = [one for one in ready.axes.consumers if one.is_slow]
     if not slow:
         return
@@ -96,6 +100,22 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         )
 
 
+def _large_galleries(ready: Plan) -> Iterator[str]:
+    """Yield one line that proposes to approximate, where all pairs are too many."""
+    if ready.settings.stages.linkage.candidates:
+        return
+    sizes = {
+        one.task.name: max(Counter(one.gallery.search.tolist()).values()) for one in ready.sessions
+    }
+    large = [name for name, size in sizes.items() if size > _LARGE_GALLERY]
+    if large:
+        yield (
+            f"notice: {', '.join(large)}: galleries of up to {max(sizes.values()):,} people, and "
+            "time and memory grow with the square; --set linkage.candidates=100 scores the "
+            "likeliest 100 alone and says what that loses"
+        )
+
+
 def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     """Yield what a reader of a finished run must know."""
     for spec, asked in manifest["granted"].items():
@@ -111,8 +131,27 @@ def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     if redraws := manifest["exhausted_redraws"]:
         told = "background agents found no place with scenes.clearance_m and kept their last draw"
         yield f"{redraws} {told}"
+    for task in (manifest.get("linkage") or {}).get("tasks", {}):
+        if told := approximation(manifest, task):
+            yield f"{task}: {told}"
     for why in manifest["gallery_without"]:
         yield f"track gallery without {why}"
+
+
+def approximation(manifest: Mapping[str, Any], task: str) -> str:
+    """Return what `linkage.candidates` cost a task; nothing where every pair was scored."""
+    found = (manifest.get("linkage") or {}).get("candidates", {}).get(task)
+    if not found:
+        return ""
+    per_probe = manifest["settings"]["stages"]["linkage.candidates"]
+    attack = found["consumer"].partition("/")[2]
+    mean, most = (round(100 * found[name], 1) + 0.0 for name in ("loss", "most"))  # no -0.0
+    return (
+        f"linkers scored {per_probe} candidates of each probe. That cost {mean:.1f} points of rank "
+        f"1 on average, {most:.1f} at most ({attack} at {found['spec']}), by {found['probes']} "
+        f"probes in each of {found['cells']} cells that were "
+        "searched in full as well. Metrics of all pairs are refused."
+    )
 
 
 def command(manifest: Mapping[str, Any]) -> str:

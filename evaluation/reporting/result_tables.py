@@ -36,6 +36,7 @@ from evaluation.cells.link_scores import WITHOUT_FROZEN, WITHOUT_GROUPS
 from evaluation.experiment.presets import IDENTITY, SHARED
 from evaluation.reporting import rows as picked
 from evaluation.reporting import table as make
+from evaluation.reporting.announcements import approximation
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.linkability import LEVEL
 
@@ -229,7 +230,8 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     if (CLEAN, None) in wheres:
         about += " clean: no error at all, the ceiling."
     people = (run.manifest.get("linkage") or {}).get("tasks", {}).get(task.name, {}).get("people")
-    notes = _size(some[0], people=people), _confounders(task, wheres, known), _controls(task), about
+    size, loss = _size(some[0], people=people), approximation(run.manifest, task.name)
+    notes = size, loss, _confounders(task, wheres, known), _controls(task), about
     title = f"{task.name}: {task.about}; rank 1 in %, 95 % intervals"
     options = {"notes": list(filter(None, notes)), "marks": MEANING}
     return make.built(f"linkage-{task.name}", title, records, columns, **options)

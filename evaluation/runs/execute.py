@@ -19,6 +19,7 @@ from evaluation.runs.folder import check_folder, open_run
 from evaluation.runs.manifest import (
     describe,
     entries_of,
+    losses_of,
     merged_cells,
     others,
     with_ceiling,
@@ -109,6 +110,8 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     forecasts = [one for one in manifest["cells"] if one["kind"] == "predictor"][:1]
     exhausted = [read_rows(out, one, columns=["exhausted"])["exhausted"] for one in forecasts]
     manifest["exhausted_redraws"] = next((int(one.to_numpy().sum()) for one in exhausted), None)
+    if losses := losses_of(out, manifest["cells"]):
+        manifest["linkage"]["candidates"] = losses
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     write_manifest(out, manifest | {"state": "finished"})
 

@@ -25,7 +25,7 @@ import numpy as np
 
 import isac_track
 from evaluation.experiment.fingerprint import digest
-from evaluation.runs.cell_files import Index, label_of
+from evaluation.runs.cell_files import Index, label_of, read_outcome
 from evaluation.runs.files import MANIFEST, content_of, write_whole
 from isac_track.errors import DataError
 from isac_track.privacy import mean_interval_s
@@ -211,6 +211,35 @@ def describe(ready: Plan) -> dict[str, Any]:
         "groups": sorted(set(tracks.group)),
         "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
     }
+
+
+def losses_of(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """Return what rank 1 loses by `linkage.candidates`, by task, as the cells measured it.
+
+    Of each task the `cells` of attacks; how many `probes` of each (the fewest) were searched in
+    full as well; over the cells the mean `loss` of rank 1, a fraction, and the `most`, of which
+    `consumer` at which mechanism, `spec`, it was. A task whose pairs are all scored is not there.
+    """
+    found: dict[str, list[tuple[float, int, str, str]]] = defaultdict(list)
+    for entry in entries:
+        if entry["kind"] == "linkage":
+            numbers = read_outcome(out, entry, drawn=()).numbers
+            if numbers.get("n_checked"):
+                loss, n_checked = float(numbers["rank1_loss"]), int(numbers["n_checked"])
+                task = entry["consumer"].partition("/")[0]
+                found[task].append((loss, n_checked, label_of(entry), entry["spec"]))
+    losses = {}
+    for task, cells in found.items():
+        most, _, consumer, spec = max(cells)
+        losses[task] = {
+            "cells": len(cells),
+            "probes": min(one[1] for one in cells),
+            "loss": float(np.mean([one[0] for one in cells])),
+            "most": most,
+            "consumer": consumer,
+            "spec": spec,
+        }
+    return losses
 
 
 def _git_commit() -> str | None:

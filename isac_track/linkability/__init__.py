@@ -31,7 +31,7 @@ from isac_track.linkability.scores import (
     roc_hull,
     tpr_at_fpr,
 )
-from isac_track.linkability.scoring import ProbeRanks, Scorecard, scorecard
+from isac_track.linkability.scoring import ProbeRanks, Scorecard, rank_scorecard, scorecard
 from isac_track.linkability.significance import (
     LEVEL,
     Outcome,
@@ -45,5 +45,5 @@ __all__ = ["Calibration", "Outcome", "ProbeRanks", "Scorecard", "Search"]
 __all__ += ["LEVEL", "MIN_EXPECTED", "SCORE_REPLICATES", "SLOPE_PENALTY"]
 __all__ += ["assign", "chance", "cmc", "log_rank", "mean_log_rank", "rank1", "reciprocal_rank"]
 __all__ += ["auc", "cllr", "cllr_min", "d_sys", "eer", "fit_calibration"]
-__all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p"]
+__all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p", "rank_scorecard"]
 __all__ += ["residual_risk", "roc_hull", "scorecard", "tpr_at_fpr"]

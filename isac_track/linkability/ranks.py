@@ -95,7 +95,7 @@ def rank1(*, scores: Floats, mate: Ints) -> Floats:
         As `Search`.
     """
     _check_scores(scores, mate)
-    hit = expected_hit(*_standing(scores, mate))
+    hit = expected_hit(*standing(scores, mate))
     hit[mate < 0] = np.nan
     return hit
 
@@ -106,7 +106,7 @@ def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
     Parameters and errors are those of `rank1`.
     """
     _check_scores(scores, mate)
-    expected = expected_reciprocal(*_standing(scores, mate), scores.shape[1])
+    expected = expected_reciprocal(*standing(scores, mate), scores.shape[1])
     expected[mate < 0] = np.nan
     return expected
 
@@ -121,7 +121,7 @@ def log_rank(*, scores: Floats, mate: Ints) -> Floats:
     Parameters and errors are those of `rank1`.
     """
     _check_scores(scores, mate)
-    (above, tied), n_gallery = _standing(scores, mate), scores.shape[1]
+    (above, tied), n_gallery = standing(scores, mate), scores.shape[1]
     log_factorial = log_factorials(n_gallery)
     spread = log_factorial[above + tied] - log_factorial[above]
     expected: Floats = math.log(n_gallery) - spread / tied
@@ -145,7 +145,7 @@ def cmc(searches: Sequence[Search]) -> Floats:
     k = np.arange(1, min(search.scores.shape[1] for search in searches) + 1)
     rows = []
     for search in searches:
-        above, tied = _standing(search.scores, search.mate)
+        above, tied = standing(search.scores, search.mate)
         hit = np.clip((k - above[:, None]) / tied[:, None], 0.0, 1.0)
         rows.append(hit[search.mate >= 0])
     hits = np.concatenate(rows)
@@ -224,7 +224,10 @@ def log_factorials(n: int) -> Floats:
     return np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
 
 
-def _standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
-    """Return how many score above each probe's mate, and how many as high, itself included."""
+def standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
+    """Return how many score above each probe's mate, and how many as high, itself included.
+
+    (P,) each; of a probe without a mate they say nothing.
+    """
     own = scores[np.arange(mate.size), mate][:, None]
     return (scores > own).sum(axis=1), (scores == own).sum(axis=1)

@@ -29,10 +29,12 @@ from isac_track.linkability.ranks import (
     expected_hit,
     expected_reciprocal,
     residual_risk,
+    standing,
 )
 from isac_track.linkability.scales import (
     LEVELS,
     METRICS,
+    SCORE_REPLICATES,
     Scale,
     cut_scores,
     over_scales,
@@ -45,6 +47,7 @@ from isac_track.linkability.significance import (
     p_value_among,
     rank1_p,
     rank_rows,
+    shuffled_log_ranks,
 )
 
 if TYPE_CHECKING:
@@ -241,11 +244,11 @@ def scorecard(
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least in zip(searches, no_match, strict=True):
         cut = cells[search.scale]
-        log_rank, cell, standing = rank_rows(search, cut.breaks)
+        log_rank, cell, of_mate = rank_rows(search, cut.breaks)
         columns = assign(scores=search.scores, rng=rng, no_match_score=least)
         observed += add_shuffles(search, log_rank, cut.bins[cell], rng, null, cut.null_bins)
         places.append(cell)
-        standings.append(standing)
+        standings.append(of_mate)
         assignments.append(np.where(columns < 0, -1, columns == search.mate))
     results = [
         score_scale(
@@ -257,15 +260,7 @@ def scorecard(
         for scale, cut in cells.items()
     ]
     sizes = [search.scores.shape[1] for search in searches]
-    above, tied = np.concatenate(standings).T
-    probes = ProbeRanks(
-        above=above,
-        tied=tied,
-        chance=np.repeat(1.0 / np.array(sizes), [search.mate.size for search in searches]),
-        assigned=np.concatenate(assignments),
-        cluster=np.concatenate([search.probe_cluster for search in searches]),
-        n_gallery=max(sizes),
-    )
+    probes = _probe_ranks(searches, standings, assignments)
     hits, mated_clusters = probes.values()["rank1"]
     chances, _ = probes.values()["chance"]
     n_clusters = int(np.unique(mated_clusters).size)
@@ -288,6 +283,71 @@ def scorecard(
         minimum_detectable_rank1=minimum_detectable_rank1(
             n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
         ),
+    )
+
+
+def rank_scorecard(
+    searches: Sequence[Search], *, weights: Floats, rng: np.random.Generator, n_shuffles: int = 999
+) -> Scorecard:
+    """Return a `scorecard` of scores that rank candidates and say no more, in any two rows.
+
+    So it is where few pairs of a gallery were scored and the others put below them. Metrics that
+    need the score of every pair are refused (NaN): those of `METRICS`, d_sys_corrected, and what is
+    assigned. The tests of p_value and p_rank1 ask for ranks alone and hold as they do there.
+
+    Parameters and errors are those of `scorecard`; the generator draws what `permutation_p` does.
+    """
+    check_searches(searches, n_shuffles)
+    observed, null = shuffled_log_ranks(searches, rng, n_shuffles)
+    standings = []
+    for search in searches:
+        has = search.mate >= 0
+        above, tied = standing(search.scores, search.mate)
+        standings.append(np.stack([np.where(has, above, -1), np.where(has, tied, 0)], axis=1))
+    probes = _probe_ranks(searches, standings, [np.full(s.mate.size, -1) for s in searches])
+    (hits, mated_clusters), (chances, _) = (probes.values()[name] for name in ("rank1", "chance"))
+    sizes = [search.scores.shape[1] for search in searches]
+    n_clusters = int(np.unique(mated_clusters).size)
+    unknown = np.full(min(len(weights), SCORE_REPLICATES), np.nan)
+    refused = Estimate(math.nan, n=n_clusters, replicates=unknown)
+    estimates = _rank_estimates(probes, weights)
+    estimates |= dict.fromkeys((*METRICS, "d_sys_corrected"), refused)
+    for name in estimates.keys() & {"rank1_assigned", "false_link_rate"}:
+        nothing = np.full_like(estimates[name].replicates, np.nan)
+        estimates[name] = Estimate(math.nan, n=estimates[name].n, replicates=nothing)
+    return Scorecard(
+        estimates=estimates,
+        probes=probes,
+        p_value=p_value_among(observed, null),
+        p_value_low=p_value_among(-observed, -null),
+        p_rank1=rank1_p(hits=hits, chance=chances),
+        n_probes=probes.above.size,
+        n_mated=hits.size,
+        gallery_sizes=(min(sizes), max(sizes), sum(sizes) / len(sizes)),
+        n_clusters=n_clusters,
+        realised_fpr_1pct=math.nan,
+        realised_fpr_01pct=math.nan,
+        d_sys_bins=0,
+        is_inverted=False,
+        minimum_detectable_rank1=minimum_detectable_rank1(
+            n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
+        ),
+    )
+
+
+def _probe_ranks(
+    searches: Sequence[Search], standings: Sequence[Ints], assignments: Sequence[Ints]
+) -> ProbeRanks:
+    """Return how the probes of all searches fared, given `standing` and `assigned` of each."""
+    sizes = [search.scores.shape[1] for search in searches]
+    above, tied = np.concatenate(standings).T
+    return ProbeRanks(
+        above=above,
+        tied=tied,
+        chance=np.repeat(1.0 / np.array(sizes), [search.mate.size for search in searches]),
+        assigned=np.concatenate(assignments),
+        cluster=np.concatenate([search.probe_cluster for search in searches]),
+        n_gallery=max(sizes),
     )
 
 

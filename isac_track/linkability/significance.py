@@ -69,13 +69,20 @@ def permutation_p(
     123, 2015 (multi-level block permutation).
     """
     check_searches(searches, n_shuffles)
+    return p_value_among(*shuffled_log_ranks(searches, rng, n_shuffles))
+
+
+def shuffled_log_ranks(
+    searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int
+) -> tuple[float, Floats]:
+    """Return the sum of `log_rank` over mates, and those of shuffled mates, (n_shuffles,)."""
     null, nowhere = np.zeros(n_shuffles), np.zeros((n_shuffles, 1))
     observed = 0.0
     for search in searches:
         log_rank, _, _ = rank_rows(search, np.empty(0))
         one_bin = np.zeros(log_rank.shape, dtype=np.uint8)
         observed += add_shuffles(search, log_rank, one_bin, rng, null, nowhere)
-    return p_value_among(observed, null)
+    return observed, null
 
 
 def rank1_p(*, hits: Floats, chance: Floats) -> float:

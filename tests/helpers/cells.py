@@ -146,18 +146,18 @@ def sessions_of(task, *, tracks=None, seed=0):
 
 
 @lru_cache(maxsize=8)
-def _sensed(sessions, seed):
+def _sensed(sessions, seed, stages):
     groups = sorted(set(sessions.group))
-    return sensed_sessions(sessions, groups=groups, stages=STAGES, seed=seed)
+    return sensed_sessions(sessions, groups=groups, stages=stages, seed=seed)
 
 
-def linked(sessions, by, *links, controls=False, seed=0):
+def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
     """What all achieve who link in a task: by consumer and adversary.
 
     Also the level, and the controls of all levels. A link is one, or what `parsed` takes.
     """
     task = sessions.task
-    level = linked_level(parsed("mechanisms", by), _sensed(sessions, seed))
+    level = linked_level(parsed("mechanisms", by), _sensed(sessions, seed, stages))
     links = [
         one if isinstance(one, Consumer) else Consumer("linkage", parsed("attacks", one, "spy"))
         for one in links

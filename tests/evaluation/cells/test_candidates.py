@@ -1,0 +1,226 @@
+"""Where some candidates alone are scored: what is computed, what is refused, what is lost."""
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from helpers.cells import STAGES, linked, parsed, sessions_of
+from helpers.small_runs import smoke
+from helpers.walkers import walkers, write_walkers
+
+import evaluation
+from evaluation.cells import candidates
+from evaluation.cells.candidates import among_candidates
+from evaluation.experiment.plan import plan
+from evaluation.reporting import announcements
+from evaluation.runs.manifest import read_manifest
+from isac_track.linkability import rank1
+from isac_track.linkability.scales import METRICS
+from isac_track.rng import stream
+
+REFUSED = (*METRICS, "d_sys_corrected", "rank1_assigned", "false_link_rate")
+
+
+def few(n):
+    return STAGES.changed({"linkage.candidates": n})
+
+
+@dataclass(frozen=True)
+class Length:
+    """Who went as far? It keeps how many walks it was shown at a time."""
+
+    requires: ClassVar[frozenset] = frozenset()
+    uses: ClassVar[frozenset] = frozenset()
+    kind: ClassVar[str] = "linkage"
+    seen: list = field(default_factory=list, compare=False)
+
+    def fit(self, _context):
+        def score(probe, gallery):
+            self.seen.append((len(probe), len(gallery)))
+            ways = [[np.hypot(*(w.xy[-1] - w.xy[0])) for w in one] for one in (probe, gallery)]
+            return -np.abs(np.subtract.outer(*ways))
+
+        return score
+
+
+def same(one, other):
+    """Whether two cells are alike to the bit."""
+    return (
+        all(
+            np.array_equal(a.scores, b.scores)
+            for a, b in zip(one.searches, other.searches, strict=True)
+        )
+        and one.scored.p_value == other.scored.p_value
+        and all(
+            np.array_equal(
+                [a.value, a.ci_low, a.ci_high, *a.replicates],
+                [b.value, b.ci_low, b.ci_high, *b.replicates],
+                equal_nan=True,
+            )
+            for a, b in zip(
+                one.scored.estimates.values(), other.scored.estimates.values(), strict=True
+            )
+        )
+    )
+
+
+class TestScores:
+    @pytest.mark.parametrize("task", ["rerelease", "handover-2s"])
+    def test_with_as_many_as_the_gallery_all_is_as_without(self, task):
+        sessions, who = sessions_of(task), parsed("attacks", "shape")
+        largest = int(np.bincount(sessions.gallery.search).max())
+        exact, _, _ = linked(sessions, "raw", who, controls=True)
+        for n in (0, largest, 10_000):
+            found, _, _ = linked(sessions, "raw", who, controls=True, stages=few(n))
+            assert found.keys() == exact.keys()
+            assert all(same(found[key], exact[key]) for key in exact)
+
+    @pytest.mark.parametrize("task", ["rerelease", "handover-2s"])
+    def test_the_first_few_of_the_first_stage_are_scored_and_the_others_follow_in_its_order(
+        self, task
+    ):
+        n, sessions, spy = 4, sessions_of(task), Length()
+        exact, level, _ = linked(sessions, "raw", Length())
+        found, _, _ = linked(sessions, "raw", spy, stages=few(n))
+        ((key, cell),) = found.items()
+        pairings = dict(one for half in level.known.halves for one in half.searches)
+        for number, (search, whole) in enumerate(
+            zip(cell.searches, exact[key].searches, strict=True)
+        ):
+            sides = [
+                side.tracks(rows)
+                for side, rows in zip(
+                    (level.seen.probe.without_sigma(), level.seen.gallery.without_sigma()),
+                    (pairings[number].probe, pairings[number].gallery),
+                    strict=True,
+                )
+            ]
+            stage = candidates.first_stage(sessions.task)
+            context = type("Context", (), {"granted": stage.requires})()
+            first = stage.fit(context)(*sides)
+            of = [np.argsort(-one) for one in search.scores]
+            chosen = np.array([order[:n] for order in of])
+            computed = np.take_along_axis(whole.scores, chosen, axis=1)
+            assert np.array_equal(np.take_along_axis(search.scores, chosen, axis=1), computed)
+            for row, order in enumerate(of):
+                assert (search.scores[row, order[n:]] < computed.min()).all()
+                ranked = first[row, order]
+                assert (np.diff(ranked[n:]) <= 0).all()
+                assert ranked[:n].min() >= ranked[n:].max(initial=-np.inf)
+        # A stranger is asked about one probe at a time; some are searched in full as well.
+        asked = [size for probes, size in spy.seen if probes == 1 and size <= n]
+        assert len(asked) >= len(sessions.probe)
+
+    def test_equal_scores_of_the_first_stage_favour_nobody(self):
+        _, level, _ = linked(sessions_of("rerelease"), "raw", Length())
+        release = level.seen.probe
+        n = len(release)
+        hits = [
+            rank1(
+                scores=among_candidates(
+                    lambda p, g: np.zeros((len(p), len(g))),
+                    *(release, release),
+                    mate=np.arange(n),
+                    first=np.zeros((n, n)),
+                    n_candidates=2,
+                    n_checked=0,
+                    rng=stream(seed, "test", "ties"),
+                ).scores,
+                mate=np.arange(n),
+            )
+            for seed in range(60)
+        ]
+        # Of the n places two are first, at random: each probe's mate is there as often as any.
+        assert np.mean(hits) == pytest.approx(1 / n, abs=0.01)
+        assert np.mean(hits, axis=0).max() < 8 / n
+
+
+class TestWhatIsTold:
+    @pytest.mark.parametrize("n", [1, 3, 8])
+    def test_the_loss_is_that_of_a_search_in_full(self, n, monkeypatch):
+        monkeypatch.setattr("evaluation.cells.linkage.CHECKED", 10_000)
+        sessions = sessions_of("rerelease")
+        exact, _, _ = linked(sessions, "raw", parsed("attacks", "shape"))
+        found, _, _ = linked(sessions, "raw", parsed("attacks", "shape"), stages=few(n))
+        for key, cell in found.items():
+            hits = [
+                np.concatenate([rank1(scores=s.scores, mate=s.mate) for s in one.searches])
+                for one in (exact[key], cell)
+            ]
+            loss = np.mean(np.subtract(*cell.checked))
+            assert loss == pytest.approx(hits[0].mean() - hits[1].mean(), abs=1e-12)
+            assert cell.scored.estimates["rank1"].value == pytest.approx(hits[1].mean())
+
+    def test_of_many_probes_some_are_searched_in_full(self, monkeypatch):
+        monkeypatch.setattr("evaluation.cells.linkage.CHECKED", 10)
+        found, *_ = linked(sessions_of("rerelease"), "raw", Length(), stages=few(3))
+        ((_, cell),) = found.items()
+        assert [one.size for one in cell.checked] == [10, 10]
+
+    def test_what_needs_all_pairs_is_refused_and_ranks_are_not(self):
+        for task in ("rerelease", "handover-2s"):
+            found, *_ = linked(
+                sessions_of(task, tracks=walkers(80)),
+                "clean",
+                Length(),
+                controls=True,
+                stages=few(2),
+            )
+            for cell in found.values():
+                for name, one in cell.scored.estimates.items():
+                    known = [one.value, one.ci_low, one.ci_high]
+                    assert np.isnan(known).all() == (name in REFUSED), name
+                    assert one.n > 0
+                assert 0 < cell.scored.p_value <= 1
+                assert 0 < cell.scored.p_value_low <= 1
+                assert not cell.scored.is_inverted
+                assert math.isnan(cell.scored.realised_fpr_1pct)
+
+    def test_manifest_notice_and_table_say_it(self, tmp_path):
+        write_walkers(tmp_path / "walks.csv")
+        settings = smoke(
+            tmp_path / "walks.csv",
+            out=tmp_path / "run",
+            tasks=("rerelease",),
+            attacks=("shape",),
+            predictors=(),
+            stages=few(5),
+        )
+        results = evaluation.run(settings)
+        manifest = read_manifest(tmp_path / "run")
+        assert manifest["identity"]["linkage.candidates"] == 5
+        told = manifest["linkage"]["candidates"]["rerelease"]
+        assert told["cells"] == 6  # clean, raw and fixed, blind and informed
+        assert told["probes"] == 40
+        rank = results.summary[results.summary["metric"] == "rank1"]
+        of = rank[(rank["consumer"] == told["consumer"].partition(" (")[0])]
+        assert of["value"].between(0, 1).all()
+        assert told["loss"] <= told["most"] <= 1
+        (line,) = (
+            one for one in announcements.notices(manifest) if one.startswith("rerelease: linkers")
+        )
+        assert "scored 5 candidates of each probe" in line
+        assert "by 40 probes in each of 6 cells" in line
+        page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+        assert "scored 5 candidates of each probe" in page
+        refused = results.summary[results.summary["metric"].isin(REFUSED)]
+        assert len(refused)
+        assert refused["value"].isna().all()
+        assert json.dumps(manifest["linkage"])  # numbers, no arrays
+
+
+class TestProposal:
+    def test_above_so_many_people_a_plan_proposes_it_in_one_line(self, tmp_path, monkeypatch):
+        write_walkers(tmp_path / "walks.csv")
+        own = {"tasks": ("rerelease",), "attacks": ("shape",), "out": tmp_path / "run"}
+        ready = plan(smoke(tmp_path / "walks.csv", **own))
+        assert not [one for one in announcements.plan_lines(ready) if "candidates" in one]
+        monkeypatch.setattr(announcements, "_LARGE_GALLERY", 19)
+        (line,) = (one for one in announcements.plan_lines(ready) if "candidates" in one)
+        assert line.startswith("notice: rerelease: galleries of up to 20 people")
+        assert "--set linkage.candidates=" in line
+        asked = plan(smoke(tmp_path / "walks.csv", stages=few(3), **own))
+        assert not [one for one in announcements.plan_lines(asked) if "candidates" in one]
