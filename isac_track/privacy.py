@@ -7,6 +7,7 @@ They describe the samples as shared; they say nothing of what an adversary can r
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -94,6 +95,32 @@ def exposure(*, leaked: Bools, t: Floats, offsets: Ints) -> Exposure:
         first_run = np.cumsum(segments)[exposed] - segments[exposed]
         mel_s[exposed] = np.maximum.reduceat(run_samples, first_run) * interval_s[exposed]
     return Exposure(plr=leaked_samples / n_samples, ael_s=ael_s, mel_s=mel_s, segments=segments)
+
+
+def described(
+    *,
+    xy: Floats,
+    truth: Floats,
+    t: Floats,
+    offsets: Ints,
+    epsilon_m: float,
+    moved: tuple[Floats, Floats] | None = None,
+    turn: complex = 1.0,
+) -> Floats:
+    """Return PLR, AEL, MEL, segments and mean squared error, m^2, of every trajectory, (5, N).
+
+    As `exposure` of `leakage_indicator`, in one pass over sound arrays: `xy` and `truth` are (M, 2)
+    m. What was `moved`, from positions to others in a frame that is turned by the angle of the
+    unit number `turn`, takes these steps from `xy` in the true frame; what was not stays as it is,
+    bit by bit.
+    """
+    to, since = moved or (xy, xy)
+    places = tuple(np.ascontiguousarray(one) for one in (xy, truth, to, since))
+    times, out = np.ascontiguousarray(t), np.empty((5, offsets.size - 1))
+    import_module("isac_track._privacy_loop").described(
+        places, (turn.real, turn.imag), times, offsets, epsilon_m, out
+    )
+    return out
 
 
 def mean_interval_s(*, t: Floats, offsets: Ints) -> Floats:

@@ -39,13 +39,13 @@ class Averaging:
         repeats = context.repeats
 
         def reconstruct(release: Release) -> Reconstruction:
-            # Axis by axis: an innermost loop over two numbers would take three times as long.
-            total, weight = np.zeros((2, release.t.size)), np.zeros(release.t.size)
+            # As complex numbers: an innermost loop over two would take three times as long.
+            total, weight = np.zeros(release.t.size, dtype=np.complex128), np.zeros(release.t.size)
             for one in (release, *repeats):
                 sigma_m = np.ones_like(one.t) if one.sigma is None else one.sigma
                 trust = 1.0 / np.maximum(sigma_m**2, 1e-12)
-                total += trust * one.xy.T
+                total += trust * np.ascontiguousarray(one.xy).view(np.complex128)[:, 0]
                 weight += trust
-            return Reconstruction(np.ascontiguousarray((total / weight).T))
+            return Reconstruction((total / weight).view(np.float64).reshape(-1, 2))
 
         return reconstruct

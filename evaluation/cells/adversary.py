@@ -49,12 +49,6 @@ class Frame:
         turned += self.shift_m
         return turned
 
-    def back(self, steps: Floats) -> Floats:
-        """Return differences of positions in the frame, (M, 2) m, as they truly are."""
-        # As complex numbers it is one pass over memory.
-        plane = np.ascontiguousarray(steps).view(np.complex128)[:, 0]
-        return (plane * np.conj(self.turn)).view(np.float64).reshape(-1, 2)
-
     def release(self, release: Release) -> Release:
         """Return a release in the frame and on the clock."""
         return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)

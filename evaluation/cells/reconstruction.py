@@ -8,25 +8,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, smooth
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.cells import sharing
-from evaluation.cells.adversary import SHOWS, Frame, granted_at, reconstructed, view_of
-from evaluation.cells.tables import Rows, descriptors, track_columns, track_means
+from evaluation.cells.adversary import SHOWS, Frame, granted_at, reconstructed, showing, view_of
+from evaluation.cells.tables import Rows, described_rows, track_columns, track_means
 from evaluation.experiment.constants import MOST_SCENES
+from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import sense_scenes
-from isac_track.types import Ints, Knowledge, Release, Scenes, Sensed
+from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed, derived
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
@@ -40,7 +41,23 @@ BENCHMARK_Q = KalmanRTS.DEFAULT_Q
 """m^2/s^3, motion of the benchmark."""
 _BENCHMARK = ("benchmark_mse_m2", "benchmark_plr")
 _FOLDS = (0, 1)
+_SCENE = frozenset({Knowledge.SCENE})
 _LEAST_VARIANCE_M2 = 1e-12
+
+
+class Victims(NamedTuple):
+    """Some n of the tracks of a block, which are attacked at once: m samples, end to end."""
+
+    tracks: Ints
+    """(n,) which of the block"""
+    samples: sharing.Samples
+    truth: Floats
+    """(m, 2) m"""
+
+    def of(self, release: Release) -> Release:
+        """Return what a release holds of them."""
+        own = tuple(map(release.pseudonym.__getitem__, self.tracks.tolist()))
+        return derived(sharing.restricted(release, self.samples), pseudonym=own)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,8 +66,8 @@ class AttackedBlock:
 
     scenes: Scenes
     sensed: Sensed
-    half: Ints
-    """(N,) which half of the people each track belongs to"""
+    victims: tuple[Victims, ...]
+    """Tracks of each half of the people."""
     turn: Ints
     """(N,) pass over the recording: in none does a walk occur twice, in the first all do once"""
     training: tuple[tuple[Scenes, Sensed] | None, ...]
@@ -72,6 +89,10 @@ class AttackedLevel:
     scenes: Scenes
     """Without the samples that the release left out."""
     release: Release
+    victims: tuple[Victims, ...]
+    """Each half of its tracks."""
+    own: tuple[Release, ...]
+    """Each half of the release, in the true frame."""
     views: Mapping[tuple[int, frozenset[Knowledge]], tuple[Release, Frame]]
     """Each half of the release as it shows to who is granted SIGMA, SCENE, both or neither; and in
     which frame."""
@@ -138,7 +159,21 @@ def attacked_block(
         sense_scenes(scenes, settings=stages.sensing, seed=seed, names=("again", number))
         for number in range(N_REPEATS if repeats else 0)
     )
-    return AttackedBlock(scenes, sensed, half, turn, tuple(training), again, stages, seed)
+    return AttackedBlock(
+        scenes=scenes,
+        sensed=sensed,
+        victims=tuple(_victims(scenes, np.flatnonzero(half == fold)) for fold in _FOLDS),
+        turn=turn,
+        training=tuple(training),
+        again=again,
+        stages=stages,
+        seed=seed,
+    )
+
+
+def _victims(scenes: Scenes, tracks: Ints) -> Victims:
+    samples = sharing.samples_of(scenes.offsets, tracks)
+    return Victims(tracks, samples, scenes.xy.take(samples.rows, axis=0))
 
 
 def _people(half: Ints, *, fold: int, seed: int) -> Ints:
@@ -157,21 +192,21 @@ def attacked_level(
     granted = frozenset[Knowledge]().union(*(consumer.granted for consumer in consumers))
     first_scene = int(block.scenes.index[0])
     key = (mechanism.spec, "scene", first_scene, "part")
+    scenes, victims = sharing.restricted(block.scenes, left), block.victims
+    if left is not None:
+        victims = tuple(_victims(scenes, one.tracks) for one in victims)
+    own = tuple(one.of(release) for one in victims)
+    shows = {consumer.granted & SHOWS for consumer in consumers}
     views, training = {}, {}
     for fold, others in enumerate(block.training):
-        shared = None
         if others is not None and Knowledge.TRAIN in granted:
             walks, sensed = others
             shared = sharing.share(mechanism, sensed, "training", fold, seed=seed)
             truth_m = sharing.restricted(walks, sharing.samples_shared(shared, sensed)).xy
-        own = release.tracks(np.flatnonzero(block.half == fold))
-        for what in {consumer.granted & SHOWS for consumer in consumers}:
-            rng = stream(seed, "frames", *key, fold)
-            views[fold, what] = view_of(own, granted=what, rng=rng)
-            if shared is not None:
-                rng = stream(seed, "frames", *key, fold, "training")
-                shown, frame = view_of(shared, granted=what, rng=rng)
+            for what, (shown, frame) in _views(shared, shows, *key, fold, "training", seed=seed):
                 training[fold, what] = TrainingSet(shown, frame.points(truth_m))
+        for what, view in _views(own[fold], shows, *key, fold, seed=seed):
+            views[fold, what] = view
     again = [
         sharing.share(mechanism, sensed, "scenes", first_scene, "again", number, seed=seed)
         for number, sensed in enumerate(block.again)
@@ -179,7 +214,7 @@ def attacked_level(
     ]
     for one in again:
         same_tracks = np.array_equal(one.offsets, release.offsets)
-        if not (same_tracks and np.array_equal(one.t, release.t)):
+        if not (same_tracks and (one.t is release.t or np.array_equal(one.t, release.t))):
             raise PluginError(
                 f"mechanism {mechanism.spec!r} leaves out other samples when the same walks are "
                 "shared again; an attack that is granted REPEATS gets them at the same instants: "
@@ -190,13 +225,26 @@ def attacked_level(
         mechanism=mechanism,
         block=block,
         key=key,
-        scenes=sharing.restricted(block.scenes, left),
+        scenes=scenes,
         release=release,
+        victims=victims,
+        own=own,
         views=views,
         training=training,
         again=tuple(again),
         benchmark=benchmark(release, sensed=known, mechanism=mechanism, epsilon_m=epsilon_m),
     )
+
+
+def _views(
+    release: Release, shows: Collection[frozenset[Knowledge]], *key: str | int, seed: int
+) -> Iterator[tuple[frozenset[Knowledge], tuple[Release, Frame]]]:
+    """Yield a release as it shows to who is granted so much: whoever has no SCENE, in one frame."""
+    for scene in {what & _SCENE for what in shows}:
+        rng = stream(seed, "frames", *key)
+        seen, frame = view_of(release, granted=SHOWS - _SCENE | scene, rng=rng)
+        alike = (what for what in shows if what & _SCENE == scene)
+        yield from ((what, (showing(seen, what), frame)) for what in alike)
 
 
 def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
@@ -209,42 +257,45 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
     who, block, release = f"attack {consumer.label}", level.block, level.release
     granted = granted_at(consumer, consumer.plugin, release, who=who, mechanism=level.mechanism)
     at_once = consumer.is_built_in and not consumer.is_slow
-    xy, is_attacked = release.xy.copy(), np.zeros(len(release), dtype=bool)
-    for fold in _FOLDS:
-        mine = block.half == fold
-        turns = [0] if consumer.is_slow else np.unique(block.turn[mine])
-        parts = [mine] if at_once else [mine & (block.turn == one) for one in turns]
+    found, is_attacked = np.empty((5, len(release))), np.zeros(len(release), dtype=bool)
+    for fold, half in enumerate(level.victims):
+        parts = [half]
+        if not at_once:
+            turn = block.turn[half.tracks]
+            turns = [0] if consumer.is_slow else np.unique(turn)
+            parts = [_victims(level.scenes, half.tracks[turn == one]) for one in turns]
         attack: Callable[..., object] | None = None
         for number, part in enumerate(parts):
-            victims = np.flatnonzero(part)
-            if not victims.size:
+            if not part.tracks.size:
                 continue
             if at_once:
+                own = level.own[fold]
                 shown, frame = level.views[fold, consumer.granted & SHOWS]
                 given = shown
             else:
+                own = part.of(release)
                 rng = stream(block.seed, "frames", *level.key, fold, "pass", number)
-                shown, frame = view_of(release.tracks(victims), granted=granted, rng=rng)
+                shown, frame = view_of(own, granted=granted, rng=rng)
                 # A stranger may unlock arrays: what it writes to is its own.
                 given = sharing.copied(shown)
             if attack is None or Knowledge.REPEATS in granted:
-                context = _context(consumer, level, granted, fold=fold, victims=victims)
+                context = _context(consumer, level, granted, fold=fold, victims=part)
                 attack = sharing.guarded(who, partial(consumer.plugin.instance.fit, context))
-            found = reconstructed(attack, given, who=who)
             # Only the correction is turned back: what is left alone stays as it was, bit by bit.
-            xy[sharing.samples_of(release.offsets, victims).rows] += frame.back(found - shown.xy)
-            is_attacked |= part
+            found[:, part.tracks] = privacy.described(
+                xy=own.xy,
+                truth=part.truth,
+                t=own.t,
+                offsets=own.offsets,
+                epsilon_m=block.stages.privacy.epsilon_m,
+                moved=(reconstructed(attack, given, who=who), shown.xy),
+                turn=complex(frame.turn),
+            )
+            is_attacked[part.tracks] = True
     rows = np.flatnonzero(is_attacked)
-    own = sharing.samples_of(release.offsets, rows)
     return {
         **track_columns(level.scenes, rows),
-        **descriptors(
-            xy=xy.take(own.rows, axis=0),
-            truth=level.scenes.xy.take(own.rows, axis=0),
-            t=release.t[own.rows],
-            offsets=own.offsets,
-            epsilon_m=block.stages.privacy.epsilon_m,
-        ),
+        **described_rows(found[:, rows]),
         **{name: values[rows] for name, values in level.benchmark.items()},
     }
 
@@ -255,7 +306,7 @@ def _context(
     granted: frozenset[Knowledge],
     *,
     fold: int,
-    victims: Ints,
+    victims: Victims,
 ) -> AttackContext:
     """Return what an attack on some tracks of one half prepares with."""
     train = level.training.get((fold, consumer.granted & SHOWS))
@@ -269,7 +320,7 @@ def _context(
     repeats, seed = [], level.block.seed
     for number, release in enumerate(level.again if Knowledge.REPEATS in granted else ()):
         rng = stream(seed, "frames", *level.key, fold, "again", number)
-        repeats.append(view_of(release.tracks(victims), granted=granted, rng=rng)[0])
+        repeats.append(view_of(victims.of(release), granted=granted, rng=rng)[0])
     return AttackContext(
         rng=stream(seed, "attacks", consumer.spec, consumer.knowledge, *level.key, fold),
         epsilon_m=level.block.stages.privacy.epsilon_m,

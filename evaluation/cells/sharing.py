@@ -102,8 +102,8 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
         wrong = f"above {SHARED_LIMIT_M:g} m, the limit" if is_too_large else "below 0 or NaN"
         raise PluginError(f"{who} declared a sigma {wrong}")
     # Fresh for every release: the common stream gives every mechanism the same ones.
-    names = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
-    fresh = tuple(names[8 * row : 8 * row + 8].hex() for row in range(len(release)))
+    names = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release)).hex()
+    fresh = tuple(names[at : at + 16] for at in range(0, len(names), 16))
     return derived(release, pseudonym=fresh)
 
 
@@ -157,7 +157,9 @@ def release_digest(*releases: Release) -> bytes:
     digest = hashlib.sha256()
     for one in releases:
         for array in (one.t, one.xy, one.sigma, one.offsets):
-            digest.update(b"none" if array is None else str(array.shape).encode() + array.tobytes())
+            digest.update(b"none" if array is None else str(array.shape).encode())
+            if array is not None:
+                digest.update(np.ascontiguousarray(array).data)
     return digest.digest()
 
 

@@ -21,6 +21,7 @@ Tables: TypeAlias = "dict[str, pa.Table]"
 ROWS: Final = "rows"
 DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")
 """Columns of the descriptors of a track, or of a window."""
+_DESCRIBED: Final = (*DESCRIPTORS, "segments", "mse_m2")
 
 
 def rows_table(rows: Rows, *, tracks: Cut) -> pa.Table:
@@ -60,14 +61,15 @@ def descriptors(*, xy: Floats, truth: Floats, t: Floats, offsets: Ints, epsilon_
 
     `xy` and `truth` are (M, 2) m, `t` (M,) s, `offsets` (N + 1,).
     """
-    away_m = privacy.distance_m(shared_xy=xy, true_xy=truth)
-    # `privacy.leakage_indicator`, on a distance that the squared error needs as well
-    exposure = privacy.exposure(leaked=away_m < epsilon_m, t=t, offsets=offsets)
-    return {
-        **{name: getattr(exposure, name) for name in DESCRIPTORS},
-        "segments": exposure.segments,
-        "mse_m2": track_means(away_m**2, offsets),
-    }
+    return described_rows(
+        privacy.described(xy=xy, truth=truth, t=t, offsets=offsets, epsilon_m=epsilon_m)
+    )
+
+
+def described_rows(found: Floats) -> Rows:
+    """Return the columns of what `privacy.described` found."""
+    rows: Rows = dict(zip(_DESCRIBED, found, strict=True))
+    return rows | {"segments": found[3].astype(np.int64)}
 
 
 def track_means(values: Floats, offsets: Ints) -> Floats:

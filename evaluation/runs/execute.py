@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 _LOOPS = (
-    *("attacks.reconstruction._window_loops", "attacks.linkage._lag_loop"),
-    "isac_track.linkability._loops",
+    *("isac_track._privacy_loop", "attacks.reconstruction._window_loops"),
+    *("attacks.linkage._lag_loop", "isac_track.linkability._loops"),
 )
 """Loaded before workers start: each would compile for itself."""
 
@@ -180,10 +180,11 @@ def _compute(
     tell(0, total, "starting")
     origins = {plugin.origin for _, one in ready.pairs for plugin in one.plugins}
     has_links = any(isinstance(work, LinkWork) for work in works)
-    if has_links or any(one.startswith(("predictors.kalman", "attacks.")) for one in origins):
+    filters = has_links or any(one.startswith(("predictors.kalman", "attacks.")) for one in origins)
+    if filters:
         kalman.prepare()
-        for module in _LOOPS[: 3 if has_links else 1]:
-            import_module(module)
+    for module in _LOOPS[: 4 if has_links else 1 + filters]:
+        import_module(module)
     files = files_to_come(missing, ready.code_of)
     compute = partial(
         in_files, files=files, tracks=ready.tracks, stages=settings.stages, seed=settings.seed

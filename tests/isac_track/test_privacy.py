@@ -8,7 +8,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from isac_track.privacy import exposure, leakage_indicator, mean_interval_s
+from isac_track.privacy import described, exposure, leakage_indicator, mean_interval_s
+from isac_track.rng import stream
 
 
 def raises(message):
@@ -55,6 +56,29 @@ def test_every_sample_has_a_time(leaked, t):
 def test_offsets(offsets):
     with raises("offsets must run from 0 to M without an empty trajectory"):
         exposure(leaked=np.zeros(3, bool), t=np.arange(3.0), offsets=np.array(offsets))
+
+
+@pytest.mark.parametrize("is_moved", [False, True])
+def test_in_one_pass_they_are_those_of_the_definitions(is_moved):
+    rng = stream(0, "test", "described")
+    sizes = np.array([1, 1, 1, 1, 1, 1, 2, 3, 7, 40, 300])
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    t, truth = np.cumsum(rng.uniform(0.05, 0.5, offsets[-1])), rng.normal(size=(offsets[-1], 2))
+    xy = truth + rng.normal(scale=0.6 if is_moved else 0.3, size=truth.shape)
+    here, there = xy, (xy, xy)
+    if is_moved:  # halfway to the truth, in a frame turned by 2 and shifted
+        turned = np.array([[np.cos(2.0), np.sin(2.0)], [-np.sin(2.0), np.cos(2.0)]])
+        here = (xy + truth) / 2.0
+        there = (here @ turned + 5.0, xy @ turned + 5.0)
+    moved = {"moved": there, "turn": np.exp(2j)} if is_moved else {}
+    found = described(xy=xy, truth=truth, t=t, offsets=offsets, epsilon_m=0.3, **moved)
+    leaked = leakage_indicator(shared_xy=here, true_xy=truth, epsilon_m=0.3)
+    assert set(leaked[:6]) == {False, True}  # also of a single sample
+    expected = exposure(leaked=leaked, t=t, offsets=offsets)
+    parts = np.split(((here - truth) ** 2).sum(axis=1), offsets[1:-1])
+    rows = (expected.plr, expected.ael_s, expected.mel_s, expected.segments)
+    np.testing.assert_allclose(found[:4], rows, rtol=1e-12)
+    np.testing.assert_allclose(found[4], [one.mean() for one in parts], rtol=1e-11)
 
 
 def test_mean_interval():
