@@ -12,6 +12,7 @@ the network's estimator is a constant, learnt from other people.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -176,18 +177,18 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
         return -(count @ np.log(square_m2).T + total_m2 @ (1.0 / square_m2).T)
 
     square_m2 = ((train.release.xy - train.truth) ** 2).sum(axis=1)
-    errors = _binned(train.release, square_m2, np.ones_like(square_m2), edges=edges)
+    errors = _binned(train.release, square_m2, edges=edges)
     best = [fits(errors, _FINE_SIGMAS_M, gap).max(axis=1).sum() for gap in _GAPS]
     gap = float(_GAPS[int(np.argmax(best))])
 
     @remembered
     def inferred(release: Release) -> Floats:
-        errors = _binned(release, *_innovation_squares(release), edges=edges)
+        errors = _innovations(release, edges=edges)
         best_m = _SIGMAS_M[fits(errors, _SIGMAS_M, gap).argmax(axis=1)]
         sizes = np.diff(release.offsets)
         total_m2 = _total_m2(np.repeat(best_m, sizes), _intervals(release), gap=gap, rule=rule)
         # The rule says how the samples of a track differ, the track itself how large they are.
-        mean_m2 = np.bincount(np.repeat(np.arange(sizes.size), sizes), total_m2) / sizes
+        mean_m2 = np.add.reduceat(total_m2, release.offsets[:-1]) / sizes
         level = np.repeat(noise_m2(release) / mean_m2, sizes)
         return np.maximum(level * total_m2, MIN_VARIANCE_M2)
 
@@ -209,32 +210,27 @@ def _intervals(release: Release) -> Floats:
     return np.where(interval_s > 0.0, interval_s, _LONE_S)
 
 
-def _innovation_squares(release: Release) -> tuple[Floats, Floats]:
-    """Return squared innovations scaled to the squared length of one error, (M,), and which count.
+def _innovations(release: Release, *, edges: Floats) -> tuple[Floats, Floats]:
+    """Return counts and sums of squared innovations by sampling interval, as `_binned` of errors.
 
-    As in `isac_track.noise`. An innovation spans three samples and counts for the middle one, which
-    weighs most in it; the first and the last of a track have none.
+    As in `isac_track.noise`, scaled to the squared length of one error. An innovation spans three
+    samples and counts for the middle one, which weighs most in it; the first and the last of a
+    track have none.
     """
-    counts = np.ones_like(release.t)
-    counts[release.offsets[:-1]] = counts[release.offsets[1:] - 1] = 0.0
-    square_m2 = np.zeros_like(release.t)
-    middle = np.flatnonzero(counts)
-    interval_s, (x, y) = np.diff(release.t), np.diff(release.xy.T)
-    ratio = interval_s[middle] / interval_s[middle - 1]
-    gap_x, gap_y = (step[middle] - ratio * step[middle - 1] for step in (x, y))
-    square_m2[middle] = (gap_x**2 + gap_y**2) / (1.0 + (1.0 + ratio) ** 2 + ratio**2)
-    return square_m2, counts
+    arrays = (np.ascontiguousarray(one) for one in (release.t, release.xy, release.offsets, edges))
+    count, total_m2 = np.zeros((2, len(release), edges.size + 1))
+    loops = import_module("isac_track.kalman._linear_loops")
+    loops.innovations_by_interval(*arrays, count, total_m2)
+    return count, total_m2
 
 
-def _binned(
-    release: Release, square_m2: Floats, counts: Floats, *, edges: Floats
-) -> tuple[Floats, Floats]:
+def _binned(release: Release, square_m2: Floats, *, edges: Floats) -> tuple[Floats, Floats]:
     """Return counts and sums of squares of each track by sampling interval, (N, B) each."""
     shape = len(release), edges.size + 1
     owner = np.repeat(np.arange(shape[0]), np.diff(release.offsets))
     cell = owner * shape[1] + np.searchsorted(edges, _intervals(release), side="right")
     count, total_m2 = (
         np.bincount(cell, values, shape[0] * shape[1]).reshape(shape).astype(np.float64)
-        for values in (counts, square_m2)
+        for values in (None, square_m2)
     )
     return count, total_m2

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from attacks.reconstruction.kalman_rts import KalmanRTS, smooth
+from attacks.reconstruction.kalman_rts import PRIOR_STD, KalmanRTS
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.cells import sharing
 from evaluation.cells.adversary import SHOWS, Frame, granted_at, reconstructed, showing, view_of
@@ -20,6 +20,7 @@ from evaluation.cells.tables import Rows, described_rows, track_columns, track_m
 from evaluation.experiment.constants import MOST_SCENES
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
+from isac_track.kalman import Batch, smooth_positions
 from isac_track.protocols import AttackContext, TrainingSet
 from isac_track.rng import stream
 from isac_track.scenes import Cut, make_scenes
@@ -351,9 +352,9 @@ def benchmark(release: Release, *, sensed: Sensed, mechanism: Plugin, epsilon_m:
     sensed_share, own_share = (0.5 if one == "radial" else 1.0 for one in (sensed.law, law))
     variance = sensed_share * np.minimum(shared_m2, raw_m2)
     variance += own_share * np.maximum(shared_m2 - raw_m2, 0.0)
-    std = smooth(release, np.maximum(variance, _LEAST_VARIANCE_M2), q=BENCHMARK_Q).std
-    assert std is not None
-    square_m2 = 2.0 * std**2
+    variance = np.maximum(variance, _LEAST_VARIANCE_M2, out=variance)
+    batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
+    square_m2 = 2.0 * smooth_positions(batch, q=BENCHMARK_Q)[1]
     expected = square_m2, -np.expm1(-(epsilon_m**2) / square_m2)
     means = (track_means(values, release.offsets) for values in expected)
     return dict(zip(_BENCHMARK, means, strict=True))

@@ -104,6 +104,16 @@ def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
         log_likelihood[i] = -total - log(scale)
 
 
+@part_of_loop
+def _innovation_square(t: Floats, xy: Floats, k: int) -> float:
+    """Square of the innovation at a track's third sample or a later one, scaled to one error."""
+    ratio = (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
+    ex = xy[k, 0] - xy[k - 1, 0] - ratio * (xy[k - 1, 0] - xy[k - 2, 0])
+    ey = xy[k, 1] - xy[k - 1, 1] - ratio * (xy[k - 1, 1] - xy[k - 2, 1])
+    scaled: float = (ex * ex + ey * ey) / (1 + (1 + ratio) * (1 + ratio) + ratio * ratio)
+    return scaled
+
+
 @compiled(read(1), read(2), read(1, "int64"), written(1))
 def innovation_level(t: Floats, xy: Floats, offsets: Ints, level: Floats) -> None:
     """Mean of the scaled squared innovations of each track; see `isac_track.noise`."""
@@ -111,11 +121,23 @@ def innovation_level(t: Floats, xy: Floats, offsets: Ints, level: Floats) -> Non
         first, end = offsets[i], offsets[i + 1]
         total = 0.0
         for k in range(first + 2, end):
-            ratio = (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
-            ex = xy[k, 0] - xy[k - 1, 0] - ratio * (xy[k - 1, 0] - xy[k - 2, 0])
-            ey = xy[k, 1] - xy[k - 1, 1] - ratio * (xy[k - 1, 1] - xy[k - 2, 1])
-            total += (ex * ex + ey * ey) / (1 + (1 + ratio) * (1 + ratio) + ratio * ratio)
+            total += _innovation_square(t, xy, k)
         level[i] = total / (2 * max(end - first - 2, 1))
+
+
+@compiled(read(1), read(2), read(1, "int64"), read(1), written(2), written(2))
+def innovations_by_interval(
+    t: Floats, xy: Floats, offsets: Ints, edges: Floats, count: Floats, total: Floats
+) -> None:
+    """Add up a track's scaled squared innovations, (N, B), by the interval before the middle."""
+    for i in range(offsets.size - 1):
+        for k in range(offsets[i] + 2, offsets[i + 1]):
+            interval_s = t[k - 1] - t[k - 2]
+            cell = 0
+            while cell < edges.size and edges[cell] <= interval_s:
+                cell += 1
+            count[i, cell] += 1.0
+            total[i, cell] += _innovation_square(t, xy, k)
 
 
 @part_of_loop

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from isac_track.kalman import _linear_loops
 from isac_track.noise import MIN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, innovation_variance_m2
 from isac_track.rng import stream
 
@@ -22,18 +23,22 @@ def ragged(*sizes, noise_m=0.4, seed=0):
     return {"t": np.concatenate(t), "xy": np.concatenate(xy), "offsets": offsets}
 
 
-def by_loop(t, p):
-    """Mean over triples and axes of the squared error of the line's forecast, scaled."""
-    if len(t) < 3:
-        return UNKNOWN_VARIANCE_M2
+def scaled_squares(t, p):
+    """Squared error of the line's forecast of each sample from the third on, per axis, scaled."""
     scaled = []
     for k in range(2, len(t)):
         # The forecast is w1 p1 + w0 p0; independent errors of variance r leave r (1 + w1^2 + w0^2).
         w0 = -(t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
         w1 = 1.0 - w0
         errors = p[k] - (w1 * p[k - 1] + w0 * p[k - 2])
-        scaled += [error**2 / (1.0 + w1**2 + w0**2) for error in errors]
-    return max(float(np.mean(scaled)), MIN_VARIANCE_M2)
+        scaled.append([error**2 / (1.0 + w1**2 + w0**2) for error in errors])
+    return scaled
+
+
+def by_loop(t, p):
+    """Mean over triples and axes."""
+    scaled = scaled_squares(t, p)
+    return max(float(np.mean(scaled)), MIN_VARIANCE_M2) if scaled else UNKNOWN_VARIANCE_M2
 
 
 def test_it_is_the_plain_loop():
@@ -44,6 +49,23 @@ def test_it_is_the_plain_loop():
     ]
     assert found == pytest.approx(expected, rel=1e-10)
     assert found[[1, 3, 6]].tolist() == [UNKNOWN_VARIANCE_M2] * 3
+
+
+def test_by_interval_they_are_those_of_the_middle_samples():
+    case = ragged(40, 1, 3, 2, 150, 4, 1)
+    interval_s = np.diff(case["t"])
+    edges = np.sort([interval_s[10], interval_s[100], interval_s[20]])  # of equals to the right
+    expected = np.zeros((2, 7, 4))
+    for row, (lo, hi) in enumerate(pairwise(case["offsets"])):
+        t = case["t"][lo:hi]
+        for k, errors in enumerate(scaled_squares(t, case["xy"][lo:hi]), start=2):
+            cell = sum(edge <= t[k - 1] - t[k - 2] for edge in edges)
+            expected[:, row, cell] += 1.0, sum(errors)
+    count, total = np.zeros((2, 7, 4))
+    _linear_loops.innovations_by_interval(*case.values(), edges, count, total)
+    assert (expected[0].sum(axis=0) > 0).all()
+    np.testing.assert_array_equal(count, expected[0])
+    np.testing.assert_allclose(total, expected[1], rtol=1e-10)
 
 
 def test_irregular_steps_leave_it_unbiased():
