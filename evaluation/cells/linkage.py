@@ -17,7 +17,13 @@ from attacks.linkage.alignment import Shape
 from attacks.tasks.controls import CONTROLS
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
-from evaluation.cells.candidates import CHECKED, Approximated, among_candidates, first_stage
+from evaluation.cells.candidates import (
+    AT_ONCE,
+    CHECKED,
+    Approximated,
+    among_candidates,
+    first_stage,
+)
 from evaluation.cells.link_scores import Linked, calibrated, no_match_score, read_off
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
 from evaluation.cells.tables import (
@@ -162,6 +168,7 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
                 first=_untaught(first_stage(known.sessions.task), sides, pairing, known),
                 n_candidates=known.candidates,
                 n_checked=-(-CHECKED // n_searches),
+                n_at_once=AT_ONCE if consumer.is_built_in else 1,
                 rng=rng,
             )
     exact = np.concatenate([one.exact for one in found.values()])

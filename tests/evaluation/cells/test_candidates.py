@@ -127,6 +127,7 @@ class TestScores:
                     first=np.zeros((n, n)),
                     n_candidates=2,
                     n_checked=0,
+                    n_at_once=7,
                     rng=stream(seed, "test", "ties"),
                 ).scores,
                 mate=np.arange(n),
