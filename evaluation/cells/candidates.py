@@ -87,8 +87,9 @@ def among_candidates(
     shuffled = rng.permutation(n_gallery)
     computed = np.empty((n_probes, n_candidates))
     columns = np.empty((n_probes, n_candidates), dtype=np.int64)
-    scores = np.empty((n_probes, n_gallery))
-    falling = -np.arange(1.0, n_gallery + 1.0) / n_gallery
+    # In single precision, as linkers' scores are rounded to: half the memory.
+    scores = np.empty((n_probes, n_gallery), dtype=np.float32)
+    falling = np.arange(1.0, n_gallery + 1.0) / n_gallery
     alike = _alike_together(first, rng)
     for start in range(0, n_probes, n_at_once):
         rows = alike[start : start + n_at_once]
@@ -99,7 +100,7 @@ def among_candidates(
         found = score(probe.tracks(rows), gallery.tracks(union))
         computed[rows] = np.take_along_axis(found, place.reshape(rows.size, -1), axis=1)
     lowest = float(computed.min())
-    scores *= max(1.0, abs(lowest))
+    scores *= -max(1.0, abs(lowest))
     scores += lowest
     np.put_along_axis(scores, columns, computed, axis=1)
     mated = np.flatnonzero(mate >= 0)
