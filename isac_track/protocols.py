@@ -94,6 +94,8 @@ class LinkageAttack(Adversary, Protocol):
     """An adversary who tells which releases of two sessions are of one person.
 
     A class attribute ``kind = "linkage"`` tells it from a reconstruction attack (`kind_of`).
+    What it scores may be a whole search, or with `linkage.candidates=K` one probe and K candidates:
+    the score of a pair should not depend on who else is there.
     """
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -20,6 +21,8 @@ Few: TypeAlias = tuple[Rows, Rows]
 EVERYBODY: Few = (slice(None), slice(None))
 _Value = TypeVar("_Value")
 
+_MOST_PAIRS = 2**20
+"""Of which all scores of a level are remembered, 8 MB for each linker and adversary."""
 LEAST_MATES = 8
 """Fewer mated pairs teach nothing that could be trusted: defaults are kept."""
 MARGIN = 0.02
@@ -31,11 +34,23 @@ def linker(score: Callable[..., Floats], *chosen: object) -> Linker:
 
     Where two adversaries choose alike the same releases are scored once.
     """
-    return lambda probe, gallery: _scored(probe, gallery, score, *chosen)
+
+    def linked(probe: Release, gallery: Release) -> Floats:
+        is_large = len(probe) * len(gallery) > _MOST_PAIRS
+        return (_scored_last if is_large else _scored)(probe, gallery, score, *chosen)
+
+    return linked
 
 
 @remembered
 def _scored(
+    probe: Release, gallery: Release, score: Callable[..., Floats], *chosen: object
+) -> Floats:
+    return read_only(score(probe, gallery, *chosen))
+
+
+@lru_cache(maxsize=2)  # one of each half of the people: all of a level would not fit into memory
+def _scored_last(
     probe: Release, gallery: Release, score: Callable[..., Floats], *chosen: object
 ) -> Floats:
     return read_only(score(probe, gallery, *chosen))

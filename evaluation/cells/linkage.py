@@ -17,7 +17,13 @@ from attacks.linkage.alignment import Shape
 from attacks.tasks.controls import CONTROLS
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
-from evaluation.cells.candidates import CHECKED, Approximated, among_candidates, first_stage
+from evaluation.cells.candidates import (
+    AT_ONCE,
+    CHECKED,
+    Approximated,
+    among_candidates,
+    first_stage,
+)
 from evaluation.cells.link_scores import Linked, calibrated, no_match_score, read_off
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
 from evaluation.cells.tables import (
@@ -109,18 +115,28 @@ def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
     return LinkedLevel(mechanism, whole, known, tuple(shared), _Sides(seen[0], seen[1]))
 
 
-def link(consumer: Consumer, level: LinkedLevel, controls: dict[str, Linked]) -> Linked:
-    """Return what a linkage attack or control achieves at one mechanism level.
+def sees_times_alone(consumer: Consumer, level: LinkedLevel) -> bool:
+    """Whether a consumer is a control that is alike at every level that leaves nothing out."""
+    is_control = consumer.kind == "control" and CONTROLS[consumer.control].sees_times_only
+    return is_control and level.known is level.whole
 
-    `controls` holds those that are alike at every level that leaves nothing out, as far as they
-    are known; it is added to.
+
+def who_sees_alike(consumer: Consumer) -> tuple[str, str]:
+    """Return what consumers have in common who are given the same releases of a level.
+
+    That is the reconstruction in front and what it is granted. If they come one after the other,
+    these releases alone are in memory.
     """
+    if consumer.behind is None:
+        return "", ""
+    granted = consumer.granted & declared(consumer.behind)
+    return consumer.behind.spec, ",".join(sorted(one.name for one in granted))
+
+
+def link(consumer: Consumer, level: LinkedLevel) -> Linked:
+    """Return what a linkage attack or control achieves at one mechanism level."""
     if consumer.kind == "control":
-        if not CONTROLS[consumer.control].sees_times_only or level.known is not level.whole:
-            return _controlled(consumer, level)
-        if consumer.control not in controls:
-            controls[consumer.control] = _controlled(consumer, level)
-        return controls[consumer.control]
+        return _controlled(consumer, level)
     known = level.known
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
@@ -162,6 +178,7 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
                 first=_untaught(first_stage(known.sessions.task), sides, pairing, known),
                 n_candidates=known.candidates,
                 n_checked=-(-CHECKED // n_searches),
+                n_at_once=AT_ONCE if consumer.is_built_in else 1,
                 rng=rng,
             )
     exact = np.concatenate([one.exact for one in found.values()])

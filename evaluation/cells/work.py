@@ -13,9 +13,15 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from evaluation.cells import sharing
 from evaluation.cells.forecasts import sharing_rows
-from evaluation.cells.link_scores import Linked, linkage_tables
+from evaluation.cells.link_scores import linkage_tables
 from evaluation.cells.link_setup import sensed_sessions
-from evaluation.cells.linkage import link, linked_level, window_tables
+from evaluation.cells.linkage import (
+    link,
+    linked_level,
+    sees_times_alone,
+    who_sees_alike,
+    window_tables,
+)
 from evaluation.cells.reconstruction import (
     AttackedBlock,
     AttackedLevel,
@@ -114,22 +120,26 @@ def cells(
 
 def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Item]:
     whole = sensed_sessions(work.sessions, groups=work.groups, stages=stages, seed=seed)
-    controls: dict[str, Linked] = {}
     alike: dict[tuple[bytes, str], Tables] = {}
     for mechanism, consumers in work.levels:
         note(mechanism.spec, "")
-        level = linked_level(mechanism, whole)
+        level, before = linked_level(mechanism, whole), ("", "")
         digest = release_digest(*level.shared)
-        for consumer in consumers:
+        for consumer in sorted(consumers, key=who_sees_alike):
             note(mechanism.spec, consumer.label)
-            tables = alike.get((digest, consumer.label))
+            if who_sees_alike(consumer) != before:
+                before = who_sees_alike(consumer)
+                level.sides.clear()
+            is_same = sees_times_alone(consumer, level)
+            key = b"" if is_same else digest, consumer.label
+            tables = alike.get(key)
             if tables is None and consumer.kind == "windows":
                 tables = window_tables(level)
             elif tables is None:
-                found = link(consumer, level, controls)
+                found = link(consumer, level)
                 tables = linkage_tables(found, whole, keep_scores=work.keep_scores)
-            if sees_release_alone(consumer):
-                alike[digest, consumer.label] = tables
+            if is_same or sees_release_alone(consumer):
+                alike[key] = tables
             yield 0, mechanism, consumer, tables
 
 

@@ -154,7 +154,7 @@ def _sensed(sessions, seed, stages):
 def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
     """What all achieve who link in a task: by consumer and adversary.
 
-    Also the level, and the controls of all levels. A link is one, or what `parsed` takes.
+    Also the level. A link is one, or what `parsed` takes.
     """
     task = sessions.task
     level = linked_level(parsed("mechanisms", by), _sensed(sessions, seed, stages))
@@ -164,10 +164,9 @@ def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
     ]
     crossed = Axes((), (), (), links=tuple((task, one) for one in links))
     wanted = ("linkage", "control") if controls else ("linkage",)
-    known = {}
     found = {
-        (one.spec, one.knowledge): link(one, level, known)
+        (one.spec, one.knowledge): link(one, level)
         for one in crossed.readers(task)
         if one.kind in wanted
     }
-    return found, level, known
+    return found, level

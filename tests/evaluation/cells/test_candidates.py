@@ -72,9 +72,9 @@ class TestScores:
     def test_with_as_many_as_the_gallery_all_is_as_without(self, task):
         sessions, who = sessions_of(task), parsed("attacks", "shape")
         largest = int(np.bincount(sessions.gallery.search).max())
-        exact, _, _ = linked(sessions, "raw", who, controls=True)
+        exact, _ = linked(sessions, "raw", who, controls=True)
         for n in (0, largest, 10_000):
-            found, _, _ = linked(sessions, "raw", who, controls=True, stages=few(n))
+            found, _ = linked(sessions, "raw", who, controls=True, stages=few(n))
             assert found.keys() == exact.keys()
             assert all(same(found[key], exact[key]) for key in exact)
 
@@ -83,8 +83,8 @@ class TestScores:
         self, task
     ):
         n, sessions, spy = 4, sessions_of(task), Length()
-        exact, level, _ = linked(sessions, "raw", Length())
-        found, _, _ = linked(sessions, "raw", spy, stages=few(n))
+        exact, level = linked(sessions, "raw", Length())
+        found, _ = linked(sessions, "raw", spy, stages=few(n))
         ((key, cell),) = found.items()
         pairings = dict(one for half in level.known.halves for one in half.searches)
         for number, (search, whole) in enumerate(
@@ -115,7 +115,7 @@ class TestScores:
         assert len(asked) >= len(sessions.probe)
 
     def test_equal_scores_of_the_first_stage_favour_nobody(self):
-        _, level, _ = linked(sessions_of("rerelease"), "raw", Length())
+        _, level = linked(sessions_of("rerelease"), "raw", Length())
         release = level.seen.probe
         n = len(release)
         hits = [
@@ -127,6 +127,7 @@ class TestScores:
                     first=np.zeros((n, n)),
                     n_candidates=2,
                     n_checked=0,
+                    n_at_once=7,
                     rng=stream(seed, "test", "ties"),
                 ).scores,
                 mate=np.arange(n),
@@ -143,8 +144,8 @@ class TestWhatIsTold:
     def test_the_loss_is_that_of_a_search_in_full(self, n, monkeypatch):
         monkeypatch.setattr("evaluation.cells.linkage.CHECKED", 10_000)
         sessions = sessions_of("rerelease")
-        exact, _, _ = linked(sessions, "raw", parsed("attacks", "shape"))
-        found, _, _ = linked(sessions, "raw", parsed("attacks", "shape"), stages=few(n))
+        exact, _ = linked(sessions, "raw", parsed("attacks", "shape"))
+        found, _ = linked(sessions, "raw", parsed("attacks", "shape"), stages=few(n))
         for key, cell in found.items():
             hits = [
                 np.concatenate([rank1(scores=s.scores, mate=s.mate) for s in one.searches])

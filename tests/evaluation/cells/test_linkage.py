@@ -87,7 +87,7 @@ def watched(request):
     Sessions, level, adversaries, and context, probe and gallery of each search.
     """
     spy, sessions = Linker(uses=frozenset(Knowledge)), sessions_of(request.param)
-    found, level, _ = linked(sessions, "clean", spy)
+    found, level = linked(sessions, "clean", spy)
     return sessions, level, {knowledge for _, knowledge in found}, spy.seen
 
 
@@ -204,7 +204,7 @@ class TestWhatIsReadOff:
         assert result.scored.n_mated == hits.size
 
     def test_without_groups_neither_probes_nor_candidates_are_of_one(self):
-        found, level, _ = linked(sessions_of("rerelease"), "clean", Linker())
+        found, level = linked(sessions_of("rerelease"), "clean", Linker())
         result, alone = found[SPY], level.known.sessions.alone
         hits = []
         for search, probe, gallery in zip(
@@ -332,7 +332,7 @@ class TestBreaches:
 
 def written(out, task, *, control="", keep_scores=False):
     """Outcome and sessions of a linker or control, its tables, and its entry in a manifest."""
-    found, level, _ = linked(sessions_of(task), "raw", Linker(), controls=bool(control))
+    found, level = linked(sessions_of(task), "raw", Linker(), controls=bool(control))
     consumer = Consumer("linkage", plugin(Linker()), "blind", task=task)
     if control:
         consumer = Consumer("control", task=task, control=control)
