@@ -20,7 +20,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import CLEAN
 from evaluation.analysis.keys import Source, Where, rows_of
 from evaluation.analysis.strongest import most_knowing
-from evaluation.runs.cell_files import LinkageOutcome, read_outcome
+from evaluation.runs.cell_files import LinkageOutcome, read_outcomes
 from isac_track.linkability.significance import LEVEL, holm, outcome
 
 if TYPE_CHECKING:
@@ -71,12 +71,8 @@ def cards(out: Path, manifest: Mapping[str, Any], *, drawn: Collection[str] | No
 
     Raises DataError if a cell cannot be read.
     """
-    of_kind = {"linkage": drawn, "control": None if drawn is None else ()}
-    return [
-        (entry, read_outcome(out, entry, drawn=of_kind[entry["kind"]]))
-        for entry in manifest["cells"]
-        if entry["kind"] in of_kind
-    ]
+    entries = [entry for entry in manifest["cells"] if entry["kind"] in ("linkage", "control")]
+    return list(zip(entries, read_outcomes(out, entries, drawn=drawn), strict=True))
 
 
 def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:

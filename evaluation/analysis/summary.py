@@ -6,6 +6,8 @@ clusters, the same ones for every mechanism, so that differences are paired.
 
 from __future__ import annotations
 
+from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -15,10 +17,10 @@ from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import Cards, dataset_of
 from evaluation.analysis.metrics import METRICS, RECONSTRUCTION
 from evaluation.runs.cell_files import read_rows
-from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimate
+from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     import pyarrow as pa
@@ -58,18 +60,22 @@ def estimates(
     weights = weights_of(manifest)
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
-    for entry in manifest["cells"]:
-        if entry["kind"] not in _COLUMNS_OF:
-            continue
-        table = read_rows(out, entry, columns=_COLUMNS_OF[entry["kind"]])
-        cluster = clusters(table, manifest)
-        if entry["kind"] == "predictor":
-            columns = {name: table[name].to_numpy() for name in _COLUMNS_OF["predictor"][1:]}
-            scored.append((entry, cluster, columns))
-        for metric, ratio in ratios(entry["kind"], table).items():
-            found[key_of(entry, metric)] = estimate(
-                metric, *ratio, cluster=cluster, weights=weights
-            )
+    entries = [entry for entry in manifest["cells"] if entry["kind"] in _COLUMNS_OF]
+    every = {name for columns in _COLUMNS_OF.values() for name in columns}
+    for _, of in groupby(entries, key=itemgetter("files")):
+        keys, sums = [], []
+        for entry in of:
+            columns = _COLUMNS_OF[entry["kind"]]
+            table = read_rows(out, entry, columns=columns, beside=every)
+            cluster = clusters(table, manifest)
+            if entry["kind"] == "predictor":
+                told = {name: table[name].to_numpy() for name in columns[1:]}
+                scored.append((entry, cluster, told))
+            for metric, ratio in ratios(entry["kind"], table).items():
+                keys.append(key_of(entry, metric))
+                sums.append([_within(one, cluster, weights) for one in ratio])
+        metrics = [key.metric for key in keys]
+        found |= zip(keys, _estimates(metrics, np.array(sums), weights), strict=True)
     return found, tuple(scored)
 
 
@@ -85,18 +91,29 @@ def estimate(
 
     `cluster`, (R,), is the column of a row's cluster in `weights`, (B, C).
     """
-    above, below = (
-        cluster_sums(values=values, cluster=cluster, n_clusters=weights.shape[1])
-        for values in (numerator, denominator)
+    sums = [_within(one, cluster, weights) for one in (numerator, denominator)]
+    return next(_estimates([metric], np.array([sums]), weights))
+
+
+def _within(values: Floats, cluster: Ints, weights: Floats) -> Floats:
+    return cluster_sums(values=values, cluster=cluster, n_clusters=weights.shape[1])
+
+
+def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterator[Estimate]:
+    """Yield metrics from the sums of their numerators and denominators, (K, 2, C)."""
+    found = ratio_estimates(
+        numerator=sums[:, 0],
+        denominator=sums[:, 1],
+        weights=weights,
+        is_share=[METRICS[name].is_share for name in metrics],
     )
-    about = METRICS[metric]
-    one = ratio_estimate(
-        numerator=above, denominator=below, weights=weights, is_share=about.is_share
-    )
-    if not about.is_root:
-        return one
-    value, low, high = (float(np.sqrt(number)) for number in (one.value, one.ci_low, one.ci_high))
-    return Estimate(value, low, high, one.n, np.sqrt(one.replicates))
+    for name, one in zip(metrics, found, strict=True):
+        if METRICS[name].is_root:
+            roots = (float(np.sqrt(number)) for number in (one.value, one.ci_low, one.ci_high))
+            value, low, high = roots
+            yield Estimate(value, low, high, one.n, np.sqrt(one.replicates))
+        else:
+            yield one
 
 
 def linkage_estimates(read: Cards) -> dict[Key, Estimate]:
@@ -117,9 +134,10 @@ def weights_of(manifest: Mapping[str, Any]) -> Floats:
 
 def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
     """Return the cluster of each row, (R,): its row in the run's list of groups."""
-    row_of = {group: row for row, group in enumerate(manifest["groups"])}
     column = table["group"].combine_chunks()
-    to_row = np.array([row_of[name] for name in column.dictionary.to_pylist()], dtype=np.int64)
+    names = column.dictionary.to_pylist()
+    row_of = {group: row for row, group in enumerate(manifest["groups"])}
+    to_row = np.array([row_of[name] for name in names], dtype=np.int64)
     found: Ints = to_row[column.indices.to_numpy()]
     return found
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, REPLICATES
@@ -30,14 +32,14 @@ from isac_track.intervals import Estimate
 from isac_track.linkability import ProbeRanks
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from isac_track.types import Floats, Ints
 
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
-_NAMES: Final = ("source", "group", "search", "side", "assigned")
+_NAMES: Final = ("source", "group", "search", "side", "assigned", "metric", "about")
 _OUTCOME: Final = (
     *("group", "above", "tied", "chance", "assigned", "about"),
     *("metric", "value", "ci_low", "ci_high", "n"),
@@ -168,13 +170,17 @@ def label_of(entry: Mapping[str, Any]) -> str:
     return f"{consumer} ({entry['knowledge']})" if entry["knowledge"] else consumer
 
 
-def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) -> pa.Table:
+def read_rows(
+    out: Path, entry: Mapping[str, Any], *, columns: Sequence[str], beside: Collection[str] = ()
+) -> pa.Table:
     """Return the rows of one consumer at one level, an entry of a manifest: block by block.
+
+    Columns `beside` are read, too, for whoever is asked for next in the same files: once for all.
 
     Raises DataError if a cell is missing or broken, or has no such column; the message names it.
     """
     found = []
-    for path, tables in _tables(out, entry, columns):
+    for path, tables in _tables(out, entry, {*columns, *beside}):
         rows = tables[ROWS]
         for column in columns:
             is_there = column in rows.column_names
@@ -187,61 +193,105 @@ def read_rows(out: Path, entry: Mapping[str, Any], *, columns: Sequence[str]) ->
     return pa.concat_tables(found).unify_dictionaries()
 
 
-def read_outcome(
-    out: Path, entry: Mapping[str, Any], *, drawn: Collection[str] | None = None
-) -> LinkageOutcome:
-    """Return what one linkage attack, or control, achieves at one level.
+def read_outcomes(
+    out: Path, entries: Iterable[Mapping[str, Any]], *, drawn: Collection[str] | None = None
+) -> list[LinkageOutcome]:
+    """Return what linkage attacks, or controls, achieve, each at one level.
 
-    Replicates are in single precision: those of a run would take half a gigabyte in double. Only
-    metrics in `drawn` have them; without it all have that can.
+    Those of one file are read at once if they come one after the other. Replicates are in single
+    precision: those of a run would take half a gigabyte in double. Only metrics in `drawn` have
+    them, and of attacks alone; without it all have that can.
 
-    Raises DataError if the cell is missing or broken; the message names it.
+    Raises DataError if a cell is missing or broken; the message names it.
     """
-    ((path, tables),) = _tables(out, entry, drawn if drawn is None else (*_OUTCOME, *drawn))
-    with _readable(path):
-        about = json.loads(tables[ABOUT]["about"][0].as_py())
-        replicates = {}
-        if drawn is None or drawn:
-            task = entry["consumer"].partition("/")[0]
-            replicates = _rank_replicates(tables[ROWS], about, task=task, drawn=drawn)
-        others = tables.get(REPLICATES, pa.table({}))
-        for metric in others.column_names:
-            if (drawn is None or metric in drawn) and others[metric].null_count == 0:
-                replicates[metric] = others[metric].to_numpy()
-        columns = tables[ESTIMATES].select(["metric", "value", "ci_low", "ci_high", "n"])
-        estimates = {
-            name: Estimate(value, low, high, n, replicates.get(name, _NONE))
-            for name, value, low, high, n in zip(*columns.to_pydict().values(), strict=True)
-        }
-        return LinkageOutcome(estimates, about["numbers"], about["cohorts"])
-
-
-def _rank_replicates(
-    rows: pa.Table, about: Mapping[str, Any], *, task: str, drawn: Collection[str] | None
-) -> dict[str, Any]:
-    """Return the replicates of the rank metrics, which follow from the probes."""
-    assigned, cluster = (
-        pc.index_in(rows[name].cast(pa.string()), value_set=pa.array(known)).to_numpy()
-        for name, known in (("assigned", ASSIGNED), ("group", about["clusters"]))
-    )
-    probes = ProbeRanks(
-        above=rows["above"].to_numpy().astype(np.int64),
-        tied=rows["tied"].to_numpy().astype(np.int64),
-        chance=rows["chance"].to_numpy(),
-        assigned=assigned.astype(np.int64) - 1,
-        cluster=cluster.astype(np.int64),
-        n_gallery=about["numbers"]["gallery_sizes"][1],
-    )
-    weights = _weights(tuple(about["drawn_as"]), about["n_groups"], task, about["seed"])
-    found = {
-        name: replicates.astype(np.float32)
-        for name, replicates in probes.replicates(weights, drawn).items()
-        if name not in DERIVED
-    }
-    for name in found.keys() & {"rank1_assigned", "false_link_rate"}:
-        if ASSIGNED[assigned[0]] == "unknown":
-            found[name] = np.full_like(found[name], np.nan)
+    columns = None if drawn is None else (*_OUTCOME, *drawn)
+    found: list[LinkageOutcome] = []
+    for _, of in groupby(entries, key=itemgetter("files")):
+        mine = list(of)
+        ((path, whole, index),) = _opened(out, mine[0], columns)
+        with _readable(path):
+            asked = [
+                (
+                    one["consumer"].partition("/")[0],
+                    _held(path, index, one),
+                    drawn is None or bool(drawn and one["knowledge"]),
+                )
+                for one in mine
+            ]
+            found += _outcomes(whole, asked, drawn)
     return found
+
+
+def _outcomes(
+    whole: pa.Table, entries: Sequence[tuple[str, Held, bool]], drawn: Collection[str] | None
+) -> Iterator[LinkageOutcome]:
+    """Yield what consumers of a file achieve: of each its task, its tables, whether it draws."""
+    metrics, groups, assigned = (_coded(whole[name]) for name in ("metric", "group", "assigned"))
+    above, tied, chance = (whole[name].to_numpy() for name in ("above", "tied", "chance"))
+    fields = [whole[name].to_numpy() for name in ("value", "ci_low", "ci_high", "n")]
+    is_mate = np.array([ASSIGNED.index(name) - 1 for name in assigned[1]], dtype=np.int64)
+    found = []
+    sums: defaultdict[tuple[Any, ...], list[tuple[Floats, Floats]]] = defaultdict(list)
+    asked: defaultdict[tuple[Any, ...], list[tuple[dict[str, Any], str]]] = defaultdict(list)
+    for task, held, draws in entries:
+        at = {name: slice(first, first + n) for name, (first, n) in held.tables.items()}
+        about = json.loads(whole["about"][at[ABOUT].start].as_py())
+        replicates: dict[str, Any] = {}
+        for metric in whole.column_names if REPLICATES in at else ():
+            of = whole[metric].slice(*held.tables[REPLICATES])
+            if (drawn is None or metric in drawn) and of.null_count == 0:
+                replicates[metric] = of.to_numpy()
+        found.append((about, at[ESTIMATES], replicates))
+        if not draws:
+            continue
+        rows, place = at[ROWS], {name: n for n, name in enumerate(about["clusters"])}
+        probes = ProbeRanks(
+            above=above[rows].astype(np.int64),
+            tied=tied[rows].astype(np.int64),
+            chance=chance[rows],
+            assigned=is_mate[assigned[0][rows]],
+            cluster=np.array([place.get(name, -1) for name in groups[1]])[groups[0][rows]],
+            n_gallery=about["numbers"]["gallery_sizes"][1],
+        )
+        drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
+        for metric, both in _rank_sums(probes, _weights(*drawn_as).shape[1], drawn).items():
+            sums[drawn_as].append(both)
+            asked[drawn_as].append((replicates, metric))
+    for drawn_as, of in sums.items():
+        over, under = (np.stack(one) @ _weights(*drawn_as).T for one in zip(*of, strict=True))
+        with np.errstate(invalid="ignore"):  # nobody was drawn: NaN
+            ratios = (over / under).astype(np.float32)
+        for (replicates, metric), ratio in zip(asked[drawn_as], ratios, strict=True):
+            replicates[metric] = ratio
+    for about, mine, replicates in found:
+        names = [metrics[1][code] for code in metrics[0][mine]]
+        numbers = zip(*(one[mine].tolist() for one in fields), strict=True)
+        estimates = {
+            name: Estimate(value, low, high, int(n), replicates.get(name, _NONE))
+            for name, (value, low, high, n) in zip(names, numbers, strict=True)
+        }
+        yield LinkageOutcome(estimates, about["numbers"], about["cohorts"])
+
+
+def _rank_sums(
+    probes: ProbeRanks, n_clusters: int, drawn: Collection[str] | None
+) -> dict[str, tuple[Floats, Floats]]:
+    """Return sum and number of the rank metrics in each cluster, (C,) each."""
+    found = {
+        metric: both
+        for metric, both in probes.sums(n_clusters).items()
+        if metric not in DERIVED and (drawn is None or metric in drawn)
+    }
+    if ASSIGNED[probes.assigned[0] + 1] == "unknown":
+        for metric in found.keys() & {"rank1_assigned", "false_link_rate"}:
+            found[metric] = np.full(n_clusters, np.nan), found[metric][1]
+    return found
+
+
+def _coded(column: pa.ChunkedArray) -> tuple[Ints, list[str]]:
+    """Return the code of each name of a column, -1 where there is none, and the names by code."""
+    whole = column.combine_chunks()
+    return whole.indices.fill_null(-1).to_numpy(), whole.dictionary.to_pylist()
 
 
 @lru_cache(maxsize=16)  # of every task there are hundreds of cells
@@ -254,41 +304,50 @@ def _tables(
     out: Path, entry: Mapping[str, Any], columns: Collection[str] | None = None
 ) -> list[tuple[Path, dict[str, pa.Table]]]:
     """Return the tables of a consumer by file, each with some columns, or all but raw scores."""
+    return [
+        (path, {name: whole.slice(*at) for name, at in _held(path, index, entry).tables.items()})
+        for path, whole, index in _opened(out, entry, columns)
+    ]
+
+
+def _held(path: Path, index: Index, entry: Mapping[str, Any]) -> Held:
+    label = label_of(entry)
+    if label not in index.consumers:
+        raise DataError(
+            f"{path} has no rows of {label}; delete it and run the matrix again to compute it"
+        )
+    return index.consumers[label]
+
+
+def _opened(
+    out: Path, entry: Mapping[str, Any], columns: Collection[str] | None
+) -> list[tuple[Path, pa.Table, Index]]:
+    """Return the content of the files of a cell."""
     stamped = []
     for name in entry["files"]:
         path = out / FOLDER / name
         with _readable(path):
             stat = path.stat()
         stamped.append((path, stat.st_mtime_ns, stat.st_size))
-    found, label = [], label_of(entry)
-    opened = _opened(tuple(stamped), None if columns is None else frozenset(columns))
-    for (path, *_), (whole, index) in zip(stamped, opened, strict=True):
-        held = index.consumers.get(label)
-        if held is None:
-            raise DataError(
-                f"{path} has no rows of {label}; delete it and run the matrix again to compute it"
-            )
-        tables = {name: whole.slice(*place) for name, place in held.tables.items()}
-        found.append((path, tables))
-    return found
+    return _content(tuple(stamped), None if columns is None else frozenset(columns))
 
 
 @lru_cache(maxsize=1)  # files are read once for all of their consumers, who come one after another
-def _opened(
+def _content(
     stamped: tuple[tuple[Path, int, int], ...], columns: frozenset[str] | None
-) -> list[tuple[pa.Table, Index]]:
+) -> list[tuple[Path, pa.Table, Index]]:
     """Return the content of some files, which is as old and as large as `stamped` says."""
     found = []
     for path, *_ in stamped:
-        # Not pq.read_table: its data set machinery costs more than reading such a file.
-        with _readable(path), pq.ParquetFile(path) as file:
-            every = file.schema_arrow.names
+        with _readable(path):
+            about = pq.read_metadata(path)
+            every = about.schema.to_arrow_schema().names
             names = [name for name in every if name in (columns or {*every} - {_SCORES})]
-            whole, index = file.read(columns=names, use_threads=False), file.metadata.metadata
-            for place, name in enumerate(whole.column_names):
-                if name in _NAMES:
-                    whole = whole.set_column(place, name, whole[name].dictionary_encode())
-            found.append((whole, _index(index)))
+            coded = [name for name in names if name in _NAMES]
+            # Not pq.read_table: its data set machinery costs more than reading such a file.
+            with pq.ParquetFile(path, metadata=about, read_dictionary=coded) as file:
+                whole = file.read(columns=names, use_threads=False)
+            found.append((path, whole, _index(about.metadata)))
     return found
 
 

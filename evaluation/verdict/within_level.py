@@ -80,18 +80,20 @@ def read_levels(
 
 
 def _level(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LevelTracks:
-    probes = read_rows(out, linked, columns=[*_WHOSE, "group", "above", "tied", "chance"])
-    probes = probes.filter(pc.greater_equal(probes["above"], 0))
     descriptors = {name: METRICS[name].column for name in DESCRIPTORS}
-    columns = [*COVARIATES, *descriptors.values()]
-    tracks = read_rows(out, windows, columns=["side", *_WHOSE, *columns])
-    sides = []
+    of_tracks = ["side", *_WHOSE, *COVARIATES, *descriptors.values()]
+    of_probes = [*_WHOSE, "group", "above", "tied", "chance"]
+    probes = read_rows(out, linked, columns=of_probes, beside=of_tracks)
+    probes = probes.filter(pc.greater_equal(probes["above"], 0))
+    tracks = read_rows(out, windows, columns=of_tracks, beside=of_probes)
+    names, sides = _names(tracks), []
     for side in SIDES:
-        mine = tracks.filter(pc.equal(tracks["side"], side))
-        sides.append(mine.take(pc.index_in(_names(probes), value_set=_names(mine))))
+        mine = np.flatnonzero(pc.equal(tracks["side"], side).to_numpy())
+        sides.append(mine[pc.index_in(_names(probes), value_set=names.take(mine)).to_numpy()])
 
     def both(column: str) -> Floats:
-        return np.column_stack([side[column].to_numpy().astype(np.float64) for side in sides])
+        values = tracks[column].to_numpy().astype(np.float64)
+        return np.column_stack([values[side] for side in sides])
 
     above, tied = (probes[name].to_numpy() for name in ("above", "tied"))
     return LevelTracks(

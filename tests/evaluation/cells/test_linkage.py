@@ -352,7 +352,7 @@ class TestCells:
     @pytest.mark.parametrize("control", ["", "random"])
     def test_what_is_read_is_what_was_computed(self, tmp_path, task, control):
         result, _, _, where = written(tmp_path, task, control=control)
-        read = cell_files.read_outcome(tmp_path, where)
+        (read,) = cell_files.read_outcomes(tmp_path, [where])
         assert list(read.estimates) == list(result.scored.estimates)
         with_draws = 0
         for name, estimate in result.scored.estimates.items():
@@ -411,7 +411,7 @@ class TestCells:
             (tmp_path / "cells" / "cell.parquet").write_bytes(content)
         entry = {"files": ["cell.parquet"], "consumer": "split/x", "knowledge": "blind"}
         read_rows = partial(cell_files.read_rows, columns=["source"])
-        for read in (cell_files.read_outcome, read_rows):
+        for read in (lambda out, one: cell_files.read_outcomes(out, [one]), read_rows):
             with pytest.raises(DataError, match=r"cell\.parquet .*run the matrix again"):
                 read(tmp_path, entry)
 
