@@ -32,7 +32,7 @@ from isac_track.sensing import draw_channel, sense
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isac_track.types import Knowledge, Release
+    from isac_track.types import Floats, Ints, Knowledge, Release, Sensed, Tracks
 
 
 LINKERS = ("shape", "profile", "dtw", "behaviour", "histogram", "kinematic")
@@ -109,32 +109,47 @@ def check_blocks(fitted: Any, probe: Release, gallery: Release) -> None:  # noqa
 
 def released(*, n: int, side: str) -> Release:
     """Return n windows of simulated walks as they are shared; people come more than once."""
-    stages = StageSettings()
-    tracks = datasets.load("plaza").tracks
-    lasts = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
-    long = np.flatnonzero(lasts >= WINDOW_S)
-    walks = {int(row): walk(tracks[int(row)]) for row in long}
     rng = stream(0, "benchmark", side)
-    t_parts, xy_parts = [], []
-    for row in rng.choice(long, n):
-        start = tracks.t[tracks.offsets[row]] + rng.uniform(0.0, lasts[row] - WINDOW_S)
-        t = sampling_times(start_s=start, end_s=start + WINDOW_S, settings=stages.resample, rng=rng)
-        t_parts.append(t)
-        xy_parts.append(walks[int(row)](t))
+    tracks = datasets.load("plaza").tracks
+    start_s, end_s = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1] - WINDOW_S
+    rows = rng.choice(np.flatnonzero(end_s >= start_s), n)
+    (mechanism,) = plugins.parse("mechanisms", LEVEL)
+    held = sensed(tracks, rows, rng.uniform(start_s[rows], end_s[rows]), side=side)
+    release: Release = mechanism.instance.share(held, rng)
+    return release.without_sigma()
+
+
+def windows(*, n: int) -> tuple[Sensed, Sensed]:
+    """Return the first and the last window of n simulated people, as they are sensed."""
+    tracks = datasets.load("plaza").tracks
+    start_s, end_s = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1] - WINDOW_S
+    rows = np.flatnonzero(end_s >= start_s + WINDOW_S)[:n]
+    first, last = (
+        sensed(tracks, rows, at[rows], side=side)
+        for at, side in ((start_s, "first"), (end_s, "last"))
+    )
+    return first, last
+
+
+def sensed(tracks: Tracks, rows: Ints, start_s: Floats, *, side: str) -> Sensed:
+    """Return what a network holds of the windows of some tracks from `start_s` on."""
+    stages, rng = StageSettings(), stream(0, "benchmark", side, "times")
+    t_parts = [
+        sampling_times(start_s=at, end_s=at + WINDOW_S, settings=stages.resample, rng=rng)
+        for at in start_s
+    ]
+    xy_parts = [walk(tracks[int(row)])(t) for row, t in zip(rows, t_parts, strict=True)]
     sizes = np.array([[part.size for part in t_parts]])
     channel = draw_channel(
         n_samples=sizes, keys=[("benchmark", side)], settings=stages.sensing, seed=0
     )
-    sensed = sense(
+    return sense(
         t=np.concatenate(t_parts),
         xy=np.concatenate(xy_parts),
         offsets=np.concatenate([[0], np.cumsum(sizes[0])]),
         channel=channel,
         settings=stages.sensing,
     )
-    (mechanism,) = plugins.parse("mechanisms", LEVEL)
-    release: Release = mechanism.instance.share(sensed, rng)
-    return release.without_sigma()
 
 
 if __name__ == "__main__":

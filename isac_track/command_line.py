@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import os
 import signal
 import sys
@@ -23,6 +24,7 @@ WRONG: Final = 2
 FAILED_CELLS: Final = 3
 INTERRUPTED: Final = 130
 _PIPE_CLOSED: Final = 141
+_NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _asked = threading.Event()
 
 
@@ -43,6 +45,9 @@ def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -
 
     `interrupted` is what is said after Ctrl-C.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by who started this: nobody listens
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - stays open
     try:
         with _heard():
             code = command()
@@ -51,12 +56,27 @@ def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -
         print(f"error: {error}", file=sys.stderr)  # noqa: T201 - a command speaks
         return WRONG
     except BrokenPipeError:  # whoever read along, `head` say, has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _hush()
         return _PIPE_CLOSED
+    except OSError as error:
+        if error.errno not in _NO_ROOM:  # files are told by their names: it is what is said here
+            raise
+        _hush()
+        with contextlib.suppress(OSError):  # nor may this find a place
+            print(  # noqa: T201 - as above
+                f"error: the output cannot be written ({error.strerror}); send it elsewhere",
+                file=sys.stderr,
+            )
+        return WRONG
     except KeyboardInterrupt:
         print(interrupted, file=sys.stderr)  # noqa: T201 - as above
         return INTERRUPTED
     return code
+
+
+def _hush() -> None:
+    """Let nothing more be said on standard output, nor complained about when Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def check_interrupt() -> None:

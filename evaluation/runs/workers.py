@@ -47,7 +47,10 @@ if sys.platform == "linux":  # 1: it ends with its parent, even where no other t
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)
 from multiprocessing.connection import Connection
 pipe = Connection(int(sys.argv[1]))
-sys.path[:] = pipe.recv()
+try:
+    sys.path[:] = pipe.recv()
+except EOFError:  # the parent was killed meanwhile
+    sys.exit()
 from evaluation.runs.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
 """

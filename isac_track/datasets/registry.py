@@ -6,9 +6,11 @@ import contextlib
 import hashlib
 import os
 import time
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
 
 from isac_track.datasets.recording import printable
@@ -16,6 +18,8 @@ from isac_track.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    import requests
 
 DATA_VARIABLE = "ISAC_TRACK_DATA"
 """Folder of data sets that the user keeps: ``NAME/obsmat.txt``. Only read."""
@@ -268,6 +272,32 @@ def _reason(error: Exception) -> str:
     return f"cannot be downloaded ({type(error).__name__})"
 
 
+def _answer(url: str) -> requests.Response:
+    """Return what a server answers, its body still to come, within `LEAST_S`.
+
+    The limits of requests count from byte to byte: a header may trickle in for ever, and so may
+    redirections. So it is waited for, and left behind where it takes longer.
+    """
+    import requests  # noqa: PLC0415 - as above
+
+    answer: Future[requests.Response] = Future()
+
+    def ask() -> None:
+        # Unpacked on the way, a body could not be measured against its announced length.
+        headers = {"Accept-Encoding": "identity"}
+        timeout_s = (CONNECT_TIMEOUT_S, READ_TIMEOUT_S)
+        try:
+            answer.set_result(requests.get(url, stream=True, timeout=timeout_s, headers=headers))
+        except Exception as error:  # noqa: BLE001 - raised again by who waits
+            answer.set_exception(error)
+
+    Thread(target=ask, daemon=True).start()
+    try:
+        return answer.result(LEAST_S)
+    except TimeoutError:
+        raise requests.Timeout(f"timed out: over {LEAST_S:.0f} s") from None
+
+
 def _download(url: str, into: Path, *, title: str) -> str:
     """Write what `url` gives to a file, with a progress bar; return its sha256."""
     import requests  # noqa: PLC0415 - as above
@@ -279,11 +309,8 @@ def _download(url: str, into: Path, *, title: str) -> str:
         progress.DownloadColumn(),
         console=Console(stderr=True),
     )
-    # Unpacked on the way, a body could not be measured against its announced length.
-    headers = {"Accept-Encoding": "identity"}
-    timeout_s = (CONNECT_TIMEOUT_S, READ_TIMEOUT_S)
     began_s = time.monotonic()
-    with requests.get(url, stream=True, timeout=timeout_s, headers=headers) as response:
+    with _answer(url) as response:
         response.raise_for_status()
         announced = response.headers.get("Content-Length", "")
         expected = min(int(announced), _MOST_BYTES) if announced.isdecimal() else _MOST_BYTES

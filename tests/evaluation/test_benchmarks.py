@@ -333,3 +333,29 @@ time.sleep(0.5)
                 ["-c", "import sys; print('no room', file=sys.stderr); sys.exit(3)", "out"],
                 tree=tmp_path,
             )
+
+
+BESIDE = """
+import sys
+import numpy as np
+from benchmarks import beside
+beside.calibration_s, beside.kalman.prepare, beside.linkage_rows = lambda: 1.0, lambda: None, list
+ours, wrong = lambda: [np.arange(3.0)], lambda: [np.arange(3.0) * (1 + float(sys.argv[2]))]
+beside.smoothers.rows = lambda: [("sums", "numpy", ours, wrong), ("gone", "not-there", None, None)]
+sys.exit(beside.main(["--json", sys.argv[1]]))
+"""
+
+
+@pytest.mark.parametrize(("wrong", "code"), [("1e-12", 0), ("1e-3", 1)])
+def test_side_by_side_results_that_differ_are_an_error_and_what_is_missing_a_line(
+    wrong, code, tmp_path
+):
+    words = [sys.executable, "-c", BESIDE, tmp_path / "said.json", wrong]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == code, done.stderr
+    assert "gone: not-there is missing; `pip install not-there`" in done.stderr
+    assert ("error: results differ: sums" in done.stderr) == bool(code)
+    (row,) = json.loads((tmp_path / "said.json").read_text())["rows"]
+    assert row["theirs"].startswith("numpy ")
+    assert row["largest_difference"] == pytest.approx(float(wrong), rel=1e-3)
+    assert row["ratio"] == pytest.approx(row["theirs_ms"] / row["ours_ms"])

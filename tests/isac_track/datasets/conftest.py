@@ -1,9 +1,8 @@
-import http.server
 import os
-import threading
 from pathlib import Path
 
 import pytest
+from helpers.mirror import serving
 
 
 @pytest.fixture
@@ -33,44 +32,9 @@ def ucy():
     return folder
 
 
-class _Handler(http.server.BaseHTTPRequestHandler):
-    """Answers with what `server.files` holds.
-
-    Bytes, a status, a function of the handler, or (announced length, bytes, what comes then).
-    """
-
-    def do_GET(self):
-        self.server.asked.append(self.path)
-        answer = self.server.files.get(self.path, 404)
-        if callable(answer):
-            answer(self)
-        elif isinstance(answer, int):
-            self.send_error(answer)
-        else:
-            length, data, then = (
-                answer if isinstance(answer, tuple) else (len(answer), answer, None)
-            )
-            self.send_response(200)
-            if length is not None:
-                self.send_header("Content-Length", str(length))
-            self.end_headers()
-            self.wfile.write(data)
-            if then:
-                then(self)
-
-    def log_message(self, *_):
-        pass
-
-
 @pytest.fixture
 def mirror(empty_machine, monkeypatch):  # noqa: ARG001 - the cache is to be empty
     """A real server on the loopback; fill its `files`, by path."""
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
-    server.files, server.asked = {}, []
-    monkeypatch.setenv("ISAC_TRACK_MIRROR", f"http://127.0.0.1:{server.server_port}/base/")
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    yield server
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    with serving() as server:
+        monkeypatch.setenv("ISAC_TRACK_MIRROR", server.address)
+        yield server

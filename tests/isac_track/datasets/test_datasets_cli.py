@@ -101,14 +101,3 @@ def test_fetch(mirror, empty_machine, monkeypatch, capsys):
     assert main(["fetch", "small"]) == 0
     assert f"small: already here: {target}" in capsys.readouterr().out
     assert len(mirror.asked) == 1
-
-
-def test_an_interrupt_ends_with_130_and_leaves_nothing(empty_machine, monkeypatch, capsys):
-    def interrupted(_url, into, *, title):
-        into.write_text(title)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(registry, "_download", interrupted)
-    assert main(["fetch", "zara01"]) == 130
-    assert capsys.readouterr().err == "interrupted\n"
-    assert files_in(empty_machine) == []

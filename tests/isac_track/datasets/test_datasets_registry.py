@@ -1,16 +1,15 @@
 # ruff: noqa: ARG001 - a fixture works by being asked for
-import contextlib
 import hashlib
 import os
 import re
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 
 import pytest
+from helpers.mirror import closed, endless, silent, trickling
 from helpers.recordings import files_in
 
 from isac_track.datasets import load, registry
@@ -127,27 +126,6 @@ def test_a_named_data_set_is_downloaded_once(ucy, mirror):
     assert mirror.asked == ["/base/students03/obsmat.txt", "/base/students03/groups.txt"]
 
 
-def closed(handler):
-    handler.connection.close()
-
-
-def silent(handler):
-    handler.server.over.wait(10)
-
-
-def endless(handler):
-    with contextlib.suppress(OSError):
-        for _ in range(100_000):
-            handler.wfile.write(bytes(100_000))
-
-
-def trickling(handler):
-    with contextlib.suppress(OSError):
-        while not handler.server.over.wait(0.2):
-            handler.wfile.write(b"x")
-            handler.wfile.flush()
-
-
 TRUNCATED = (len(WALK), WALK[:10], None)
 
 
@@ -172,11 +150,9 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(
     monkeypatch.setattr(registry, "READ_TIMEOUT_S", 0.4)
     monkeypatch.setattr(registry, "LEAST_S", 2.0)
     mirror.files["/base/small/obsmat.txt"] = answer
-    mirror.over = threading.Event()
     began = time.monotonic()
     with pytest.raises(DataError) as caught:
         fetch(SMALL)
-    mirror.over.set()
     assert time.monotonic() - began < 5
     assert str(caught.value).startswith(f"{url_of(SMALL, 'obsmat.txt')}: {message}")
     assert "Way out: get obsmat.txt of that folder" in str(caught.value)

@@ -1,0 +1,92 @@
+"""Commands as users give them: a process of its own each, in a session that is ended with it."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+from helpers.processes import ROOT
+
+MATRIX = ("-m", "evaluation.matrix")
+_UNDRAWN = "import sys; from evaluation import matrix, results; "
+_UNDRAWN += "results._draw = lambda *_, **__: None; sys.exit(matrix.main())"
+UNDRAWN = ("-c", _UNDRAWN)
+"""The matrix, but for pictures: they take most of the time of a small run."""
+FEW = ("--preset", "smoke", "--predictor", "least_squares", "--attack", "none", "--task", "none")
+FEW += ("--mechanism", "raw", "--mechanism", "fixed:0.7")
+
+
+class Ended(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+def start(folder, *words, changed=(), **process):
+    """Start this Python in a folder; what is `changed` in its environment to None is taken out."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)} | dict(changed)
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(
+        [sys.executable, *map(str, words)],
+        cwd=folder,
+        env={name: value for name, value in environment.items() if value is not None},
+        text=True,
+        errors="replace",
+        start_new_session=True,
+        **pipes | process,
+    )
+
+
+def run(folder, *words, timeout_s=180, **how):
+    """Run this Python to its end; nobody ever sees a traceback."""
+    process = start(folder, *words, **how)
+    try:
+        shown = [one or "" for one in process.communicate(timeout=timeout_s)]
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+    assert "Traceback" not in "".join(shown), shown
+    return Ended(process.returncode, *shown)
+
+
+def assert_refused(ended, *says):
+    """Exit code 2, and last of all one line that says what is wrong and what to do."""
+    assert ended.code == 2, ended
+    (line,) = [line for line in ended.err.splitlines() if line.startswith("error: ")]
+    assert ended.err.splitlines()[-1] == line
+    assert line.isprintable()
+    assert len(line) < 1000
+    assert [one for one in says if one not in line] == [], line
+
+
+def content(out):
+    """Everything that a run computed, by file; the manifest tells times and the page shows them."""
+    kinds = ("cells/*", "*.csv", "tables/*", "*.parquet", "figures/*", "flags.json", "verdict.json")
+    files = (path for kind in kinds for path in out.glob(kind))
+    return {str(path.relative_to(out)): path.read_bytes() for path in files}
+
+
+def assert_same(out, expected):
+    """The run in a folder is finished, whole, and what it is elsewhere, byte by byte."""
+    found = content(out)
+    assert found.keys() == expected.keys()
+    assert [name for name, held in expected.items() if found[name] != held] == []
+    assert json.loads((out / "manifest.json").read_text())["state"] == "finished"
+    left = [path.name for path in out.rglob("*") if path.name.endswith((".tmp", ".lock"))]
+    assert left == []
+
+
+def in_session(number):
+    """Processes of a session that still run."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, session, *_ = path.read_text().rpartition(")")[2].split()
+            if int(session) == number and state not in "ZX":
+                found.append(int(path.parent.name))
+    return found
