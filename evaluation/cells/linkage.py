@@ -134,7 +134,7 @@ def link(consumer: Consumer, level: LinkedLevel, controls: dict[str, Linked]) ->
         known=known,
         calibration=calibration,
         no_match=no_match,
-        rng=stream(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
+        drawn_from=(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
         control=None,
     )
 
@@ -158,7 +158,9 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
         context = AttackContext(rng=rng, epsilon_m=known.epsilon_m, granted=granted)
         real = attack.fit(context)(*blind.of(pairing))
         scores[number] = real[:, rng.permutation(real.shape[1])]
-    return read_off(scores, known=known, calibration={}, no_match={}, rng=rng, control=control)
+    return read_off(
+        scores, known=known, calibration={}, no_match={}, drawn_from=rng, control=control
+    )
 
 
 def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
