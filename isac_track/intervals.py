@@ -125,8 +125,10 @@ def ratio_estimates(
     *, numerator: Floats, denominator: Floats, weights: Floats, is_share: Sequence[bool]
 ) -> list[Estimate]:
     """Return `ratio_estimate` of each row of sums, (K, C); `is_share` is one a row."""
-    drawn = np.concatenate([numerator, denominator]) @ weights.T
-    over, under = drawn[: len(numerator)], drawn[len(numerator) :]
+    # Rows in succession often have one denominator.
+    is_new = np.append([True], (denominator[1:] != denominator[:-1]).any(axis=1))
+    drawn = np.concatenate([numerator, denominator[is_new]]) @ weights.T
+    over, under = drawn[: len(numerator)], drawn[len(numerator) :][np.cumsum(is_new) - 1]
     replicates: Floats = np.full(over.shape, np.nan)
     np.divide(over, under, out=replicates, where=under > 0)
     found = []

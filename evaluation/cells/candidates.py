@@ -7,7 +7,7 @@ probes are searched in full as well: what is lost is measured, not believed.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def among_candidates(
     computed = np.empty((n_probes, n_candidates))
     columns = np.empty((n_probes, n_candidates), dtype=np.int64)
     # In single precision, as linkers' scores are rounded to: half the memory.
-    scores = np.empty((n_probes, n_gallery), dtype=np.float32)
+    scores: Any = np.empty((n_probes, n_gallery), dtype=np.float32)
     falling = np.arange(1.0, n_gallery + 1.0) / n_gallery
     alike = _alike_together(first, rng)
     for start in range(0, n_probes, n_at_once):

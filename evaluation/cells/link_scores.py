@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,7 +18,10 @@ import pyarrow as pa
 
 from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
-from isac_track.intervals import Estimate, cluster_sums, ratio_estimate
+from isac_track.intervals import Estimate, cluster_sums, ratio_estimates
+from isac_track.linkability.scoring import Drawn, draw, scorecard_of
+from isac_track.linkability.significance import People, people_of
+from isac_track.rng import stream
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -75,7 +79,7 @@ def read_off(
     known: SensedSessions,
     calibration: Mapping[int, linkability.Calibration],
     no_match: Mapping[int, float],
-    rng: Generator,
+    drawn_from: Generator | tuple[int, *tuple[str, ...]],
     control: Control | None,
     checked: tuple[Floats, Floats] | None = None,
 ) -> Linked:
@@ -83,7 +87,9 @@ def read_off(
 
     `scores` are those of every search, (P, G) each, by its number, `calibration` those by fold that
     there was somebody for. `no_match` says by search what a pair of an open gallery must score to
-    be linked: without it there is no assignment. In a closed gallery everybody is linked.
+    be linked: without it there is no assignment. In a closed gallery everybody is linked. What
+    the scorecard draws is `drawn_from` a control's own stream, or from that of the attack of this
+    name, where it is the same at all levels.
 
     With `known.candidates` all is read off the ranks; of an attack that scored so few of a gallery,
     `checked` says what it lost.
@@ -110,15 +116,23 @@ def read_off(
     is_assigned &= not known.candidates  # what was not scored has no score to be summed
     is_calibrated = {search.scale for search in searches} <= set(calibration)
     n_shuffles = AUDIT_SHUFFLES if control is not None and control.is_audit else SHUFFLES
-    common: Any = {"weights": known.weights, "rng": rng, "n_shuffles": n_shuffles}
     if known.candidates:
-        scored = linkability.rank_scorecard(searches, **common)
+        rng = stream(*drawn_from) if isinstance(drawn_from, tuple) else drawn_from
+        scored = linkability.rank_scorecard(
+            searches, weights=known.weights, rng=rng, n_shuffles=n_shuffles
+        )
     else:
-        scored = linkability.scorecard(
+        people = tuple(people_of(search) for search in searches)
+        if isinstance(drawn_from, tuple):
+            draws = _draws(people, drawn_from)
+        else:
+            draws = draw(people, drawn_from, n_shuffles)
+        scored = scorecard_of(
             searches,
+            weights=known.weights,
             calibration=calibration if is_calibrated else None,
             no_match_score=needed,
-            **common,
+            draws=draws,
         )
     if not is_assigned:  # nobody knows what leaving somebody alone costs
         unknown = {
@@ -130,10 +144,9 @@ def read_off(
     cohorts = {}
     if control is None:
         who = {WITHOUT_GROUPS: sessions.alone, WITHOUT_FROZEN: sessions.moving}
-        people = [*zip(searches, probes, galleries, strict=True)]
-        cohorts = {
-            name: _cohort(people, among, weights=known.weights) for name, among in who.items()
-        }
+        people_in = [*zip(searches, probes, galleries, strict=True)]
+        found = _cohorts(people_in, np.stack([*who.values()]), weights=known.weights)
+        cohorts = dict(zip(who, found, strict=True))
     return Linked(
         searches=tuple(searches),
         probe_person=tuple(probes),
@@ -147,39 +160,59 @@ def read_off(
     )
 
 
-def _cohort(
-    people: Sequence[tuple[linkability.Search, Ints, Ints]], among: Bools, *, weights: Floats
-) -> dict[str, float]:
-    """Return rank 1 where only some people are probes and candidates.
+@lru_cache(maxsize=32)
+def _draws(people: tuple[People, ...], names: tuple[int, *tuple[str, ...]]) -> tuple[Drawn, ...]:
+    """Return what an attack's scorecard draws, at whatever level, from the stream of this name."""
+    return draw(people, stream(*names), SHUFFLES)
 
-    `people` are searches with the person of each probe and candidate.
+
+def _cohorts(
+    people: Sequence[tuple[linkability.Search, Ints, Ints]], among: Bools, *, weights: Floats
+) -> list[dict[str, float]]:
+    """Return rank 1 where only some people are probes and candidates, for each set of people.
+
+    `people` are searches with the person of each probe and candidate; `among` is (sets, people).
     """
-    parts = [np.zeros((3, 0))]
+    hits, sets, chances, clusters = [], [], [], []
     for search, of_probe, of_candidate in people:
-        gallery = among[of_candidate]
-        has = np.flatnonzero(among[of_probe] & (search.mate >= 0) & gallery[search.mate])
-        if has.size:
-            scores = search.scores[has[:, None], np.flatnonzero(gallery)]
-            mate = (np.cumsum(gallery) - 1)[search.mate[has]]
-            chances = np.full(has.size, 1.0 / scores.shape[1])
-            hits = linkability.rank1(scores=scores, mate=mate)
-            parts.append(np.stack([hits, chances, search.probe_cluster[has]]))
-    hit, chance, cluster = np.concatenate(parts, axis=1)
-    of, n_clusters = cluster.astype(np.int64), weights.shape[1]
-    hits, probes = (
-        cluster_sums(values=one, cluster=of, n_clusters=n_clusters)
+        mated = np.flatnonzero(search.mate >= 0)
+        own = search.scores[mated, search.mate[mated]][:, None]
+        gallery = among[:, of_candidate].T.astype(np.float32)
+        # How many of each set stand above the mate and how many as high: exact in single precision.
+        scores = search.scores[mated]
+        above, tied = (
+            (each.astype(np.float32) @ gallery) for each in (scores > own, scores == own)
+        )
+        probe, of = np.nonzero((among[:, of_probe[mated]].T) & (gallery[search.mate[mated]] > 0))
+        hits.append(np.where(above[probe, of] == 0, 1.0 / tied[probe, of].astype(float), 0.0))
+        chances.append(1.0 / gallery.sum(axis=0, dtype=float)[of])
+        sets.append(of)
+        clusters.append(search.probe_cluster[mated[probe]])
+    hit, of_set, chance, cluster = (np.concatenate(x) for x in (hits, sets, chances, clusters))
+    shape = len(among), weights.shape[1]
+    sums = [
+        cluster_sums(
+            values=one, cluster=of_set * shape[1] + cluster, n_clusters=shape[0] * shape[1]
+        ).reshape(shape)
         for one in (hit, np.ones_like(hit))
+    ]
+    found = ratio_estimates(
+        numerator=sums[0], denominator=sums[1], weights=weights, is_share=[True] * len(among)
     )
-    one = ratio_estimate(numerator=hits, denominator=probes, weights=weights, is_share=True)
-    return {
-        "rank1": one.value,
-        "ci_low": one.ci_low,
-        "ci_high": one.ci_high,
-        "n_clusters": one.n,
-        "chance": float(chance.mean()) if chance.size else np.nan,
-        "p_rank1": linkability.rank1_p(hits=hit, chance=chance) if chance.size else np.nan,
-        "n_mated": hit.size,
-    }
+    return [
+        {
+            "rank1": one.value,
+            "ci_low": one.ci_low,
+            "ci_high": one.ci_high,
+            "n_clusters": one.n,
+            "chance": float(chance[mine].mean()) if mine.any() else np.nan,
+            "p_rank1": linkability.rank1_p(hits=hit[mine], chance=chance[mine])
+            if mine.any()
+            else np.nan,
+            "n_mated": int(mine.sum()),
+        }
+        for one, mine in ((one, of_set == number) for number, one in enumerate(found))
+    ]
 
 
 def calibrated(found: Sequence[tuple[Floats, Pairing]]) -> linkability.Calibration | None:
@@ -236,9 +269,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         own, best = np.full((2, persons.size), np.nan)
     assigned = probes.assigned + 1 if linked.is_assigned else np.full(persons.size, 3)
     rows = {
-        "search": names_column(np.repeat(np.arange(len(n_probes)), n_probes), sessions.searches),
-        "source": names_column(persons, sessions.source),
-        "group": names_column(persons, sessions.group),
+        **_probe_names(known),
         "above": probes.above.astype(np.int32),
         "tied": probes.tied.astype(np.int32),
         "mate_score": own.astype(np.float32),
@@ -247,10 +278,6 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         "assigned": names_column(assigned, ASSIGNED),
     }
     about: dict[str, Any] = {
-        "clusters": sorted(set(sessions.group)),
-        "drawn_as": known.drawn_as.tolist(),
-        "n_groups": known.n_groups,
-        "seed": known.seed,
         "calibration": {fold: asdict(one) for fold, one in linked.calibration.items()},
         "numbers": {name: getattr(scored, name) for name in _NUMBERS},
         "cohorts": linked.cohorts,
@@ -278,7 +305,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     tables = {
         ROWS: pa.table(rows),
         ESTIMATES: pa.table(estimates),
-        ABOUT: pa.table({"about": [json.dumps(about, default=lambda number: number.item())]}),
+        ABOUT: pa.table({"about": [_about_task(known) + _json(about)[1:]]}),
     }
     if not linked.is_control:
         follow = {*DERIVED, *probes.values()}
@@ -290,6 +317,36 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
             }
         )
     return tables
+
+
+@lru_cache(maxsize=4)
+def _probe_names(known: SensedSessions) -> dict[str, pa.Array]:
+    """Return the columns that name the probes: those of every cell of a task."""
+    sessions = known.sessions
+    pairings = dict(sorted(one for half in known.halves for one in half.searches))
+    probe = np.concatenate([one.probe for one in pairings.values()])
+    person = sessions.probe.person[probe]
+    return {
+        "search": names_column(sessions.probe.search[probe], sessions.searches),
+        "source": names_column(person, sessions.source),
+        "group": names_column(person, sessions.group),
+    }
+
+
+@lru_cache(maxsize=4)
+def _about_task(known: SensedSessions) -> str:
+    """Return what the JSON about every cell of a task begins with."""
+    about = {
+        "clusters": sorted(set(known.sessions.group)),
+        "drawn_as": known.drawn_as.tolist(),
+        "n_groups": known.n_groups,
+        "seed": known.seed,
+    }
+    return f"{_json(about)[:-1]}, "
+
+
+def _json(about: dict[str, Any]) -> str:
+    return json.dumps(about, default=lambda number: number.item())
 
 
 def _own_and_best(search: linkability.Search) -> Floats:

@@ -157,7 +157,7 @@ def link(consumer: Consumer, level: LinkedLevel) -> Linked:
         known=known,
         calibration=calibration,
         no_match=no_match,
-        rng=stream(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
+        drawn_from=(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
         control=None,
     )
 
@@ -188,7 +188,7 @@ def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
         known=known,
         calibration={},
         no_match={},
-        rng=stream(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
+        drawn_from=(known.seed, "linkage", "scorecard", consumer.spec, consumer.knowledge),
         control=None,
         checked=(exact, approximate),
     )
@@ -223,7 +223,9 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
         attack = Shape() if not (task.shows_scene or known.candidates) else first_stage(task)
         real = _untaught(attack, blind, pairing, known)
         scores[number] = real[:, rng.permutation(real.shape[1])]
-    return read_off(scores, known=known, calibration={}, no_match={}, rng=rng, control=control)
+    return read_off(
+        scores, known=known, calibration={}, no_match={}, drawn_from=rng, control=control
+    )
 
 
 def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:

@@ -110,7 +110,8 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     forecasts = [one for one in manifest["cells"] if one["kind"] == "predictor"][:1]
     exhausted = [read_rows(out, one, columns=["exhausted"])["exhausted"] for one in forecasts]
     manifest["exhausted_redraws"] = next((int(one.to_numpy().sum()) for one in exhausted), None)
-    if losses := losses_of(out, manifest["cells"]):
+    is_approximate = ready.settings.stages.linkage.candidates > 0
+    if is_approximate and (losses := losses_of(out, manifest["cells"])):
         manifest["linkage"]["candidates"] = losses
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     write_manifest(out, manifest | {"state": "finished"})

@@ -25,7 +25,7 @@ import numpy as np
 
 import isac_track
 from evaluation.experiment.fingerprint import digest
-from evaluation.runs.cell_files import Index, label_of, read_outcome
+from evaluation.runs.cell_files import Index, label_of, read_outcomes
 from evaluation.runs.files import MANIFEST, content_of, write_whole
 from isac_track.errors import DataError
 from isac_track.privacy import mean_interval_s
@@ -221,13 +221,13 @@ def losses_of(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
     `consumer` at which mechanism, `spec`, it was. A task whose pairs are all scored is not there.
     """
     found: dict[str, list[tuple[float, int, str, str]]] = defaultdict(list)
-    for entry in entries:
-        if entry["kind"] == "linkage":
-            numbers = read_outcome(out, entry, drawn=()).numbers
-            if numbers.get("n_checked"):
-                loss, n_checked = float(numbers["rank1_loss"]), int(numbers["n_checked"])
-                task = entry["consumer"].partition("/")[0]
-                found[task].append((loss, n_checked, label_of(entry), entry["spec"]))
+    linked = [entry for entry in entries if entry["kind"] == "linkage"]
+    for entry, outcome in zip(linked, read_outcomes(out, linked, drawn=()), strict=True):
+        numbers = outcome.numbers
+        if numbers.get("n_checked"):
+            loss, n_checked = float(numbers["rank1_loss"]), int(numbers["n_checked"])
+            task = entry["consumer"].partition("/")[0]
+            found[task].append((loss, n_checked, label_of(entry), entry["spec"]))
     losses = {}
     for task, cells in found.items():
         most, _, consumer, spec = max(cells)

@@ -1,12 +1,12 @@
 """Compiled loops of the linkage scorecard: shuffled mates, weights of pairs, hulls of ROCs.
 
-A pair's weight is a product of two clusters' weights; `LANES` bootstrap replicates lie side by side
-in memory, so that one vector instruction treats several.
+A pair's weight is a product of two clusters' weights; all bootstrap replicates lie side by side in
+memory, so that one vector instruction treats several.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
     from isac_track.types import Floats, Ints
 
-LANES = 104
-"""Replicates side by side: so many that their latencies overlap and a pair's overhead vanishes.
-Twice as many hold the 201 of a scorecard, and hardly more."""
+    Cells: TypeAlias = NDArray[np.int32]
+    Places: TypeAlias = NDArray[np.uint16]
+    Bins: TypeAlias = NDArray[np.uint8]
+    Rows: TypeAlias = NDArray[np.uint32]
 
 _BLOCK = 4096
 """Pairs whose weights a 32-bit number may add up: integers below 2^24 are exact."""
@@ -27,7 +28,7 @@ _BLOCK = 4096
 
 @compiled(
     *(read(2), read(2, "int64"), read(1), read(1), read(1, "int64")),
-    *(written(2), written(2, "int64"), written(2, "int64")),
+    *(written(2), written(2, "int32"), written(2, "int64"), written(2, "int64")),
 )
 def rank_rows(
     scores: Floats,
@@ -36,65 +37,63 @@ def rank_rows(
     log_factorial: Floats,
     mate: Ints,
     log_rank: Floats,
-    cell: Ints,
+    cell: Cells,
     standing: Ints,
+    counts: Ints,
 ) -> None:
     """Write -log(rank / G), expected under ties, and the cell of every score.
 
     `order` sorts each row, ascending; `breaks` ascends. Cell 2 k + 1 is the k-th break point, cell
     2 k the gap below it. `standing`, (P, 2), gets how many stand above the probe's mate and how
-    many as high.
+    many as high. To `counts`, (cells, 2), are added the non-mated and the mated scores in each.
     """
     n_probes, n_gallery = scores.shape
     log_gallery = np.log(n_gallery)
+    ordered, codes = np.empty(n_gallery), np.empty(n_gallery + 1, dtype=np.int32)
     for i in range(n_probes):
-        start, k = 0, 0
+        of_row = order[i]
+        for place in range(n_gallery):
+            ordered[place] = scores[i, of_row[place]]
+        # Two ascending lists are merged without a branch, which no processor could predict.
+        place, k = 0, 0
+        while place < n_gallery and k < breaks.size:
+            codes[place] = 2 * k + (breaks[k] == ordered[place])
+            is_below = breaks[k] < ordered[place]
+            k += is_below
+            place += not is_below
+        codes[place:] = 2 * breaks.size
+        start = 0
         while start < n_gallery:
-            score = scores[i, order[i, start]]
             stop = start + 1
-            while stop < n_gallery and scores[i, order[i, stop]] == score:
+            while stop < n_gallery and ordered[stop] == ordered[start]:
                 stop += 1
-            while k < breaks.size and breaks[k] < score:
-                k += 1
-            code = 2 * k + (k < breaks.size and breaks[k] == score)
-            above = n_gallery - stop
+            code, above = codes[start], n_gallery - stop
             spread = log_factorial[n_gallery - start] - log_factorial[above]
             value = log_gallery - spread / (stop - start)
+            counts[code, 0] += stop - start
             for place in range(start, stop):
-                j = order[i, place]
+                j = of_row[place]
                 log_rank[i, j] = value
                 cell[i, j] = code
                 if j == mate[i]:
                     standing[i, 0], standing[i, 1] = above, stop - start
+                    counts[code, 0] -= 1
+                    counts[code, 1] += 1
             start = stop
 
 
-@compiled(
-    *(read(2), read(1, "int64"), read(1, "int64"), read(1, "int64"), read(2), read(2, "uint8")),
-    *(written(1), written(2)),
-)
-def shuffle(
-    uniform: Floats,
-    sizes: Ints,
-    n_alike: Ints,
-    mate: Ints,
-    log_rank: Floats,
-    score_bin: NDArray[np.uint8],
-    total: Floats,
-    bins: Floats,
-) -> None:
-    """Give mated probes one another's mates, once a row, as `permutation_p` says.
+@compiled(read(2), read(1, "int64"), read(1, "int64"), read(1, "uint16"), written(2, "uint16"))
+def shuffle(uniform: Floats, sizes: Ints, n_alike: Ints, before: Places, whose: Places) -> None:
+    """Write whose mate each of N mated probes gets, once a row, (n, N), as `permutation_p` says.
 
     Fisher and Yates, from uniforms. The probes come cluster by cluster: ``n_alike[a]`` clusters of
-    ``sizes[a]`` probes each, for every a. Add the log-rank statistic, and the histogram of mated
-    scores, of every set of mates.
+    ``sizes[a]`` probes each, for every a. `before` is the order to start from.
     """
-    # Unsigned: no index from the end, which would have to be looked for.
-    columns = mate.astype(np.uint64)
-    one = np.uint64(1)
     # The order that one draw leaves behind is as good a start for the next as any.
-    for row in range(uniform.shape[0]):
-        of_row, uniforms, histogram = total[row], uniform[row], bins[row]
+    for row in range(whose.shape[0]):
+        uniforms, now = uniform[row], whose[row]
+        now[:] = before
+        # Unsigned: no index from the end, which would have to be looked for.
         drawn = np.uint64(0)
         base = 0
         for a in range(sizes.size):
@@ -104,60 +103,110 @@ def shuffle(
                 start = base + c * size
                 if c < n_clusters - 1:
                     far = start + size * int(uniforms[drawn] * (n_clusters - c))
-                    drawn += one
+                    drawn += np.uint64(1)
                     for k in range(size):
                         here, other = np.uint64(start + k), np.uint64(far + k)
-                        column = columns[other]
-                        columns[other] = columns[here]
-                        columns[here] = column
+                        now[here], now[other] = now[other], now[here]
                 for k in range(size - 1):
                     here = np.uint64(start + k)
                     other = np.uint64(start + k + int(uniforms[drawn] * (size - k)))
-                    drawn += one
-                    column = columns[other]
-                    columns[other] = columns[here]
-                    columns[here] = column
+                    drawn += np.uint64(1)
+                    now[here], now[other] = now[other], now[here]
             base += size * n_clusters
-        for k in range(columns.size):
-            here = np.uint64(k)
-            column = columns[here]
+        before = now
+
+
+@compiled(
+    *(read(2, "uint16"), read(1, "int64"), read(1, "int64"), read(2), read(2, "uint8")),
+    *(written(1), written(2)),
+)
+def add_shuffles(
+    whose: Places,
+    probes: Ints,
+    mate: Ints,
+    log_rank: Floats,
+    score_bin: Bins,
+    total: Floats,
+    bins: Floats,
+) -> None:
+    """Add the log-rank statistic, (n,), and the histogram of mated scores, (bins, n), of shuffles.
+
+    `whose`, (n, N), says which of the N `probes` had the `mate` that each has now.
+    """
+    for row in range(whose.shape[0]):
+        of_row, now = total[row], whose[row]
+        for k in range(now.size):
+            here, column = np.uint64(probes[k]), np.uint64(mate[np.uint64(now[k])])
             of_row += log_rank[here, column]
-            histogram[score_bin[here, column]] += 1.0
+            bins[score_bin[here, column], row] += 1.0
         total[row] = of_row
 
 
 @part_of_loop
-def _by_key(key: Ints, n_keys: int, first: Ints, second: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return where the pairs of each key begin, and the two clusters of each, key by key."""
-    starts = np.zeros(n_keys + 1, dtype=np.int64)
-    for one in key:
-        starts[one + 1] += 1
-    starts = np.cumsum(starts)
+def _sorted_pairs(
+    ones: int, shapes: Ints, first: Ints, second: Ints, mate: Ints, cell: Cells, counts: Ints
+) -> tuple[Ints, Rows, Rows]:
+    """Return where the pairs of each cell and class begin, and the rows that weigh each pair."""
+    one = np.uint32(ones)
+    starts = np.zeros(counts.size + 1, dtype=np.int64)
+    for key in range(counts.size):
+        starts[key + 1] = starts[key] + counts[key // 2, key % 2]
+    a_of = np.empty(cell.size, dtype=np.uint32)
+    b_of = np.empty(cell.size, dtype=np.uint32)
     place = starts.copy()
-    sorted_first, sorted_second = np.empty_like(first), np.empty_like(second)
-    for pair in range(key.size):
-        at = place[key[pair]]
-        place[key[pair]] = at + 1
-        sorted_first[at], sorted_second[at] = first[pair], second[pair]
-    return starts, sorted_first, sorted_second
+    pair, row, column = 0, 0, 0
+    for s in range(shapes.shape[0]):
+        for i in range(row, row + shapes[s, 0]):
+            a = np.uint32(first[i])
+            for j in range(shapes[s, 1]):
+                is_mate = j == mate[i]
+                b = np.uint32(second[column + j])
+                key = 2 * cell[pair] + is_mate
+                at = place[key]
+                place[key] = at + 1
+                a_of[at] = a
+                # Within a cluster, a pair weighs no more than the probe.
+                b_of[at] = one if is_mate or a == b else b
+                pair += 1
+        row += shapes[s, 0]
+        column += shapes[s, 1]
+    return starts, a_of, b_of
 
 
-@compiled(read(3, "float32"), read(1, "int64"), read(1, "int64"), read(1, "int64"), written(3))
-def weigh(tables: NDArray[np.float32], key: Ints, first: Ints, second: Ints, out: Floats) -> None:
-    """Write the weight of either class in each of K cells, (2, chunks * `LANES`, K).
+@compiled(
+    *(read(2, "float32"), read(2, "int64"), read(1, "int64"), read(1, "int64"), read(1, "int64")),
+    *(read(1, "int32"), read(2, "int64"), written(3)),
+)
+def weigh(
+    table: NDArray[np.float32],
+    shapes: Ints,
+    first: Ints,
+    second: Ints,
+    mate: Ints,
+    cell: Cells,
+    counts: Ints,
+    out: Floats,
+) -> None:
+    """Write the weight of non-mated and of mated scores in each cell that holds any, (2, K, R).
 
-    `tables` is (chunks, C + 1, `LANES`): weights of the clusters, then a row of ones. A pair of
-    class c in cell k, of a `first` and a `second` cluster, has the key 2 k + c.
+    `table`, (C + 1, R), holds the weights of the clusters in every replicate, then a row of ones.
+    The searches, (P, G) each, come one after the other: the clusters of their probes (`first`) and
+    candidates (`second`), the probes' mates, and the cell of every score; `counts` are
+    `rank_rows`'s.
     """
-    n_keys = 2 * out.shape[2]
-    starts, a_of, b_of = _by_key(key, n_keys, first, second)
-    some, row = np.empty(LANES, dtype=np.float32), np.empty(LANES)
-    for chunk in range(tables.shape[0]):
-        table = tables[chunk]
-        for k in range(n_keys):
-            row[:] = 0.0
-            for start in range(starts[k], starts[k + 1], _BLOCK):
-                stop = min(start + _BLOCK, starts[k + 1])
+    n_replicates, ones = table.shape[1], table.shape[0] - 1
+    starts, a_of, b_of = _sorted_pairs(ones, shapes, first, second, mate, cell, counts)
+    some = np.empty(n_replicates, dtype=np.float32)
+    number = 0
+    for k in range(counts.shape[0]):
+        if counts[k, 0] + counts[k, 1] == 0:
+            continue
+        for is_mated in range(2):
+            weight = out[is_mated, number]
+            weight[:] = 0.0
+            last = starts[2 * k + is_mated + 1]
+            for start in range(starts[2 * k + is_mated], last, _BLOCK):
+                stop = min(start + _BLOCK, last)
                 some[:] = 0.0
                 # Four pairs a turn: to fetch and store the sums takes longer than a product.
                 for pair in range(start, stop - 3, 4):
@@ -165,17 +214,41 @@ def weigh(tables: NDArray[np.float32], key: Ints, first: Ints, second: Ints, out
                     c, d = table[a_of[pair + 1]], table[b_of[pair + 1]]
                     e, f = table[a_of[pair + 2]], table[b_of[pair + 2]]
                     g, h = table[a_of[pair + 3]], table[b_of[pair + 3]]
-                    for lane in range(LANES):
-                        two = a[lane] * b[lane] + c[lane] * d[lane]
-                        some[lane] += two + (e[lane] * f[lane] + g[lane] * h[lane])
+                    for r in range(n_replicates):
+                        two = a[r] * b[r] + c[r] * d[r]
+                        some[r] += two + (e[r] * f[r] + g[r] * h[r])
                 for pair in range(stop - (stop - start) % 4, stop):
                     a, b = table[a_of[pair]], table[b_of[pair]]
-                    for lane in range(LANES):
-                        some[lane] += a[lane] * b[lane]
-                for lane in range(LANES):
-                    row[lane] += some[lane]
-            for lane in range(LANES):
-                out[k % 2, chunk * LANES + lane, k // 2] = row[lane]
+                    for r in range(n_replicates):
+                        some[r] += a[r] * b[r]
+                for r in range(n_replicates):
+                    weight[r] += some[r]
+        number += 1
+
+
+@compiled(read(2), read(2), read(1, "int64"), written(1))
+def link_shares(mated: Floats, non_mated: Floats, bins: Ints, out: Floats) -> None:
+    """Write `d_sys`, (R,), of the weights of either class in each of K cells, (K, R).
+
+    The `bins` of the cells, (K,), ascend.
+    """
+    n = out.size
+    totals, sums = np.zeros((2, n)), np.zeros((2, n))
+    for k in range(bins.size):
+        for r in range(n):
+            totals[0, r] += mated[k, r]
+            totals[1, r] += non_mated[k, r]
+    out[:] = 0.0
+    for k in range(bins.size):
+        for r in range(n):
+            sums[0, r] += mated[k, r]
+            sums[1, r] += non_mated[k, r]
+        if k == bins.size - 1 or bins[k + 1] != bins[k]:
+            for r in range(n):
+                p, q = sums[0, r] / totals[0, r], sums[1, r] / totals[1, r]
+                # 2 LR / (1 + LR) - 1 = (LR - 1) / (LR + 1), which is 1 where LR is infinite.
+                out[r] += p * (p - q) / (p + q) if p > q else 0.0
+            sums[:] = 0.0
 
 
 @part_of_loop
@@ -184,37 +257,12 @@ def _x_log2_x(x: float) -> float:
 
 
 @part_of_loop
-def _read_thresholds(
-    own: Floats, other: Floats, total_own: float, total_other: float, levels: Floats, out: Floats
-) -> None:
-    """Write the AUC, and TPR and FPR of the lowest threshold with FPR <= level."""
-    out[3:] = 0.0
-    for number in range(levels.size):
-        # Rounding must not refuse a share that lies exactly at the level.
-        most = levels[number] * (1 + 1e-12) * total_other
-        true, false = 0.0, 0.0
-        for k in range(own.size - 1, -1, -1):
-            true += own[k]
-            false += other[k]
-            if false > most:
-                break
-            if own[k] > 0:
-                out[3 + 2 * number] = true / total_own
-                out[4 + 2 * number] = false / total_other
-    false, area = 0.0, 0.0
-    for k in range(own.size - 1, -1, -1):
-        false += other[k]
-        area += own[k] * (total_other - false + other[k] / 2)
-    out[0] = area / (total_own * total_other)
-
-
-@part_of_loop
 def _read_hull(
-    own: Floats, other: Floats, total_own: float, total_other: float, stack: Floats, out: Floats
-) -> None:
-    """Write EER and Cllr_min from the convex hull of the ROC: pool adjacent violators.
+    own: Floats, other: Floats, rest: float, totals: tuple[float, float], stack: Floats
+) -> tuple[float, float]:
+    """Return EER and Cllr_min from the convex hull of the ROC: pool adjacent violators.
 
-    The cells are overwritten.
+    The cells are overwritten; below them lies the `rest` of the non-mated scores.
     """
     # Without mated scores a cell has the least likelihood ratio, and joins the one below.
     size, waiting = own.size, 0.0
@@ -235,30 +283,74 @@ def _read_hull(
             n += stack[depth, 1]
         stack[depth, 0], stack[depth, 1] = m, n
         depth += 1
-    if waiting > 0:
-        stack[depth, 0], stack[depth, 1] = 0.0, waiting
+    if waiting + rest > 0:
+        stack[depth, 0], stack[depth, 1] = 0.0, waiting + rest
         depth += 1
     miss, false, cost, eer = 1.0, 0.0, 0.0, -1.0
     for k in range(depth):
-        m, n = stack[k, 0] / total_own, stack[k, 1] / total_other
+        m, n = stack[k, 0] / totals[0], stack[k, 1] / totals[1]
         cost += _x_log2_x(m + n) - _x_log2_x(m) - _x_log2_x(n)
         if eer < 0 and miss - m <= false + n:
             eer = false + n * (miss - false) / (m + n)
         miss -= m
         false += n
-    out[1], out[2] = eer, cost / 2
+    return eer, cost / 2
+
+
+@part_of_loop
+def _read_thresholds(
+    own: Floats, totals: Floats, true: Floats, false: Floats, level: float, out: Floats
+) -> bool:
+    """Write the counts at this threshold where it has FPR <= level; tell whether any has."""
+    n_low = 0
+    for r in range(own.size):
+        # Rounding must not refuse a share that lies exactly at the level.
+        is_low = false[r] <= level * (1 + 1e-12) * totals[r]
+        n_low += is_low
+        out[0, r] = true[r] if is_low and own[r] > 0 else out[0, r]
+        out[1, r] = false[r] if is_low and own[r] > 0 else out[1, r]
+    return n_low > 0
 
 
 @compiled(written(2), written(2), read(1), written(2))
 def read_rocs(mated: Floats, non_mated: Floats, levels: Floats, out: Floats) -> None:
-    """Write AUC, EER and Cllr_min, then TPR and FPR at each level, a row for each ROC.
+    """Write AUC, EER and Cllr_min, then TPR and FPR at each level, of R ROCs.
 
-    A row of either class, (K,), holds the weights in each cell, from the lowest, and is
-    overwritten.
+    (K, R) of either class are the weights in each cell, from the lowest; they are overwritten. The
+    TPR is that of the lowest threshold with FPR <= level. `out` is (3 + 2 levels, R).
     """
-    stack = np.empty((mated.shape[1] + 1, 2))
-    for row in range(mated.shape[0]):
-        own, other = mated[row], non_mated[row]
-        totals = own.sum(), other.sum()
-        _read_thresholds(own, other, totals[0], totals[1], levels, out[row])
-        _read_hull(own, other, totals[0], totals[1], stack, out[row])
+    n_cells, n = mated.shape
+    totals, true, false, before = np.zeros((2, n)), np.zeros(n), np.zeros(n), np.zeros(n)
+    for k in range(n_cells):
+        totals[0] += mated[k]
+        totals[1] += non_mated[k]
+    out[:] = 0.0
+    is_open, top = np.ones(levels.size, dtype=np.bool_), n_cells
+    for k in range(n_cells - 1, -1, -1):
+        own, other = mated[k], non_mated[k]
+        for r in range(n):
+            false[r] += other[r]
+        if not own.any():
+            continue
+        top -= 1
+        for r in range(n):
+            true[r] += own[r]
+            out[0, r] += own[r] * (totals[1, r] - false[r] + other[r] / 2)
+            # A cell without mated scores joins the one below.
+            mated[top, r] = own[r]
+            non_mated[top, r] = false[r] - before[r]
+            before[r] = false[r]
+        for number in range(levels.size):
+            if is_open[number]:
+                at = out[3 + 2 * number : 5 + 2 * number]
+                is_open[number] = _read_thresholds(
+                    mated[top], totals[1], true, false, levels[number], at
+                )
+    out[0] /= totals[0] * totals[1]
+    for row in range(3, len(out)):
+        out[row] /= totals[(row + 1) % 2]
+    stack, cells = np.empty((n_cells + 1, 2)), np.empty((2, n_cells - top))
+    for r in range(n):
+        cells[0], cells[1] = mated[top:, r], non_mated[top:, r]
+        both, rest = (totals[0, r], totals[1, r]), false[r] - before[r]
+        out[1, r], out[2, r] = _read_hull(cells[0], cells[1], rest, both, stack)

@@ -178,7 +178,11 @@ def assign(
         If the scores have no shape (P, G) or are not finite.
     """
     _check_finite(scores)
-    order = rng.permutation(scores.shape[1])
+    return assign_in(rng.permutation(scores.shape[1]), scores, no_match_score)
+
+
+def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints:
+    """Return `assign` of finite scores whose columns are put in this order."""
     gain = scores[:, order]
     if no_match_score is not None:
         # As good as a column of its own for every probe, and half the matrix: a probe that would

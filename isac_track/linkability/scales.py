@@ -20,9 +20,8 @@ from isac_track.linkability.scores import (
     default_bins,
     inner_edges,
     is_refused,
-    linked_share,
 )
-from isac_track.linkability.significance import import_loops
+from isac_track.linkability.significance import import_loops, mated_probes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from isac_track.linkability.ranks import Search
+    from isac_track.linkability.significance import People
     from isac_track.types import Floats, Ints
 
 SCORE_REPLICATES = 200
@@ -44,8 +44,8 @@ _COLUMNS = (
     *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
 )
 """What the loop over the ROCs writes."""
-_PAIRS_KEPT = 2**19
-"""Of one scale; more would take more memory than they save time."""
+_LANES = 16
+"""Numbers that a vector instruction treats at most: replicates are a multiple of it."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,27 +60,32 @@ class Cells:
     breaks: Floats
     bins: NDArray[np.uint8]
     """`d_sys` bin of every cell."""
+    counts: Ints
+    """(cells, 2) non-mated and mated scores in each."""
     null_bins: Floats
-    """(n_shuffles, bins) scores of shuffled mates."""
+    """(bins, n_shuffles) scores of shuffled mates."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Pairs:
-    """All L pairs of a probe and a candidate of one scale, whose clusters are 0..C - 1.
+class _Weighed:
+    """The people of the searches of one scale, whose clusters are 0..C - 1, and their weights.
 
     They are those of every attack on the same searches.
     """
 
+    shapes: Ints
+    """(S, 2) probes and candidates of each search."""
     first: Ints
-    """(L,) cluster of the probe."""
+    """Cluster of each probe, search by search."""
     second: Ints
-    """(L,) of the candidate; C, which always weighs 1, where a pair weighs no more than `first`."""
-    mates: Ints
-    """Which of them are a probe and its mate."""
-    rows: Floats
-    """(C + 1, R) weights; replicate 0 weighs every cluster once: the data."""
-    tables: NDArray[np.float32]
-    """(chunks, C + 1, lanes) the same as the loops want them."""
+    """Of each candidate."""
+    mate: Ints
+    table: NDArray[np.float32]
+    """(C + 1, R or a few more) weights; replicate 0 weighs every cluster once: the data."""
+    rows: tuple[tuple[Floats, Floats], ...]
+    """(P, R) of the probes of each search, and (G, R) of its candidates."""
+    within: tuple[tuple[Ints, ...], ...]
+    """Which pairs of each search are of one cluster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,118 +116,111 @@ class Scale:
     n_bins: int
 
 
-def cut_scores(searches: Sequence[Search], n_shuffles: int) -> Cells:
-    """Return the cells of the scores of one scale."""
-    mated = np.concatenate([s.scores[s.mate >= 0, s.mate[s.mate >= 0]] for s in searches])
-    n_bins = default_bins(mated.size)
+def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cells:
+    """Return the cells of the scores of one scale, as yet without a count."""
+    mated = [(search.scores, mated_probes(people)) for search, people in trials]
+    own = np.concatenate([scores[of.probes, of.mate] for scores, of in mated])
+    n_bins = default_bins(own.size)
     edges = inner_edges(
-        min(float(search.scores.min()) for search in searches),
-        max(float(search.scores.max()) for search in searches),
+        min(float(scores.min()) for scores, _ in mated),
+        max(float(scores.max()) for scores, _ in mated),
         n_bins,
     )
-    breaks = np.unique(np.concatenate([mated, edges]))
+    breaks = np.unique(np.concatenate([own, edges]))
     bins = np.zeros(2 * breaks.size + 1, dtype=np.uint8)
     bins[1::2] = np.searchsorted(edges, breaks, side="right")
     bins[2::2] = bins[1::2]
-    return Cells(breaks, bins, np.zeros((n_shuffles, n_bins)))
+    counts = np.zeros((bins.size, 2), dtype=np.int64)
+    return Cells(breaks, bins, counts, np.zeros((n_bins, n_shuffles)))
 
 
 def score_scale(
-    trials: Sequence[tuple[Search, Ints]],
+    trials: Sequence[tuple[Search, People]],
+    places: Sequence[NDArray[np.int32]],
     cut: Cells,
     weights: Floats,
     calibration: Calibration | None,
 ) -> Scale:
     """Return the score metrics of one scale: of searches, with the cell of every score, (P, G)."""
-    searches = tuple(
-        tuple(
-            each.astype(np.int64).tobytes() for each in (s.mate, s.probe_cluster, s.gallery_cluster)
-        )
-        for s, _ in trials
-    )
-    cell = np.concatenate([cell.ravel() for _, cell in trials])
-    scores = np.concatenate([search.scores.ravel() for search, _ in trials], dtype=np.float64)
-    # The next attack on the same people has the same pairs.
-    is_kept = not weights.flags.writeable and cell.size <= _PAIRS_KEPT
-    pairs = (_pairs if is_kept else _pairs.__wrapped__)(searches, _Same(weights))
-    mated, non_mated, bins = _masses(pairs, cell, cut.bins)
-    total_mated, total_non_mated = mated.sum(axis=1), non_mated.sum(axis=1)
+    searches = tuple(people for _, people in trials)
+    # The next attack on the same people has the same weights.
+    kept = _weighed.__wrapped__ if weights.flags.writeable else _weighed
+    people = kept(searches, _Same(weights))
+    loops, counts = import_loops(), cut.counts
+    is_occupied = counts.any(axis=1)
+    masses = np.empty((2, int(is_occupied.sum()), people.table.shape[1]))
+    cell = np.concatenate([cell.ravel() for cell in places])
+    about = (people.shapes, people.first, people.second, people.mate)
+    loops.weigh(people.table, *about, cell, counts, masses)
+    non_mated, mated = masses
+    columns, linked = np.empty((7, non_mated.shape[1])), np.empty(non_mated.shape[1])
+    n_replicates = people.rows[0][0].shape[1]
+    total_non_mated, total_mated = masses.sum(axis=1)[:, :n_replicates]
     is_defined = (total_mated > 0) & (total_non_mated > 0)
+    loops.link_shares(mated, non_mated, cut.bins[is_occupied].astype(np.int64), linked)
+    loops.read_rocs(mated, non_mated, np.array(list(LEVELS.values())), columns)
 
-    n_bins = cut.null_bins.shape[1]
-    n_mated = pairs.mates.size
-    n_non_mated = cell.size - n_mated
+    n_non_mated, n_mated = counts.sum(axis=0).tolist()
     bias = math.nan
     if n_mated and n_non_mated:
-        counts = np.bincount(cell, minlength=cut.bins.size)
-        total_bins = np.bincount(cut.bins, weights=counts, minlength=n_bins)
-        null, others = cut.null_bins / n_mated, (total_bins - cut.null_bins) / n_non_mated
-        bias = float(linked_share(null, others).mean())
+        n_bins, n_shuffles = cut.null_bins.shape
+        total = np.bincount(cut.bins, weights=counts.sum(axis=1), minlength=n_bins)
+        null = np.empty(n_shuffles)
+        others = total[:, None] - cut.null_bins
+        loops.link_shares(cut.null_bins, others, np.arange(n_bins), null)
+        bias = float(null.mean())
 
-    values = {"cllr": np.full(is_defined.size, np.nan)}
-    with np.errstate(divide="ignore", invalid="ignore"):
-        starts = np.flatnonzero(np.diff(bins, prepend=-1))
-        p, q = (np.add.reduceat(mass, starts, axis=1) for mass in (mated, non_mated))
-        values["d_sys"] = linked_share(p / total_mated[:, None], q / total_non_mated[:, None])
-        if calibration is not None:
-            mated_cost, non_mated_cost = _costs(pairs, scores, calibration)
+    values = {"cllr": np.full(n_replicates, np.nan)}
+    values |= dict(zip((*_COLUMNS, "d_sys"), [*columns, linked], strict=True))
+    if calibration is not None:
+        mated_cost, non_mated_cost = _costs(people, trials, calibration)
+        with np.errstate(divide="ignore", invalid="ignore"):
             both = mated_cost / total_mated + non_mated_cost / total_non_mated
-            values["cllr"] = both / (2.0 * math.log(2.0))
-    columns = np.empty((is_defined.size, 7))
-    import_loops().read_rocs(mated, non_mated, np.array(list(LEVELS.values())), columns)
-    values |= dict(zip(_COLUMNS, columns.T, strict=True))
-    values = {name: np.where(is_defined, of, np.nan) for name, of in values.items()}
+        values["cllr"] = both / (2.0 * math.log(2.0))
+    values = {name: np.where(is_defined, of[:n_replicates], np.nan) for name, of in values.items()}
     mass = np.where(is_defined, total_mated, 0.0)
-    return Scale(values, mass, bias, n_mated, n_non_mated, n_bins)
+    return Scale(values, mass, bias, n_mated, n_non_mated, cut.null_bins.shape[0])
 
 
 @lru_cache(maxsize=8)
-def _pairs(searches: tuple[tuple[bytes, ...], ...], same: _Same) -> _Pairs:
-    """Return the pairs of searches, given mates and clusters of each as bytes: they are hashed."""
+def _weighed(searches: tuple[People, ...], same: _Same) -> _Weighed:
     arrays = [[np.frombuffer(each, dtype=np.int64) for each in search] for search in searches]
+    mate = np.concatenate([each for each, *_ in arrays])
+    shapes = np.array([[one.size, two.size] for _, one, two in arrays])
     clusters = np.unique(np.concatenate([each for _, *both in arrays for each in both]))
-    first, second, is_mate = [], [], []
-    for mate, probe_cluster, gallery_cluster in arrays:
-        own, other = (np.searchsorted(clusters, of) for of in (probe_cluster, gallery_cluster))
-        mates = mate[:, None] == np.arange(other.size)
-        first.append(np.repeat(own, other.size))
-        second.append(np.where(mates | (own[:, None] == other), clusters.size, other).ravel())
-        is_mate.append(mates.ravel())
-    rows = np.ones((clusters.size + 1, 1 + SCORE_REPLICATES))
-    rows = rows[:, : 1 + len(same.weights)]
-    rows[:-1, 1:] = same.weights[:SCORE_REPLICATES, clusters].T
-    lanes = import_loops().LANES
-    padded = np.zeros((len(rows), -(-rows.shape[1] // lanes) * lanes), dtype=np.float32)
-    padded[:, : rows.shape[1]] = rows  # counts, exact in 32 bits
-    tables = padded.reshape(len(rows), -1, lanes).transpose(1, 0, 2)
-    own, other = np.concatenate(first), np.concatenate(second)
-    mates = np.flatnonzero(np.concatenate(is_mate))
-    return _Pairs(own, other, mates, rows, np.ascontiguousarray(tables))
+    rows = np.ones((clusters.size, 1 + len(same.weights[:SCORE_REPLICATES])))
+    rows[:, 1:] = same.weights[:SCORE_REPLICATES, clusters].T
+    table = np.zeros((len(rows) + 1, -(-rows.shape[1] // _LANES) * _LANES), dtype=np.float32)
+    table[:-1, : rows.shape[1]], table[-1] = rows, 1.0  # counts, exact in 32 bits
+    places = [[np.searchsorted(clusters, each) for each in both] for _, *both in arrays]
+    own, other = (np.concatenate(each) for each in zip(*places, strict=True))
+    weighed = tuple((rows[one], rows[two]) for one, two in places)
+    within = tuple(np.nonzero(one[:, None] == two) for one, two in places)
+    return _Weighed(shapes, own, other, mate, table, weighed, within)
 
 
-def _masses(pairs: _Pairs, cell: Ints, bins: NDArray[np.uint8]) -> tuple[Floats, Floats, Ints]:
-    """Return the weight of either class in each cell that holds a score, (R, K), and its bin."""
-    loops, n_replicates = import_loops(), pairs.rows.shape[1]
-    is_occupied = np.bincount(cell, minlength=bins.size) > 0
-    key = (2 * np.cumsum(is_occupied) - 2)[cell]
-    key[pairs.mates] += 1
-    out = np.empty((2, len(pairs.tables) * loops.LANES, int(is_occupied.sum())))
-    loops.weigh(pairs.tables, key, pairs.first, pairs.second, out)
-    non_mated, mated = out[:, :n_replicates]
-    return mated, non_mated, bins[is_occupied].astype(np.int64)
-
-
-def _costs(pairs: _Pairs, scores: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
+def _costs(
+    people: _Weighed, trials: Sequence[tuple[Search, People]], calibration: Calibration
+) -> tuple[Floats, Floats]:
     """Return the summed cost of either class as evidence, (R,) each, in nats."""
-    llr = calibration.slope * scores + calibration.intercept
-    rows, n, own = pairs.rows, len(pairs.rows), pairs.first[pairs.mates]
-    mated = np.bincount(own, weights=np.logaddexp(0.0, -llr[pairs.mates]), minlength=n)
-    # log(1 + LR), in a way that does not overflow and that numpy computes several at a time.
-    costs = np.log1p(np.exp(-np.abs(llr)))
-    costs += np.maximum(llr, 0.0)
-    costs[pairs.mates] = 0.0
-    between = np.bincount(n * pairs.first + pairs.second, weights=costs, minlength=n**2)
-    return mated @ rows, np.einsum("cr,cr->r", between.reshape(n, n) @ rows, rows)
+    own, between = np.zeros((2, people.rows[0][0].shape[1]))
+    for (search, who), (first, second), within in zip(
+        trials, people.rows, people.within, strict=True
+    ):
+        mated = mated_probes(who)
+        mates = mated.probes, mated.mate
+        llr = calibration.slope * search.scores + calibration.intercept
+        own += np.logaddexp(0.0, -llr[mates]) @ first[mated.probes]
+        # log(1 + LR), in a way that does not overflow and that numpy computes several at a time.
+        costs = np.abs(llr)
+        np.log1p(np.exp(np.negative(costs, out=costs), out=costs), out=costs)
+        costs += np.maximum(llr, 0.0, out=llr)
+        costs[mates] = 0.0
+        # Within a cluster, a pair weighs no more than the probe.
+        once = np.bincount(within[0], weights=costs[within], minlength=len(first))
+        costs[within] = 0.0
+        between += once @ first + np.einsum("pr,pr->r", costs @ second, first)
+    return own, between
 
 
 def over_scales(results: Sequence[Scale]) -> dict[str, Floats]:

@@ -60,7 +60,7 @@ def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
 
     Parameters and errors are those of `auc`.
     """
-    true, false = (mass[0] / mass.sum() for mass in _counts(mated, non_mated))
+    true, false = (mass[:, 0] / mass.sum() for mass in _counts(mated, non_mated))
     both = true + false
     starts = isotonic_regression(true / both, weights=both).blocks[:-1]
     fpr, tpr = (
@@ -215,19 +215,12 @@ def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
     high = max(float(mated.max()), float(non_mated.max()))
     edges = inner_edges(low, high, n_bins)
     p, q = (
-        np.bincount(np.searchsorted(edges, x, side="right"), minlength=n_bins) / x.size
+        np.bincount(np.searchsorted(edges, x, side="right"), minlength=n_bins)[:, None] * 1.0
         for x in (mated, non_mated)
     )
-    return float(linked_share(p, q)), n_bins
-
-
-def linked_share(p: Floats, q: Floats) -> Floats:
-    """Return `d_sys` of histograms, (...,): shares of mated and non-mated scores, (..., bins)."""
-    excess = np.zeros(p.shape)
-    # 2 LR / (1 + LR) - 1 = (LR - 1) / (LR + 1), which is 1 where LR is infinite.
-    np.divide(p * (p - q), p + q, out=excess, where=p > q)
-    share: Floats = excess.sum(axis=-1)
-    return share
+    share = np.empty(1)
+    import_loops().link_shares(p, q, np.arange(n_bins), share)
+    return float(share[0]), n_bins
 
 
 def default_bins(n_mated: int) -> int:
@@ -254,11 +247,11 @@ def _check_classes(mated: Floats, non_mated: Floats) -> None:
 
 
 def _counts(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
-    """Return how many scores of either class have each distinct value, (1, K), ascending."""
+    """Return how many scores of either class have each distinct value, (K, 1), ascending."""
     _check_classes(mated, non_mated)
     distinct, place = np.unique(np.concatenate([mated, non_mated]), return_inverse=True)
     own, other = (
-        np.bincount(places, minlength=distinct.size)[None].astype(np.float64)
+        np.bincount(places, minlength=distinct.size)[:, None].astype(np.float64)
         for places in (place[: mated.size], place[mated.size :])
     )
     return own, other
@@ -266,8 +259,8 @@ def _counts(mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
 
 def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
     """Return AUC, EER and Cllr_min, then TPR and FPR at each level."""
-    out = np.empty((1, 3 + 2 * len(levels)))
+    out = np.empty((3 + 2 * len(levels), 1))
     own, other = _counts(mated, non_mated)
     import_loops().read_rocs(own, other, np.array(levels, dtype=np.float64), out)
-    read: Floats = out[0]
+    read: Floats = out[:, 0]
     return read

@@ -25,7 +25,7 @@ from isac_track.intervals import (
 )
 from isac_track.linkability.ranks import (
     Search,
-    assign,
+    assign_in,
     expected_hit,
     expected_reciprocal,
     residual_risk,
@@ -43,17 +43,24 @@ from isac_track.linkability.scales import (
 from isac_track.linkability.significance import (
     add_shuffles,
     check_searches,
+    mated_probes,
     minimum_detectable_rank1,
+    n_candidates,
     p_value_among,
+    people_of,
     rank1_p,
     rank_rows,
     shuffled_log_ranks,
+    shuffled_mates,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from isac_track.linkability.scores import Calibration
+    from isac_track.linkability.significance import People
     from isac_track.types import Floats, Ints
 
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
@@ -224,9 +231,9 @@ def scorecard(
         lacks a scale, or if `no_match_score` is not as long as `searches`.
     """
     check_searches(searches, n_shuffles)
-    scales = sorted({search.scale for search in searches})
-    if calibration is not None and not calibration.keys() >= set(scales):
-        raise ValueError(f"calibration lacks the scales {sorted(set(scales) - set(calibration))}")
+    scales = {search.scale for search in searches}
+    if calibration is not None and not calibration.keys() >= scales:
+        raise ValueError(f"calibration lacks the scales {sorted(scales - set(calibration))}")
     if no_match_score is not None and len(no_match_score) != len(searches):
         raise ValueError(
             f"no_match_score must be one a search, {len(searches)}, got {len(no_match_score)}"
@@ -234,27 +241,71 @@ def scorecard(
     last = max(int(max(s.probe_cluster.max(), s.gallery_cluster.max())) for s in searches)
     if weights.ndim != 2 or last >= weights.shape[1]:  # noqa: PLR2004 - a matrix
         raise ValueError(f"weights must be (B, C), C > {last}, got {weights.shape}")
-    cells = {
-        scale: cut_scores([search for search in searches if search.scale == scale], n_shuffles)
-        for scale in scales
+    return scorecard_of(
+        searches,
+        weights=weights,
+        calibration=calibration,
+        no_match_score=no_match_score,
+        draws=draw([people_of(search) for search in searches], rng, n_shuffles),
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Drawn:
+    """What is drawn for one search of a scorecard."""
+
+    people: People
+    order: Ints
+    """(G,) columns, for `assign`"""
+    whose: NDArray[np.uint16]
+    """(n_shuffles, N) `shuffled_mates`"""
+
+
+def draw(people: Sequence[People], rng: np.random.Generator, n_shuffles: int) -> tuple[Drawn, ...]:
+    """Return what `scorecard` draws for searches of these people."""
+    return tuple(
+        Drawn(
+            one,
+            rng.permutation(n_candidates(one)),
+            shuffled_mates(mated_probes(one), rng, n_shuffles),
+        )
+        for one in people
+    )
+
+
+def scorecard_of(
+    searches: Sequence[Search],
+    *,
+    weights: Floats,
+    calibration: Mapping[int, Calibration] | None,
+    no_match_score: Sequence[float] | None,
+    draws: Sequence[Drawn],
+) -> Scorecard:
+    """Return `scorecard` of what is drawn already; nothing is checked."""
+    n_shuffles = len(draws[0].whose)
+    trials = [(search, drawn.people) for search, drawn in zip(searches, draws, strict=True)]
+    by_scale = {
+        scale: [one for one in trials if one[0].scale == scale]
+        for scale in sorted({search.scale for search in searches})
     }
+    cells = {scale: cut_scores(some, n_shuffles) for scale, some in by_scale.items()}
     null, observed = np.zeros(n_shuffles), 0.0
-    places: list[Ints] = []
+    places: dict[int, list[NDArray[np.int32]]] = {scale: [] for scale in cells}
     standings, assignments = [], []
     no_match: Sequence[float | None] = no_match_score or [None] * len(searches)
-    for search, least in zip(searches, no_match, strict=True):
+    for search, least, drawn in zip(searches, no_match, draws, strict=True):
         cut = cells[search.scale]
-        log_rank, cell, of_mate = rank_rows(search, cut.breaks)
-        columns = assign(scores=search.scores, rng=rng, no_match_score=least)
-        observed += add_shuffles(search, log_rank, cut.bins[cell], rng, null, cut.null_bins)
-        places.append(cell)
-        standings.append(of_mate)
+        ranked = rank_rows(search, cut.breaks, cut.counts)
+        columns = assign_in(drawn.order, search.scores, least)
+        shuffled = mated_probes(drawn.people), drawn.whose
+        score_bin = cut.bins.take(ranked.cell)
+        observed += add_shuffles(*shuffled, ranked.log_rank, score_bin, null, cut.null_bins)
+        places[search.scale].append(ranked.cell)
+        standings.append(ranked.standing)
         assignments.append(np.where(columns < 0, -1, columns == search.mate))
     results = [
         score_scale(
-            [one for one in zip(searches, places, strict=True) if one[0].scale == scale],
-            cut,
-            weights,
+            *(by_scale[scale], places[scale], cut, weights),
             calibration[scale] if calibration is not None else None,
         )
         for scale, cut in cells.items()

@@ -6,6 +6,8 @@ Numba is imported, and its loops compiled, at the first shuffle, not before.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -23,8 +25,37 @@ if TYPE_CHECKING:
 
 Outcome: TypeAlias = Literal["links", "no link detected", "attack too weak"]
 
+People: TypeAlias = tuple[bytes, bytes, bytes]
+"""Mates and clusters of a search, as 64-bit integers: unlike arrays, bytes are hashed."""
+
 LEVEL = 0.05
 """Of the tests."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Mated:
+    """The N probes of a search that have a mate."""
+
+    probes: Ints
+    """(N,) cluster by cluster, those of the smallest first"""
+    mate: Ints
+    """(N,) their columns"""
+    sizes: Ints
+    """(A,) of clusters, ascending"""
+    n_alike: Ints
+    """(A,) clusters of each size"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Ranked:
+    """Where the scores of a search stand."""
+
+    log_rank: Floats
+    """(P, G) `log_rank` of every column were it the mate"""
+    cell: NDArray[np.int32]
+    """(P, G)"""
+    standing: Ints
+    """(P, 2) how many stand above the probe's mate and how many as high; -1 and 0 without one"""
 
 
 def permutation_p(
@@ -76,12 +107,14 @@ def shuffled_log_ranks(
     searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int
 ) -> tuple[float, Floats]:
     """Return the sum of `log_rank` over mates, and those of shuffled mates, (n_shuffles,)."""
-    null, nowhere = np.zeros(n_shuffles), np.zeros((n_shuffles, 1))
+    null, nowhere = np.zeros(n_shuffles), np.zeros((1, n_shuffles))
     observed = 0.0
     for search in searches:
-        log_rank, _, _ = rank_rows(search, np.empty(0))
-        one_bin = np.zeros(log_rank.shape, dtype=np.uint8)
-        observed += add_shuffles(search, log_rank, one_bin, rng, null, nowhere)
+        mated = mated_probes(people_of(search))
+        ranked = rank_rows(search, np.empty(0), np.zeros((1, 2), dtype=np.int64))
+        one_bin = np.zeros(ranked.cell.shape, dtype=np.uint8)
+        whose = shuffled_mates(mated, rng, n_shuffles)
+        observed += add_shuffles(mated, whose, ranked.log_rank, one_bin, null, nowhere)
     return observed, null
 
 
@@ -184,50 +217,84 @@ def check_searches(searches: Sequence[Search], n_shuffles: int) -> None:
         raise ValueError(f"n_shuffles must be at least 999, got {n_shuffles}")
 
 
-def rank_rows(search: Search, breaks: Floats) -> tuple[Floats, Ints, Ints]:
-    """Return `log_rank` of every column were it the mate, (P, G), and the cell of its score.
-
-    Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it. And of each
-    probe, (P, 2), how many stand above its mate and how many as high; -1 and 0 without one.
-    """
-    scores = np.ascontiguousarray(search.scores, dtype=np.float64)
-    log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int64)
-    standing = np.tile(np.array([-1, 0]), (len(scores), 1))
-    import_loops().rank_rows(
-        *(scores, np.argsort(scores, axis=1), breaks, log_factorials(scores.shape[1])),
-        *(np.ascontiguousarray(search.mate, dtype=np.int64), log_rank, cell, standing),
-    )
-    return log_rank, cell, standing
+def people_of(search: Search) -> People:
+    """Return who is searched for: two searches of the same people have the same."""
+    arrays = (search.mate, search.probe_cluster, search.gallery_cluster)
+    mate, probes, gallery = (each.astype(np.int64).tobytes() for each in arrays)
+    return mate, probes, gallery
 
 
-def add_shuffles(
-    search: Search,
-    log_rank: Floats,
-    score_bin: NDArray[np.uint8],
-    rng: np.random.Generator,
-    null: Floats,
-    null_bins: Floats,
-) -> float:
-    """Return the sum of `log_rank`, (P, G), over mates; add those of shuffled mates to `null`.
+def n_candidates(people: People) -> int:
+    """Return the size of the gallery."""
+    return len(people[2]) // np.dtype(np.int64).itemsize
 
-    To `null_bins`, (n, bins), are added the shuffles' mated scores, whose bins are `score_bin`.
-    """
-    probes = np.flatnonzero(search.mate >= 0)
-    clusters = search.probe_cluster[probes]
-    _, place, counts = np.unique(clusters, return_inverse=True, return_counts=True)
+
+@lru_cache(maxsize=64)
+def mated_probes(people: People) -> Mated:
+    """Return who has a mate."""
+    mate, cluster = (np.frombuffer(each, dtype=np.int64) for each in people[:2])
+    probes = np.flatnonzero(mate >= 0)
+    _, place, counts = np.unique(cluster[probes], return_inverse=True, return_counts=True)
     probes = probes[np.lexsort((place, counts[place]))]
-    mate = search.mate[probes].astype(np.int64)
     n_of_size = np.bincount(counts)
     sizes = np.flatnonzero(n_of_size)
-    n_alike = n_of_size[sizes]
-    uniform = rng.random((null.size, probes.size - sizes.size))
+    return Mated(probes, mate[probes], sizes, n_of_size[sizes])
+
+
+def rank_rows(search: Search, breaks: Floats, counts: Ints) -> Ranked:
+    """Return where every score stands.
+
+    Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it. To `counts`,
+    (cells, 2), are added the non-mated and the mated scores in each.
+    """
+    scores = np.ascontiguousarray(search.scores, dtype=np.float64)
+    log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int32)
+    standing = np.empty((len(scores), 2), dtype=np.int64)
+    standing[:] = -1, 0
+    import_loops().rank_rows(
+        *(scores, np.argsort(scores, axis=1), breaks, log_factorials(scores.shape[1])),
+        *(np.ascontiguousarray(search.mate, dtype=np.int64), log_rank, cell, standing, counts),
+    )
+    return Ranked(log_rank, cell, standing)
+
+
+def shuffled_mates(mated: Mated, rng: np.random.Generator, n: int) -> NDArray[np.uint16]:
+    """Return whose mate each of N probes gets, (n, N), as `permutation_p` draws it.
+
+    Of more probes than 16 bits can count no memory holds the scores.
+    """
+    sizes, n_alike = mated.sizes.copy(), mated.n_alike.copy()
+    n_probes, rows = mated.probes.size, 64
+    uniform = np.empty((rows, n_probes - sizes.size))
     if sizes.size and sizes[0] == 1:
         # Permuting clusters of one is permuting the members of one cluster, which is faster.
         sizes[0], n_alike[0] = n_alike[0], 1
-    import_loops().shuffle(
-        *(uniform, sizes, n_alike, mate, log_rank[probes], score_bin[probes], null, null_bins)
+    whose, before = np.empty((n, n_probes), dtype=np.uint16), np.arange(n_probes, dtype=np.uint16)
+    # As few at a time as the cache holds.
+    for first in range(0, n, rows):
+        some = whose[first : first + rows]
+        rng.random(out=uniform[: len(some)])
+        import_loops().shuffle(uniform[: len(some)], sizes, n_alike, before, some)
+        before = some[-1]
+    return whose
+
+
+def add_shuffles(
+    mated: Mated,
+    whose: NDArray[np.uint16],
+    log_rank: Floats,
+    score_bin: NDArray[np.uint8],
+    null: Floats,
+    null_bins: Floats,
+) -> float:
+    """Return the sum of `log_rank`, (P, G), over mates; add those of n shuffles to `null`.
+
+    To `null_bins`, (bins, n), are added their mated scores, whose bins are `score_bin`, (P, G).
+    """
+    import_loops().add_shuffles(
+        *(whose, mated.probes, mated.mate, log_rank, score_bin, null, null_bins)
     )
-    return float(log_rank[probes, mate].sum())
+    return float(log_rank[mated.probes, mated.mate].sum())
 
 
 def import_loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types

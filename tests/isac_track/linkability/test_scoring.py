@@ -27,7 +27,13 @@ from isac_track.linkability import (
     residual_risk,
     scales,
 )
-from isac_track.linkability.significance import add_shuffles, rank_rows
+from isac_track.linkability.significance import (
+    add_shuffles,
+    mated_probes,
+    people_of,
+    rank_rows,
+    shuffled_mates,
+)
 from isac_track.rng import stream
 from isac_track.types import read_only
 
@@ -87,17 +93,20 @@ def test_the_scorecard_says_what_its_parts_say(is_grouped):
     rng = stream(13, "test", "draws")
     everything = np.concatenate([one.scores.ravel(), two.scores.ravel()])
     edges = np.linspace(everything.min(), everything.max(), 42 // 10 + 1)
-    assigned, hits, null, null_bins = [], [], np.zeros(999), np.zeros((999, 4))
+    assigned, hits, null, null_bins = [], [], np.zeros(999), np.zeros((4, 999))
     for s in (one, two):
         assigned.append(assign(scores=s.scores, rng=rng) == s.mate)
         hits.append(rank1(scores=s.scores, mate=s.mate))
         score_bin = np.searchsorted(edges[1:-1], s.scores, side="right").astype(np.uint8)
-        add_shuffles(s, rank_rows(s, np.empty(0))[0], score_bin, rng, null, null_bins)
+        mated, counts = mated_probes(people_of(s)), np.zeros((1, 2), dtype=int)
+        ranked = rank_rows(s, np.empty(0), counts).log_rank
+        whose = shuffled_mates(mated, rng, 999)
+        add_shuffles(mated, whose, ranked, score_bin, null, null_bins)
     observed = 42 * mean_log_rank([one, two])
     p = (1 + (null >= observed - 1e-9).sum()) / 1000
     p_low = (1 + (null <= observed + 1e-9).sum()) / 1000
     total = np.histogram(everything, edges)[0]
-    mated, others = null_bins / 42, (total - null_bins) / (total.sum() - 42)
+    mated, others = null_bins.T / 42, (total - null_bins.T) / (total.sum() - 42)
     with np.errstate(invalid="ignore"):  # D_sys: no score in a bin is no share of it
         share = np.where(mated > others, mated * (mated - others) / (mated + others), 0.0)
     estimates = result.estimates
@@ -143,14 +152,14 @@ def test_of_the_next_attack_on_the_same_people_it_is_the_same_whether_pairs_are_
     kept, others = (
         read_only(cluster_weights(n_clusters=6, n_replicates=9, seed=seed)) for seed in (0, 1)
     )
-    hits = scales._pairs.cache_info().hits
+    hits = scales._weighed.cache_info().hits
     card(first, n_clusters=6, weights=kept)
     for searches in (second, other_people, first):
         for weights in (kept, others):
             options = {"n_clusters": 6, "calibration": CALIBRATION}
             found = card(searches, weights=weights, **options)
             assert_alike(card(searches, weights=weights.copy(), **options), found)
-    assert scales._pairs.cache_info().hits > hits
+    assert scales._weighed.cache_info().hits > hits
 
 
 def test_the_layout_of_a_search_does_not_matter():

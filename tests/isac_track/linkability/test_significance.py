@@ -23,7 +23,14 @@ from isac_track.linkability import (
     rank1_p,
     reciprocal_rank,
 )
-from isac_track.linkability.significance import add_shuffles, holm, rank_rows
+from isac_track.linkability.significance import (
+    add_shuffles,
+    holm,
+    mated_probes,
+    people_of,
+    rank_rows,
+    shuffled_mates,
+)
 from isac_track.rng import stream
 
 
@@ -74,14 +81,16 @@ def test_the_null_is_the_law_over_all_possible_mates(sizes):
     sums = [np.nansum(log_rank(scores=one.scores, mate=mate)) for mate in mates]
     bins = [np.bincount(score_bin[mate >= 0, mate[mate >= 0]], minlength=3) for mate in mates]
     n = 300 * len(mates)
-    null, null_bins = np.zeros(n), np.zeros((n, 3))
-    ranked, _, _ = rank_rows(one, np.empty(0))
-    observed = add_shuffles(one, ranked, score_bin, stream(17, "test", "law"), null, null_bins)
+    null, null_bins = np.zeros(n), np.zeros((3, n))
+    mated, counts = mated_probes(people_of(one)), np.zeros((1, 2), dtype=int)
+    ranked = rank_rows(one, np.empty(0), counts).log_rank
+    whose = shuffled_mates(mated, stream(17, "test", "law"), n)
+    observed = add_shuffles(mated, whose, ranked, score_bin, null, null_bins)
     assert observed == pytest.approx(np.nansum(log_rank(scores=one.scores, mate=one.mate)))
     # Jointly: the bins are those of the same mates as the sum. Less than ten are in each.
     (expected, weight), (actual, counts) = (
         np.unique(np.round(rows, 9) + 1j * (held @ [1, 10, 100]), return_counts=True)
-        for rows, held in ((sums, np.array(bins)), (null, null_bins))
+        for rows, held in ((sums, np.array(bins)), (null, null_bins.T))
     )
     assert actual == pytest.approx(expected)
     assert (np.abs(counts - 300 * weight) < 5 * np.sqrt(300 * weight)).all()
