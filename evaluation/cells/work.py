@@ -24,7 +24,7 @@ from evaluation.cells.reconstruction import (
     attacked_block,
     attacked_level,
 )
-from evaluation.cells.sharing import release_digest, sees_release_alone
+from evaluation.cells.sharing import Digest, release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.experiment.fingerprint import OURS
 from isac_track.errors import IsacTrackError, PluginError, told
@@ -145,7 +145,7 @@ def cells(
 def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Item]:
     whole = sensed_sessions(work.sessions, groups=work.groups, stages=stages, seed=seed)
     controls: dict[str, Linked] = {}
-    alike: dict[tuple[bytes, str], Tables] = {}
+    alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in work.levels:
         note(mechanism.spec, "")
         level = linked_level(mechanism, whole)
@@ -170,7 +170,7 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
     granted = {what for _, some in block.levels for one in some for what in one.granted}
     attacked: AttackedBlock | None = None
-    alike: dict[tuple[bytes, str], Tables] = {}
+    alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
