@@ -297,7 +297,8 @@ def _check_batch(batch: _Batch) -> None:
         elif item.metadata.get("per") == "track" and len(value) != n_tracks:
             raise ValueError(f"{item.name} must name {n_tracks} tracks, got {len(value)}")
     check_times(batch.t, batch.offsets)
-    if not np.isfinite(batch.xy).all():
+    largest = float(np.finfo(np.float64).max)
+    if not within(batch.xy, -largest, largest):
         raise ValueError("a position is not finite")
 
 

@@ -146,9 +146,8 @@ def _filter(
     q, probability, chances = moods
     first = offsets[i]
     a, c = prior[0], prior[1]
-    none = 0.0
     x0, y0 = xy[first, 0], xy[first, 1]
-    one: _State = (x0, none, y0, none, a, none, c, none, none, a, none, none, none, c)
+    one: _State = (x0, 0.0, y0, 0.0, a, 0.0, c, 0.0, 0.0, a, 0.0, 0.0, 0.0, c)
     other = one
     mu_one, mu_other = probability[0], probability[1]
     misses, log_likelihood = 0, 0.0
