@@ -37,16 +37,16 @@ def sampling_times(
     The update rate is uniform in ``rate_min_hz..rate_max_hz`` and drawn anew every
     ``rate_hold_s`` of track: this reading gives the paper's 366 points at 0.083 s.
     """
-    n_holds = int(np.ceil((end_s - start_s) / settings.rate_hold_s)) + 1
+    hold_s = settings.rate_hold_s
+    n_holds = int(np.ceil((end_s - start_s) / hold_s)) + 1
     rates = rng.uniform(settings.rate_min_hz, settings.rate_max_hz, n_holds)
-    times = [start_s]
+    intervals_s = (1.0 / rates).tolist()  # numbers of Python's own add up faster than numpy's
+    times, now = [start_s], float(start_s)
     while True:
-        now = times[-1]
-        hold = min(int((now - start_s) / settings.rate_hold_s), n_holds - 1)
-        following = now + 1.0 / rates[hold]
-        if following > end_s:
+        now += intervals_s[int((now - start_s) / hold_s)]
+        if now > end_s:
             return np.array(times)
-        times.append(following)
+        times.append(now)
 
 
 def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks:
