@@ -21,8 +21,8 @@ Few: TypeAlias = tuple[Rows, Rows]
 EVERYBODY: Few = (slice(None), slice(None))
 _Value = TypeVar("_Value")
 
-_MOST_PAIRS = 2**20
-"""Of which all scores of a level are remembered, 8 MB for each linker and adversary."""
+_MOST_PAIRS = 2**19
+"""Of which all scores of a level are remembered, 4 MB for each linker and adversary."""
 LEAST_MATES = 8
 """Fewer mated pairs teach nothing that could be trusted: defaults are kept."""
 MARGIN = 0.02
