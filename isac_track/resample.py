@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from isac_track.rng import stream
 from isac_track.types import Floats, Tracks
@@ -26,6 +25,8 @@ def walk(track: Tracks) -> Callable[[Floats], Floats]:
     """
     if len(track) != 1 or track.t.size < 2:  # noqa: PLR2004 - a walk needs two points
         raise ValueError("a walk needs one track of at least two samples")
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - heavy, and workers get walks sampled
+
     return CubicSpline(track.t, track.xy)  # scipy lowers the degree below four points
 
 
