@@ -239,11 +239,10 @@ class _Lane(Generic[W, R]):
         worker.tell("work", work)
 
     def items(self) -> list[R | Failed]:
-        """Return what has come of the work since; kill a worker that is late.
+        """Return what comes next of the work, if it is there; kill a worker that is late.
 
         Afterwards it is not busy if that was all, because it is done or the worker is.
         """
-        found: list[R | Failed] = []
         # First: what it said before it ended is still there.
         is_gone = self._worker is None or not self._worker.is_alive()
         try:
@@ -252,26 +251,26 @@ class _Lane(Generic[W, R]):
                 if kind == "at":
                     self._at, self._since_s = said, time.monotonic()
                 elif kind == "item":
-                    found.append(said)
+                    return [said]
                 elif kind == "raised" and isinstance(said, Exception):
                     raise said
                 else:
                     self.is_busy = False
                     if kind == "raised":  # KeyboardInterrupt, say: no Ctrl-C reaches a worker
-                        found.append(Failed(self._at, f"it raised {type(said).__name__}"))
+                        return [Failed(self._at, f"it raised {type(said).__name__}")]
         except (EOFError, ConnectionError):
             is_gone = True
         if is_gone and self.is_busy:
             self.stop()
             self.is_busy = False
             why = self._overdue or "its worker died (killed, crashed or out of memory)"
-            return [*found, Failed(self._at, why, died=not self._overdue)]
+            return [Failed(self._at, why, died=not self._overdue)]
         is_late = self._limit_s is not None and time.monotonic() - self._since_s > self._limit_s
         if self.is_busy and self._at and is_late and not self._overdue:
             self._overdue = f"it ran for longer than {self._limit_s:g} s"
             if self._worker is not None:
                 self._worker.kill()
-        return found
+        return []
 
     def stop(self, *, keeps: bool = False) -> None:
         """End the worker, if there is one, or keep it if it has nothing to do."""
