@@ -94,6 +94,7 @@ def spread(
         for lane in lanes:  # to begin takes a worker 1 to 2 s: all at once
             ends.callback(lane.stop, keeps=keeps)
             lane.begin()
+        _dismiss()  # there is no work for more
         if loops:
             lanes[0].load(loops)
         while works or any(lane.is_busy for lane in lanes):
@@ -119,8 +120,12 @@ def ahead(n_workers: int = 0) -> Iterator[None]:
             _waiting[-1].tell("import", _IMPORTED)
         yield
     finally:
-        while _waiting:
-            _waiting.pop().end()
+        _dismiss()
+
+
+def _dismiss() -> None:
+    while _waiting:
+        _waiting.pop().end()
 
 
 @contextlib.contextmanager
