@@ -185,21 +185,21 @@ def scored(scores: Floats, weights: Floats) -> list[Floats]:
 
 
 def warped(probe: Any, gallery: Any, *, band: float, penalty: float, floor: float) -> Floats:  # noqa: ANN401 - Signals
-    """Return `warped_costs` by dtaidistance: its compiled loop, a pair at a time."""
+    """Return `warped_costs` of walks of about one length by dtaidistance's compiled loops."""
     from dtaidistance import dtw_ndim
 
-    p, g = (
-        [np.ascontiguousarray(one.values[:, row, :n:2].T) for row, n in enumerate(one.sizes)]
+    walks = [
+        np.ascontiguousarray(one.values[:, row, :n:2].T)
         for one in (probe, gallery)
-    )
-    costs = np.empty((len(p), len(g)))
-    for (i, j), _ in np.ndenumerate(costs):
-        shorter, longer = sorted((len(p[i]), len(g[j])))
-        reach = round(band * longer)
-        psi = min(reach, (shorter - 1) // 2)
-        known = {"window": reach + 1, "psi": psi, "penalty": penalty}
-        square = dtw_ndim.distance(p[i], g[j], use_c=True, **known) ** 2
-        costs[i, j] = (square / shorter + floor) * (24 / shorter) ** 3
+        for row, n in enumerate(one.sizes)
+    ]
+    length, n_probe = np.array([len(one) for one in walks]), probe.sizes.size
+    (reach,) = {round(band * n) for n in length}  # nor is it cut where a walk is short
+    block = ((0, n_probe), (n_probe, len(walks)))
+    law = {"window": reach + 1, "psi": reach, "penalty": penalty}
+    found = dtw_ndim.distance_matrix(walks, 2, block=block, use_c=True, parallel=False, **law)
+    shorter = np.minimum.outer(length[:n_probe], length[n_probe:])
+    costs: Floats = (found[:n_probe, n_probe:] ** 2 / shorter + floor) * (24 / shorter) ** 3
     return costs
 
 

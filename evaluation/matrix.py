@@ -139,35 +139,50 @@ def _command(arguments: Sequence[str] | None) -> int:
         return DONE
     settings = settings_from(options)
     check_drawing()
-    # Heavy imports only now: --help, --list and a typing error answer at once.
-    from evaluation.experiment.plan import plan  # noqa: PLC0415 - as said
+    from evaluation.runs.workers import ahead  # noqa: PLC0415 - as said below
 
-    ready = plan(settings)
-    _say(plan_lines(ready), stream=sys.stderr)
-    if options.dry_run:
-        return DONE
-    # What draws and shows is heavier still: until here, the user knows what is under way.
-    from evaluation.reporting.tables import show  # noqa: PLC0415 - as said
-    from evaluation.results import run  # noqa: PLC0415 - as said
-    from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said
+    with _progress_bar() as update, ahead(0 if options.dry_run else _n_workers(settings)):
+        update(0, None, "reading the recording")
+        # Heavy imports only now: --help, --list and a typing error answer at once.
+        from evaluation.experiment.plan import plan  # noqa: PLC0415 - as said
 
-    gc.freeze()  # what was imported stays: looking through it again and again takes a second
-    with _progress_bar() as update, warnings.catch_warnings():
-        warnings.simplefilter("ignore", FailedCellsWarning)  # told below
-        results = run(ready=ready, progress=update)
+        ready = plan(settings)
+        _say(plan_lines(ready), stream=sys.stderr)
+        if options.dry_run:
+            return DONE
+        # What draws and shows is heavier still: until here, the user knows what is under way.
+        from evaluation.reporting.tables import show  # noqa: PLC0415 - as said
+        from evaluation.results import run  # noqa: PLC0415 - as said
+        from evaluation.runs.execute import FailedCellsWarning  # noqa: PLC0415 - as said
+
+        gc.freeze()  # what was imported stays: looking through it again and again takes a second
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FailedCellsWarning)  # told below
+            results = run(ready=ready, progress=update)
     _say((f"notice: {one}" for one in notices(results.manifest)), stream=sys.stderr)
     show(results)
     _say([f"\nresults in {results.out}; read {results.out / 'report.html'} first"])
     return FAILED_CELLS if len(results.failed) else DONE
 
 
+def _n_workers(settings: Settings) -> int:
+    """Return how many workers a run will take: they start while it is planned."""
+    from evaluation.experiment.axes import axes, jobs_of  # noqa: PLC0415 - as said
+    from evaluation.experiment.fingerprint import has_strangers  # noqa: PLC0415 - as said
+
+    crossed = axes(settings)
+    jobs = jobs_of(crossed, settings)
+    needed = jobs > 1 or has_strangers(crossed) or settings.cell_timeout_s is not None
+    return jobs if needed and settings.scheduler is None else 0
+
+
 @contextlib.contextmanager
-def _progress_bar() -> Iterator[Callable[[int, int, str], None]]:
-    """Show how far a run is on a terminal; nothing where nobody watches."""
+def _progress_bar() -> Iterator[Callable[[int, int | None, str], None]]:
+    """Show how far a run is: a bar on a terminal, elsewhere a line when a stage begins."""
     from rich import progress  # noqa: PLC0415 - as said
     from rich.console import Console  # noqa: PLC0415 - as said
 
-    console = Console(stderr=True)
+    console, seen = Console(stderr=True), {""}
     with progress.Progress(
         progress.TextColumn("{task.description}", markup=False),
         progress.BarColumn(),
@@ -181,9 +196,15 @@ def _progress_bar() -> Iterator[Callable[[int, int, str], None]]:
         transient=True,
     ) as bar:
         task = bar.add_task("starting", total=None)
-        yield lambda done, total, what: bar.update(
-            task, completed=done, total=total, description=f"{what:<40.40}"
-        )
+
+        def update(done: int, total: int | None, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=f"{what:<40.40}")
+            stage = what.partition(":")[0] if total else ""
+            if not console.is_terminal and stage not in seen:
+                seen.add(stage)
+                print(f"{stage}: {done} of {total} cells are finished", file=sys.stderr)
+
+        yield update
 
 
 def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace:

@@ -25,7 +25,7 @@ from evaluation.runs.cell_files import read_gallery
 from evaluation.runs.execute import execute
 from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
-from evaluation.runs.workers import given_back
+from evaluation.runs.workers import ahead, given_back
 from evaluation.verdict import sections as verdict
 from evaluation.verdict.within_level import read_levels
 
@@ -65,7 +65,8 @@ def run(
         check_drawing()
     folder.check_folder(ready.out)
     with given_back(), locked(ready.out), _one_thread():
-        execute(ready, progress or (lambda _done, _total, _what: None))
+        with ahead():
+            execute(ready, progress or (lambda _done, _total, _what: None))
         return build(ready.out, pictures=pictures, jobs=ready.jobs)
 
 

@@ -117,8 +117,18 @@ def conflict_probability(*, robot: Floats, mean: Floats, cov: Floats, radius_m: 
     distance_m = np.hypot(gap[..., 0], gap[..., 1])
     widest_m = np.sqrt(np.maximum(np.trace(cov, axis1=-2, axis2=-1), _SMALLEST_STD_M**2))
     near = distance_m < radius_m + _REACH_STD * widest_m
+    # To lie in the disc is no likelier than on its side of the tangent in front of it. Only steps
+    # that might be the likeliest by that are integrated: first the best bet, which few others beat.
+    x, y = np.moveaxis(gap, -1, 0) / np.maximum(distance_m, _SMALLEST_STD_M)
+    variance = x * x * cov[..., 0, 0] + 2.0 * x * y * cov[..., 0, 1] + y * y * cov[..., 1, 1]
+    std_m = np.sqrt(np.maximum(variance, 0.0) + _SMALLEST_STD_M**2)
+    bound = np.where(near, ndtr((radius_m - distance_m) / std_m), 0.0)
     step = np.zeros(near.shape)
-    step[near] = disc_probability(mean=gap[near], cov=cov[near], radius_m=radius_m)
+    best = near & (bound == bound.max(axis=2, keepdims=True))
+    step[best] = disc_probability(mean=gap[best], cov=cov[best], radius_m=radius_m)
+    # The quadrature errs by less than a tenth.
+    rest = near & ~best & (bound > 0.9 * step.max(axis=2, keepdims=True))
+    step[rest] = disc_probability(mean=gap[rest], cov=cov[rest], radius_m=radius_m)
     none: Floats = np.prod(1.0 - step.max(axis=2), axis=1)
     return 1.0 - none
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import struct
 
 import numpy as np
 
@@ -36,5 +35,8 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
         text = f"s{name}" if isinstance(name, str) else f"i{int(name)}"
         encoded = text.encode()
         parts += len(encoded).to_bytes(8, "little"), encoded
-    key = struct.unpack("<4I", hashlib.sha256(b"".join(parts)).digest()[:16])
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+    key = hashlib.sha256(b"".join(parts)).digest()[:16]
+    # The words into which a `SeedSequence` turns the seed and a spawn key: told so, it need not.
+    words = max(4, -(-int(seed).bit_length() // 32))
+    entropy = np.frombuffer(int(seed).to_bytes(4 * words, "little") + key, dtype="<u4")
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))

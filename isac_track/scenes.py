@@ -15,12 +15,14 @@ from isac_track.conflict import is_conflict, minimum_separation, prediction_grid
 from isac_track.errors import DataError
 from isac_track.resample import resample, walk
 from isac_track.rng import stream
-from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, stretches
+from isac_track.types import TRACK, Floats, Ints, Scenes, Tracks, end_to_end, runs_of, stretches
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
     from isac_track.config import ConflictSettings, StageSettings
+
+_FEW_REDRAWS = 16
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -160,12 +162,12 @@ def make_scenes(
     futures = futures + shift[:, :, None, :]
     separation = minimum_separation(robot=robot, agents=futures)
     rows = order.reshape(-1)
-    sizes = np.diff(tracks.offsets)[rows]
-    samples, offsets = stretches(tracks.offsets[rows], sizes)
+    runs, offsets = runs_of(tracks.offsets, rows)
+    xy = end_to_end(tracks.xy, runs) + np.repeat(shift.reshape(-1, 2), np.diff(offsets), axis=0)
     safety_radius_m = settings.conflict.safety_radius_m
     return Scenes(
-        t=tracks.t[samples],
-        xy=tracks.xy[samples] + np.repeat(shift.reshape(-1, 2), sizes, axis=0),
+        t=end_to_end(tracks.t, runs),
+        xy=xy,
         offsets=offsets,
         track=rows,
         index=np.arange(first, first + n_scenes),
@@ -218,15 +220,20 @@ def _around_the_robot(
 ) -> tuple[Floats, bool]:
     """Return the shift of a background agent, and whether a place with clearance was found."""
     place = settings.scenes
-    draws = rng.random((place.max_redraws, 2))
-    radius_m = np.sqrt(
-        place.ring_min_m**2 + draws[:, 0] * (place.ring_max_m**2 - place.ring_min_m**2)
-    )
-    angle = 2.0 * np.pi * draws[:, 1]
-    now = robot[0] + radius_m[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     relative = (future - future[0]) - robot
-    gap = now[:, None, :] + relative
-    clear = np.hypot(gap[..., 0], gap[..., 1]).min(axis=1) >= place.clearance_m
-    found = bool(clear.any())
-    choice = int(clear.argmax()) if found else place.max_redraws - 1
-    return now[choice] - future[0], found
+    left = place.max_redraws
+    while True:
+        # The first few nearly always do: a share of the draws is a prefix of all.
+        draws = rng.random((min(left, _FEW_REDRAWS), 2))
+        left -= len(draws)
+        radius_m = np.sqrt(
+            place.ring_min_m**2 + draws[:, 0] * (place.ring_max_m**2 - place.ring_min_m**2)
+        )
+        angle = 2.0 * np.pi * draws[:, 1]
+        now = robot[0] + radius_m[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        gap = now[:, None, :] + relative
+        clear = np.hypot(gap[..., 0], gap[..., 1]).min(axis=1) >= place.clearance_m
+        found = bool(clear.any())
+        if found or not left:
+            choice = int(clear.argmax()) if found else -1
+            return now[choice] - future[0], found

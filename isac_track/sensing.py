@@ -7,12 +7,13 @@ sigma_raw, and Fisher information density (eq. swarm_fid). Two-way (monostatic) 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isac_track.rng import stream
-from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed
+from isac_track.types import ErrorLaw, Floats, Ints, Scenes, Sensed, read_only
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -86,8 +87,9 @@ def link_gain(
     n_paths = channel.path_power.shape[1]
     paths = np.zeros_like(distance_m)
     for path in range(n_paths):  # a (M, N_p) array would be the largest of a block
-        way_m = distance_m + excess_m[owner, path]
-        paths += channel.path_power[owner, path] * way_m ** -(2.0 * settings.path_loss_exponent)
+        way_m = distance_m + excess_m[:, path].take(owner)
+        power = channel.path_power[:, path].take(owner)
+        paths += power * way_m ** -(2.0 * settings.path_loss_exponent)
     fluctuation_db = (
         settings.large_scale_db * channel.large_scale[owner]
         + settings.beam_fluctuation_db * channel.beam
@@ -155,8 +157,13 @@ def unit_errors(
     if law == "isotropic":
         return draws[:, 1:]
     if law == "radial":
-        direction: Floats = draws[:, 1:] / np.hypot(draws[:, 1], draws[:, 2])[:, None]
-        return draws[:, :1] * direction
+        along, x, y = draws.T
+        length = np.hypot(x, y)
+        errors = np.empty((n_samples, 2))
+        for axis, draw in enumerate((x, y)):  # both at once would take longer
+            np.divide(draw, length, out=errors[:, axis])
+            errors[:, axis] *= along
+        return errors
     if law == "fixed_direction":
         if offsets is None:
             raise ValueError("the law fixed_direction needs the offsets of the tracks")
@@ -186,7 +193,19 @@ def draw_channel(
     keys : list of K names
         Name of each batch's stream under ``("sensing",)``.
     """
-    size = (n_samples.shape[1], settings.n_paths)
+    # In hashable form, and remembered: a process works on several pieces of one task in turn.
+    return _drawn(tuple(map(tuple, n_samples.tolist())), tuple(keys), settings, seed)
+
+
+@lru_cache(maxsize=2)  # both sides of a task
+def _drawn(
+    n_samples: tuple[tuple[int, ...], ...],
+    keys: tuple[tuple[str | int, ...], ...],
+    settings: SensingSettings,
+    seed: int,
+) -> Channel:
+    """Return the channel that `draw_channel` documents."""
+    size = (len(n_samples[0]), settings.n_paths)
     batches = []
     for sizes, key in zip(n_samples, keys, strict=True):
         offsets = np.concatenate([[0], np.cumsum(sizes)])
@@ -202,9 +221,9 @@ def draw_channel(
                 unit_errors(n_samples=total, law=settings.law, rng=error, offsets=offsets),
             )
         )
-    channel = Channel(*map(np.concatenate, zip(*batches, strict=True)))
-    channel.path_delay[:, 0] = 0.0  # the direct path
-    return channel
+    large_scale, power, delay, *rest = map(np.concatenate, zip(*batches, strict=True))
+    delay[:, 0] = 0.0  # the direct path
+    return Channel(*map(read_only, (large_scale, power, delay, *rest)))
 
 
 def sense(

@@ -7,17 +7,21 @@ how much error each sample gets.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
 from isac_track.sensing import unit_errors
-from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed
+from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, read_only, within
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.random import Generator
+
+_REMEMBERED = 5
+"""Errors kept: of a block, of those who are learnt from in both halves, and two repeats."""
 
 
 def perturb(
@@ -59,8 +63,9 @@ def perturb(
     ValueError
         If `d_sigma` is negative, not finite or of the wrong shape, or a rule is unknown.
     """
-    extra: Floats = np.broadcast_to(np.asarray(d_sigma, dtype=np.float64), sensed.t.shape)
-    if not (np.isfinite(extra).all() and (extra >= 0).all()):
+    given = np.asarray(d_sigma, dtype=np.float64)
+    extra: Floats = np.broadcast_to(given, sensed.t.shape)
+    if not within(given, 0.0, np.finfo(np.float64).max):
         raise ValueError("d_sigma must be finite and not negative")
     pseudonym = _pseudonyms(len(sensed), rng)
     if adding == "linear":
@@ -71,14 +76,46 @@ def perturb(
         unit_error, sigma = sensed.unit_error, sensed.sigma_raw + extra
     elif adding == "independent":
         if unit_error is None:
-            unit_error = unit_errors(
-                n_samples=sensed.t.size, law=law or sensed.law, rng=rng, offsets=sensed.offsets
-            )
+            unit_error = _fresh_errors(sensed, law or sensed.law, rng)
         sigma = np.hypot(sensed.sigma_raw, extra)
     else:
         raise ValueError(f"unknown adding rule {adding!r}; known: linear, independent")
-    xy = sensed.xy + unit_error * extra[:, None]
+    xy = np.empty_like(sensed.xy)
+    if given.size == 1:
+        np.multiply(unit_error, given, out=xy)
+    else:
+        for axis in range(2):  # both at once would take longer
+            np.multiply(unit_error[:, axis], extra, out=xy[:, axis])
+    xy += sensed.xy
     return Release(t=sensed.t, xy=xy, sigma=sigma, offsets=sensed.offsets, pseudonym=pseudonym)
+
+
+def _fresh_errors(sensed: Sensed, law: ErrorLaw, rng: Generator) -> Floats:
+    """Return `unit_errors` of a release, made once for all levels: their streams start alike."""
+    state = rng.bit_generator.state
+    if state["bit_generator"] != "PCG64" or law == "fixed_direction":
+        return unit_errors(n_samples=sensed.t.size, law=law, rng=rng, offsets=sensed.offsets)
+    inner, *rest = state["state"], state["has_uint32"], state["uinteger"]
+    errors, rng.bit_generator.state = _errors_from(
+        (inner["state"], inner["inc"], *rest), sensed.t.size, law
+    )
+    return errors
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _errors_from(
+    start: tuple[int, int, int, int], n_samples: int, law: ErrorLaw
+) -> tuple[Floats, Mapping[str, Any]]:
+    """Return what a generator in a state draws, and its state afterwards."""
+    bits = np.random.PCG64(0)
+    bits.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": start[0], "inc": start[1]},
+        "has_uint32": start[2],
+        "uinteger": start[3],
+    }
+    errors = unit_errors(n_samples=n_samples, law=law, rng=np.random.Generator(bits))
+    return read_only(errors), bits.state
 
 
 def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floats:
@@ -91,10 +128,13 @@ def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floa
     beta at least 1 (less would give a negative standard deviation).
     """
     rho = fid / eta
-    above = rho > 1.0
+    below = ~(rho > 1.0)
     # The exponent is clipped at 0 where the rule does not apply, lest it overflow there.
-    extra: Floats = alpha_m * (beta - np.exp(-np.maximum(rho - 1.0, 0.0)))
-    return np.where(above, extra, 0.0)
+    extra: Floats = np.minimum(np.subtract(1.0, rho, out=rho), 0.0, out=rho)
+    np.exp(extra, out=extra)
+    extra = np.multiply(alpha_m, np.subtract(beta, extra, out=extra), out=extra)
+    extra[below] = 0.0
+    return extra
 
 
 def check_at_least(name: str, value: float, least: float, unit: str = "") -> None:
@@ -179,7 +219,13 @@ class Clean:
 def _pseudonyms(n_tracks: int, rng: Generator) -> tuple[str, ...]:
     # A spawned child leaves the stream of the errors untouched.
     (child,) = rng.spawn(1)
-    return tuple(row.tobytes().hex() for row in child.integers(0, 256, (n_tracks, 8), np.uint8))
+    return names_of(child.integers(0, 256, 8 * n_tracks, np.uint8).tobytes())
+
+
+def names_of(drawn: bytes) -> tuple[str, ...]:
+    """Return a pseudonym for every eight bytes."""
+    text = drawn.hex()
+    return tuple([text[start : start + 16] for start in range(0, len(text), 16)])
 
 
 MECHANISMS: Final[Mapping[str, type]] = {"raw": Raw, "fixed": Fixed, "fid": Fid, "clean": Clean}

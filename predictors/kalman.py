@@ -14,7 +14,7 @@ import numpy as np
 
 from isac_track.kalman import Batch, Moods, imm_last, kalman_last
 from isac_track.noise import innovation_variance_m2
-from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, stretches
+from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, end_to_end
 
 GATE = 18.4
 """Chi-square quantile of 0.9999 with two degrees of freedom."""
@@ -77,12 +77,14 @@ class KalmanCV:
         """
         last = release.offsets[1:]
         sizes = np.minimum(np.diff(release.offsets), self.window)
-        sample, offsets = stretches(last - sizes, sizes)
-        t, xy = release.t[sample] - np.repeat(release.t[last - 1], sizes), release.xy[sample]
+        runs = list(zip((last - sizes).tolist(), last.tolist(), strict=True))
+        offsets = np.concatenate([[0], np.cumsum(sizes)])
+        t = end_to_end(release.t, runs) - np.repeat(release.t[last - 1], sizes)
+        xy = end_to_end(release.xy, runs)
         if self.noise == "declared":
             assert release.sigma is not None  # the release was granted with it
             share = 0.5 if self.law == "radial" else 1.0
-            variance = np.maximum(release.sigma[sample] ** 2 * share, 1e-12)
+            variance = np.maximum(end_to_end(release.sigma, runs) ** 2 * share, 1e-12)
         else:
             variance = np.repeat(innovation_variance_m2(t=t, xy=xy, offsets=offsets), sizes)
         return Batch(t, xy, variance, offsets, _PRIOR_STD[: self.states])

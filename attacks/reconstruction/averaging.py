@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -39,13 +40,14 @@ class Averaging:
         repeats = context.repeats
 
         def reconstruct(release: Release) -> Reconstruction:
-            # As complex numbers: an innermost loop over two would take three times as long.
-            total, weight = np.zeros(release.t.size, dtype=np.complex128), np.zeros(release.t.size)
+            total, weight = np.zeros((release.t.size, 2)), np.zeros(release.t.size)
+            loops = import_module("attacks.reconstruction._window_loops")
             for one in (release, *repeats):
                 sigma_m = np.ones_like(one.t) if one.sigma is None else one.sigma
-                trust = 1.0 / np.maximum(sigma_m**2, 1e-12)
-                total += trust * np.ascontiguousarray(one.xy).view(np.complex128)[:, 0]
-                weight += trust
-            return Reconstruction((total / weight).view(np.float64).reshape(-1, 2))
+                arrays = np.ascontiguousarray(one.xy), np.ascontiguousarray(sigma_m)
+                loops.add_weighed(*arrays, total, weight)
+            # As complex numbers: an innermost loop over two would take three times as long.
+            total.view(np.complex128)[:, 0] /= weight
+            return Reconstruction(total)
 
         return reconstruct

@@ -40,6 +40,12 @@ def _walk(tracks: Tracks, row: int) -> Callable[[Floats], Floats]:
     return walk(tracks[row])
 
 
+@lru_cache(maxsize=4)  # as above: the recording, and both sessions of the crowd
+def _moving(tracks: Tracks) -> Bools:
+    moving: Bools = ~summarise(tracks)["frozen"].to_numpy()
+    return moving
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Draft:
     """What a task is made from."""
@@ -123,7 +129,7 @@ class Draft:
             there = rows_of(tracks, source)
             _, cluster, sizes = np.unique(tracks.group, return_inverse=True, return_counts=True)
             by_itself &= sizes[cluster][there] == 1
-            moving &= ~summarise(tracks)["frozen"].to_numpy()[there]
+            moving &= _moving(tracks)[there]
         return Sessions(
             task=self.task,
             source=source,

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from isac_track.types import Bools, Floats, Ints, read_only
 
@@ -101,6 +99,10 @@ def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
 
     Each is called by the first name, in alphabetical order, of its groups in the first session.
     """
+    # Heavy, and workers get sessions made.
+    from scipy.sparse import coo_array  # noqa: PLC0415 - as said
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415 - as said
+
     names, one = np.unique(first, return_inverse=True)
     names_later, other = np.unique(second, return_inverse=True)
     size = names.size + names_later.size

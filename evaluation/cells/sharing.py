@@ -6,9 +6,8 @@ What a stranger wrote is called here as everywhere by `guarded`: their mistakes 
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from attacks.tasks.sessions import Windows
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
 from isac_track.errors import PluginError, told
 from isac_track.rng import stream
+from isac_track.sharing import names_of
 from isac_track.types import (
     SHARED_LIMIT_M,
     Ints,
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
 OURS = ("isac_track.", "attacks.", "predictors.")
 """Where plug-ins come from that are no stranger's."""
+Digest: TypeAlias = tuple[tuple[tuple[int, ...], int] | None, ...]
+"""Shape and hash of arrays: equal in one process for what is equal bit by bit."""
 _PER_SAMPLE = ("t", "xy", "sigma", "unit_error", "sigma_raw", "information", "fid")
 
 
@@ -102,9 +104,8 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
         wrong = f"above {SHARED_LIMIT_M:g} m, the limit" if is_too_large else "below 0 or NaN"
         raise PluginError(f"{who} declared a sigma {wrong}")
     # Fresh for every release: the common stream gives every mechanism the same ones.
-    names = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release)).hex()
-    fresh = tuple(names[at : at + 16] for at in range(0, len(names), 16))
-    return derived(release, pseudonym=fresh)
+    drawn = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
+    return derived(release, pseudonym=names_of(drawn))
 
 
 def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
@@ -152,15 +153,10 @@ def restricted(batch: _Batch, to: Samples | None) -> _Batch:
     return derived(batch, offsets=to.offsets, **samples)
 
 
-def release_digest(*releases: Release) -> bytes:
+def release_digest(*releases: Release) -> Digest:
     """Return a digest of all that releases hold but their pseudonyms."""
-    digest = hashlib.sha256()
-    for one in releases:
-        for array in (one.t, one.xy, one.sigma, one.offsets):
-            digest.update(b"none" if array is None else str(array.shape).encode())
-            if array is not None:
-                digest.update(np.ascontiguousarray(array).data)
-    return digest.digest()
+    arrays = (array for one in releases for array in (one.t, one.xy, one.sigma, one.offsets))
+    return tuple(None if one is None else (one.shape, hash(one.tobytes())) for one in arrays)
 
 
 def sees_release_alone(consumer: Consumer) -> bool:

@@ -29,7 +29,7 @@ from evaluation.cells.reconstruction import (
     attacked_block,
     attacked_level,
 )
-from evaluation.cells.sharing import release_digest, sees_release_alone
+from evaluation.cells.sharing import Digest, release_digest, sees_release_alone
 from evaluation.cells.tables import ROWS, Tables, rows_table
 from evaluation.cells.where import Failed, here, note
 from evaluation.experiment.fingerprint import OURS
@@ -120,7 +120,7 @@ def cells(
 
 def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Item]:
     whole = sensed_sessions(work.sessions, groups=work.groups, stages=stages, seed=seed)
-    alike: dict[tuple[bytes, str], Tables] = {}
+    alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in work.levels:
         note(mechanism.spec, "")
         level, before = linked_level(mechanism, whole), ("", "")
@@ -131,7 +131,7 @@ def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Ite
                 before = who_sees_alike(consumer)
                 level.sides.clear()
             is_same = sees_times_alone(consumer, level)
-            key = b"" if is_same else digest, consumer.label
+            key = () if is_same else digest, consumer.label
             tables = alike.get(key)
             if tables is None and consumer.kind == "windows":
                 tables = window_tables(level)
@@ -150,7 +150,7 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
     granted = {what for _, some in block.levels for one in some for what in one.granted}
     attacked: AttackedBlock | None = None
-    alike: dict[tuple[bytes, str], Tables] = {}
+    alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
@@ -19,6 +20,14 @@ if TYPE_CHECKING:
 
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
+
+
+MOST_DEFAULT_JOBS: Final = 8
+"""Unless more are asked for: each takes a few hundred MB."""
+WORTH_WORKERS: Final = 5000
+"""Scenes times levels: below, workers take longer to start than they save."""
+WORTH_WORKERS_LINKED: Final = 400
+"""Linkage cells: the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +166,18 @@ def axes(settings: Settings) -> Axes:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
     ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
     return Axes(mechanisms, predictors, attacks, pairs, ceiling)
+
+
+def jobs_of(crossed: Axes, settings: Settings) -> int:
+    """Return how many workers to use: as asked, or as many as the work is worth and cores are."""
+    if settings.jobs is not None:
+        return settings.jobs
+    n_levels = len(crossed.mechanisms)
+    n_links = sum(len(crossed.readers(task)) - 1 for task in crossed.tasks)
+    if settings.n_scenes * n_levels < WORTH_WORKERS and n_levels * n_links < WORTH_WORKERS_LINKED:
+        return 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return min(cores or 1, MOST_DEFAULT_JOBS)
 
 
 def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Consumer, ...]]:

@@ -17,7 +17,7 @@ import isac_track
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from evaluation.experiment.axes import Consumer
+    from evaluation.experiment.axes import Axes, Consumer
     from isac_track.plugins import Plugin
 
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
@@ -62,6 +62,13 @@ def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
     """Return the modules whose import closures a stage, or some plug-ins, are computed by."""
     own = (one.origin.partition(":")[0] for one in plugins)
     return (*(_STAGES.get(stage, _LINKAGE) if stage else ()), *own)
+
+
+def has_strangers(crossed: Axes) -> bool:
+    """Return whether not all plug-ins are ours: others may end their process, or spoil it."""
+    consumers = (*crossed.consumers, *(link for _, link in crossed.links))
+    plugins = [*crossed.mechanisms, *(one for who in consumers for one in who.plugins)]
+    return not all(one.origin.partition(":")[0].partition(".")[0] in OURS for one in plugins)
 
 
 def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from attacks.tasks.build import sessions_of
 from evaluation.experiment import fingerprint
-from evaluation.experiment.axes import Axes, Consumer, axes
+from evaluation.experiment.axes import Axes, Consumer, axes, jobs_of
 from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import datasets
 from isac_track.datasets import Dataset, crowd
@@ -24,13 +23,6 @@ if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
-
-MOST_DEFAULT_JOBS: Final = 8
-"""Unless more are asked for: each takes a few hundred MB."""
-WORTH_WORKERS = 5000
-"""Scenes times levels: below, workers take longer to start than they save."""
-WORTH_WORKERS_LINKED = 400
-"""Linkage cells: the same."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -125,8 +117,13 @@ def plan(settings: Settings) -> Plan:
     links = tuple((task, link) for task, link in crossed.links if task.name not in skipped)
     crossed = replace(crossed, links=links, skipped=skipped)
     units, code_of = _units(crossed, settings, identity=identity)
-    jobs = _jobs(crossed, settings)
-    if jobs > 1 or settings.cell_timeout_s is not None or settings.scheduler is not None:
+    jobs = jobs_of(crossed, settings)
+    if (
+        jobs > 1
+        or fingerprint.has_strangers(crossed)
+        or settings.cell_timeout_s is not None
+        or settings.scheduler is not None
+    ):
         _check_sendable(units)
     out = Path("runs") / f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(
@@ -195,17 +192,5 @@ def _check_sendable(units: Iterable[Unit]) -> None:
         except Exception as error:  # noqa: BLE001 - a stranger's __reduce__ may do anything
             raise PluginError(
                 f"{plugin.spec} cannot be sent to a worker ({told(error)}); "
-                "leave out what cannot be pickled, or run with --jobs 1 and no --cell-timeout"
+                "leave out what cannot be pickled"
             ) from None
-
-
-def _jobs(crossed: Axes, settings: Settings) -> int:
-    """Return how many workers to use: as asked, or as many as the work is worth and cores are."""
-    if settings.jobs is not None:
-        return settings.jobs
-    n_levels = len(crossed.mechanisms)
-    n_links = sum(len(crossed.readers(task)) - 1 for task in crossed.tasks)
-    if settings.n_scenes * n_levels < WORTH_WORKERS and n_levels * n_links < WORTH_WORKERS_LINKED:
-        return 1
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return min(cores or 1, MOST_DEFAULT_JOBS)

@@ -7,12 +7,13 @@ import warnings
 from collections import deque
 from contextlib import closing
 from functools import partial
-from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import isac_track
 from evaluation.cells.sample_tracks import chosen, gallery_rows
 from evaluation.cells.where import Failed, here, note
-from evaluation.cells.work import Item, LinkWork
+from evaluation.experiment.fingerprint import OURS, has_strangers
 from evaluation.runs.cell_files import places_of, read_rows, sound_files, write_gallery
 from evaluation.runs.files import FOLDER, locked, write_checked
 from evaluation.runs.folder import check_folder, open_run
@@ -30,6 +31,7 @@ from evaluation.runs.pieces import (
     Failures,
     Place,
     Work,
+    cells_of,
     cut_for_cluster,
     missing_of,
     pieces_of,
@@ -37,24 +39,17 @@ from evaluation.runs.pieces import (
 )
 from evaluation.runs.whole_files import Gathered, WholeFile, files_to_come, in_files
 from evaluation.runs.workers import spread
-from isac_track import kalman
 from isac_track.command_line import check_interrupt
 from isac_track.errors import PluginError, told
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-    from pathlib import Path
 
     import pandas as pd
 
+    from evaluation.cells.work import Item
     from evaluation.experiment.plan import Plan, Unit
     from isac_track.plugins import Plugin
-
-_LOOPS = (
-    *("isac_track._privacy_loop", "attacks.reconstruction._window_loops"),
-    *("attacks.linkage._lag_loop", "isac_track.linkability._loops"),
-)
-"""Loaded before workers start: each would compile for itself."""
 
 
 class FailedCellsWarning(UserWarning):
@@ -103,7 +98,7 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
         more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
         text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
         warnings.warn(text, FailedCellsWarning, stacklevel=4)
-    tell(ready.n_cells, ready.n_cells, "intervals, verdict, figures and report")
+    tell(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
     without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
     manifest["gallery_without"] = _write_gallery(ready, without)
     # How many agents kept a place without clearance; None if no cell tells.
@@ -151,8 +146,12 @@ def _write_gallery(ready: Plan, without: set[str]) -> list[str]:
     mechanisms = chosen([one for one in ready.axes.mechanisms if one.spec not in without])
     parts: list[pd.DataFrame] = []
     failed = []
+    # Where workers are they have loaded all that this takes.
+    apart = ready.jobs > 1 or has_strangers(ready.axes)
     limit_s = ready.settings.cell_timeout_s
-    for mechanism, found in spread(compute, deque(mechanisms), jobs=1, limit_s=limit_s):
+    for mechanism, found in spread(
+        compute, deque(mechanisms), jobs=1, limit_s=limit_s, apart=apart, keeps=True
+    ):
         for part in found:
             if isinstance(part, Failed):
                 failed.append(f"{mechanism.spec}: {part.why}")
@@ -178,21 +177,22 @@ def _compute(
     if not works:
         return []
     total = sum(len(one.consumers) for one in missing)
-    tell(0, total, "starting")
-    origins = {plugin.origin for _, one in ready.pairs for plugin in one.plugins}
-    has_links = any(isinstance(work, LinkWork) for work in works)
-    filters = has_links or any(one.startswith(("predictors.kalman", "attacks.")) for one in origins)
-    if filters:
-        kalman.prepare()
-    for module in _LOOPS[: 4 if has_links else 1 + filters]:
-        import_module(module)
+    tell(0, total, _stage(place_of(next(cells_of(works[0])))))
     files = files_to_come(missing, ready.code_of)
     compute = partial(
         in_files, files=files, tracks=ready.tracks, stages=settings.stages, seed=settings.seed
     )
     computed: Generator[tuple[Work, Iterable[WholeFile | Item | Failed]]]
     if settings.scheduler is None:
-        computed = spread(compute, works, jobs=ready.jobs, limit_s=settings.cell_timeout_s)
+        computed = spread(
+            compute,
+            works,
+            jobs=ready.jobs,
+            limit_s=settings.cell_timeout_s,
+            apart=has_strangers(ready.axes),
+            loops=_loops(works),
+            keeps=True,
+        )
     else:
         from evaluation.runs.dask import spread_on_cluster  # noqa: PLC0415 - an extra
 
@@ -207,7 +207,7 @@ def _compute(
                 if isinstance(one, WholeFile):
                     _write(ready.out, one)
                     finished.update(one.places)
-                    _, spec, label = one.places[-1]
+                    place = one.places[-1]
                 elif isinstance(one, Failed):
                     works.extend(failures.rest(work, one, finished=finished))
                     for cell, _ in failures.cells[n_failed:]:
@@ -218,10 +218,25 @@ def _compute(
                     place = place_of(one[:3])
                     _write(ready.out, gathered.add(place, one))
                     finished.add(place)
-                    _, spec, label = place
                 check_interrupt()
-                tell(len(finished) + n_failed, total, f"{spec} > {label}")
+                tell(len(finished) + n_failed, total, _stage(place))
     return failures.cells
+
+
+def _stage(place: Place) -> str:
+    """Return what is under way: of scenes or of linkage, whose consumers are called by a task."""
+    _, spec, label = place
+    return f"{'linkage' if '/' in label.partition(':')[0] else 'scenes'}: {spec} > {label}"
+
+
+def _loops(works: Iterable[Work]) -> list[str]:
+    """Return the modules of compiled loops, all of them, if any work takes one."""
+    cells = (cell for work in works for cell in cells_of(work))
+    if all(one.kind == "shared" or one.spec == "least_squares" for _, _, one in cells):
+        return []
+    root = Path(isac_track.__file__).parent.parent
+    found = (path for name in OURS for path in (root / name).rglob("_*loop*.py"))
+    return sorted(".".join(path.relative_to(root).with_suffix("").parts) for path in found)
 
 
 def _write(out: Path, file: WholeFile | None) -> None:

@@ -18,8 +18,9 @@ import sys
 import threading
 import time
 import traceback
+from importlib import import_module
 from multiprocessing import Pipe, connection
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
 import pyarrow as pa
 from cloudpickle import dumps
@@ -31,7 +32,7 @@ from isac_track.errors import told
 
 if TYPE_CHECKING:
     from collections import deque
-    from collections.abc import Callable, Generator, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 
 W = TypeVar("W")
 R = TypeVar("R")
@@ -54,6 +55,9 @@ except EOFError:  # the parent was killed meanwhile
 from evaluation.runs.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
 """
+_waiting: Final[list[_Worker]] = []
+"""Workers with nothing to do, yet or any more: who spreads work takes them first."""
+_IMPORTED: Final = ("evaluation.runs.whole_files", "evaluation.cells.sample_tracks", "numba")
 _M_ARENA_MAX: Final = -8
 """Of glibc's malloc.h."""
 
@@ -65,6 +69,8 @@ def spread(
     jobs: int,
     limit_s: float | None,
     apart: bool = False,
+    loops: Sequence[str] = (),
+    keeps: bool = False,
 ) -> Generator[tuple[W, Iterable[R | Failed]]]:
     """Yield each work with what the function makes of it, again and again as it comes.
 
@@ -73,6 +79,9 @@ def spread(
     kept `apart`; else by workers, and one that takes longer than `limit_s` between two notes is
     killed: what it has sent stays. One piece of work that is left of many still gets a worker: it
     may be what kills its process.
+
+    Modules of compiled `loops` are imported by one worker before the others begin: each would
+    compile them for itself. Workers that are kept wait for other work until `ahead` ends.
 
     Raises what the function raises.
     """
@@ -86,8 +95,11 @@ def spread(
     with contextlib.ExitStack() as ends:
         lanes = [_Lane[W, R](function, limit_s) for _ in range(min(jobs, len(works)))]
         for lane in lanes:  # to begin takes a worker 1 to 2 s: all at once
-            ends.callback(lane.stop)
+            ends.callback(lane.stop, keeps=keeps)
             lane.begin()
+        _dismiss()  # there is no work for more
+        if loops:
+            lanes[0].load(loops)
         while works or any(lane.is_busy for lane in lanes):
             check_interrupt()
             for lane in lanes:
@@ -97,6 +109,26 @@ def spread(
             for lane in lanes:
                 if lane.is_busy and (items := lane.items()):
                     yield lane.work, items
+
+
+@contextlib.contextmanager
+def ahead(n_workers: int = 0) -> Iterator[None]:
+    """Start workers that import what cells need while this process does something else.
+
+    At the end those are dismissed that nobody has work for, kept ones too.
+    """
+    try:
+        for _ in range(n_workers):
+            _waiting.append(_started())
+            _waiting[-1].tell("import", _IMPORTED)
+        yield
+    finally:
+        _dismiss()
+
+
+def _dismiss() -> None:
+    while _waiting:
+        _waiting.pop().end()
 
 
 @contextlib.contextmanager
@@ -133,92 +165,129 @@ def _give_back(libc: Any | None) -> None:  # noqa: ANN401 - untyped
         libc.malloc_trim(ctypes.c_size_t(0))
 
 
+class _Worker(NamedTuple):
+    """A process at the other end of a pipe."""
+
+    process: subprocess.Popen[bytes]
+    pipe: Any
+
+    def tell(self, kind: str, content: object) -> None:
+        with contextlib.suppress(OSError):  # it is gone: who waits for an answer finds that
+            self.pipe.send_bytes(dumps((kind, content)))
+
+    def is_alive(self) -> bool:
+        return self.process.poll() is None
+
+    def kill(self) -> None:
+        """Kill it, whatever it is at, and all that it started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+
+    def end(self) -> None:
+        self.kill()
+        self.process.wait()
+        self.pipe.close()
+
+
+def _started() -> _Worker:
+    """Start a worker in a group of its own, which no Ctrl-C reaches: it waits for the end."""
+    pipe, theirs = Pipe()
+    with theirs:
+        number = theirs.fileno()
+        process = subprocess.Popen(  # noqa: S603 - this very Python
+            [sys.executable, "-P", "-c", _WORKER, str(number), str(os.getpid())],
+            env=os.environ | _ONE_THREAD,
+            pass_fds=[number],
+            process_group=0,
+        )
+    with contextlib.suppress(OSError):  # as above
+        pipe.send(sys.path)
+    return _Worker(process, pipe)
+
+
 class _Lane(Generic[W, R]):
-    """One worker process after another, one piece of work at a time."""
+    """One worker after another, one piece of work at a time."""
 
     work: W
-    pipe: Any
+    _worker: _Worker | None = None
 
     def __init__(self, function: Callable[[W], Iterable[R]], limit_s: float | None) -> None:
         self._function, self._limit_s = function, limit_s
-        self._process: subprocess.Popen[bytes] | None = None
-        self.is_busy = self._is_told = False
+        self.is_busy = False
+
+    @property
+    def pipe(self) -> Any:  # noqa: ANN401 - untyped
+        return None if self._worker is None else self._worker.pipe
+
+    def begin(self) -> _Worker:
+        """Take a worker that waits, or start one."""
+        while _waiting and not _waiting[-1].is_alive():
+            _waiting.pop().end()
+        self._worker = _waiting.pop() if _waiting else _started()
+        self._worker.tell("function", self._function)
+        return self._worker
+
+    def load(self, modules: Sequence[str]) -> None:
+        """Let the worker import some modules, and wait until it has, or is gone."""
+        worker = self._worker or self.begin()
+        worker.tell("load", modules)
+        with contextlib.suppress(EOFError, OSError):
+            while not worker.pipe.poll(_LOOK_S):
+                check_interrupt()
+            worker.pipe.recv()
 
     def start(self, work: W) -> None:
         self.work, self.is_busy, self._overdue = work, True, ""
         self._at: tuple[str, ...] = ()
         self._since_s = time.monotonic()
-        if self._process is None or self._process.poll() is not None:  # killed with nothing to do
+        worker = self._worker
+        if worker is None or not worker.is_alive():  # killed with nothing to do
             self.stop()
-            self.begin()
-        with contextlib.suppress(OSError):  # it is gone: `items` finds that
-            if not self._is_told:
-                self._is_told = True
-                self.pipe.send_bytes(dumps(self._function))
-            self.pipe.send_bytes(dumps(work))
-
-    def begin(self) -> None:
-        """Start a worker in a group of its own, which no Ctrl-C reaches: it waits for the end."""
-        self.pipe, theirs = Pipe()
-        with theirs:
-            number = theirs.fileno()
-            self._process = subprocess.Popen(  # noqa: S603 - this very Python
-                [sys.executable, "-P", "-c", _WORKER, str(number), str(os.getpid())],
-                env=os.environ | _ONE_THREAD,
-                pass_fds=[number],
-                process_group=0,
-            )
-        self._is_told = False
-        with contextlib.suppress(OSError):  # as above
-            self.pipe.send(sys.path)
+            worker = self.begin()
+        worker.tell("work", work)
 
     def items(self) -> list[R | Failed]:
-        """Return what has come of the work since; kill a worker that is late.
+        """Return what comes next of the work, if it is there; kill a worker that is late.
 
         Afterwards it is not busy if that was all, because it is done or the worker is.
         """
-        found: list[R | Failed] = []
         # First: what it said before it ended is still there.
-        is_gone = self._process is not None and self._process.poll() is not None
+        is_gone = self._worker is None or not self._worker.is_alive()
         try:
             while self.is_busy and self.pipe.poll():
                 kind, said = self.pipe.recv()
                 if kind == "at":
                     self._at, self._since_s = said, time.monotonic()
                 elif kind == "item":
-                    found.append(said)
+                    return [said]
                 elif kind == "raised" and isinstance(said, Exception):
                     raise said
                 else:
                     self.is_busy = False
                     if kind == "raised":  # KeyboardInterrupt, say: no Ctrl-C reaches a worker
-                        found.append(Failed(self._at, f"it raised {type(said).__name__}"))
+                        return [Failed(self._at, f"it raised {type(said).__name__}")]
         except (EOFError, ConnectionError):
             is_gone = True
         if is_gone and self.is_busy:
             self.stop()
             self.is_busy = False
             why = self._overdue or "its worker died (killed, crashed or out of memory)"
-            return [*found, Failed(self._at, why, died=not self._overdue)]
+            return [Failed(self._at, why, died=not self._overdue)]
         is_late = self._limit_s is not None and time.monotonic() - self._since_s > self._limit_s
         if self.is_busy and self._at and is_late and not self._overdue:
             self._overdue = f"it ran for longer than {self._limit_s:g} s"
-            self._kill()
-        return found
+            if self._worker is not None:
+                self._worker.kill()
+        return []
 
-    def _kill(self) -> None:
-        """Kill the worker, whatever it is at, and all that it started."""
-        if self._process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-
-    def stop(self) -> None:
-        """End the worker, if there is one."""
-        if self._process is not None:
-            self._kill()
-            self._process.wait()
-            self.pipe.close()
-            self._process = None
+    def stop(self, *, keeps: bool = False) -> None:
+        """End the worker, if there is one, or keep it if it has nothing to do."""
+        if self._worker is not None:
+            if keeps and not self.is_busy:
+                _waiting.append(self._worker)
+            else:
+                self._worker.end()
+            self._worker = None
 
 
 # From here on: in a worker.
@@ -232,13 +301,24 @@ def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, un
     # What was imported stays, and arrays form no circles: to look for them takes one second of 20.
     gc.disable()
     libc = _glibc()
+    function: Any = None
     with contextlib.suppress(EOFError):
-        function = pipe.recv()
         while True:
-            for answer in _answers(function, pipe.recv()):
-                pipe.send_bytes(answer)
-            _give_back(libc)
-            gc.freeze()
+            kind, said = pipe.recv()
+            if kind == "function":
+                function = said
+            elif kind == "work":
+                for answer in _answers(function, said):
+                    pipe.send_bytes(answer)
+                said = None
+                _give_back(libc)
+                gc.freeze()
+            else:
+                for name in said:
+                    with contextlib.suppress(Exception):  # who needs it fails by name
+                        import_module(name)
+                if kind == "load":
+                    pipe.send(("loaded", None))
 
 
 def _end_with(parent: int) -> None:
@@ -249,12 +329,15 @@ def _end_with(parent: int) -> None:
 
 def _answers(function: Callable[[W], Iterable[R]], work: W) -> Iterator[bytes]:
     """Yield messages: each item as it comes, and at last that this was all, or what was raised."""
+    limit = sys.getrecursionlimit()
     try:
         note()
         for item in function(work):
+            sys.setrecursionlimit(limit)  # a plug-in may have changed it
             yield dumps(("item", item))
         yield dumps(("done", None))
     except BaseException as error:  # noqa: BLE001 - whatever it is, it is the parent's to tell
+        sys.setrecursionlimit(limit)
         error.add_note(traceback.format_exc())
         try:
             yield dumps(("raised", error))

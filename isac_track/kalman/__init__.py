@@ -216,10 +216,11 @@ class Moods:
         """
         rates = 1.0 / np.array(self.stay_s)
         step_s = np.abs(np.diff(t, prepend=t[:1]))
-        left = (-np.expm1(-rates.sum() * step_s) / rates.sum())[:, None] * rates
+        mixed = -np.expm1(-rates.sum() * step_s) / rates.sum()
         chances = np.empty((step_s.size, 2, 2))
-        chances[:, [0, 1], [0, 1]] = 1.0 - left
-        chances[:, [0, 1], [1, 0]] = left
+        for mode, rate in enumerate(rates):
+            np.multiply(mixed, rate, out=chances[:, mode, 1 - mode])
+            np.subtract(1.0, chances[:, mode, 1 - mode], out=chances[:, mode, mode])
         return np.array(self.q, dtype=np.float64), self.probability, chances
 
 

@@ -6,7 +6,7 @@ The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covar
 # ruff: noqa: C901, PLR0912 - small matrices are spelled out
 from __future__ import annotations
 
-from math import exp, inf, log, pi
+from math import exp, inf, log, pi, sqrt
 from typing import TypeAlias
 
 import numpy as np
@@ -20,48 +20,89 @@ _Moods: TypeAlias = tuple[Floats, Floats, Floats]
 """Densities, probabilities, and (M, 2, 2) chances: ``[k, m, n]`` is that of mode n at sample k
 after mode m at the sample before."""
 _LOG_2PI = log(2 * pi)
+_BIG = 1e100
 _STATES = 4
 _BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1))
 _MOODS = together(read(1), read(1), read(3))
 _LAST = together(written(3), written(4), written(2), written(1))
 
 
-@part_of_loop
-def _predict(dt: float, q: float, x: Floats, p: Floats) -> None:
-    """Move one mode by `dt` in place: F x, F P F' + Q."""
-    x[0] += dt * x[1]
-    x[2] += dt * x[3]
-    for j in range(_STATES):
-        p[0, j] += dt * p[1, j]
-        p[2, j] += dt * p[3, j]
-    for j in range(_STATES):
-        p[j, 0] += dt * p[j, 1]
-        p[j, 2] += dt * p[j, 3]
-    for m in (0, 2):
-        p[m, m] += q * dt * dt * dt / 3
-        p[m, m + 1] += q * dt * dt / 2
-        p[m + 1, m] += q * dt * dt / 2
-        p[m + 1, m + 1] += q * dt
+_State: TypeAlias = tuple[float, ...]
+"""Mean of (x, vx, y, vy) under one mode, and the lower triangle of its covariance, row by row: in
+registers, while arrays would be read and written for every sample."""
 
 
 @part_of_loop
-def _update(m: int, z: float, r: float, x: Floats, p: Floats) -> None:
-    """Measure coordinate `m` in place; row and column m shrink without a subtraction."""
-    a = p[m, m]
-    s = a + r
-    error = z - x[m]
-    for i in range(_STATES):
-        x[i] += p[i, m] / s * error
-    for i in range(_STATES):
-        if i != m:
-            gain = p[i, m] / s
-            for j in range(i + 1):
-                if j != m:
-                    p[i, j] -= gain * p[j, m]
-                    p[j, i] = p[i, j]
-    for i in range(_STATES):
-        p[i, m] *= r / s
-        p[m, i] = p[i, m]
+def _mix(w: float, v: float, one: _State, other: _State) -> _State:
+    """Return mean and covariance of a mixture of two Gaussians with the weights `w` and `v`."""
+    x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = one
+    ox, ovx, oy, ovy, o00, o10, o11, o20, o21, o22, o30, o31, o32, o33 = other
+    d0, d1, d2, d3 = x - ox, vx - ovx, y - oy, vy - ovy
+    both = w * v  # with w + v = 1 that of the spread of the means, d d'
+    g0, g1, g2, g3 = both * d0, both * d1, both * d2, both * d3
+    x, vx, y, vy = w * x + v * ox, w * vx + v * ovx, w * y + v * oy, w * vy + v * ovy
+    p00, p10 = w * p00 + v * o00 + g0 * d0, w * p10 + v * o10 + g1 * d0
+    p11, p20 = w * p11 + v * o11 + g1 * d1, w * p20 + v * o20 + g2 * d0
+    p21, p22 = w * p21 + v * o21 + g2 * d1, w * p22 + v * o22 + g2 * d2
+    p30, p31 = w * p30 + v * o30 + g3 * d0, w * p31 + v * o31 + g3 * d1
+    p32, p33 = w * p32 + v * o32 + g3 * d2, w * p33 + v * o33 + g3 * d3
+    return x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33
+
+
+@part_of_loop
+def _predict(dt: float, q: float, state: _State) -> _State:
+    """Return one mode moved by `dt`: F x, F P F' + Q."""
+    x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = state
+    y_vx = p21 + dt * p31
+    p20 += dt * (p30 + y_vx)
+    p21, p30 = y_vx, p30 + dt * p31
+    x_vx, y_vy = p10 + dt * p11, p32 + dt * p33
+    speed, place = q * dt * dt / 2, q * dt * dt * dt / 3
+    p00, p22 = p00 + dt * (p10 + x_vx) + place, p22 + dt * (p32 + y_vy) + place
+    p10, p32, p11, p33 = x_vx + speed, y_vy + speed, p11 + q * dt, p33 + q * dt
+    x, y = x + dt * vx, y + dt * vy
+    return x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33
+
+
+@part_of_loop
+def _update(zx: float, zy: float, r: float, state: _State) -> _State:
+    """Return one mode after a measurement, x first: what is measured shrinks by a factor."""
+    x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = state
+    inverse = 1 / (p00 + r)
+    error, k1, k2, k3 = (zx - x), p10 * inverse, p20 * inverse, p30 * inverse
+    x, vx, y, vy = x + p00 * inverse * error, vx + k1 * error, y + k2 * error, vy + k3 * error
+    p11, p21, p22 = p11 - k1 * p10, p21 - k2 * p10, p22 - k2 * p20
+    p31, p32, p33 = p31 - k3 * p10, p32 - k3 * p20, p33 - k3 * p30
+    shrink = r * inverse
+    p00, p10, p20, p30 = p00 * shrink, p10 * shrink, p20 * shrink, p30 * shrink
+
+    inverse = 1 / (p22 + r)
+    error, k0, k1, k3 = (zy - y), p20 * inverse, p21 * inverse, p32 * inverse
+    x, vx, y, vy = x + k0 * error, vx + k1 * error, y + p22 * inverse * error, vy + k3 * error
+    p00, p10, p11 = p00 - k0 * p20, p10 - k1 * p20, p11 - k1 * p21
+    p30, p31, p33 = p30 - k3 * p20, p31 - k3 * p21, p33 - k3 * p32
+    shrink = r * inverse
+    p20, p21, p22, p32 = p20 * shrink, p21 * shrink, p22 * shrink, p32 * shrink
+    return x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33
+
+
+@part_of_loop
+def _surprise(zx: float, zy: float, r: float, state: _State) -> tuple[float, float]:
+    """Return the determinant of the innovation's covariance and its normalised square."""
+    s00, s01, s11 = state[4] + r, state[7], state[9] + r
+    e0, e1 = zx - state[0], zy - state[2]
+    det = s00 * s11 - s01 * s01
+    return det, (s11 * e0 * e0 - 2 * s01 * e0 * e1 + s00 * e1 * e1) / det
+
+
+@part_of_loop
+def _write(state: _State, x: Floats, p: Floats) -> None:
+    at = _STATES
+    for a in range(_STATES):
+        x[a] = state[a]
+        for b in range(a + 1):
+            p[a, b] = p[b, a] = state[at]
+            at += 1
 
 
 @part_of_loop
@@ -86,72 +127,71 @@ def _collapse(weight: Floats, x: Floats, p: Floats, mean: Floats, cov: Floats) -
 
 
 @part_of_loop
-def _one(i: int, batch: _Batch, moods: _Moods) -> tuple[Floats, ...]:
-    """Return what one track is filtered from."""
+def _filter(
+    i: int,
+    batch: _Batch,
+    moods: _Moods,
+    gate: float,
+    patience: int,
+    x: Floats,
+    p: Floats,
+    mu: Floats,
+) -> float:
+    """Filter one track and return its log-likelihood.
+
+    Mean, covariance and probability after each sample are written to a row each, or those after the
+    last one to the only row.
+    """
     t, xy, variance, offsets, prior = batch
     q, probability, chances = moods
-    own = slice(offsets[i], offsets[i + 1])
-    return t[own], xy[own], variance[own], prior, q, probability, chances[own]
-
-
-@part_of_loop
-def _filter(
-    track: tuple[Floats, ...], gate: float, patience: int, x: Floats, p: Floats, mu: Floats
-) -> float:
-    """Write mean, covariance and probability after each sample, and return the log-likelihood."""
-    t, xy, variance, prior, q, probability, chances = track
-    modes = q.size
-    weight, log_mode = np.empty(modes), np.empty(modes)
+    first = offsets[i]
+    a, c = prior[0], prior[1]
+    x0, y0 = xy[first, 0], xy[first, 1]
+    one: _State = (x0, 0.0, y0, 0.0, a, 0.0, c, 0.0, 0.0, a, 0.0, 0.0, 0.0, c)
+    other = one
+    mu_one, mu_other = probability[0], probability[1]
     misses, log_likelihood = 0, 0.0
-    for k in range(t.size):
-        for n in range(modes):
-            if k == 0:
-                mu[0, n] = probability[n]
-                # Element by element: to assign slices would double the time to compile.
-                for a in range(_STATES):
-                    x[0, n, a] = xy[0, a // 2] if a % 2 == 0 else 0.0
-                    for b in range(_STATES):
-                        p[0, n, a, b] = prior[a % 2] if a == b else 0.0
-                continue
+    scale = 1.0  # of the squared likelihood: one logarithm for many samples
+    for k in range(first, offsets[i + 1]):
+        if k > first:
             dt = t[k] - t[k - 1]
-            mu[k, n] = 0.0
-            for m in range(modes):
-                mu[k, n] += chances[k, m, n] * mu[k - 1, m]
-            for m in range(modes):
-                same = 1.0 if m == n else 0.0
-                joint = chances[k, m, n] * mu[k - 1, m]
-                weight[m] = joint / mu[k, n] if mu[k, n] > 0 else same
-            _collapse(weight, x[k - 1], p[k - 1], x[k, n], p[k, n])
-            _predict(dt, q[n], x[k, n], p[k, n])
+            before_one, before_other = one, other
+            stay, come = chances[k, 0, 0] * mu_one, chances[k, 1, 0] * mu_other
+            leave, remain = chances[k, 0, 1] * mu_one, chances[k, 1, 1] * mu_other
+            mu_one, mu_other = stay + come, leave + remain
+            w, v = (stay / mu_one, come / mu_one) if mu_one > 0 else (1.0, 0.0)
+            one = _predict(dt, q[0], _mix(w, v, before_one, before_other))
+            w, v = (leave / mu_other, remain / mu_other) if mu_other > 0 else (0.0, 1.0)
+            other = _predict(dt, q[1], _mix(w, v, before_one, before_other))
 
-        r = variance[k]
-        smallest = inf
-        for n in range(modes):
-            s00, s01, s11 = p[k, n, 0, 0] + r, p[k, n, 0, 2], p[k, n, 2, 2] + r
-            e0, e1 = xy[k, 0] - x[k, n, 0], xy[k, 1] - x[k, n, 2]
-            det = s00 * s11 - s01 * s01
-            d2 = (s11 * e0 * e0 - 2 * s01 * e0 * e1 + s00 * e1 * e1) / det
-            smallest = min(smallest, d2)
-            log_mode[n] = -(log(det) + d2) / 2 - _LOG_2PI
-        if smallest > gate and misses < patience:
+        zx, zy, r = xy[k, 0], xy[k, 1], variance[k]
+        det_one, d2_one = _surprise(zx, zy, r, one)
+        det_other, d2_other = _surprise(zx, zy, r, other)
+        if misses < patience and min(d2_one, d2_other) > gate:
             misses += 1
-            continue
-        misses = 0
-        # Relative to the best mode: far outliers underflow in all modes otherwise.
-        best = -inf
-        for n in range(modes):
-            if mu[k, n] > 0:
-                best = max(best, log_mode[n])
-        total = 0.0
-        for n in range(modes):
-            mu[k, n] *= exp(min(log_mode[n] - best, 0.0))
-            total += mu[k, n]
-        for n in range(modes):
-            mu[k, n] /= total
-            _update(0, xy[k, 0], r, x[k, n], p[k, n])
-            _update(2, xy[k, 1], r, x[k, n], p[k, n])
-        log_likelihood += best + log(total)
-    return log_likelihood
+        else:
+            misses = 0
+            one, other = _update(zx, zy, r, one), _update(zx, zy, r, other)
+            # Relative to the nearer mode: far outliers underflow in both otherwise.
+            if mu_other > 0 and (d2_other < d2_one or not mu_one > 0):
+                det, d2 = det_other, d2_other
+            else:
+                det, d2 = det_one, d2_one
+            mu_one *= exp(min((d2 - d2_one) / 2, 0.0)) * sqrt(det / det_one)
+            mu_other *= exp(min((d2 - d2_other) / 2, 0.0)) * sqrt(det / det_other)
+            total = mu_one + mu_other
+            mu_one /= total
+            mu_other /= total
+            log_likelihood -= d2 / 2 + _LOG_2PI
+            scale *= total * total / det
+            if scale > _BIG or scale < 1 / _BIG:
+                log_likelihood += log(scale) / 2
+                scale = 1.0
+        row = min(k - first, mu.shape[0] - 1)
+        _write(one, x[row, 0], p[row, 0])
+        _write(other, x[row, 1], p[row, 1])
+        mu[row, 0], mu[row, 1] = mu_one, mu_other
+    return log_likelihood + log(scale) / 2
 
 
 @part_of_loop
@@ -176,17 +216,12 @@ def imm_last(
     out: tuple[Floats, Floats, Floats, Floats],
 ) -> None:
     """Filter; row i of the outputs is the state after the last sample of track i."""
-    offsets, modes, (mean, cov, last_probability, log_likelihood) = batch[3], moods[0].size, out
-    x, p, mu = _room(batch, modes)
-    for i in range(offsets.size - 1):
-        last = offsets[i + 1] - offsets[i] - 1
-        log_likelihood[i] = _filter(_one(i, batch, moods), gate, patience, x, p, mu)
-        for n in range(modes):
-            last_probability[i, n] = mu[last, n]
-            for a in range(_STATES):
-                mean[i, n, a] = x[last, n, a]
-                for b in range(_STATES):
-                    cov[i, n, a, b] = p[last, n, a, b]
+    mean, cov, probability, log_likelihood = out
+    for i in range(batch[3].size - 1):
+        only = slice(i, i + 1)
+        log_likelihood[i] = _filter(
+            *(i, batch, moods, gate, patience), mean[only], cov[only], probability[only]
+        )
 
 
 @part_of_loop
@@ -315,7 +350,7 @@ def imm_smoother(batch: _Batch, moods: _Moods, position: Floats, spread: Floats)
     mean, cov = np.empty(_STATES), np.empty((_STATES, _STATES))
     for i in range(offsets.size - 1):
         first = offsets[i]
-        _filter(_one(i, batch, moods), inf, 0, x, p, mu)
+        _filter(i, batch, moods, inf, 0, x, p, mu)
         # The smoothed states of the next sample take the place of the filtered ones.
         for k in range(offsets[i + 1] - first - 1, -1, -1):
             if first + k + 1 < offsets[i + 1]:

@@ -12,7 +12,6 @@ samples that change nothing, bit by bit: no time passes, and the variance is a p
 that its gain vanishes. A track's result thus does not depend on its neighbours.
 """
 
-# ruff: noqa: C901, PLR0912 - small matrices are spelled out
 from __future__ import annotations
 
 from math import log, pi
@@ -140,36 +139,35 @@ def innovations_by_interval(
             total[i, cell] += _innovation_square(t, xy, k)
 
 
+_Factors: TypeAlias = tuple[float, float, float, float, float, float]
+"""Of a covariance L D L': the diagonal of D, then L below its own, row by row."""
+
+
 @part_of_loop
-def _orthogonal(dt: float, q: float, weight: Floats, rows: Floats, lower: Floats) -> None:
+def _orthogonal(dt: float, q: float, factors: _Factors) -> _Factors:
     """Factorise F P F' + Q = M D M' by modified weighted Gram-Schmidt, without a subtraction.
 
-    On entry ``weight[:3]`` and the unit lower triangular `lower` are D and L of P = L D L'. On
-    return `rows` is (3, 6) with ``M @ rows = [F L, Lq]``, its rows orthogonal under the six
-    weights (those of P, then those of Q = Lq Dq Lq'), and `lower` is M.
+    The rows r, s, t of [F L, Lq] are made orthogonal under six weights: those of P = L D L', then
+    those of Q = Lq Dq Lq'. What they are made of below the diagonal is M.
     """
+    d0, d1, d2, l10, l20, l21 = factors
+    d3, d4, d5 = q * dt / 20, q * dt / 48, q * dt / 9
     half = dt * dt / 2
-    for j in range(3):
-        rows[0, j] = lower[0, j] + dt * lower[1, j] + half * lower[2, j]
-        rows[1, j] = lower[1, j] + dt * lower[2, j]
-        rows[2, j] = lower[2, j]
-    rows[0, 3], rows[0, 4], rows[0, 5] = dt * dt, 0.0, 0.0
-    rows[1, 3], rows[1, 4], rows[1, 5] = 2.5 * dt, dt, 0.0
-    rows[2, 3], rows[2, 4], rows[2, 5] = 10 / 3, 4.0, 1.0
-    weight[3], weight[4], weight[5] = q * dt / 20, q * dt / 48, q * dt / 9
-    for m in range(3):
-        norm = 0.0
-        for j in range(6):
-            norm += weight[j] * rows[m, j] * rows[m, j]
-        weight[6 + m] = norm
-        for n in range(m + 1, 3):
-            dot = 0.0
-            for j in range(6):
-                dot += weight[j] * rows[m, j] * rows[n, j]
-            dot /= norm
-            lower[n, m] = dot
-            for j in range(6):
-                rows[n, j] -= dot * rows[m, j]
+    r0, r1, r2, r3 = 1.0 + dt * l10 + half * l20, dt + half * l21, half, dt * dt
+    s0, s1, s2, s3, s4 = l10 + dt * l20, 1.0 + dt * l21, dt, 2.5 * dt, dt
+    t0, t1, t2, t3, t4 = l20, l21, 1.0, 10 / 3, 4.0
+    w0, w1, w2, w3 = d0 * r0, d1 * r1, d2 * r2, d3 * r3
+    first = w0 * r0 + w1 * r1 + w2 * r2 + w3 * r3
+    l10 = (w0 * s0 + w1 * s1 + w2 * s2 + w3 * s3) / first
+    l20 = (w0 * t0 + w1 * t1 + w2 * t2 + w3 * t3) / first
+    s0, s1, s2, s3 = s0 - l10 * r0, s1 - l10 * r1, s2 - l10 * r2, s3 - l10 * r3
+    t0, t1, t2, t3 = t0 - l20 * r0, t1 - l20 * r1, t2 - l20 * r2, t3 - l20 * r3
+    w0, w1, w2, w3, w4 = d0 * s0, d1 * s1, d2 * s2, d3 * s3, d4 * s4
+    second = w0 * s0 + w1 * s1 + w2 * s2 + w3 * s3 + w4 * s4
+    l21 = (w0 * t0 + w1 * t1 + w2 * t2 + w3 * t3 + w4 * t4) / second
+    t0, t1, t2, t3, t4 = t0 - l21 * s0, t1 - l21 * s1, t2 - l21 * s2, t3 - l21 * s3, t4 - l21 * s4
+    third = d0 * t0 * t0 + d1 * t1 * t1 + d2 * t2 * t2 + d3 * t3 * t3 + d4 * t4 * t4 + d5
+    return first, second, third, l10, l20, l21
 
 
 @compiled(*_LAST)
@@ -180,60 +178,48 @@ def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
     else: what is uncertain beyond the position stays, and so does its regression on it.
     """
     (t, xy, variance, offsets, prior), (mean, cov, log_likelihood) = batch, out
-    weight, lower, rows = np.empty(9), np.empty((3, 3)), np.empty((3, 6))
-    state, error = np.empty((2, 3)), np.empty(2)
     for i in range(offsets.size - 1):
-        # Element by element: to assign slices would double the time to compile.
-        for m in range(3):
-            weight[m] = prior[m]
-            for axis in range(2):
-                state[axis, m] = xy[offsets[i], axis] if m == 0 else 0.0
-            for n in range(3):
-                lower[m, n] = 1.0 if m == n else 0.0
+        px, py = xy[offsets[i], 0], xy[offsets[i], 1]
+        vx = vy = ax = ay = 0.0
+        factors = prior[0], prior[1], prior[2], 0.0, 0.0, 0.0
         scale = 1.0
         total = 0.0
         misses = 0
         for k in range(offsets[i], offsets[i + 1]):
             if k > offsets[i]:
                 dt = t[k] - t[k - 1]
-                _orthogonal(dt, q, weight, rows, lower)
-                for m in range(3):
-                    weight[m] = weight[6 + m]
-                for axis in range(2):
-                    state[axis, 0] += dt * (state[axis, 1] + dt / 2 * state[axis, 2])
-                    state[axis, 1] += dt * state[axis, 2]
+                factors = _orthogonal(dt, q, factors)
+                px += dt * (vx + dt / 2 * ax)
+                py += dt * (vy + dt / 2 * ay)
+                vx += dt * ax
+                vy += dt * ay
 
-            a, r = weight[0], variance[k]
+            a, d1, d2, l10, l20, l21 = factors
+            r = variance[k]
             s = a + r
-            square = 0.0
-            for axis in range(2):
-                error[axis] = xy[k, axis] - state[axis, 0]
-                square += error[axis] * error[axis]
-            d2 = square / s
-            if misses < patience and not d2 <= gate:
+            ex, ey = xy[k, 0] - px, xy[k, 1] - py
+            inverse = 1 / s
+            square = (ex * ex + ey * ey) * inverse
+            if misses < patience and not square <= gate:
                 misses += 1
                 continue
             misses = 0
-            for axis in range(2):
-                moved = a / s * error[axis]
-                state[axis, 0] += moved
-                state[axis, 1] += lower[1, 0] * moved
-                state[axis, 2] += lower[2, 0] * moved
-            weight[0] = a * (r / s)
-            total += d2 / 2 + _LOG_2PI
+            ex, ey = a * inverse * ex, a * inverse * ey
+            px, vx, ax = px + ex, vx + l10 * ex, ax + l20 * ex
+            py, vy, ay = py + ey, vy + l10 * ey, ay + l20 * ey
+            factors = a * (r * inverse), d1, d2, l10, l20, l21
+            total += square / 2 + _LOG_2PI
             scale *= s
             if scale > _BIG or scale < 1 / _BIG:
                 total += log(scale)
                 scale = 1.0
-        for axis in range(2):
-            for m in range(3):
-                mean[i, axis, m] = state[axis, m]
-        for m in range(3):
-            for n in range(m + 1):
-                entry = 0.0
-                for j in range(n + 1):
-                    entry += lower[m, j] * weight[j] * lower[n, j]
-                cov[i, m, n] = cov[i, n, m] = entry
+        mean[i, 0, 0], mean[i, 0, 1], mean[i, 0, 2] = px, vx, ax
+        mean[i, 1, 0], mean[i, 1, 1], mean[i, 1, 2] = py, vy, ay
+        d0, d1, d2, l10, l20, l21 = factors
+        cov[i, 0, 0], cov[i, 1, 0], cov[i, 2, 0] = d0, l10 * d0, l20 * d0
+        cov[i, 1, 1], cov[i, 2, 1] = l10 * l10 * d0 + d1, l20 * l10 * d0 + l21 * d1
+        cov[i, 2, 2] = l20 * l20 * d0 + l21 * l21 * d1 + d2
+        cov[i, 0, 1], cov[i, 0, 2], cov[i, 1, 2] = cov[i, 1, 0], cov[i, 2, 0], cov[i, 2, 1]
         log_likelihood[i] = -total - log(scale)
 
 

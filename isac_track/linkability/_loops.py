@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 _BLOCK = 4096
 """Pairs whose weights a 32-bit number may add up: integers below 2^24 are exact."""
+_FEW = 32
+"""Probes whose ranks stay in the cache while all shuffles look them up."""
 
 
 @compiled(
@@ -133,13 +135,15 @@ def add_shuffles(
 
     `whose`, (n, N), says which of the N `probes` had the `mate` that each has now.
     """
-    for row in range(whose.shape[0]):
-        of_row, now = total[row], whose[row]
-        for k in range(now.size):
-            here, column = np.uint64(probes[k]), np.uint64(mate[np.uint64(now[k])])
-            of_row += log_rank[here, column]
-            bins[score_bin[here, column], row] += 1.0
-        total[row] = of_row
+    for first in range(0, whose.shape[1], _FEW):
+        last = min(first + _FEW, whose.shape[1])
+        for row in range(whose.shape[0]):
+            of_row, now = total[row], whose[row]
+            for k in range(first, last):
+                here, column = np.uint64(probes[k]), np.uint64(mate[np.uint64(now[k])])
+                of_row += log_rank[here, column]
+                bins[score_bin[here, column], row] += 1.0
+            total[row] = of_row
 
 
 @part_of_loop

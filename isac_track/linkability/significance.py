@@ -147,9 +147,15 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
     n_hits = math.floor(float(hits.sum()) + 1e-9)
     if n_hits == 0:
         return 1.0
-    values, counts = np.unique(chance, return_counts=True)
+    return _chance_of(n_hits, chance.astype(np.float64).tobytes())
+
+
+@lru_cache(maxsize=256)
+def _chance_of(n_hits: int, chance: bytes) -> float:
+    """Return the probability of so many hits or more; attacks on the same people ask it again."""
+    values, counts = np.unique(np.frombuffer(chance), return_counts=True)
     if values.size == 1:
-        return float(bdtrc(n_hits - 1, hits.size, values[0]))
+        return float(bdtrc(n_hits - 1, counts[0], values[0]))
     law = np.ones(1)
     for p, n in zip(values, counts, strict=True):
         k = np.arange(n + 1)
@@ -158,6 +164,7 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
     return min(1.0, float(law[n_hits:].sum()))
 
 
+@lru_cache(maxsize=64)
 def minimum_detectable_rank1(*, n: int, chance: float) -> float:
     """Return the smallest rank-1 rate that the exact binomial test at `LEVEL` finds in 80 %.
 

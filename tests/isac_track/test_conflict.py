@@ -143,6 +143,21 @@ class TestProbabilityOfAConflict:
         expected = 1 - np.prod(1 - every_step.max(axis=2), axis=1)
         assert np.allclose(found, expected, atol=1e-8)
 
+    @pytest.mark.parametrize("spread", [0.03, 0.3, 3.0])
+    def test_the_likeliest_step_is_not_missed(self, spread):
+        rng = stream(0, "test", "likeliest", str(spread))
+        shape = (300, 1, 6)
+        robot = np.zeros((*shape, 2))
+        factor = spread * rng.normal(0, 1, (*shape, 2, 2)) * rng.uniform(0, 1, (*shape, 1, 2))
+        cov = factor @ np.swapaxes(factor, -1, -2)
+        # Within six standard deviations of the disc, or nearly: the others count as 0.
+        mean = rng.normal(0, 0.7 + spread, (*shape, 2))
+        found = conflict_probability(robot=robot, mean=mean, cov=cov, radius_m=0.9)
+        every_step = disc_probability(mean=mean, cov=cov, radius_m=0.9)
+        widest = np.sqrt(np.maximum(np.trace(cov, axis1=-2, axis2=-1), 1e-6))
+        every_step[np.hypot(*np.moveaxis(mean, -1, 0)) >= 0.9 + 6 * widest] = 0.0
+        assert np.allclose(found, every_step.max(axis=(1, 2)), rtol=0, atol=1e-15)
+
     def test_five_standard_deviations_away_are_not_nothing(self):
         """North of the robot, where the position is known but for how far north."""
         mean, cov = np.array([0.0, 0.9 + 4.8 * 2.0]), np.diag([0.0, 4.0])

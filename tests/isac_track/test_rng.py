@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import hashlib
+import struct
+
 import numpy as np
 import pytest
 
@@ -14,6 +17,17 @@ def test_keying_is_pinned():
     # Worked out apart, from the bytes: a change of the keying changes every result ever made.
     assert first(0, "a") == 7582406776310106918
     assert first(7, "sensing", "scene", 17) == 2578434188189093347
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**32 - 1, 2**32, 2**128 - 1, 2**128, 2**200 + 1])
+def test_a_stream_and_its_children_are_those_of_a_seed_sequence_with_a_spawn_key(seed):
+    text = b"sname"
+    name = len(text).to_bytes(8, "little") + text
+    key = struct.unpack("<4I", hashlib.sha256(name).digest()[:16])
+    plain = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+    ours = stream(seed, "name")
+    assert [one.random() for one in ours.spawn(2)] == [one.random() for one in plain.spawn(2)]
+    assert ours.random() == plain.random()
 
 
 def test_streams_do_not_depend_on_the_order_of_their_making():

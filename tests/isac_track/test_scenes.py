@@ -88,6 +88,24 @@ def test_exhausted_redraws_keep_the_last_place_and_are_counted(known):
     assert (scenes.exhausted <= 3).all()
 
 
+def test_more_redraws_move_nobody_who_has_a_place(known):
+    order = track_order(n_tracks=len(known), n_scenes=30, agents=4, seed=0)
+    few, many = (
+        make_scenes(
+            known,
+            order=order,
+            first=0,
+            settings=SETTINGS.changed({"scenes.clearance_m": 5.4, "scenes.max_redraws": most}),
+            seed=0,
+        )
+        for most in (20, 100)
+    )
+    assert many.exhausted.sum() < few.exhausted.sum()
+    placed = np.repeat(few.exhausted == 0, 4)
+    assert placed.any()
+    assert np.array_equal(few.xy_future[placed], many.xy_future[placed])
+
+
 def test_a_track_is_only_shifted(known, scenes):
     for row in range(8):
         source = scenes.track[row]

@@ -77,6 +77,18 @@ class TestIndependentAdding:
             release = perturb(batch, level, rng(), **INDEPENDENT)
             assert_allclose(release.xy, batch.xy + level * unit, rtol=0, atol=1e-12)
 
+    @pytest.mark.parametrize("bits", [np.random.PCG64, np.random.MT19937])
+    def test_a_second_release_draws_on_from_where_the_first_ended(self, law, bits):
+        batch, plain = sensed(law=law), np.random.Generator(bits(3))
+        for _ in range(2):  # the second time from memory
+            drawn = np.random.Generator(bits(3))
+            for level in (0.2, 1.0):
+                unit = unit_errors(n_samples=13, law=law, rng=plain)
+                release = perturb(batch, level, drawn, **INDEPENDENT)
+                assert_allclose(release.xy, batch.xy + level * unit, rtol=0, atol=1e-12)
+            assert drawn.random() == plain.random()
+            plain = np.random.Generator(bits(3))
+
 
 def test_an_error_that_is_given_is_added_as_it_is():
     batch = sensed(sigma_raw=0.3)

@@ -14,6 +14,8 @@ from isac_track.types import (
     Sensed,
     Tracks,
     derived,
+    end_to_end,
+    runs_of,
     within,
 )
 
@@ -54,6 +56,32 @@ scenes = maker(  # three agents in one scene, two steps
 )
 RAGGED = (tracks, sensed, release)
 MADE = (*RAGGED, scenes)
+
+
+@pytest.mark.parametrize(
+    "rows", [[0, 1, 2], [2, 0, 1], [1], [0, 2], [1, 1, 2], [2, 1, 0], np.empty(0, dtype=int)]
+)
+def test_some_tracks_are_their_samples_end_to_end(rows):
+    some = release(xy=XY + np.pi).tracks(rows)
+    whole = [release(xy=XY + np.pi)[row] for row in rows]
+    for name in ("t", "xy", "sigma"):
+        parts = [getattr(one, name) for one in whole] or [getattr(some, name)]
+        assert np.array_equal(getattr(some, name), np.concatenate(parts))
+    assert some.offsets.tolist() == [0, *np.cumsum([one.t.size for one in whole])]
+    assert some.pseudonym == tuple("pqr"[row] for row in rows)
+    Release(**{one.name: getattr(some, one.name) for one in fields(some)})
+
+
+@pytest.mark.parametrize("row", [-1, 3])
+def test_no_track_is_counted_from_the_end_or_beyond_it(row):
+    with pytest.raises(IndexError):
+        release().tracks([0, row])
+
+
+def test_neighbours_are_one_stretch_and_one_stretch_is_a_view():
+    runs, offsets = runs_of(OFFSETS, np.array([1, 2]))
+    assert (runs, offsets.tolist()) == ([(3, 6)], [0, 1, 3])
+    assert np.shares_memory(end_to_end(XY, runs), XY)
 
 
 @pytest.mark.parametrize("make", RAGGED)
