@@ -100,6 +100,8 @@ def among_candidates(
         found = score(probe.tracks(rows), gallery.tracks(union))
         computed[rows] = np.take_along_axis(found, place.reshape(rows.size, -1), axis=1)
     lowest = float(computed.min())
+    if lowest < -np.finfo(np.float32).max / 4:  # what is below it needs more room
+        scores = scores.astype(np.float64)
     scores *= -max(1.0, abs(lowest))
     scores += lowest
     np.put_along_axis(scores, columns, computed, axis=1)

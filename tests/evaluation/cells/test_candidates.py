@@ -114,6 +114,27 @@ class TestScores:
         asked = [size for probes, size in spy.seen if probes == 1 and size <= n]
         assert len(asked) >= len(sessions.probe)
 
+    @pytest.mark.parametrize("worst", [-3e38, -1e-30, 0.0, 5.0, 3e38])
+    def test_others_are_below_whatever_was_scored(self, worst):
+        _, level = linked(sessions_of("rerelease"), "raw", Length())
+        release, worst = level.seen.probe, float(np.float32(worst))
+        n, first = len(release), stream(0, "test", "first").random((len(release),) * 2)
+        found = among_candidates(
+            lambda p, g: np.full((len(p), len(g)), worst),
+            *(release, release),
+            mate=np.arange(n),
+            first=first,
+            n_candidates=3,
+            n_checked=0,
+            n_at_once=64,
+            rng=stream(0, "test", "below"),
+        ).scores
+        assert np.isfinite(found).all()
+        order = np.argsort(-first, axis=1)
+        ranked = np.take_along_axis(found, order, axis=1)
+        assert (ranked[:, :3] == worst).all()
+        assert (np.diff(ranked[:, 2:], axis=1) < 0).all()
+
     def test_equal_scores_of_the_first_stage_favour_nobody(self):
         _, level = linked(sessions_of("rerelease"), "raw", Length())
         release = level.seen.probe
