@@ -35,6 +35,8 @@ Place: TypeAlias = "tuple[int, str, str]"
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12
 """Of what is linked."""
+_BLOCKS_WITHIN = 0.75
+"""The share of the work with which the last block begins, for it takes long."""
 _CLUSTER_TASKS = 64
 """At least so many, where there are as many levels and blocks."""
 _MOST_NAMED = 3
@@ -64,7 +66,7 @@ def n_finished(ready: Plan) -> int:
 
 
 def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
-    """Return what is to be computed: first scenes, block by block, then what is linked."""
+    """Return what is to be computed: scenes, block by block, and what is linked."""
     settings = ready.settings
     order = track_order(
         n_tracks=len(ready.tracks),
@@ -86,7 +88,7 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
             n_pieces,
         )
     ]
-    links = []
+    links: list[LinkWork] = []
     for sessions in ready.sessions:
         levels = _levels(one for one in missing if one.stage == sessions.task.name)
         # Each piece senses the sessions again, which takes less than one level.
@@ -94,7 +96,15 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
             piece = levels[first : first + _LEVELS_PER_TASK]
             links.append(LinkWork(sessions, groups, piece, settings.keep_scores))
     # The longest first: at the end no worker waits for long.
-    return [*blocks, *sorted(links, key=_n_pairs, reverse=True)]
+    links.sort(key=_n_pairs, reverse=True)
+    # A block takes the most memory: with workers, most of the time one alone is under way.
+    apart = _BLOCKS_WITHIN / len(blocks) if ready.jobs > 1 and blocks else 0.0
+    due = [
+        *(n * apart for n in range(len(blocks))),
+        *((n + 1) / len(links) for n in range(len(links))),
+    ]
+    works: list[Work] = [*blocks, *links]
+    return [works[n] for n in sorted(range(len(works)), key=due.__getitem__)]
 
 
 def _levels(units: Iterable[Unit]) -> Levels:
