@@ -230,19 +230,19 @@ def weigh(
         number += 1
 
 
-@compiled(read(2), read(2), read(1, "int64"), written(1))
-def link_shares(mated: Floats, non_mated: Floats, bins: Ints, out: Floats) -> None:
+@compiled(read(2), read(2), read(1, "int64"), written(2), written(1))
+def link_shares(mated: Floats, non_mated: Floats, bins: Ints, totals: Floats, out: Floats) -> None:
     """Write `d_sys`, (R,), of the weights of either class in each of K cells, (K, R).
 
-    The `bins` of the cells, (K,), ascend.
+    The `bins` of the cells, (K,), ascend. The `totals` of both classes, (2, R), are written, too.
     """
     n = out.size
-    totals, sums = np.zeros((2, n)), np.zeros((2, n))
+    sums = np.zeros((2, n))
+    totals[:], out[:] = 0.0, 0.0
     for k in range(bins.size):
         for r in range(n):
             totals[0, r] += mated[k, r]
             totals[1, r] += non_mated[k, r]
-    out[:] = 0.0
     for k in range(bins.size):
         for r in range(n):
             sums[0, r] += mated[k, r]
@@ -316,18 +316,18 @@ def _read_thresholds(
     return n_low > 0
 
 
-@compiled(written(2), written(2), read(1), written(2))
-def read_rocs(mated: Floats, non_mated: Floats, levels: Floats, out: Floats) -> None:
+@compiled(written(2), written(2), read(2), read(1), written(2))
+def read_rocs(
+    mated: Floats, non_mated: Floats, totals: Floats, levels: Floats, out: Floats
+) -> None:
     """Write AUC, EER and Cllr_min, then TPR and FPR at each level, of R ROCs.
 
-    (K, R) of either class are the weights in each cell, from the lowest; they are overwritten. The
-    TPR is that of the lowest threshold with FPR <= level. `out` is (3 + 2 levels, R).
+    (K, R) of either class are the weights in each cell, from the lowest, and are overwritten;
+    `totals`, (2, R), are their sums. The TPR is that of the lowest threshold with FPR <= level.
+    `out` is (3 + 2 levels, R).
     """
     n_cells, n = mated.shape
-    totals, true, false, before = np.zeros((2, n)), np.zeros(n), np.zeros(n), np.zeros(n)
-    for k in range(n_cells):
-        totals[0] += mated[k]
-        totals[1] += non_mated[k]
+    true, false, before = np.zeros(n), np.zeros(n), np.zeros(n)
     out[:] = 0.0
     is_open, top = np.ones(levels.size, dtype=np.bool_), n_cells
     for k in range(n_cells - 1, -1, -1):

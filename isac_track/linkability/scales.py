@@ -42,8 +42,9 @@ LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
 _COLUMNS = (
     *("auc", "eer", "cllr_min"),
     *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
+    "d_sys",
 )
-"""What the loop over the ROCs writes."""
+"""What the loops over the ROCs and the histograms write."""
 _LANES = 16
 """Numbers that a vector instruction treats at most: replicates are a multiple of it."""
 
@@ -153,31 +154,33 @@ def score_scale(
     about = (people.shapes, people.first, people.second, people.mate)
     loops.weigh(people.table, *about, cell, counts, masses)
     non_mated, mated = masses
-    columns, linked = np.empty((7, non_mated.shape[1])), np.empty(non_mated.shape[1])
-    n_replicates = people.rows[0][0].shape[1]
-    total_non_mated, total_mated = masses.sum(axis=1)[:, :n_replicates]
-    is_defined = (total_mated > 0) & (total_non_mated > 0)
-    loops.link_shares(mated, non_mated, cut.bins[is_occupied].astype(np.int64), linked)
-    loops.read_rocs(mated, non_mated, np.array(list(LEVELS.values())), columns)
+    columns, totals = np.empty((len(_COLUMNS), masses.shape[2])), np.empty((2, masses.shape[2]))
+    bins = cut.bins[is_occupied].astype(np.int64)
+    loops.link_shares(mated, non_mated, bins, totals, columns[-1])
+    loops.read_rocs(mated, non_mated, totals, np.array(list(LEVELS.values())), columns[:-1])
 
     n_non_mated, n_mated = counts.sum(axis=0).tolist()
     bias = math.nan
     if n_mated and n_non_mated:
         n_bins, n_shuffles = cut.null_bins.shape
         total = np.bincount(cut.bins, weights=counts.sum(axis=1), minlength=n_bins)
-        null = np.empty(n_shuffles)
-        others = total[:, None] - cut.null_bins
-        loops.link_shares(cut.null_bins, others, np.arange(n_bins), null)
+        null, others = np.empty(n_shuffles), total[:, None] - cut.null_bins
+        loops.link_shares(
+            *(cut.null_bins, others, np.arange(n_bins), np.empty((2, n_shuffles)), null)
+        )
         bias = float(null.mean())
 
-    values = {"cllr": np.full(n_replicates, np.nan)}
-    values |= dict(zip((*_COLUMNS, "d_sys"), [*columns, linked], strict=True))
+    # Some replicates more are there for the loops alone.
+    n_replicates = people.rows[0][0].shape[1]
+    total_mated, total_non_mated = totals[:, :n_replicates]
+    is_defined = (total_mated > 0) & (total_non_mated > 0)
+    defined = np.where(is_defined, columns[:, :n_replicates], np.nan)
+    values = {**dict(zip(_COLUMNS, defined, strict=True)), "cllr": np.full(n_replicates, np.nan)}
     if calibration is not None:
         mated_cost, non_mated_cost = _costs(people, trials, calibration)
         with np.errstate(divide="ignore", invalid="ignore"):
             both = mated_cost / total_mated + non_mated_cost / total_non_mated
-        values["cllr"] = both / (2.0 * math.log(2.0))
-    values = {name: np.where(is_defined, of[:n_replicates], np.nan) for name, of in values.items()}
+        values["cllr"] = np.where(is_defined, both / (2.0 * math.log(2.0)), np.nan)
     mass = np.where(is_defined, total_mated, 0.0)
     return Scale(values, mass, bias, n_mated, n_non_mated, cut.null_bins.shape[0])
 

@@ -219,7 +219,7 @@ def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
         for x in (mated, non_mated)
     )
     share = np.empty(1)
-    import_loops().link_shares(p, q, np.arange(n_bins), share)
+    import_loops().link_shares(p, q, np.arange(n_bins), np.empty((2, 1)), share)
     return float(share[0]), n_bins
 
 
@@ -261,6 +261,7 @@ def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
     """Return AUC, EER and Cllr_min, then TPR and FPR at each level."""
     out = np.empty((3 + 2 * len(levels), 1))
     own, other = _counts(mated, non_mated)
-    import_loops().read_rocs(own, other, np.array(levels, dtype=np.float64), out)
+    totals = np.array([own.sum(axis=0), other.sum(axis=0)])
+    import_loops().read_rocs(own, other, totals, np.array(levels, dtype=np.float64), out)
     read: Floats = out[:, 0]
     return read

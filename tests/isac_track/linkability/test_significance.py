@@ -99,6 +99,21 @@ def test_the_null_is_the_law_over_all_possible_mates(sizes):
     assert p == pytest.approx((np.array(sums) >= observed - 1e-9).mean(), abs=0.018)
 
 
+def test_sums_and_bins_of_many_probes_are_those_of_the_mates_that_were_drawn():
+    rng = stream(19, "test", "many")
+    one = clustered(rng, [1] * 40 + [2] * 20)
+    mated, n = mated_probes(people_of(one)), 25
+    whose = shuffled_mates(mated, rng, n)
+    assert (np.sort(whose, axis=1) == np.arange(80)).all()
+    ranks, score_bin = rng.random(one.scores.shape), rng.integers(0, 5, one.scores.shape)
+    null, null_bins = np.ones(n), np.ones((5, n))
+    add_shuffles(mated, whose, ranks, score_bin.astype(np.uint8), null, null_bins)
+    drawn = mated.probes, mated.mate[whose]
+    assert null == pytest.approx(1 + ranks[drawn].sum(axis=1))
+    held = score_bin[drawn]
+    assert np.array_equal(null_bins, [1 + (held == k).sum(axis=1) for k in range(5)])
+
+
 def test_the_permutation_test_has_its_size_on_null_data_of_several_searches():
     rng = stream(7, "test", "size", 0)
     pairs = ([gaussian(rng, n, 0.0, decimals=0) for n in (15, 8)] for _ in range(1_000))
