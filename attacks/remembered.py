@@ -6,8 +6,10 @@ from functools import wraps
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary, ref
 
+import numpy as np
+
 from isac_track.noise import innovation_variance_m2
-from isac_track.types import Floats, Release
+from isac_track.types import Floats, Ints, Release
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,7 +40,32 @@ def remembered(
     return recalled
 
 
-@remembered
+_PARTS: WeakKeyDictionary[Release, tuple[Release, Ints]] = WeakKeyDictionary()
+
+
+def part(release: Release, rows: Ints) -> Release:
+    """Return some tracks of a release, of which `whole` tells where they are from."""
+    some = release.tracks(rows)
+    origin, among = whole(release)
+    _PARTS[some] = origin, among[rows]
+    return some
+
+
+def whole(release: Release) -> tuple[Release, Ints]:
+    """Return the release that one is a part of, or itself, and which of its tracks are in it.
+
+    What is made track by track is made of the whole, once.
+    """
+    known = _PARTS.get(release)
+    return (release, np.arange(len(release))) if known is None else known
+
+
 def noise_m2(release: Release) -> Floats:
     """Return the error variance per axis of each track, (N,) m^2, as its innovations have it."""
+    origin, rows = whole(release)
+    return _noise_m2(origin)[rows]
+
+
+@remembered
+def _noise_m2(release: Release) -> Floats:
     return innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)

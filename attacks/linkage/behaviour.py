@@ -10,7 +10,7 @@ import numpy as np
 
 from attacks.linkage.learning import mated, teaches
 from attacks.linkage.signals import STEP_S, Signals, motion_of, on_grid
-from attacks.remembered import noise_m2, remembered
+from attacks.remembered import noise_m2, remembered, whole
 from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
@@ -115,9 +115,14 @@ def _shrunk_moments(x: Floats, shrinkage: float) -> Floats:
     return moments
 
 
-@remembered
 def features(release: Release) -> Floats:
     """Return what describes each walk, (N, F) in the order of `FEATURES`."""
+    origin, rows = whole(release)
+    return _features(origin)[rows]
+
+
+@remembered
+def _features(release: Release) -> Floats:
     walks = on_grid(release)
     (speed, turn), count = motion_of(release, 1.0)
     live = np.arange(speed.shape[1]) < count[:, None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,10 +11,9 @@ import numpy as np
 from attacks.linkage.learning import Few, learn, linker, mated, tried
 from attacks.linkage.signals import loops
 from attacks.parameters import positive
-from attacks.remembered import remembered
+from attacks.remembered import noise_m2, remembered, whole
 from isac_track.kalman import Batch, kalman_last
-from isac_track.noise import innovation_variance_m2
-from isac_track.types import Floats, Knowledge, Release
+from isac_track.types import Floats, Knowledge, Release, derived
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,7 +75,9 @@ class Kinematic:
         )
 
         def scores(train: LinkageTrainingSet, _: Few) -> Callable[[float, float], Floats]:
-            return partial(continuations, train.probe, train.gallery, gap_s=rivals(train))
+            # As releases of their own: several filters of everybody would cost more than they save.
+            probe, gallery = derived(train.probe), derived(train.gallery)
+            return partial(continuations, probe, gallery, gap_s=rivals(train))
 
         return linker(continuations, *learn(context, options, scores=scores))
 
@@ -105,25 +106,31 @@ def continuations(
     Up to a constant; `q` in m^2/s^3, `floor_m2` the least error variance per axis. There is no
     density where the gap is not within `gap_s`.
     """
-    batch = _both_ways(probe, gallery)
-    batch = replace(batch, variance=np.maximum(batch.variance, floor_m2))
-    state, until_s = kalman_last(batch, q=q), batch.t[batch.offsets[1:] - 1]
+    ends = _ends(probe, q, floor_m2, at=1), _ends(gallery, q, floor_m2, at=-1)
+    until_s, mean, cov = (np.concatenate(each) for each in zip(*ends, strict=True))
     density = np.empty((len(probe), len(gallery)))
-    loops().continued(*(until_s, state.mean, state.cov, q, (*gap_s, _LONGEST_S), _TAIL, density))
+    loops().continued(until_s, mean, cov, q, (*gap_s, _LONGEST_S), _TAIL, density)
     return density
 
 
-@remembered
-def _both_ways(probe: Release, gallery: Release) -> Batch:
-    """Return P probes and, back in time, G gallery walks, as noisy as their innovations say.
+def _ends(release: Release, q: float, floor_m2: float, *, at: int) -> tuple[Floats, ...]:
+    """Return times and states, mean and covariance, at the ends of walks, or (-1) their starts."""
+    origin, rows = whole(release)
+    until_s, mean, cov = _ends_of_all(origin, q, floor_m2, at)
+    return until_s[rows], mean[rows], cov[rows]
 
-    Tracks of one batch: one call of the filter, whose checks take longer than its loop.
-    """
-    # From its last sample to its first.
-    ends = gallery.offsets[:-1] + gallery.offsets[1:] - 1
-    turned = np.repeat(ends, np.diff(gallery.offsets)) - np.arange(gallery.t.size)
-    t = np.concatenate([probe.t, -gallery.t[turned]])
-    xy = np.concatenate([probe.xy, gallery.xy[turned]])
-    offsets = np.concatenate([probe.offsets, gallery.offsets[1:] + probe.offsets[-1]])
-    variance_m2 = innovation_variance_m2(t=t, xy=xy, offsets=offsets)
-    return Batch(t, xy, np.repeat(variance_m2, np.diff(offsets)), offsets, _PRIOR_STD)
+
+@remembered
+def _ends_of_all(
+    release: Release, q: float, floor_m2: float, at: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return the same of all walks of a release, each as noisy as its innovations say."""
+    t, xy, sizes = release.t, release.xy, np.diff(release.offsets)
+    if at < 0:  # back in time, from its last sample to its first
+        ends = release.offsets[:-1] + release.offsets[1:] - 1
+        turned = np.repeat(ends, sizes) - np.arange(t.size)
+        t, xy = -t[turned], xy[turned]
+    variance_m2 = np.repeat(np.maximum(noise_m2(release), floor_m2), sizes)
+    batch = Batch(t, xy, variance_m2, release.offsets, _PRIOR_STD)
+    state = kalman_last(batch, q=q)
+    return t[release.offsets[1:] - 1], state.mean, state.cov

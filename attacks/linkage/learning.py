@@ -120,6 +120,8 @@ def log_rank(scores: Floats, *, mate: Ints) -> float:
     not go by the hopeless. Ties count half.
     """
     rows = np.flatnonzero(mate >= 0)
-    own = scores[rows, mate[rows]][:, None]
-    above = (scores[rows] > own).sum(axis=1) + ((scores[rows] == own).sum(axis=1) - 1) / 2.0
-    return float(np.log1p(above).mean())
+    own, among = scores[rows, mate[rows]][:, None], scores
+    if rows.size < len(scores):
+        among = scores[rows]
+    tied = np.count_nonzero(among == own, axis=1) - 1
+    return float(np.log1p(np.count_nonzero(among > own, axis=1) + tied / 2.0).mean())

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from attacks.linkage.learning import EVERYBODY, Few, Rows
-from attacks.remembered import noise_m2, remembered
+from attacks.remembered import noise_m2, remembered, whole
 from isac_track.types import Floats, Ints, Release, read_only
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ FULL_CELLS = 48.0
 """12 s: the overlap by which others are measured."""
 EXPONENT = 3.0
 """Of the ratio to an overlap, by which its cost grows: a short overlap fits anybody."""
+_NEAR = 160
+"""Walks of either side that are compared at a time: all of their costs stay in the cache."""
 LEAST_OVERLAP = 8
 """Cells, 2 s: a shorter overlap is tried only where a walk is no longer."""
 
@@ -54,7 +56,6 @@ class Signals(NamedTuple):
         return Signals(self.values[:, rows], self.sizes[rows])
 
 
-@remembered
 def on_grid(release: Release) -> Signals:
     """Return x and y of the walks of a release less their first samples, in m.
 
@@ -62,6 +63,12 @@ def on_grid(release: Release) -> Signals:
     in it is wasted and a step longer than a cell is bridged. Whole cells only, in the middle of
     what there is; a walk shorter than one cell is one cell.
     """
+    origin, rows = whole(release)
+    return _on_grid(origin).walks(rows)
+
+
+@remembered
+def _on_grid(release: Release) -> Signals:
     t, xy, offsets = (np.ascontiguousarray(x) for x in (release.t, release.xy, release.offsets))
     lasts_s = t[offsets[1:] - 1] - t[offsets[:-1]]
     count = np.floor(np.minimum(lasts_s, LONGEST_S) / STEP_S + _CLOCK_S).astype(np.int64)
@@ -197,14 +204,19 @@ def polynomials(most: int, rank: int, first: int) -> tuple[Floats, Ints]:
 def blocks(probe: Signals, gallery: Signals) -> Iterator[tuple[Ints, Ints, Floats, Floats]]:
     """Yield probes and gallery walks of one length each: rows, columns and signals of either.
 
+    At most `_NEAR` of either.
+
     Signals come as (C, P, K) and (C, G, K), and go as (C, cells, rows) and (C, cells, columns).
     """
 
     def by_cell(signals: Signals) -> list[tuple[Ints, Floats]]:
+        alike = [
+            (cells, np.flatnonzero(signals.sizes == cells)) for cells in np.unique(signals.sizes)
+        ]
         return [
             (rows, np.ascontiguousarray(signals.values[:, rows, :cells].transpose(0, 2, 1)))
-            for cells in np.unique(signals.sizes)
-            for rows in [np.flatnonzero(signals.sizes == cells)]
+            for cells, all_rows in alike
+            for rows in np.array_split(all_rows, -(-all_rows.size // _NEAR))
         ]
 
     parts = by_cell(gallery)

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from attacks.linkage.alignment import Shape
+from attacks.remembered import part
 from attacks.tasks.controls import CONTROLS
 from evaluation.cells import sharing
 from evaluation.cells.adversary import declared, granted_at, reconstructed, showing
@@ -73,8 +74,8 @@ class _Sides:
     def of(self, pairing: Pairing) -> tuple[Release, Release]:
         """Return the windows of a pairing, the same ones every time."""
         if id(pairing) not in self.found:
-            probe = self.probe.tracks(pairing.probe)
-            self.found[id(pairing)] = probe, self.gallery.tracks(pairing.gallery)
+            probe = part(self.probe, pairing.probe)
+            self.found[id(pairing)] = probe, part(self.gallery, pairing.gallery)
         return self.found[id(pairing)]
 
 
@@ -92,6 +93,15 @@ class LinkedLevel:
     """The same in the frames of the adversary, with the declared standard deviations."""
     sides: dict[tuple[object, ...], _Sides] = field(default_factory=dict)
     """By whether SIGMA shows, the reconstruction in front, what it was granted, and fold."""
+
+    def showing(self, granted: frozenset[Knowledge]) -> _Sides:
+        """Return both releases as they show, the same ones every time."""
+        if Knowledge.SIGMA in granted:
+            return self.seen
+        if (False,) not in self.sides:
+            probe, gallery = self.seen.probe, self.seen.gallery
+            self.sides[False,] = _Sides(probe.without_sigma(), gallery.without_sigma())
+        return self.sides[False,]
 
 
 def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
@@ -214,8 +224,7 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
     task = known.sessions.task
     score = control.scorer(task)
     scores: dict[int, Floats] = {}
-    bare = _Sides(level.seen.probe.without_sigma(), level.seen.gallery.without_sigma())
-    blind = level.sides.setdefault((False,), bare)
+    blind = level.showing(frozenset())
     for number, pairing in (one for half in known.halves for one in half.searches):
         if score is not None:
             scores[number] = score(*level.seen.of(pairing), rng)
@@ -232,13 +241,14 @@ def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
     """Return both releases as a linker gets them: smoothed first, where it stands behind that."""
     assert consumer.plugin is not None
     behind, shows = consumer.behind, consumer.granted & declared(consumer.plugin)
-    key: tuple[object, ...] = (Knowledge.SIGMA in shows,)
-    if behind is not None:
-        key = (*key, behind.spec, consumer.granted & declared(behind), fold)
+    if behind is None:
+        return level.showing(shows)
+    granted = consumer.granted & declared(behind)
+    # Ours draw nothing: what has learnt nothing either is the same in both folds.
+    is_alike = Knowledge.TRAIN not in granted and behind.origin.startswith(sharing.OURS)
+    key = (Knowledge.SIGMA in shows, behind.spec, granted, None if is_alike else fold)
     if key not in level.sides:
-        pair = (level.seen.probe, level.seen.gallery)
-        if behind is not None:
-            pair = _smoothed(consumer, behind, level, fold)
+        pair = _smoothed(consumer, behind, level, fold)
         level.sides[key] = _Sides(showing(pair[0], shows), showing(pair[1], shows))
     return level.sides[key]
 
@@ -251,7 +261,7 @@ def _smoothed(
     who = f"{name} (behind {consumer.label})"
     known, releases = level.known, (level.seen.probe, level.seen.gallery)
     granted = granted_at(consumer, behind, *level.shared, who=name, mechanism=level.mechanism)
-    shown = [showing(one, granted) for one in releases]
+    sides = level.showing(granted)
     train, rows = None, known.halves[fold].learns.probe
     if rows.size:
         windows = known.sessions.probe
@@ -259,7 +269,8 @@ def _smoothed(
         truth = windows.xy[samples.rows]
         if known.frames:
             truth = known.frames[0].of(np.repeat(rows, np.diff(samples.offsets))).points(truth)
-        train = TrainingSet(sharing.handed(shown[0].tracks(rows), behind), truth)
+        probe, _ = sides.of(known.halves[fold].learns)
+        train = TrainingSet(sharing.handed(probe, behind), truth)
     context = AttackContext(
         rng=stream(known.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
         epsilon_m=known.epsilon_m,
@@ -270,7 +281,7 @@ def _smoothed(
     attack = sharing.guarded(who, lambda: behind.instance.fit(context))
     first, second = (
         derived(one, xy=reconstructed(attack, sharing.handed(view, behind), who=who))
-        for one, view in zip(releases, shown, strict=True)
+        for one, view in zip(releases, (sides.probe, sides.gallery), strict=True)
     )
     return first, second
 

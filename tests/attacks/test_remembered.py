@@ -2,9 +2,12 @@
 
 import weakref
 
-from helpers.walks import smooth_walks
+import numpy as np
+from helpers.walks import smooth_walks, two_releases
 
-from attacks.remembered import remembered
+from attacks.linkage.behaviour import features
+from attacks.linkage.signals import on_grid
+from attacks.remembered import noise_m2, part, remembered, whole
 
 
 def test_it_is_made_once_for_each_release_and_dies_with_it():
@@ -24,3 +27,18 @@ def test_it_is_made_once_for_each_release_and_dies_with_it():
     assert counted(one, factor=3) == 8
     del one, other, asked, made[:]
     assert [each() for each in alive] == [None, None]
+
+
+def test_what_is_known_of_a_part_is_what_is_made_of_its_tracks_alone():
+    release, _, _ = two_releases(9, noise_m=0.3)
+    some = part(part(release, np.array([8, 0, 3, 5])), np.array([2, 0]))
+    assert whole(some)[0] is release
+    assert whole(some)[1].tolist() == [3, 8]
+    alone = release.tracks([3, 8])
+    assert whole(alone)[0] is alone
+    for made in (noise_m2, features):
+        np.testing.assert_allclose(made(some), made(alone), rtol=1e-12)
+    walks, by_itself = on_grid(some), on_grid(alone)
+    assert np.array_equal(walks.sizes, by_itself.sizes)
+    for row, cells in enumerate(walks.sizes):
+        assert np.array_equal(walks.values[:, row, :cells], by_itself.values[:, row, :cells])
