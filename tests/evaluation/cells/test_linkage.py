@@ -1,6 +1,7 @@
 """What an adversary is given of a linkage task, what is read off, and what stays fixed."""
 
 import json
+import pickle
 import shutil
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
@@ -287,6 +288,21 @@ class TestDeterminism:
             assert np.array_equal(
                 estimate.replicates, among.scored.estimates[name].replicates, equal_nan=True
             )
+
+    def test_sessions_are_sensed_once_for_one_piece_of_work_after_another(self):
+        sessions = sessions_of("rerelease")
+
+        def sensed(**changes):
+            again = pickle.loads(pickle.dumps(sessions))  # as a worker gets it
+            given = {"groups": ("g1",), "stages": STAGES, "seed": 0} | changes
+            return sensed_sessions(again, **given)
+
+        first = sensed()
+        assert sensed() is first
+        for changes in ({"seed": 1}, {"groups": ("g2",)}):
+            other = sensed(**changes)
+            assert other is not first
+            assert sensed(**changes) is other
 
     def test_errors_are_common_to_all_mechanisms(self):
         shown = {}
