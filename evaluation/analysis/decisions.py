@@ -36,6 +36,8 @@ DECISION_COLUMNS = [
     *("difference", "ci_low", "ci_high"),
 ]
 _SEPARATION = "separation"
+_MOST_COUNTED = 2.0**24
+"""Of whole numbers in single precision."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,14 +99,16 @@ def curve(*, score: Floats, conflict: Bools, cluster: Ints, weights: Floats) -> 
     n_clusters = weights.shape[1]
     shape = (2, n_clusters, distinct.size)
     cells = np.ravel_multi_index((conflict.astype(int), cluster, bins), shape)
-    counts = np.bincount(cells, minlength=math.prod(shape)).reshape(shape).astype(np.float64)
+    counts = np.bincount(cells, minlength=math.prod(shape)).reshape(shape)
     everyone = np.concatenate([np.ones((1, n_clusters)), weights])
-    alarms, hits = (everyone @ part for part in np.cumsum(counts, axis=2))
-    start = np.zeros((everyone.shape[0], 1))
+    # Single precision is exact as long as no number of scenes is larger than it can count.
+    is_small = score.size * float(weights.max(initial=1.0)) < _MOST_COUNTED
+    kind = np.float32 if is_small else np.float64
+    drawn = everyone.astype(kind) @ np.cumsum(counts, axis=2).astype(kind)
+    rates: Floats = np.zeros((*drawn.shape[:2], distinct.size + 1))
     with np.errstate(invalid="ignore"):  # a replicate without a label has no rate: NaN
-        missed = 1.0 - np.concatenate([start, hits / hits[:, -1:]], axis=1)
-        false_alarm = np.concatenate([start, alarms / alarms[:, -1:]], axis=1)
-    return Curve(missed=missed, false_alarm=false_alarm)
+        np.divide(drawn, drawn[:, :, -1:], out=rates[:, :, 1:], dtype=np.float64)
+    return Curve(missed=1.0 - rates[1], false_alarm=rates[0])
 
 
 def decisions(

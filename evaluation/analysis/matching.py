@@ -61,6 +61,7 @@ class Sweeps:
         for key in found:
             if key.measure == _SHOWN and known[key.mechanism].is_added:
                 self._levels.setdefault(key.mechanism, []).append(key.level)
+        self._in_order: dict[str, list[float | None]] = {}
         self._monotone: dict[tuple[str, Measure], Floats | None] = {}
 
     def levels(self, mechanism: str) -> list[float | None]:
@@ -68,13 +69,16 @@ class Sweeps:
 
         Of any other mechanism the ends tell: the noisier one shows less.
         """
-        levels = sorted(self._levels.get(mechanism, ()), key=lambda level: (level is None, level))
-        if len(levels) < FEWEST_LEVELS:
-            return levels
-        family = self.known[mechanism].family
-        ends = [self.found[_SHOWN.at(mechanism, levels[place])].value for place in (0, -1)]
-        grows = family == FID or (family != FIXED and ends[0] < ends[1])
-        return levels if grows else levels[::-1]
+        if mechanism not in self._in_order:
+            known = self._levels.get(mechanism, ())
+            levels = sorted(known, key=lambda level: (level is None, level))
+            if len(levels) >= FEWEST_LEVELS:
+                family = self.known[mechanism].family
+                ends = [self.found[_SHOWN.at(mechanism, levels[place])].value for place in (0, -1)]
+                grows = family == FID or (family != FIXED and ends[0] < ends[1])
+                levels = levels if grows else levels[::-1]
+            self._in_order[mechanism] = levels
+        return self._in_order[mechanism]
 
     def named(self, family: str, *, adding: str) -> str:
         """Return a family's mechanism under an adding rule, nothing else of it changed, or ""."""
@@ -258,17 +262,23 @@ def compare(
             "missed_conflict_rate": np.full(n_points, np.nan) if is_plr else raw + at,
             "defined": defined,
         }
-        for names, values in zip(_INTERVALS, (compared, fixed, difference), strict=True):
-            has_ends = np.isfinite(values[1:]).all(axis=0) | (defined >= MIN_DEFINED)
-            ends = np.where(has_ends, percentile_intervals(values[1:].T), np.nan)
-            points |= zip(names, (values[0], *ends), strict=True)
+        drawn = np.concatenate([compared, fixed, difference], axis=1).T.copy()
+        has_ends = np.isfinite(drawn[:, 1:]).all(axis=1) | np.tile(defined >= MIN_DEFINED, 3)
+        ends = np.where(has_ends, percentile_intervals(drawn[:, 1:]), np.nan)
+        read = np.stack([drawn[:, 0], *ends]).reshape(3, 3, n_points)
+        for names, values in zip(_INTERVALS, read.swapaxes(0, 1), strict=True):
+            points |= zip(names, values, strict=True)
+        # Of each row over what is known; NaN where nothing is.
+        is_known = counts & ~np.isnan(difference)
+        with np.errstate(invalid="ignore"):
+            total = np.where(is_known, difference, 0.0).sum(axis=1)
+            mean_difference = total / is_known.sum(axis=1)
         yield Comparison(
             mechanism=arms[0],
             measure=measure,
             points=points,
-            # Of each row over what is known; NaN where nothing is.
-            mean_difference=pd.DataFrame(difference[:, counts]).mean(axis=1).to_numpy(np.float64),
-            mean_fixed=float(pd.Series(fixed[0, counts]).mean()),
+            mean_difference=mean_difference,
+            mean_fixed=float(fixed[0, counts].mean()) if counts.any() else np.nan,
             n=min(sweeps.n(arm, measure) for arm in arms),
         )
 
@@ -282,14 +292,17 @@ def monotone(values: Floats, *, increasing: bool) -> Floats:
     """
     if not increasing:
         return -monotone(-values, increasing=True)
-    sums = np.concatenate([np.zeros((values.shape[0], 1)), np.cumsum(values, axis=1)], axis=1)
-    best: Floats = np.full(values.shape, -np.inf)
-    for first in range(values.shape[1]):
-        counts = np.arange(1, values.shape[1] - first + 1)
-        means = (sums[:, first + 1 :] - sums[:, first : first + 1]) / counts
-        smallest = np.minimum.accumulate(means[:, ::-1], axis=1)[:, ::-1]
-        best[:, first:] = np.maximum(best[:, first:], smallest)
-    return best
+    # Levels first: steps along the replicates are long, those along the levels few.
+    n_levels = values.shape[1]
+    sums = np.zeros((n_levels + 1, values.shape[0]))
+    np.cumsum(values.T, axis=0, out=sums[1:])
+    best: Floats = np.full((n_levels, values.shape[0]), -np.inf)
+    for first in range(n_levels):
+        counts = np.arange(1, n_levels - first + 1)[:, None]
+        means = (sums[first + 1 :] - sums[first]) / counts
+        smallest = np.minimum.accumulate(means[::-1], axis=0)[::-1]
+        np.maximum(best[first:], smallest, out=best[first:])
+    return np.ascontiguousarray(best.T)
 
 
 def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:

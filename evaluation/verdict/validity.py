@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from evaluation.analysis.strongest import Levels
+    from isac_track.types import Floats
 
 _UNADJUSTED: Final = 0.05
 """For what is told beside a decision."""
@@ -189,8 +190,6 @@ def _taus(
     sweeps: Sweeps, *, adding: str, value: Measure, success: Measure
 ) -> dict[str, float | None]:
     """Return Kendall's tau over the levels of each sweep: necessary, never sufficient."""
-    from scipy.stats import kendalltau  # noqa: PLC0415 - a second of every start
-
     taus: dict[str, float | None] = dict.fromkeys((FIXED, FID))
     for mechanism in sweeps.swept(adding):
         points = (
@@ -199,9 +198,19 @@ def _taus(
         )
         pairs = [(at.value, got.value) for at, got in points if at and got]
         if len(pairs) >= _FEWEST_FOR_TAU:
-            tau = kendalltau(*zip(*pairs, strict=True)).statistic
-            taus[sweeps.known[mechanism].name] = known(tau)
+            taus[sweeps.known[mechanism].name] = known(kendall_tau(np.array(pairs)))
     return taus
+
+
+def kendall_tau(pairs: Floats) -> float:
+    """Return Kendall's tau-b of N pairs, (N, 2); NaN if either number never varies.
+
+    That of `scipy.stats` takes a second to import.
+    """
+    first, second = pairs.T
+    x, y = (np.sign(one[:, None] - one) for one in (first, second))
+    spread = float(np.sqrt((x * x).sum()) * np.sqrt((y * y).sum()))
+    return float((x * y).sum()) / spread if spread else np.nan
 
 
 def _sentences(name: str, *, task: str, worst: Contrast | None, drop: Estimate) -> dict[str, str]:

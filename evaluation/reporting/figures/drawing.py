@@ -23,8 +23,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from matplotlib import style as styles
 from matplotlib.artist import Artist
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -64,9 +62,9 @@ PERCENT = 100.0
 
 _BAND_ALPHA = 0.18
 _HANDLE_CHARACTERS = 10
-_CANVASES: dict[str, tuple[Any, ...]] = {
-    "svg": (FigureCanvasSVG, "Date", "Creator"),
-    "pdf": (FigureCanvasPdf, "CreationDate", "Creator", "Producer"),
+_CANVASES: dict[str, tuple[str, ...]] = {
+    "svg": ("FigureCanvasSVG", "Date", "Creator"),
+    "pdf": ("FigureCanvasPdf", "CreationDate", "Creator", "Producer"),
 }
 """Of a kind of file, with what would make it another each time."""
 _STYLE = Path(__file__).parents[1] / "templates" / "figures.mplstyle"
@@ -203,8 +201,10 @@ def rendered(figure: Figure, *, pdf: bool) -> dict[str, bytes]:
         figure.set_layout_engine("none")
     files = {"svg": io.BytesIO()} | ({"pdf": io.BytesIO()} if pdf else {})
     for kind, file in files.items():
-        canvas, *dated = _CANVASES[kind]
-        getattr(canvas(figure), f"print_{kind}")(file, metadata=dict.fromkeys(dated))
+        name, *dated = _CANVASES[kind]
+        # Only what is asked for: that of PDF takes half a second to import.
+        canvas = getattr(import_module(f"matplotlib.backends.backend_{kind}"), name)(figure)
+        getattr(canvas, f"print_{kind}")(file, metadata=dict.fromkeys(dated))
     return {kind: file.getvalue() for kind, file in files.items()}
 
 

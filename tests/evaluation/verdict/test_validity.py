@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from helpers.mechanisms import sweeps_of
 from helpers.planted_worlds import TASK, World, simulated
+from scipy.stats import kendalltau
 
 from evaluation.analysis.keys import Source
-from evaluation.verdict.validity import validity
+from evaluation.verdict.validity import kendall_tau, validity
 
 SUCCESS = {TASK: Source("rerelease/shape", "informed")}
 
@@ -97,3 +98,10 @@ def test_a_mechanism_without_a_level_is_one_contrast():
     for draft in drafts(found):
         mine = [one for one in draft.details["contrasts"] if one["mechanism"] == "mine:Ou"]
         assert [one["level"] for one in mine] == [None]
+
+
+@pytest.mark.parametrize("n_values", [2, 4, 50])
+def test_tau_is_that_of_scipy_with_ties_and_unknown_without_any_change(n_values):
+    pairs = np.random.default_rng(n_values).integers(0, n_values, (20, 2)) / n_values
+    assert kendall_tau(pairs) == pytest.approx(kendalltau(*pairs.T).statistic, abs=1e-12)
+    assert np.isnan(kendall_tau(np.array([[1.0, 2.0], [1.0, 3.0], [1.0, 1.0]])))
