@@ -264,7 +264,7 @@ class TestTheSource:
             "evaluation/__main__.py",
             "evaluation/reporting/figures/drawing.py",
             "evaluation/runs/dask.py",
-            "evaluation/runs/execute.py",
+            "evaluation/runs/workers.py",
             "isac_track/kalman/__init__.py",
             "isac_track/plugins.py",
             "isac_track/testing/__main__.py",
