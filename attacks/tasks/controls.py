@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from isac_track.sensing import intervals_before
 
@@ -101,6 +100,8 @@ def _over_neighbours(release: Release) -> Floats:
     Where the true frame shows, so does the place, and noise grows with the distance from the base
     station: that is no shortcut but the place once more.
     """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - heavy, and used here alone
+
     level = _noise(release)
     few = min(_NEIGHBOURS, len(release) - 1)
     # Of levels that are all alike only rounding would be left, which goes by the place.

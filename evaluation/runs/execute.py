@@ -190,7 +190,7 @@ def _compute(
             jobs=ready.jobs,
             limit_s=settings.cell_timeout_s,
             apart=has_strangers(ready.axes),
-            loops=_loops(works),
+            loops=_loops(works) if ready.jobs > 1 else (),  # one alone loads what it takes
             keeps=True,
         )
     else:

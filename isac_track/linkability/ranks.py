@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -183,6 +182,8 @@ def assign(
 
 def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints:
     """Return `assign` of finite scores whose columns are put in this order."""
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - heavy, and not all assign
+
     gain = scores[:, order]
     if no_match_score is not None:
         # As good as a column of its own for every probe, and half the matrix: a probe that would

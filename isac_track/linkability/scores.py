@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import isotonic_regression
 from scipy.special import expit
 
 from isac_track.linkability.significance import import_loops
@@ -60,6 +59,8 @@ def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
 
     Parameters and errors are those of `auc`.
     """
+    from scipy.optimize import isotonic_regression  # noqa: PLC0415 - heavy, and used here alone
+
     true, false = (mass[:, 0] / mass.sum() for mass in _counts(mated, non_mated))
     both = true + false
     starts = isotonic_regression(true / both, weights=both).blocks[:-1]
