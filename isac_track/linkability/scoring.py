@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -310,30 +310,17 @@ def scorecard_of(
         )
         for scale, cut in cells.items()
     ]
-    sizes = [search.scores.shape[1] for search in searches]
-    probes = _probe_ranks(searches, standings, assignments)
-    hits, mated_clusters = probes.values()["rank1"]
-    chances, _ = probes.values()["chance"]
-    n_clusters = int(np.unique(mated_clusters).size)
+    of_ranks = _of_ranks(searches, standings, assignments, observed, null)
     values = over_scales(results)
-    estimates = _rank_estimates(probes, weights) | _score_estimates(results, values, n_clusters)
+    estimates = _rank_estimates(of_ranks["probes"], weights)
+    estimates |= _score_estimates(results, values, of_ranks["n_clusters"])
     return Scorecard(
         estimates=estimates,
-        probes=probes,
-        p_value=p_value_among(observed, null),
-        p_value_low=p_value_among(-observed, -null),
-        p_rank1=rank1_p(hits=hits, chance=chances),
-        n_probes=probes.above.size,
-        n_mated=hits.size,
-        gallery_sizes=(min(sizes), max(sizes), sum(sizes) / len(sizes)),
-        n_clusters=n_clusters,
+        **of_ranks,
         realised_fpr_1pct=float(values["realised_fpr_1pct"][0]),
         realised_fpr_01pct=float(values["realised_fpr_01pct"][0]),
         d_sys_bins=min(result.n_bins for result in results),
         is_inverted=bool(estimates["auc"].value < 0.5),  # noqa: PLR2004 - chance
-        minimum_detectable_rank1=minimum_detectable_rank1(
-            n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
-        ),
     )
 
 
@@ -355,44 +342,36 @@ def rank_scorecard(
         has = search.mate >= 0
         above, tied = standing(search.scores, search.mate)
         standings.append(np.stack([np.where(has, above, -1), np.where(has, tied, 0)], axis=1))
-    probes = _probe_ranks(searches, standings, [np.full(s.mate.size, -1) for s in searches])
-    (hits, mated_clusters), (chances, _) = (probes.values()[name] for name in ("rank1", "chance"))
-    sizes = [search.scores.shape[1] for search in searches]
-    n_clusters = int(np.unique(mated_clusters).size)
+    nobody = [np.full(search.mate.size, -1) for search in searches]
+    of_ranks = _of_ranks(searches, standings, nobody, observed, null)
     unknown = np.full(min(len(weights), SCORE_REPLICATES), np.nan)
-    refused = Estimate(math.nan, n=n_clusters, replicates=unknown)
-    estimates = _rank_estimates(probes, weights)
+    refused = Estimate(math.nan, n=of_ranks["n_clusters"], replicates=unknown)
+    estimates = _rank_estimates(of_ranks["probes"], weights)
     estimates |= dict.fromkeys((*METRICS, "d_sys_corrected"), refused)
     for name in estimates.keys() & {"rank1_assigned", "false_link_rate"}:
         nothing = np.full_like(estimates[name].replicates, np.nan)
         estimates[name] = Estimate(math.nan, n=estimates[name].n, replicates=nothing)
     return Scorecard(
         estimates=estimates,
-        probes=probes,
-        p_value=p_value_among(observed, null),
-        p_value_low=p_value_among(-observed, -null),
-        p_rank1=rank1_p(hits=hits, chance=chances),
-        n_probes=probes.above.size,
-        n_mated=hits.size,
-        gallery_sizes=(min(sizes), max(sizes), sum(sizes) / len(sizes)),
-        n_clusters=n_clusters,
+        **of_ranks,
         realised_fpr_1pct=math.nan,
         realised_fpr_01pct=math.nan,
         d_sys_bins=0,
         is_inverted=False,
-        minimum_detectable_rank1=minimum_detectable_rank1(
-            n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
-        ),
     )
 
 
-def _probe_ranks(
-    searches: Sequence[Search], standings: Sequence[Ints], assignments: Sequence[Ints]
-) -> ProbeRanks:
-    """Return how the probes of all searches fared, given `standing` and `assigned` of each."""
+def _of_ranks(
+    searches: Sequence[Search],
+    standings: Sequence[Ints],
+    assignments: Sequence[Ints],
+    observed: float,
+    null: Floats,
+) -> dict[str, Any]:
+    """Return the fields of a scorecard that follow from ranks, and from those of shuffled mates."""
     sizes = [search.scores.shape[1] for search in searches]
     above, tied = np.concatenate(standings).T
-    return ProbeRanks(
+    probes = ProbeRanks(
         above=above,
         tied=tied,
         chance=np.repeat(1.0 / np.array(sizes), [search.mate.size for search in searches]),
@@ -400,6 +379,20 @@ def _probe_ranks(
         cluster=np.concatenate([search.probe_cluster for search in searches]),
         n_gallery=max(sizes),
     )
+    (hits, clusters), (chances, _) = (probes.values()[name] for name in ("rank1", "chance"))
+    return {
+        "probes": probes,
+        "p_value": p_value_among(observed, null),
+        "p_value_low": p_value_among(-observed, -null),
+        "p_rank1": rank1_p(hits=hits, chance=chances),
+        "n_probes": above.size,
+        "n_mated": hits.size,
+        "gallery_sizes": (min(sizes), max(sizes), sum(sizes) / len(sizes)),
+        "n_clusters": int(np.unique(clusters).size),
+        "minimum_detectable_rank1": minimum_detectable_rank1(
+            n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
+        ),
+    }
 
 
 def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:

@@ -36,12 +36,12 @@ class Heir(Fixed):
 
 @dataclass(frozen=True)
 class Unknown(Shares):
-    width: "Somewhere" = 1  # noqa: F821 - as under TYPE_CHECKING
+    width: "Somewhere" = 1  # noqa: F821 - that no name is m is the point - as under TYPE_CHECKING
 
 
 @dataclass(frozen=True)
 class Unread(Shares):
-    width: "float | 'm'" = 1  # noqa: F821
+    width: "float | 'm'" = 1  # noqa: F821 - that no name is m is the point
 
 
 @dataclass(frozen=True)

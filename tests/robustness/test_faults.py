@@ -4,7 +4,6 @@ Every result is held against that of a run that nothing happened to, byte by byt
 """
 
 import contextlib
-import json
 import os
 import random
 import resource
@@ -13,10 +12,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from helpers.commands import assert_same, content, in_session
 from helpers.processes import ROOT, wait_for
 from helpers.runs import rows_of
 from helpers.small_runs import write_walks
@@ -178,36 +177,10 @@ class Place:
         return process.returncode, shown, errors
 
 
-def in_session(number):
-    """Processes of a session that still run."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state, _, _, session, *_ = path.read_text().rpartition(")")[2].split()
-            if int(session) == number and state not in "ZX":
-                found.append(int(path.parent.name))
-    return found
-
-
 def end(process):
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-
-
-def content(out):
-    """Everything that a run computed, by file; the manifest tells times and the page shows them."""
-    kinds = ("cells/*", "*.csv", "tables/*", "*.parquet", "figures/*", "flags.json", "verdict.json")
-    files = (path for kind in kinds for path in out.glob(kind))
-    return {str(path.relative_to(out)): path.read_bytes() for path in files}
-
-
-def assert_same(out, expected):
-    found = content(out)
-    assert found.keys() == expected.keys()
-    different = [name for name, held in expected.items() if found[name] != held]
-    assert different == []
-    assert json.loads((out / "manifest.json").read_text())["state"] == "finished"
 
 
 def one_line(errors):
@@ -267,7 +240,7 @@ class TestKilled:
                 continue
             assert process.returncode == -signal.SIGKILL
             number += 1
-            wait_for(lambda: not in_session(process.pid), most_s=END_S)  # noqa: B023
+            wait_for(lambda: not in_session(process.pid), most_s=END_S)  # noqa: B023 - called before the next turn
             process.communicate()
         capsys.readouterr()
         here(place, out, drawn=drawn, jobs=1)
