@@ -5,6 +5,7 @@ Nothing heavy is imported: `--list` answers at once.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shlex
 from collections import Counter
@@ -26,6 +27,13 @@ _MOST_SECONDS = 120
 _LARGE_GALLERY = 3000
 """People, above which it is proposed to score some alone."""
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
+
+
+def near(path: Path) -> Path:
+    """Return a path as it is shortest to type from here: relative below the working folder."""
+    with contextlib.suppress(ValueError, OSError):
+        return path.absolute().relative_to(Path.cwd())
+    return path
 
 
 def listing() -> list[str]:

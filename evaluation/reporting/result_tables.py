@@ -326,8 +326,8 @@ def _against_chance(row: Mapping[str, Any], *, before: str = "") -> str:
     return f"{value} ({before}{chance})"
 
 
-def _controls(task: LinkedTask) -> str:
-    """Return how many controls beat chance, and which audits leak at how many levels."""
+def control_tests(task: LinkedTask) -> dict[str, list[bool]]:
+    """Return of each control whether it beats chance, at every level where that may differ."""
     tests: dict[str, list[bool]] = {}
     for row in task.controls:
         name = row["consumer"].partition("/control-")[2]
@@ -335,6 +335,12 @@ def _controls(task: LinkedTask) -> str:
         # One that only sees times says the same at every level.
         if not (found and name in CONTROLS and CONTROLS[name].sees_times_only):
             found.append(row["p_value"] <= LEVEL)
+    return tests
+
+
+def _controls(task: LinkedTask) -> str:
+    """Return how many controls beat chance, and which audits leak at how many levels."""
+    tests = control_tests(task)
     every = [one for found in tests.values() for one in found]
     beaten = {name: (sum(found), len(found)) for name, found in tests.items()}
     often = [f"{name} {n} of {of}" for name, (n, of) in beaten.items() if n > of / 2]
