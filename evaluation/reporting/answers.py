@@ -95,7 +95,7 @@ def _lost(of: Headline, where: Where) -> str:
             parts.append(f"{who} {value}")
     if not parts:
         return f"{_UNTESTED}the run has no predictor."
-    return f"conflicts missed at {of.name(where)}: {', '.join(parts)}."
+    return f"missed conflicts at {of.name(where)}: {', '.join(parts)}."
 
 
 def _leaks(of: Headline, where: Where) -> str:
@@ -114,14 +114,12 @@ def _leaks(of: Headline, where: Where) -> str:
 
 def _linked(of: Headline, where: Where) -> str:
     """Return who is found again, beside chance."""
-    parts = [
-        f"{value} {_how(one)} (chance {100 * one.chance:.1f} %)"
-        for one in of.linked
-        if (value := _both(of, where, one))
-    ]
-    if not parts:
+    found = [(value, one) for one in of.linked if (value := _both(of, where, one))]
+    if not found:
         return f"{_UNTESTED}nobody links in this run."
-    return f"people found again at {of.name(where)}: {', '.join(parts)}."
+    chances = ", ".join(f"{100 * one.chance:.1f}" for _, one in found)
+    parts = ", ".join(f"{value} {_how(one)}" for value, one in found)
+    return f"found again at {of.name(where)}: {parts}; chance {chances} %."
 
 
 def _told(items: Sequence[Mapping[str, Any]]) -> str:
@@ -240,7 +238,7 @@ def _both(of: Headline, where: Where, one: Shown, *, beside: Sequence[str] = ())
         and abs(other.value - value.value) >= _MATTERS
         and (other.ci_low > value.ci_high or other.ci_high < value.ci_low)
     ):
-        more = [f"{of.known[twin[0]].adding} {_value(other)}", *more]
+        more = [f"ind. {_value(other)}", *more]
     return _value(value) + f" ({', '.join(more)})" * bool(more)
 
 

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 import shlex
-import textwrap
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import RAW
-from evaluation.reporting.announcements import near, notices
+from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text, wrapped
 from evaluation.reporting.answers import LIMIT, answers, headline_of
 from evaluation.reporting.headline import MOST_LEVELS, Headline, headline_table, levels_of
 from evaluation.reporting.result_tables import control_tests
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from evaluation.reporting.rows import Results
 
 LINES: Final = 40
-WIDTH: Final = 80
+_CORNER: Final = "in %; ind. = independent"
 TABLES: Final = "tables.txt"
 _BEFORE: Final = 5
 """Lines that were said until then, unless who calls knows."""
@@ -62,15 +61,8 @@ def data_line(manifest: Mapping[str, Any]) -> str:
     crowd = "SIMULATED crowd " if dataset.get("simulated") else ""
     return (
         f"{crowd}{dataset['name']}: {dataset['tracks_used']} of {dataset['tracks']} tracks used, "
-        f"{identity['scenes']} scenes, seed {identity['seed']}"
+        f"{scenes_text(identity)}, seed {identity['seed']}"
     )
-
-
-def wrapped(text: str, *, width: int = WIDTH) -> list[str]:
-    """Return a text in lines; a number and its unit stay together."""
-    joined = printable(text).replace(" %", "\0%")
-    lines = textwrap.wrap(joined, width, subsequent_indent="  ", break_on_hyphens=False)
-    return [line.replace("\0", " ") for line in lines]
 
 
 def _grid(table: Table) -> list[str]:
@@ -80,9 +72,9 @@ def _grid(table: Table) -> list[str]:
         [shortened(row[0].text, room=_LABEL), *(one.text or "-" for one in row[1:])]
         for row in table.rows
     ]
-    lines = aligned([["in %", *heads[1:]], *rows], left={0})
+    lines = aligned([[_CORNER, *heads[1:]], *rows], left={0})
     widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
-    above = " " * max(widths[0], len("in %"))
+    above = " " * max(widths[0], len(_CORNER))
     for name, of in groupby(
         zip(table.columns[1:], widths[1:], strict=True), key=lambda one: one[0].above
     ):
