@@ -13,6 +13,7 @@ from evaluation.analysis import linkability, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
+from evaluation.analysis.frontier import frontier
 from evaluation.analysis.matching import Sweeps, comparisons, matched
 from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
@@ -120,6 +121,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,
+        frontier=frontier(sweeps, predictors=predictors, strongest=best, dataset=dataset),
         decisions=decided,
         curves=curves,
         flags=flagged,

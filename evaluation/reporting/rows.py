@@ -46,6 +46,7 @@ class Results:
     paper_table: pd.DataFrame
     claims: pd.DataFrame
     matched: pd.DataFrame
+    frontier: pd.DataFrame
     decisions: pd.DataFrame
     curves: pd.DataFrame
     flags: pd.DataFrame

@@ -46,6 +46,7 @@ FRAMES: Final = {
     "paper_table": "paper_table.csv",
     "claims": "paper_claims.csv",
     "matched": "matched.csv",
+    "frontier": "frontier.csv",
     "decisions": "decisions.csv",
     "curves": "curves.csv",
     "linkability": "linkability.csv",

@@ -166,3 +166,8 @@ def with_interval(one: Estimate, unit: str, *, signed: bool = False, absolute: b
     value, low, high = (f"{number:{'+' if signed else ''}.{digits}f}" for number in found)
     word = {"fraction": " points", "s": " s", "ratio": " times"}.get(unit, "")
     return f"{value}{word} [{low}, {high}]"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return words as people list them: a, b and c."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))

@@ -19,13 +19,16 @@ if TYPE_CHECKING:
 
 FOLDER: Final = "sensitivity"
 TABLE: Final = "sensitivity.csv"
-SAME, TURNED, LOST, GAINED, MISSING = "same", "changed sign", "lost", "gained", "missing"
-CHANGES: Final = (SAME, TURNED, LOST, GAINED, MISSING)
+SAME, NEITHER, TURNED = "same", "not decided before and after", "changed sign"
+LOST, GAINED, MISSING = "lost", "gained", "missing"
+CHANGES: Final = (SAME, NEITHER, TURNED, LOST, GAINED, MISSING)
 COLUMNS: Final = (
     *("variant", "id", "section", "adding", "descriptor", "task", "subject"),
     *("decision_base", "decision", "effect_base", "effect", "ci_low", "ci_high", "unit", "n"),
     *("sign_base", "sign", "changed"),
 )
+_SAME: Final = ("seed", "scenes", "scenes_utility")
+"""Of the identity of a run; what is not there is the same."""
 _THEIRS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
 """Columns of the variant's own item; unknown without one."""
 
@@ -53,8 +56,10 @@ def changes(
     for one in base["items"]:
         other = found.get(one["id"])
         before, after = one["sign"], other["sign"] if other else None
-        otherwise = TURNED if before else GAINED
-        changed = {0: LOST, before: SAME, None: MISSING}.get(after, otherwise)
+        if before == 0:
+            changed = {0: NEITHER, None: MISSING}.get(after, GAINED)
+        else:
+            changed = {0: LOST, before: SAME, None: MISSING}.get(after, TURNED)
         theirs = other or dict.fromkeys(_THEIRS)
         rows.append(
             {
@@ -101,10 +106,10 @@ def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
             manifest, said = read_manifest(folder), read_verdict(folder)
         except DataError:
             manifest, said = {}, {}
-        same = {name: manifest.get("identity", {}).get(name) for name in ("seed", "scenes")}
+        theirs = [manifest.get("identity", {}).get(one) for one in _SAME]
         if manifest.get("state") != "finished":
             left_out[name] = "it is not finished"
-        elif not same.items() <= reference["identity"].items():
+        elif theirs != [reference["identity"].get(one) for one in _SAME]:
             left_out[name] = "it has another seed or number of scenes"
         elif manifest["code"] != reference["code"]:
             left_out[name] = "it is of another version of the code"

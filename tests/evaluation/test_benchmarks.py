@@ -216,6 +216,7 @@ class TestPlantedFaults:
     def test_of_a_statement(self, planted_faults, tmp_path, sound, faulty):
         assert set(self.every(planted_faults, tmp_path, sound)) == faulty
 
+    @pytest.mark.slow
     def test_are_found_by_the_tests_that_reach_them(self, planted_faults, tmp_path):
         tree = tmp_path / "tree"
         for name, source in {

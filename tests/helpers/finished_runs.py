@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis import decisions, linkability, matching, paper, summary
+from evaluation.analysis import decisions, frontier, linkability, matching, paper, summary
 from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, UTILITY
@@ -138,6 +138,30 @@ def make_matched(*, dataset="students03"):
     return pd.DataFrame(rows, columns=matching.COLUMNS)
 
 
+def make_frontier(*, dataset="students03"):
+    """As `frontier.csv`: of one robot; the dearest target is out of reach."""
+    rows = [
+        {
+            "dataset": dataset, "mechanism": mechanism, "family": mechanism, "adding": "linear",
+            "robot": "least_squares", "criterion": "missed", "target": target, "n": 50,
+            "consumer": consumer, "knowledge": knows, "metric": metric,
+        }
+        | ({} if target == 0.1 else {
+            "level": 10.0 * target, "level_low": 9.0 * target, "level_high": 11.0 * target,
+            "value": left, "ci_low": 0.9 * left, "ci_high": 1.1 * left, "dominated": place > 0,
+        })
+        for place, mechanism in enumerate(("fid", "fixed"))
+        for target in frontier.TARGETS
+        for consumer, knows, metric in (
+            ("shared", "", "plr"),
+            ("radial_rts", "informed", "plr"),
+            ("rerelease/shape@radial_rts", "informed", "rank1"),
+        )
+        for left in [0.8 + 0.1 * place - target]
+    ]  # fmt: skip
+    return pd.DataFrame(rows, columns=frontier.COLUMNS)
+
+
 def make_curves(at=None, *, dataset="students03"):
     """As `curves.csv`: two scores of one predictor."""
     rows = [
@@ -186,6 +210,7 @@ def make_run(out=Path(), dataset="students03", *, at=None, **changes):
         "paper_table": pd.DataFrame(MADE["paper_table"], columns=paper.PAPER_COLUMNS),
         "claims": pd.DataFrame(MADE["claims"], columns=paper.CLAIM_COLUMNS),
         "matched": make_matched(dataset=dataset),
+        "frontier": make_frontier(dataset=dataset),
         "decisions": pd.DataFrame(columns=decisions.DECISION_COLUMNS, dtype=float),
         "curves": make_curves(at, dataset=dataset),
         "flags": make_flags().head(0),

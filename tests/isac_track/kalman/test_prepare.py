@@ -57,6 +57,7 @@ def test_numba_is_not_imported_before_it_is_needed_and_prepare_brings_in_all_loo
     assert done.stdout == "set() True\n", done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_first_use_compiles_for_seconds_and_says_so_and_later_use_is_silent(tmp_path):
     environment = {"NUMBA_CACHE_DIR": str(tmp_path), "HOME": str(tmp_path)}
     before = os.times()

@@ -1,0 +1,87 @@
+"""Section d of the verdict: how much higher each descriptor is after attack than as shared."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evaluation.analysis.families import ADDING_RULES
+from evaluation.analysis.keys import AS_SHARED, Source
+from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.verdict import rules
+from evaluation.verdict.rules import NAME, UNDECIDED, Draft, listed
+from isac_track.intervals import estimate_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from evaluation.analysis.matching import Sweeps
+
+    Items = Sequence[dict[str, Any]]
+
+
+def inflation(sweeps: Sweeps, attacks: Iterable[Source]) -> Iterator[Draft]:
+    """Yield an item for every adding rule, mechanism and descriptor, by the strongest attack."""
+    for attack, adding in product(attacks, ADDING_RULES):
+        for mechanism, descriptor in product(sweeps.swept(adding), DESCRIPTORS):
+            yield from _inflated(sweeps, mechanism, adding, attack, descriptor)
+
+
+def _inflated(
+    sweeps: Sweeps, mechanism: str, adding: str, attack: Source, descriptor: str
+) -> Iterator[Draft]:
+    """Yield an item, if any level of a mechanism was attacked."""
+    measures = attack.measure(descriptor), AS_SHARED.measure(descriptor)
+    ratios = []
+    for level in sweeps.levels(mechanism):
+        after, before = (sweeps.point(mechanism, level, one) for one in measures)
+        if after is not None and before is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratios.append(np.log(after / before))
+    if not ratios:
+        return
+    mean = np.mean(ratios, axis=0)
+    n = sweeps.n(mechanism, measures[0])
+    in_logarithms, ratio = estimate_of(mean, n=n), estimate_of(np.exp(mean), n=n)
+    name = sweeps.known[mechanism].name
+    said = (
+        f"After {attack.label} {NAME[descriptor]} under {name} ({adding} adding) is "
+        f"{rules.with_interval(ratio, 'ratio')} what it was as shared"
+    )
+    yield Draft(
+        adding=adding,
+        descriptor=descriptor,
+        subject=attack.label,
+        effect=ratio,
+        unit="ratio",
+        options={
+            rules.INFLATED: rules.p_above(in_logarithms, 0.0),
+            rules.DEFLATED: rules.p_below(in_logarithms, 0.0),
+        },
+        sentences={UNDECIDED: f"{said} (geometric mean over the levels)."},
+        why_undecided="the interval, adjusted, holds 1",
+        details={"of": name, "levels": len(ratios)},
+    )
+
+
+def answer(items: Items) -> str:
+    """Return what is said of the descriptors as shared."""
+    mine = [one for one in items if one["decision"] == rules.INFLATED]
+    if not items:
+        return "What an attack makes of the descriptors was not tested: no attack was run."
+    if not mine:
+        return "That an attack raises the descriptors is undecided."
+    subject = mine[0]["subject"]
+    parts = []
+    for descriptor in DESCRIPTORS:
+        ratios = [one["effect"] for one in mine if one["descriptor"] == descriptor]
+        if ratios:
+            low, high = min(ratios), max(ratios)
+            span = f"{low:.1f}" if f"{low:.1f}" == f"{high:.1f}" else f"{low:.1f} to {high:.1f}"
+            parts.append(f"{NAME[descriptor]} by {span} times")
+    return (
+        f"The values as shared understate what is left to an adversary: {subject} raises "
+        f"{listed(parts)}."
+    )
