@@ -289,7 +289,7 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
                 t=own.t,
                 offsets=own.offsets,
                 epsilon_m=block.stages.privacy.epsilon_m,
-                moved=(reconstructed(attack, given, who=who), shown.xy),
+                moved=(reconstructed(attack, given, who=who).xy, shown.xy),
                 turn=complex(frame.turn),
             )
             is_attacked[part.tracks] = True
