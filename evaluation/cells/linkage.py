@@ -215,7 +215,7 @@ def _untaught(
     """Return the scores of a linker of ours that is granted what the task grants to everyone."""
     context = AttackContext(
         rng=stream(known.seed, "linkage", "untaught"),
-        epsilon_m=known.epsilon_m,
+        epsilon_m=known.privacy.epsilon_m,
         granted=attack.requires & known.sessions.task.everyone,
     )
     return attack.fit(context)(*sides.of(pairing))
@@ -278,7 +278,7 @@ def _smoothed(
         train = TrainingSet(sharing.handed(probe, behind), truth)
     context = AttackContext(
         rng=stream(known.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
-        epsilon_m=known.epsilon_m,
+        epsilon_m=known.privacy.epsilon_m,
         granted=granted,
         mechanism=level.mechanism.instance,
         train=train,
@@ -328,7 +328,7 @@ def _fitted(
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
     context = AttackContext(
         rng=stream(known.seed, "attacks", *key),
-        epsilon_m=known.epsilon_m,
+        epsilon_m=known.privacy.epsilon_m,
         granted=granted,
         mechanism=level.mechanism.instance,
         train=train,
@@ -378,7 +378,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
                 truth=real,
                 t=release.t,
                 offsets=release.offsets,
-                epsilon_m=known.epsilon_m,
+                settings=known.privacy,
             )
             for one, real in ((release.xy, truth), (attacked, walked))
         )
