@@ -83,9 +83,9 @@ def paper_table(run: Results) -> Table:
         *mechanism_columns(run.families),
         make.said("metric", lambda row: METRICS[row["metric"]].title),
         make.measured("paper", "paper"),
-        make.measured("its error", "paper_error"),
         make.measured("ours", "ours", "ci_low", "ci_high"),
         make.measured("ours - paper", "bias", sign="+"),
+        make.measured("paper's own error", "paper_error"),
     ]
     scenes = run.manifest["identity"]
     every = scenes.get("scenes_utility", scenes["scenes"])
@@ -128,7 +128,7 @@ def _about_matches(records: Sequence[Mapping[Any, Any]], *, met: str) -> Iterato
     far = [row for row in rates if paper.differs(row)]
     names = [f"{row['mechanism']} {level_text(row['level'])}".strip() for row in far]
     yield (
-        f"Its error: that of a share of {paper.CONFLICTS} conflicts, by itself. Missed rates that "
+        f"The paper's own error: that of a share of {paper.CONFLICTS} conflicts. Missed rates that "
         f"differ at 5 % by both errors: {', '.join(names) or 'none'} (of {len(rates)}, each by "
         "itself)."
     )
