@@ -76,23 +76,15 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
 
 
 def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source, str]]) -> Table:
-    """Return the levels that tell, a column for each metric of some positions or a predictor.
-
-    What a summary has nothing of has no column.
-    """
+    """Return the levels that tell, a column for each metric of some positions or a predictor."""
     known, found = families_in(summary), picked.by_level(summary)
-    told = picked.telling(found, known, controls=False)
-    sources = [picked.sources_at(found[where]) for where in told]
     records = [
-        {"mechanism": mechanism, "level": at, "of": of_level}
-        for (mechanism, at), of_level in zip(told, sources, strict=True)
-        if any(metric in of_level.get(one, {}) for one, metric in of)
+        {"mechanism": mechanism, "level": at, "of": sources}
+        for mechanism, at in picked.telling(found, known, controls=False)
+        if (sources := picked.sources_at(found[mechanism, at]))
+        and any(metric in sources.get(one, {}) for one, metric in of)
     ]
-    columns = [
-        _column(one, metric, f"{METRICS[metric].head}, {one.label}")
-        for one, metric in of
-        if any(one in of_level for of_level in sources)
-    ]
+    columns = [_column(one, metric, f"{METRICS[metric].head}, {one.label}") for one, metric in of]
     return make.built(name, "", records, [*picked.mechanism_columns(known), *columns], n_keys=3)
 
 

@@ -23,7 +23,6 @@ from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import families_in
 from evaluation.analysis.keys import AS_SHARED, INFORMED, ORACLE, Source
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, RECONSTRUCTION, SUCCESS, UTILITY
-from evaluation.experiment.constants import OTHER_LAW
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
@@ -161,8 +160,6 @@ def _linkage(summary: pd.DataFrame) -> Table:
 _HEADLINE: Final = (
     (Source("least_squares"), MISSED_RATE),
     *((one, EXPOSURE) for one in (AS_SHARED, *_SMOOTHED)),
-    (Source(f"{AS_SHARED.consumer}, {OTHER_LAW}"), EXPOSURE),
-    (Source(f"radial_rts, {OTHER_LAW}", INFORMED), EXPOSURE),
 )
 _AVERAGES: Final = Source("moving_average", INFORMED), Source("averaging", ORACLE)
 _FILTERING: Final = [(one, EXPOSURE) for one in (AS_SHARED, _AVERAGES[0], *_SMOOTHED, _AVERAGES[1])]
@@ -174,7 +171,7 @@ DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
     "filtering": partial(measured.sources_table, name="filtering", of=_FILTERING),
     "linkage": _linkage,
 }
-"""By the name in a block. In `headline` what was found under another error law stands beside."""
+"""By the name in a block."""
 
 
 def published(run: Results) -> pd.DataFrame:
@@ -224,13 +221,6 @@ def filled(text: str, *, results: Path) -> str:
         path = results / f"{run}.csv"
         if name not in DOCS or not path.is_file():
             raise DataError(f"no table {name!r} of {path}; known: {', '.join(DOCS)}")
-        summary = pd.read_csv(path, keep_default_na=True)
-        law = summary["dataset"].str.partition(":law=")[2]
-        if name == "headline":
-            consumer = summary["consumer"]
-            summary["consumer"] = consumer.where(law == "", consumer + ", " + law)
-        else:
-            summary = summary[law == ""]
-        return f"{start}{markdown(DOCS[name](summary))}{end}"
+        return f"{start}{markdown(DOCS[name](pd.read_csv(path, keep_default_na=True)))}{end}"
 
     return _BLOCK.sub(block, text)
