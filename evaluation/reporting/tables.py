@@ -87,16 +87,13 @@ def page_tables(run: Results) -> dict[str, Table]:
     found = [
         answers.paper_table(run),
         answers.claims_table(run),
-        *measured.sweep_tables(run.ours),
-        answers.matched_table(run),
+        measured.sweep_tables(run.ours)[0],
+        answers.frontier_table(run),
         measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
-        measured.attack_table(run.ours),
         *(measured.rank_table(run, task) for task in run.tasks),
-        *(measured.cells_table(run, task) for task in run.tasks),
         answers.decision_table(run),
         answers.flag_table(run),
         measured.doubt_table(run),
-        answers.contrast_table(items),
         *answers.item_tables(items).values(),
     ]
     return {one.name: one for one in found if one.rows}
