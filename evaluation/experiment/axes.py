@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
 from evaluation.experiment.constants import SHARED, WINDOWS
-from evaluation.experiment.presets import PRESETS
+from evaluation.experiment.presets import PRESETS, UTILITY_PREDICTORS
 from isac_track import plugins
 from isac_track.errors import SettingsError
 from isac_track.protocols import grants, kind_of
@@ -100,6 +100,8 @@ class Axes:
     """Mechanism without any error, at which every linkage attack must succeed."""
     skipped: Mapping[str, str] = field(default_factory=dict)
     """Tasks of the preset that the recording is too small for, and why."""
+    utility: frozenset[str] = frozenset()
+    """SPECs of the predictors that are read in all scenes, not in the attacked ones alone."""
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
@@ -165,7 +167,9 @@ def axes(settings: Settings) -> Axes:
     if not mechanisms:
         raise SettingsError("nothing to run: the mechanism axis is empty; name one, such as raw")
     ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
-    return Axes(mechanisms, predictors, attacks, pairs, ceiling)
+    named = {plugin.spec for plugin in predictors}
+    utility = named if settings.predictors is not None else named.intersection(UTILITY_PREDICTORS)
+    return Axes(mechanisms, predictors, attacks, pairs, ceiling, utility=frozenset(utility))
 
 
 def jobs_of(crossed: Axes, settings: Settings) -> int:

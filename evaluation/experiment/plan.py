@@ -104,6 +104,8 @@ def plan(settings: Settings) -> Plan:
         "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
+    if settings.n_utility_scenes != settings.n_scenes:
+        identity["scenes_utility"] = settings.n_utility_scenes
     sessions, skipped = [], {}
     for task in crossed.tasks:
         try:
@@ -154,9 +156,16 @@ def _units(
         return {module: known[module] for module in fingerprint.sources(stage, *plugins)}
 
     units = []
-    for mechanisms, consumers, count in (
-        (crossed.mechanisms, crossed.consumers, -(-settings.n_scenes // BLOCK_SCENES)),
-        *((crossed.linked_mechanisms, crossed.readers(task), 1) for task in crossed.tasks),
+    attacked, every = (
+        range(-(-n_scenes // BLOCK_SCENES))
+        for n_scenes in (settings.n_scenes, settings.n_utility_scenes)
+    )
+    rest = every[len(attacked) :]
+    utility = tuple(one for one in crossed.consumers if one.spec in crossed.utility)
+    for mechanisms, consumers, blocks in (
+        (crossed.mechanisms, crossed.consumers, attacked),
+        (crossed.mechanisms, utility, rest),
+        *((crossed.linked_mechanisms, crossed.readers(task), (0,)) for task in crossed.tasks),
     ):
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:
@@ -170,7 +179,7 @@ def _units(
             about = (BLOCK_SCENES, mechanism.spec, mechanism.origin)
             for stage, of_stage in by_stage.items():
                 made_by = code(stage, mechanism)
-                for block in range(count):
+                for block in blocks:
                     key = fingerprint.digest([identity, stage, block, *about, *made_by.values()])
                     units.append(Unit(stage, block, mechanism, key, made_by, of_stage))
     return tuple(units), known

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from evaluation.experiment.constants import IDENTITY, SHARED
 
-__all__ = ["DISSOCIATION", "IDENTITY", "PRESETS", "SHARED", "Preset"]
+__all__ = ["DISSOCIATION", "IDENTITY", "PRESETS", "SHARED", "UTILITY_PREDICTORS", "Preset"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,6 +14,9 @@ class Preset:
     """Axes that a name stands for."""
 
     scenes: int
+    """Attacked ones."""
+    utility_scenes: int
+    """All: the attacked ones, and after them those in which the robot alone is looked at."""
     mechanisms: tuple[str, ...]
     predictors: tuple[str, ...]
     attacks: tuple[str, ...]
@@ -41,8 +44,11 @@ DISSOCIATION = (
     "thin:4,d_sigma=0.75,adding=independent",
 )
 """Controls of the question whether a descriptor tells how linkable people are."""
+UTILITY_PREDICTORS = ("least_squares", "kalman_cv")
+"""Of a preset's own predictors those that are read in all scenes: the cheap ones."""
 _PAPER = Preset(
     scenes=500,
+    utility_scenes=2000,
     mechanisms=(*_SWEEP, *DISSOCIATION),
     predictors=("least_squares", "kalman_cv", "kalman_ca", "kalman_imm"),
     attacks=(
@@ -54,15 +60,18 @@ _PAPER = Preset(
         *("behaviour", "histogram", "kinematic", "kinematic@radial_rts"),
     ),
     tasks=("rerelease", "split", "handover-1s", "handover-2s", "handover-5s", "new_traversal"),
-    summary="500 scenes, raw, 13 eta, 10 fixed errors, both adding rules, 6 controls",
+    summary="2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6 controls",
 )
 PRESETS = {
     "smoke": replace(
         _PAPER,
         scenes=40,
+        utility_scenes=40,
         mechanisms=("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1"),
         summary="40 scenes, the 5 levels that the paper gives numbers for",
     ),
     "paper": _PAPER,
-    "full": replace(_PAPER, scenes=5000, summary="the axes of paper on 5,000 scenes"),
+    "full": replace(
+        _PAPER, scenes=5000, utility_scenes=5000, summary="the axes of paper on 5,000 scenes"
+    ),
 }

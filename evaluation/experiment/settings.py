@@ -26,6 +26,7 @@ class Settings:
     format: str | None = None
     fps: float | None = None
     scenes: int | None = None
+    """Attacked ones, and all."""
     seed: int = 0
     mechanisms: tuple[str, ...] | None = None
     """SPECs; they replace the preset's."""
@@ -89,8 +90,13 @@ class Settings:
 
     @property
     def n_scenes(self) -> int:
-        """Scenes of the run."""
+        """Scenes of the run that are attacked: the first of all."""
         return PRESETS[self.preset].scenes if self.scenes is None else self.scenes
+
+    @property
+    def n_utility_scenes(self) -> int:
+        """All scenes of the run: what noise costs the robot is read in every one."""
+        return PRESETS[self.preset].utility_scenes if self.scenes is None else self.scenes
 
 
 def check_drawing() -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
 from isac_track import datasets, plugins
 from isac_track.config import StageSettings
@@ -203,12 +204,14 @@ def settings_of(
                 f"if it is yours, say so: --trust {spec}"
             )
     run = (asked - too_small.keys()) | {""}
+    usual = PRESETS[ran["preset"]]
+    is_usual = [ran["scenes"], ran["scenes_utility"]] == [usual.scenes, usual.utility_scenes]
     return (
         Settings(
             preset=ran["preset"],
             dataset=source,
             **own,
-            scenes=ran["scenes"] if scenes is None else scenes,
+            scenes=scenes if scenes is not None or is_usual else ran["scenes"],
             seed=ran["seed"],
             mechanisms=tuple(ran["mechanisms"]),
             predictors=(variant.predictor,) if variant.predictor else predictors,

@@ -61,6 +61,13 @@ def broken() -> list[str]:
     ]
 
 
+def scenes_text(identity: Mapping[str, Any]) -> str:
+    """Return how many scenes a run has, and how many of them are attacked."""
+    attacked = identity["scenes"]
+    every = identity.get("scenes_utility", attacked)
+    return f"{every:,} scenes" + (f", {attacked:,} of them attacked" if every != attacked else "")
+
+
 def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
     from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415 - names alone need none
@@ -77,7 +84,7 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         yield f"notice: {ready.dataset.notice}"
     yield (
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
-        f"{ready.settings.n_scenes} scenes; {ready.n_cells} cells{so_far}, in {ready.out}"
+        f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {ready.out}"
     )
     for why in ready.axes.skipped.values():
         yield f"notice: left out: {why}"
@@ -185,7 +192,8 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
         words += ["--format", dataset["format"]]
     if not known and identity.get("fps") is not None:
         words += ["--fps", str(identity["fps"])]
-    if identity["scenes"] != usual.scenes:
+    every = identity.get("scenes_utility", identity["scenes"])
+    if (identity["scenes"], every) != (usual.scenes, usual.utility_scenes):
         words += ["--scenes", str(identity["scenes"])]
     words += ["--seed", str(identity["seed"])] if identity["seed"] else []
     for option in axes:

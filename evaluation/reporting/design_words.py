@@ -18,7 +18,7 @@ from evaluation.analysis.linkability import remarks
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
-from evaluation.reporting.announcements import same_run
+from evaluation.reporting.announcements import same_run, scenes_text
 from evaluation.reporting.result_tables import MARKS, MEANING
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import choose_level as design
@@ -250,7 +250,7 @@ def show(choice: design.Choice, *, console: Console | None = None) -> None:
 def _printed(choice: design.Choice, *, width: int) -> Iterator[terminal.Part]:
     identity, dataset = choice.manifest["identity"], choice.manifest["dataset"]
     about = (
-        f"{dataset['name']}: {identity['scenes']} scenes, seed {identity['seed']}; predictor "
+        f"{dataset['name']}: {scenes_text(identity)}, seed {identity['seed']}; predictor "
         f"{choice.predictor}; 95 % intervals, whose upper ends must meet the limits"
     )
     units = ", ".join(f"{family} {unit}" for family, unit in LEVEL_UNITS.items())

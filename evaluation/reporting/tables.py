@@ -23,6 +23,7 @@ from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, RECONSTRUCTION, S
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
+from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
 from evaluation.reporting.table import Cell, Table, amount, built, held, said
@@ -53,7 +54,7 @@ def show(run: Results, *, console: Console | None = None) -> None:
 def _printed(run: Results) -> Iterator[Part]:
     dataset, identity = run.manifest["dataset"], run.manifest["identity"]
     used = f"{dataset['tracks_used']} of {dataset['tracks']} tracks used"
-    about = f"{used}, {identity['scenes']} scenes, seed {identity['seed']}"
+    about = f"{used}, {scenes_text(identity)}, seed {identity['seed']}"
     yield f"{dataset['name']}: {about}", "bold"
     notice = dataset.get("notice")
     if notice or dataset.get("simulated"):

@@ -170,6 +170,7 @@ def describe(ready: Plan) -> dict[str, Any]:
         "settings": {
             "preset": settings.preset,
             "scenes": settings.n_scenes,
+            "scenes_utility": settings.n_utility_scenes,
             "seed": settings.seed,
             "mechanisms": [plugin.spec for plugin in axes.mechanisms],
             "predictors": [plugin.spec for plugin in axes.predictors],

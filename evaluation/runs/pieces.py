@@ -70,22 +70,23 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
     settings = ready.settings
     order = track_order(
         n_tracks=len(ready.tracks),
-        n_scenes=settings.n_scenes,
+        n_scenes=settings.n_utility_scenes,
         agents=settings.stages.scenes.agents,
         seed=settings.seed,
     )
     tasks = {sessions.task.name for sessions in ready.sessions}
     groups = tuple(sorted(set(ready.tracks.group)))
-    starts = range(0, settings.n_scenes, BLOCK_SCENES)
-    # Split where there are few blocks for the workers; each piece senses the block again, so that
+    starts = range(0, settings.n_utility_scenes, BLOCK_SCENES)
+    # Split where few blocks are attacked by the workers; each piece senses the block again, so that
     # there are no more than an even load takes.
-    n_pieces = 1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // len(starts))
+    n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
+    n_pieces = 1 if ready.jobs == 1 else -(-_TASKS_PER_WORKER * ready.jobs // n_attacked)
     blocks = [
         Block(number, first, order[first : first + BLOCK_SCENES], piece)
         for number, first in enumerate(starts)
         for piece in _shared_out(
             _levels(one for one in missing if one.block == number and one.stage not in tasks),
-            n_pieces,
+            n_pieces if number < n_attacked else 1,
         )
     ]
     links: list[LinkWork] = []

@@ -26,6 +26,8 @@ COLUMNS: Final = (
     *("decision_base", "decision", "effect_base", "effect", "ci_low", "ci_high", "unit", "n"),
     *("sign_base", "sign", "changed"),
 )
+_SAME: Final = ("seed", "scenes", "scenes_utility")
+"""Of the identity of a run; what is not there is the same."""
 _THEIRS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
 """Columns of the variant's own item; unknown without one."""
 
@@ -101,10 +103,10 @@ def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
             manifest, said = read_manifest(folder), read_verdict(folder)
         except DataError:
             manifest, said = {}, {}
-        same = {name: manifest.get("identity", {}).get(name) for name in ("seed", "scenes")}
+        theirs = [manifest.get("identity", {}).get(one) for one in _SAME]
         if manifest.get("state") != "finished":
             left_out[name] = "it is not finished"
-        elif not same.items() <= reference["identity"].items():
+        elif theirs != [reference["identity"].get(one) for one in _SAME]:
             left_out[name] = "it has another seed or number of scenes"
         elif manifest["code"] != reference["code"]:
             left_out[name] = "it is of another version of the code"

@@ -107,7 +107,7 @@ def write_run(out, rates=USUAL, *, half=HALF, cells=ATTACKS, code=None, **datase
     (out / "cells").mkdir(parents=True)
     stages = StageSettings().flat()
     content = {
-        "identity": {"scenes": 500, "seed": 0, "fps": None, **stages},
+        "identity": {"scenes": 500, "scenes_utility": 2000, "seed": 0, "fps": None, **stages},
         "cells": [],
         "code": code_hash() if code is None else code,
         "settings": {

@@ -16,6 +16,7 @@ import evaluation
 from evaluation.analysis import summary
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.plan import plan
+from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings
 from evaluation.runs.execute import FailedCellsWarning
 from evaluation.runs.manifest import read_manifest
@@ -212,6 +213,34 @@ def test_one_block_that_is_shared_out_by_levels_changes_no_bit(finished, drawn, 
     evaluation.run(ready=ready, pictures=False)
     for name in ("summary.csv", "decisions.csv"):
         assert (finished.out / name).read_bytes() == (drawn.out / name).read_bytes()
+
+
+def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
+    csv_recording, tmp_path, monkeypatch
+):
+    """The attacked ones are the first; of a preset's own predictors the cheap ones see all."""
+    specs = ("raw", "fid:1000", "correlated:0.75")
+    predictors = ("least_squares", "kalman_cv", "kalman_ca")
+    axes = {"mechanisms": specs, "predictors": predictors, "attacks": ("identity",), "tasks": ()}
+    few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
+    monkeypatch.setitem(PRESETS, "paper", few)
+    for name in ("experiment.plan", "runs.pieces"):
+        monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)
+    usual = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "more")
+    run(usual)
+    run(usual, scenes=4, out=tmp_path / "few")
+    told = read_manifest(usual.out)
+    assert [told["settings"][name] for name in ("scenes", "scenes_utility")] == [4, 10]
+    for entry in told["cells"]:
+        place = entry["spec"], entry["consumer"], entry["knowledge"]
+        more, first = (rows_of(tmp_path / name, *place) for name in ("more", "few"))
+        assert set(more["scene"]) == set(range(10 if place[1] in predictors[:2] else 4))
+        attacked = more[more["scene"] < 4].reset_index(drop=True)
+        pd.testing.assert_frame_equal(attacked, first, check_exact=True)
+    kept = stamps(usual.out)
+    run(usual)
+    assert_kept(kept)
+    assert len(kept) == len(specs) * (2 + 2)  # sharing and reconstruction, and two blocks more
 
 
 class TestAnotherRunInTheSameFolder:

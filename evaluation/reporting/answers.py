@@ -1,0 +1,255 @@
+"""The five questions that a run is read for, and a sentence on each, with its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from evaluation.analysis.families import ADDING_RULES, RAW
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
+from evaluation.analysis.strongest import by_task, strongest_of
+from evaluation.reporting import table as make
+from evaluation.reporting.headline import ROBOTS, TASKS, Headline, Shown, headline
+from evaluation.reporting.rows import HEADLINE
+from evaluation.verdict import rules
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from evaluation.analysis.keys import Where
+    from evaluation.reporting.rows import Results
+    from isac_track.intervals import Estimate
+
+LIMIT: Final = 0.5
+"""Of PLR after attack: below it most positions are kept; what the last answer looks for."""
+_HELD: Final = "as far as these attacks go"
+_MATTERS: Final = 0.05
+_UNTESTED: Final = "not tested: "
+_PLURAL: Final = {rules.TRACKS: "track", rules.DOES_NOT: "do not track"}
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A question about a run, and what the run says to it."""
+
+    question: str
+    topic: str
+    """The question in a word or two."""
+    sentence: str
+    """Values in % with 95 % intervals."""
+
+
+def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
+    """Return the five answers of a run, in the order in which they are asked.
+
+    `of` is what the first table shows, if who calls has it already.
+    """
+    if of is None:
+        of = headline_of(run)
+    where = reference(of)
+    items = run.verdict.get("items", []) if run.verdict else []
+    found = (
+        ("What does the robot lose?", "Robot", _lost(of, where)),
+        ("What still leaks?", "Leak", _leaks(of, where)),
+        ("Can people be linked?", "Links", _linked(of, where)),
+        ("Do the descriptors tell?", "Tells", _told(items)),
+        ("Which level do I choose?", "Level", _chosen(of)),
+    )
+    return tuple(
+        Answer(question, topic, sentence[:1].upper() + sentence[1:])
+        for question, topic, sentence in found
+    )
+
+
+def headline_of(run: Results, *, most: int | None = None) -> Headline:
+    """Return what the first table of a run shows, of at most so many levels."""
+    options = {} if most is None else {"most": most}
+    return headline(
+        run.summary,
+        dataset=run.dataset,
+        attacks=run.strongest,
+        linkability=run.linkability,
+        **options,
+    )
+
+
+def reference(of: Headline) -> Where:
+    """Return the level that the answers speak of: the strictest FID, or what costs a robot most.
+
+    Raw of a run that adds nothing.
+    """
+    wheres = [where for where in of.levels if of.known[where[0]].is_added]
+    if named := [where for one in HEADLINE for where in wheres if where == one]:
+        return named[0]
+
+    def cost(where: Where) -> float:
+        found = of.at(where, of.robots[0]) if of.robots else None
+        return found.value if found else -1.0
+
+    return max(wheres, key=cost, default=(RAW, None))
+
+
+def _lost(of: Headline, where: Where) -> str:
+    """Return what noise costs the robots."""
+    parts = []
+    for place, one in enumerate(of.robots):
+        raw = of.at((RAW, None), one) if where[0] != RAW else None
+        beside = [f"raw {100 * raw.value:.1f} %"] if raw else []
+        if value := _both(of, where, one, beside=beside):
+            who = ROBOTS.get(one.measure.consumer, one.measure.consumer)
+            parts.append(f"{who}{'' if place else ' misses'} {value}")
+    if not parts:
+        return f"{_UNTESTED}the run has no predictor."
+    return f"of the conflicts at {of.name(where)} {', '.join(parts)}."
+
+
+def _leaks(of: Headline, where: Where) -> str:
+    """Return what is known of positions, as shared and after the strongest reconstruction."""
+    shared = _both(of, where, of.shared)
+    if not shared:
+        return f"{_UNTESTED}the run has no descriptors."
+    told = f"at {of.name(where)} {shared} of positions are known to 0.3 m as shared"
+    if of.attacked is None:
+        return f"{told}; what an attack makes of them was not tested."
+    other = of.at(where, of.attacked, other_law=True)
+    law = f" ({_value(other)} if errors are isotropic)" if other else ""
+    after = f"{_both(of, where, of.attacked)}{law} after {of.attacked.measure.source.label}"
+    return f"{told}, {after}, {_HELD}."
+
+
+def _linked(of: Headline, where: Where) -> str:
+    """Return who is found again, beside chance."""
+    parts: list[str] = []
+    for one in of.linked:
+        beside = [f"chance {100 * one.chance:.1f} %"]
+        if value := _both(of, where, one, beside=beside):
+            parts.append(f"{value}{'' if parts else ' of people'} {_how(one)}")
+    if not parts:
+        return f"{_UNTESTED}nobody links in this run."
+    return f"at {of.name(where)} these attacks find again {', '.join(parts)}."
+
+
+def _told(items: Sequence[Mapping[str, Any]]) -> str:
+    """Return whether the descriptors tell how linkable people are."""
+    mine = [
+        one
+        for one in items
+        if one["section"] == rules.VALIDITY and one["descriptor"] in DESCRIPTORS
+    ]
+    if not mine:
+        return f"{_UNTESTED}that takes levels of fixed noise, and somebody who links."
+    named: dict[str, list[str]] = {}
+    counts: dict[str, int] = {}
+    for one in mine:
+        counts[one["decision"]] = counts.get(one["decision"], 0) + 1
+        head, of = METRICS[one["descriptor"]].head, named.setdefault(one["decision"], [])
+        of += [head] * (head not in of)
+    count = ", ".join(f"{n} {_PLURAL.get(one, one)}" for one, n in counts.items())
+    against = [one for one in mine if one["decision"] == rules.DOES_NOT]
+    if against:
+        widest = max(against, key=_apart)
+        spread, low, high = _spread(widest)
+        gap = f"{100 * spread:.0f} [{100 * low:.0f}, {100 * high:.0f}] of 100 people"
+        head = METRICS[widest["descriptor"]].head
+        where = f"{widest['task']}, {widest['adding']}"
+        who = ", ".join(named[rules.DOES_NOT])
+        return (
+            f"{who}: no. At equal {head} linkage differs by {gap} ({where}; {_evidence(widest)}). "
+            f"Of {len(mine)} items {count}."
+        )
+    tracks = named.get(rules.TRACKS, [])
+    said = f"{', '.join(tracks)} where tested" if tracks else "not shown either way"
+    return f"{said}. Of {len(mine)} items {count}."
+
+
+def _spread(item: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Return by how much of all people linkage differs at an equal descriptor."""
+    if item.get("spread") is not None:
+        return item["spread"], item["spread_low"], item["spread_high"]
+    ends = sorted(abs(item[end] or 0.0) for end in ("ci_low", "ci_high"))
+    return abs(item["effect"] or 0.0), ends[0], ends[1]
+
+
+def _apart(item: Mapping[str, Any]) -> float:
+    return _spread(item)[1]
+
+
+def _evidence(item: Mapping[str, Any]) -> str:
+    """Return what a decision rests on."""
+    kinds = item.get("evidence")
+    if kinds is None:
+        kinds = ["attacks" if (item["effect"] or 0.0) < 0 else "shown"]
+    words = {"attacks": _HELD, "shown": "shown by linking more", "construction": "by construction"}
+    return " and ".join(words.get(one, one) for one in kinds)
+
+
+def _chosen(of: Headline) -> str:
+    """Return the level that costs a robot least while most positions stay unknown after attack."""
+    options: dict[Where, tuple[Estimate, Estimate]] = {}
+    for where, values in by_task(of.found, metric=EXPOSURE).get("", {}).items():
+        # As `design` judges: by the attack that is strongest here.
+        best = strongest_of([values])
+        cost = of.at(where, of.robots[0]) if of.robots else None
+        if best is not None and cost is not None:
+            options[where] = cost, of.found[best.measure(EXPOSURE).at(*where)]
+    if not options:
+        return f"{_UNTESTED}that takes a predictor and a reconstruction attack."
+    rule_of = {where: of.known[where[0]].adding for where in options}
+    rules_run = [rule for rule in ADDING_RULES if rule in rule_of.values()] or [""]
+    said = {
+        rule: _choice(of, {at: one for at, one in options.items() if rule_of[at] in ("", rule)})
+        for rule in rules_run
+    }
+    if len(set(said.values())) == 1:
+        return f"{said[rules_run[0]]}; {_HELD}."
+    return f"{'; '.join(f'{rule}: {one}' for rule, one in said.items())}; {_HELD}."
+
+
+def _choice(of: Headline, options: Mapping[Where, tuple[Estimate, Estimate]]) -> str:
+    """Return what to choose of some levels, each with what it costs and what is left to attacks."""
+    limit = f"PLR after attack below {100 * LIMIT:g} %"
+    kept = {at: one for at, one in options.items() if one[1].ci_high <= LIMIT}
+    if not kept:
+        at, (cost, left) = min(options.items(), key=lambda one: one[1][1].value)
+        least = f"{_value(left)} at {of.name(at)}, which misses {_value(cost)} of the conflicts"
+        return f"no level keeps {limit}; the least is {least}"
+    at, (cost, left) = min(kept.items(), key=lambda one: one[1][0].value)
+    again = [
+        f"{_value(found)} of people {_how(one)}"
+        for one in of.linked[-1:]
+        if (found := of.at(at, one))
+    ]
+    return (
+        f"of the levels that keep {limit}, {of.name(at)} misses fewest conflicts: {_value(cost)} "
+        f"at {_value(left)}" + "".join(f"; still found: {one}" for one in again)
+    )
+
+
+def _how(one: Shown) -> str:
+    """Return how people are found again."""
+    task = one.measure.source.task
+    return TASKS[task][1] if task in TASKS else f"in {task}"
+
+
+def _both(of: Headline, where: Where, one: Shown, *, beside: Sequence[str] = ()) -> str:
+    """Return a number at a level; in brackets the other adding rule's if it is another, and more.
+
+    It is another if the intervals are apart, by what matters at least.
+    """
+    value, twin = of.at(where, one), of.other_rule(where)
+    if value is None:
+        return ""
+    other, more = of.at(twin, one) if twin else None, list(beside)
+    if (
+        (twin and other)
+        and abs(other.value - value.value) >= _MATTERS
+        and (other.ci_low > value.ci_high or other.ci_high < value.ci_low)
+    ):
+        more = [f"{of.known[twin[0]].adding} {_value(other)}", *more]
+    return _value(value) + f" ({', '.join(more)})" * bool(more)
+
+
+def _value(one: Estimate) -> str:
+    """Return a share with its interval."""
+    cell = make.estimated(EXPOSURE, one)
+    return f"{cell.text} % {cell.interval}".strip()

@@ -1,0 +1,75 @@
+"""What the first screen says in words is what the tables of the run hold."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.finished_runs import (
+    STRONGEST,
+    emptied,
+    levels,
+    make_run,
+    make_summary,
+)
+
+from evaluation.reporting.answers import answers
+
+SHARE = re.compile(r"(\d+\.\d) % \[(\d+\.\d), (\d+\.\d)\]")
+PEOPLE = re.compile(r"(\d+) \[(\d+), (\d+)\] of 100")
+
+
+def with_links(run):
+    """A run whose summary holds what its linkers achieve."""
+    of = run.linkability[
+        (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
+    ]
+    of = of.assign(n=55, unit="fraction", family="", adding="")
+    chance = of.assign(metric="chance", value=of["chance"])
+    rows = [run.summary, of.assign(metric="rank1", value=of["rank1"]), chance]
+    joined = pd.concat(rows)[run.summary.columns]
+    about = run.summary.drop_duplicates("mechanism").set_index("mechanism")[["family", "adding"]]
+    known = joined.drop(columns=["family", "adding"]).join(about, on="mechanism")
+    changes = {"summary": known[run.summary.columns], "linkability": run.linkability}
+    return make_run(strongest=run.strongest, flags=run.flags, **changes)
+
+
+def held(run):
+    """All shares of a summary with their intervals, as they are written."""
+    ends = (100.0 * run.summary[["value", "ci_low", "ci_high"]]).to_numpy()
+    return {tuple(f"{one:.1f}" for one in row) for row in ends}
+
+
+RUNS = {
+    "all": lambda: with_links(make_run()),
+    "raw alone": lambda: with_links(make_run(at=[("raw", np.nan)])),
+    "independent alone": lambda: with_links(make_run(at=levels(rules=(":adding=independent",)))),
+    "a stranger": lambda: with_links(make_run(at=[("ou", 0.2), ("ou", 0.4)])),
+    "no predictor": lambda: make_run(summary=make_summary(predictors=())),
+    "no attack": lambda: make_run(summary=make_summary(attacks=()), strongest={}),
+    "no linker": lambda: make_run(strongest={"": STRONGEST[""]}),
+    "another predictor": lambda: make_run(summary=make_summary(predictors=("mine",))),
+    "no verdict": lambda: make_run(verdict={}),
+    "nothing": lambda: make_run(**emptied(make_run()), verdict={}, strongest={}),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_every_number_of_an_answer_is_in_the_tables(name):
+    run = RUNS[name]()
+    said = answers(run)
+    assert len(said) == 5
+    assert all(one.sentence.endswith(".") and "nan" not in one.sentence for one in said)
+    found = SHARE.findall(" ".join(one.sentence for one in said))
+    assert set(found) <= held(run)
+    assert found or name == "nothing"
+    untested = [one.topic for one in said if one.sentence.startswith("Not tested")]
+    expected = {
+        "no predictor": ["Robot", "Links", "Level"],
+        "no attack": ["Links", "Level"],
+        "no linker": ["Links"],
+        "another predictor": ["Links"],
+        "no verdict": ["Links", "Tells"],
+        "nothing": ["Robot", "Leak", "Links", "Tells", "Level"],
+    }
+    assert untested == expected.get(name, [])
