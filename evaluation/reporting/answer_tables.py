@@ -16,7 +16,13 @@ from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.analysis.paper import DATASET, tolerance
 from evaluation.experiment.presets import SHARED
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import Results, by_level, compared_levels, mechanism_columns
+from evaluation.reporting.rows import (
+    Results,
+    by_level,
+    compared_levels,
+    family_of,
+    mechanism_columns,
+)
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import rules
 
@@ -155,6 +161,33 @@ def matched_table(run: Results) -> Table:
     title = "Every mechanism against fixed noise, half way along each curve: the strongest attacks"
     notes = ["All points, attacks and intervals: matched.csv."]
     return make.built("matched", title, rows, columns, notes=notes, n_headings=3, n_keys=7)
+
+
+def frontier_table(run: Results) -> Table:
+    """Return what is left, and at which level, where missed conflicts have risen by a target."""
+    is_shown = run.frontier["robot"].isin(list(run.frontier["robot"].unique()[:2]))
+    of = run.frontier[is_shown & (run.frontier["criterion"] == MISSED)]
+    names = ["robot", "mechanism", "target"]
+    records: dict[tuple[Any, ...], dict[str, Any]] = {}
+    heads: dict[str, str] = {}
+    for row in rows_of(of):
+        source = Source(row["consumer"], row["knowledge"])
+        head = f"{METRICS[row['metric']].head if row['metric'] in METRICS else 'rank 1 of 100'}"
+        head += f", {source.label}"
+        heads[head] = row["metric"]
+        record = records.setdefault(tuple(row[name] for name in names), dict(row))
+        record[head] = make.number(row["value"], row["ci_low"], row["ci_high"], scale=100.0)
+    columns = [
+        make.said("robot"),
+        make.said("mechanism", lambda row: family_of(run.families, row["mechanism"]).name),
+        make.said("adding"),
+        make.counted("rise", "points", "target", scale=100.0, sign="+"),
+        make.counted("level", "", "level", "level_low", "level_high", digits=2),
+        *(replace(make.held(head), unit="%") for head in heads),
+    ]
+    title = "What is left where missed conflicts have risen so far over raw; 95 % intervals"
+    notes = ["Empty: out of reach of the levels that were run. More: frontier.csv."]
+    return make.built("frontier", title, records.values(), columns, notes=notes, n_keys=4)
 
 
 def decision_table(run: Results) -> Table:

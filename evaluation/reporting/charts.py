@@ -55,9 +55,10 @@ class Look(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A mark's value on both axes, in %; and the name of what it is of."""
+    """A level on two axes of shares."""
 
     look: Look
+    mechanism: str
     name: str
     x: Estimate
     y: Estimate
@@ -78,7 +79,6 @@ class Chart:
     """Classes and path."""
     marks: list[tuple[str, str, str]] = field(default_factory=list)
     """Classes, path and name."""
-    words: list[str] = field(default_factory=list)
 
     @property
     def bottom(self) -> float:
@@ -99,11 +99,11 @@ def rows_chart(
     series: Mapping[str, tuple[Look, Sequence[Estimate | None]]],
     *,
     x_label: str,
-    across: Mapping[str, tuple[Look, float]] | None = None,
+    across: Iterable[tuple[Look, float]] = (),
 ) -> Chart:
     """Return a row for each name and in it a mark for each series, with intervals.
 
-    `across` are lines from top to bottom, such as chance, by what they are.
+    `across` are lines from top to bottom, such as chance.
     """
     step = 4.5 * len(series) + 7.0
     longest = max(map(len, rows), default=0)
@@ -123,25 +123,27 @@ def rows_chart(
             chart.lines.append((f"bar k{look.place}", _bar(ends, at=y)))
             x = chart.left + unit * PERCENT * one.value
             chart.marks.append((look.css, look.path(x, y), f"{row}: {name} {share(one)}"))
-    for name, (look, value) in (across or {}).items():
-        at = chart.left + unit * PERCENT * value
-        chart.lines.append((f"across k{look.place}", f"M{at:.1f} 6V{chart.bottom:.1f}"))
-        chart.words.append(name)
+    for look, value in across:
+        if np.isfinite(value):
+            at = chart.left + unit * PERCENT * value
+            chart.lines.append((f"across k{look.place}", f"M{at:.1f} 6V{chart.bottom:.1f}"))
     return chart
 
 
 def plane_chart(
-    points: Sequence[Point],
+    curves: Sequence[Sequence[Point]],
     *,
     x_label: str,
     y_label: str,
-    curves: Iterable[Sequence[Point]] = (),
     has_front: bool = False,
+    limit: float | None = None,
 ) -> Chart:
-    """Return marks on two axes in %, lines through those of one mechanism, and what none beats.
+    """Return marks on two axes, a line through those of each mechanism, and what none beats.
 
-    The front is a staircase: whoever is right of it and above pays more and leaves more.
+    The front is a staircase: whoever is right of it and above pays more and leaves more. `limit` is
+    a share that is marked on the upright axis.
     """
+    points = [point for curve in curves for point in curve]
     chart = Chart(x_label, 290.0, 40.0, y_label)
     unit = chart.x_axis(PERCENT * max((_high(one.x) for one in points), default=1.0))
     ticks = _ticks(PERCENT * max((_high(one.y) for one in points), default=1.0))
@@ -152,6 +154,9 @@ def plane_chart(
 
     chart.y_ticks = [(at(0.0, one / PERCENT)[1], f"{one:g}") for one in ticks]
     chart.grid += "".join(f"M{chart.left:.1f} {y:.1f}H{WIDTH - 12:.1f}" for y, _ in chart.y_ticks)
+    if limit is not None:
+        y = at(0.0, limit)[1]
+        chart.lines.append(("across k6", f"M{chart.left:.1f} {y:.1f}H{WIDTH - 12:.1f}"))
     for curve in curves:
         way = [at(one.x.value, one.y.value) for one in curve]
         chart.lines.append((f"curve k{curve[0].look.place}", _line(way)))

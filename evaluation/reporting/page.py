@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command
-from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
+from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.drawing import figures_of
 from evaluation.reporting.gallery import panels
 from evaluation.reporting.markup import HTML
@@ -124,10 +124,10 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
             width_px = round(float(box.split()[2]) * _PER_POINT)  # at the size of print
             figures.append({"of": one, "box": box, "width": width_px, "content": content})
     flags, of = weak_attacks.lines(run.flags), headline_of(run)
-    return HTML.get_template("report.html.j2").render(
+    text = HTML.get_template("report.html.j2").render(
         contents=SECTIONS,
         run=run,
-        answers=list(zip(answers(run, of), pictures(run, of), strict=True)),
+        answers=list(zip(answers(run, of), pictures(of), strict=True)),
         planes=planes(of),
         gallery=[] if run.gallery is None else panels(run.gallery),
         epsilon_m=f"{run.manifest['settings']['stages']['privacy.epsilon_m']:g}",
@@ -143,6 +143,7 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
         figure_css=style_css(styles),
         dark_css=DARK_CSS,
     )
+    return re.sub(r">\n+<", "><", text)  # a line's end between two elements would be a node
 
 
 def style_css(styles: Mapping[str, str]) -> str:

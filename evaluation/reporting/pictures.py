@@ -8,20 +8,18 @@ import numpy as np
 
 from evaluation.analysis.families import CLEAN, FID, FIXED, RAW
 from evaluation.analysis.keys import AS_SHARED, Measure
-from evaluation.analysis.matching import MISSED
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE
+from evaluation.reporting.answers import LIMIT
 from evaluation.reporting.charts import LOOKS, Chart, Look, Point, plane_chart, rows_chart
 from evaluation.reporting.headline import ROBOTS
-from evaluation.reporting.rows import of_source
-from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from evaluation.analysis.keys import Where
     from evaluation.reporting.headline import Headline, Shown
-    from evaluation.reporting.rows import Results
 
+_MISSED: Final = "missed conflicts (%)"
 _SERIES: Final = tuple(Look(place) for place in range(LOOKS))
 
 
@@ -34,18 +32,18 @@ class Picture(NamedTuple):
     """What each mark is of."""
 
 
-def pictures(run: Results, of: Headline) -> list[Picture | None]:
+def pictures(of: Headline) -> list[Picture | None]:
     """Return the picture of each of the five answers; None where a run has nothing to draw."""
     after = [of.attacked] if of.attacked else []
     missed = {_robot(one.measure.consumer): one for one in of.robots}
     known = {"as shared": of.shared} | {f"after {one.measure.source.label}": one for one in after}
     found = {one.measure.source.task: one for one in of.linked}
     return [
-        _levels(of, "Conflicts that a robot misses", missed, "missed conflicts (%)"),
+        _levels(of, "Conflicts that a robot misses", missed, _MISSED),
         _levels(of, "Positions known to 0.3 m", known, "positions known (%)"),
-        _levels(of, "People found again by the strongest attack", found, "rank 1 (%)"),
+        _levels(of, "People found again by the strongest attack", found, "found again (rank 1, %)"),
         _telling(of),
-        _prices(run, of),
+        _chosen(of),
     ]
 
 
@@ -55,34 +53,26 @@ def planes(of: Headline) -> dict[str, list[Picture]]:
     looks, found = _looks(of), {}
     for robot in dict.fromkeys(robots):
         for one in [*([of.attacked] if of.attacked else []), *of.linked[-1:]]:
-            points = _points(of, Measure(robot, MISSED_RATE), one.measure, looks)
-            if points:
+            curves = _points(of, Measure(robot, MISSED_RATE), one.measure, looks)
+            if curves:
                 title, label = _left(one)
-                chart = plane_chart(
-                    [point for curve in points for point in curve],
-                    x_label="missed conflicts (%)",
-                    y_label=label,
-                    curves=[curve for curve in points if len(curve) > 1],
-                    has_front=True,
-                )
-                found.setdefault(_robot(robot), []).append(Picture(title, chart, _key(of, looks)))
+                chart = plane_chart(curves, x_label=_MISSED, y_label=label, has_front=True)
+                picture = Picture(title, chart, _key(of, curves))
+                found.setdefault(_robot(robot), []).append(picture)
     return found
 
 
 def _levels(of: Headline, title: str, shown: Mapping[str, Shown], x_label: str) -> Picture | None:
     """Return the levels of the first table as rows, a mark for each number."""
+    levels = [where for where in of.levels if any(of.at(where, one) for one in shown.values())]
     series = {
-        name: (look, [of.at(where, one) for where in of.levels])
+        name: (look, [of.at(where, one) for where in levels])
         for (name, one), look in zip(shown.items(), _SERIES, strict=False)
     }
-    if not any(one for _, values in series.values() for one in values):
+    rows = [of.name(where) for where in levels]
+    if not rows:
         return None
-    rows = [of.name(where) for where in of.levels]
-    chances = {
-        f"chance, {name}: {100 * one.chance:.1f} %": (look, one.chance)
-        for (name, one), look in zip(shown.items(), _SERIES, strict=False)
-        if np.isfinite(one.chance)
-    }
+    chances = [(look, one.chance) for one, look in zip(shown.values(), _SERIES, strict=False)]
     chart = rows_chart(rows, series, x_label=x_label, across=chances)
     return Picture(title, chart, {name: look for name, (look, _) in series.items()})
 
@@ -90,58 +80,49 @@ def _levels(of: Headline, title: str, shown: Mapping[str, Shown], x_label: str) 
 def _telling(of: Headline) -> Picture | None:
     """Return rank 1 over PLR as shared: on one line, the descriptor would tell."""
     looks = {name: look for name, look in _looks(of).items() if not look.hollow}
-    points = [
-        curve
-        for one in of.linked[-1:]
-        for curve in _points(of, AS_SHARED.measure(EXPOSURE), one.measure, looks)
-    ]
-    if not points:
-        return None
-    title, label = _left(of.linked[-1])
-    chart = plane_chart(
-        [point for curve in points for point in curve],
-        x_label="PLR as shared (%)",
-        y_label=label,
-        curves=[curve for curve in points if len(curve) > 1],
-    )
-    title = f"{title}, over PLR as shared: did PLR tell, all would lie on one line"
-    return Picture(title, chart, _key(of, looks))
+    for one in of.linked[-1:]:
+        if curves := _points(of, AS_SHARED.measure(EXPOSURE), one.measure, looks):
+            title, label = _left(one)
+            chart = plane_chart(curves, x_label="PLR as shared (%)", y_label=label)
+            title += ", over PLR as shared: did PLR tell, all would lie on one line"
+            return Picture(title, chart, _key(of, curves))
+    return None
 
 
-def _prices(run: Results, of: Headline) -> Picture | None:
-    """Return what is left after attack where a robot misses so many conflicts more."""
+def _chosen(of: Headline) -> Picture | None:
+    """Return what the levels of the first table cost and leave, and the limit of the answer."""
     if of.attacked is None or not of.robots:
         return None
-    robot = of.robots[0].measure.consumer
-    rows = of_source(run.frontier, of.attacked.measure.source)
-    rows = rows[(rows["robot"] == robot) & (rows["criterion"] == MISSED)]
-    targets, looks = sorted(rows["target"].unique()), _looks(of)
-    series = {}
-    for name in rows["mechanism"].unique():
-        at = rows[rows["mechanism"] == name].set_index("target")[["value", "ci_low", "ci_high"]]
-        values = [Estimate(*(float(end) for end in at.loc[target])) for target in targets]
-        known = [one if np.isfinite(one.value) else None for one in values]
-        if name in looks and any(known):
-            series[of.name((name, None))] = looks[name], known
-    if not series:
+    looks, robot = _looks(of), of.robots[0].measure
+    curves = _points(of, robot, of.attacked.measure, looks, of.levels)
+    if not curves:
         return None
-    names = [f"+{100 * target:g} points" for target in targets]
-    chart = rows_chart(names, series, x_label="PLR after attack (%)")
-    title = f"PLR after attack where {_robot(robot)} misses 3 to 10 points more than on raw"
-    return Picture(title, chart, {name: look for name, (look, _) in series.items()})
+    title, label = _left(of.attacked)
+    chart = plane_chart(curves, x_label=_MISSED, y_label=label, limit=LIMIT)
+    title = f"{title}, over what {_robot(robot.consumer)} misses; dashed: {100 * LIMIT:g} %"
+    return Picture(title, chart, _key(of, curves))
 
 
-def _points(of: Headline, x: Measure, y: Measure, looks: Mapping[str, Look]) -> list[list[Point]]:
-    """Return the levels of each mechanism at which both are known, levels rising."""
+def _points(
+    of: Headline,
+    x: Measure,
+    y: Measure,
+    looks: Mapping[str, Look],
+    among: Iterable[Where] = (),
+) -> list[list[Point]]:
+    """Return the levels of each mechanism at which both are known, levels rising.
+
+    Of the levels `among` them, by default of all.
+    """
     wheres: dict[str, list[Where]] = {}
-    for where in dict.fromkeys(key.where for key in of.found):
+    for where in among or dict.fromkeys(key.where for key in of.found):
         wheres.setdefault(where[0], []).append(where)
     found = []
     for name, look in looks.items():
         ordered = sorted(wheres.get(name, ()), key=lambda where: where[1] or 0.0)
         pairs = [(at, of.found.get(x.at(*at)), of.found.get(y.at(*at))) for at in ordered]
         points = [
-            Point(look, of.name(at), one, other)
+            Point(look, name, of.name(at), one, other)
             for at, one, other in pairs
             if one and other and np.isfinite([one.value, other.value]).all()
         ]
@@ -162,14 +143,15 @@ def _looks(of: Headline) -> dict[str, Look]:
     }
 
 
-def _key(of: Headline, looks: Mapping[str, Look]) -> dict[str, Look]:
-    return {of.name((name, None)): look for name, look in looks.items()}
+def _key(of: Headline, curves: Sequence[Sequence[Point]]) -> dict[str, Look]:
+    """Return what the marks are of."""
+    return {of.name((one[0].mechanism, None)): one[0].look for one in curves}
 
 
 def _left(one: Shown) -> tuple[str, str]:
     source = one.measure.source
     if source.task:
-        return f"{source.task}: found again by {source.attack.label}", "rank 1 (%)"
+        return f"{source.task}: found again by {source.attack.label}", "found again (rank 1, %)"
     return f"PLR after {source.label}", "PLR after attack (%)"
 
 
