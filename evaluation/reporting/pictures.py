@@ -50,7 +50,8 @@ def pictures(of: Headline) -> list[Picture | None]:
 def planes(of: Headline) -> dict[str, list[Picture]]:
     """Return missed conflicts against what is left, for each robot: all mechanisms of the run."""
     robots = [one.consumer for one in _measures(of) if one.metric == MISSED_RATE]
-    looks, found = _looks(of), {}
+    looks = _looks(of)
+    found: dict[str, list[Picture]] = {}
     for robot in dict.fromkeys(robots):
         for one in [*([of.attacked] if of.attacked else []), *of.linked[-1:]]:
             curves = _points(of, Measure(robot, MISSED_RATE), one.measure, looks)

@@ -88,11 +88,10 @@ def page_tables(run: Results) -> dict[str, Table]:
     found = [
         answers.paper_table(run),
         answers.claims_table(run),
-        measured.sweep_tables(run.ours)[0],
+        *measured.sweep_tables(run.ours)[:1],
         answers.frontier_table(run),
         measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
         *(measured.rank_table(run, task) for task in run.tasks),
-        answers.decision_table(run),
         answers.flag_table(run),
         measured.doubt_table(run),
         *answers.item_tables(items).values(),
