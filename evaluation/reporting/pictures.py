@@ -11,7 +11,7 @@ from evaluation.analysis.keys import AS_SHARED, Measure
 from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE
 from evaluation.reporting.answers import LIMIT
 from evaluation.reporting.charts import LOOKS, Chart, Look, Point, plane_chart, rows_chart
-from evaluation.reporting.headline import ROBOTS
+from evaluation.reporting.headline import ROBOTS, levels_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -65,7 +65,9 @@ def planes(of: Headline) -> dict[str, list[Picture]]:
 
 def _levels(of: Headline, title: str, shown: Mapping[str, Shown], x_label: str) -> Picture | None:
     """Return the levels of the first table as rows, a mark for each number."""
-    levels = [where for where in of.levels if any(of.at(where, one) for one in shown.values())]
+    levels = [
+        where for where in levels_of(of)[0] if any(of.at(where, one) for one in shown.values())
+    ]
     series = {
         name: (look, [of.at(where, one) for where in levels])
         for (name, one), look in zip(shown.items(), _SERIES, strict=False)
@@ -95,7 +97,7 @@ def _chosen(of: Headline) -> Picture | None:
     if of.attacked is None or not of.robots:
         return None
     looks, robot = _looks(of), of.robots[0].measure
-    curves = _points(of, robot, of.attacked.measure, looks, of.levels)
+    curves = _points(of, robot, of.attacked.measure, looks, levels_of(of)[0])
     if not curves:
         return None
     title, label = _left(of.attacked)

@@ -85,7 +85,12 @@ class TestWhatItSays:
             ("MEL", "maximum exposure length"),
         ):
             assert text.index(long) < text.index(short), short
-        told = ["▲ inflated", "split: too few [red]people[/red]", "18.7 [18.4, 19.1]"]
+        told = [
+            "▲ inflated",
+            "· undecided",
+            "split: too few [red]people[/red]",
+            "18.7 [18.4, 19.1]",
+        ]
         assert all(text in made for text in told)
         for name, title in {name: escape(one) for name, one in page.SECTIONS.items()}.items():
             assert f'<li><a href="#{name}">{title}</a></li>' in made

@@ -17,7 +17,8 @@ ARGUMENTS = [
 ]  # fmt: skip
 PHONE, DESK = {"width": 390, "height": 844}, {"width": 1440, "height": 900}
 BOXES = """
-() => [...document.querySelectorAll('svg[role]')].filter((svg) => svg.checkVisibility()).map((svg) => {
+() => [...document.querySelectorAll('svg[role]')].filter((svg) => svg.checkVisibility())
+.map((svg) => {
   const box = svg.getBoundingClientRect();
   const type = svg.querySelector('text') ? getComputedStyle(svg.querySelector('text')) : null;
   const unit = box.width / svg.viewBox.baseVal.width;

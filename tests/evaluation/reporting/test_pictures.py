@@ -9,6 +9,7 @@ from helpers.finished_runs import make_gallery, make_run, make_summary, with_lin
 
 from evaluation.reporting import gallery
 from evaluation.reporting.answers import headline_of
+from evaluation.reporting.headline import levels_of
 from evaluation.reporting.pictures import pictures, planes
 
 SHARES = re.compile(r" (\d+\.\d) %")
@@ -46,8 +47,9 @@ def test_marks_stand_where_their_numbers_are_and_the_numbers_are_those_of_the_ru
 
 def test_rows_and_marks_are_those_of_the_first_table(of):
     lost = pictures(of)[0].chart
-    assert [text for _, text in lost.y_ticks] == [of.name(where) for where in of.levels]
-    assert len(lost.marks) == len(of.levels) * len(of.robots)
+    levels, _ = levels_of(of)
+    assert [text for _, text in lost.y_ticks] == [of.name(where) for where in levels]
+    assert len(lost.marks) == len(levels) * len(of.robots)
 
 
 def test_the_front_turns_at_the_points_that_no_other_beats(of):
