@@ -109,9 +109,10 @@ def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterato
     )
     for name, one in zip(metrics, found, strict=True):
         if METRICS[name].is_root:
-            roots = (float(np.sqrt(number)) for number in (one.value, one.ci_low, one.ci_high))
-            value, low, high = roots
-            yield Estimate(value, low, high, one.n, np.sqrt(one.replicates))
+            ends = (float(np.sqrt(number)) for number in (one.value, one.ci_low, one.ci_high))
+            value, low, high = ends
+            roots = np.sqrt(one.replicates)
+            yield Estimate(value, low, high, one.n, roots, effective=one.effective)
         else:
             yield one
 
