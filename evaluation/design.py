@@ -24,18 +24,17 @@ _ABOUT = {
     "people",
 }
 _EPILOG = """\
-The smallest eta of the run (for fixed noise the largest d_sigma) that meets --max-missed, and
---max-false-alarm if given, is chosen, provided that every larger eta of the run meets them as
-well. The other limits are judged at that level. All are met only if the upper end of the 95 %
-interval is at or below them. No level is interpolated.
+Of every family the strictest level of the run (the smallest eta, the largest d_sigma) that meets
+--max-missed, and --max-false-alarm if given, is chosen, provided that every less strict one meets
+them as well. The other limits are judged at that level, after the strongest attack. All are met
+only if the upper end of the 95 % interval is at or below them. No level is interpolated.
 
-exit codes: 0 FID meets everything under every adding rule asked for; 1 it does not, or it cannot
-be said; 2 wrong usage or data. All other mechanisms are shown beside it; they do not change the
-exit code where the run has FID, and without it all but fixed noise have to meet everything.
+exit codes: 0 some family meets everything under every adding rule asked for; 1 none does, or it
+cannot be said; 2 wrong usage or data.
 
 examples:
   python -m evaluation.design --max-missed 0.20 runs/students03-paper-0
-  python -m evaluation.design --max-missed 0.20 --max-plr 0.5 --after-attack \\
+  python -m evaluation.design --max-missed 0.20 --max-plr 0.5 --family fid \\
       --adding independent runs/students03-paper-0
   python -m evaluation.design --max-missed 0.25 --max-rank1 0.1 --json OUT | jq .met
 """
@@ -58,11 +57,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         option = f"--max-{name.replace('_', '-')}"
         add(option, type=float, required=name == "missed", metavar=unit, help=about)
     add("--predictor", metavar="NAME", help="the robot's predictor (default: the run's first)")
+    about = "a mechanism's family, such as fid; repeatable (default: every one of the run)"
+    add("--family", action="append", default=[], metavar="NAME", help=about)
     about = (
-        "hold PLR, AEL and MEL against the best reconstruction (highest PLR), not against what was "
-        "shared"
+        "hold PLR, AEL and MEL against what was shared, not against the best reconstruction "
+        "(highest PLR)"
     )
-    add("--after-attack", action="store_true", help=about)
+    add("--as-shared", action="store_true", help=about)
     about = (
         "adding rule to answer for (default: both, which must both hold); a network could "
         "implement only the independent one"
@@ -77,9 +78,10 @@ def _run(options: argparse.Namespace) -> int:
     given = {name: limit for name, limit in asked.items() if limit is not None}
     choice = choose(
         options.out,
-        limits=Limits(given, after_attack=options.after_attack),
+        limits=Limits(given, as_shared=options.as_shared),
         adding=ADDING_RULES if options.adding == "both" else (options.adding,),
         predictor=options.predictor,
+        only=options.family,
     )
     if options.json:
         sys.stdout.write(f"{json.dumps(to_json(choice), indent=1, allow_nan=False)}\n")

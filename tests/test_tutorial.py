@@ -93,7 +93,9 @@ def test_verdict_and_design_question_are_answered(finished):
     found = [one for one in verdict["items"] if one["section"] == "validity"]
     assert {one["decision"] for one in found} == {"does not track"}
     assert all(one["against"] == "offset 0.3" and one["effect"] > 0 for one in found)
-    assert "\nNo: fid" in said
+    answer = "No: above the limits of rank 1: fid, fixed, offset."
+    assert f"\n{answer}\n" in said
+    assert answer in TEXT
     assert said.rstrip().endswith("exit code: 1")
 
 

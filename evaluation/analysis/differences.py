@@ -16,9 +16,12 @@ import pandas as pd
 from scipy.special import ndtri, stdtr
 
 from evaluation.analysis.families import LEVEL_UNITS, families_in
+from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import cards
-from evaluation.analysis.metrics import METRICS
+from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.strongest import strongest
 from evaluation.analysis.summary import estimates, linkage_estimates
+from evaluation.experiment.presets import PRESETS
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import CONFIDENCE, Estimate, percentile_interval
@@ -28,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from evaluation.analysis.keys import Key
     from isac_track.types import Floats
 
     Manifest = Mapping[str, Any]
@@ -41,7 +43,10 @@ SIGNIFICANCE: Final = 0.05
 DRAWS, PEOPLE, NONE = "people and draws", "people", "none"
 """Pairing of a row."""
 _VERDICT = "verdict.json"
+_SUCCESS_OF_100 = "rank1_g100"
+"""Compares over galleries of any size."""
 _MOST_NAMED = 4
+_MOST_LEVELS = 5
 _ABOUT_DATA = frozenset({"dataset", "sha256", "format", "fps", "tracks", "tracks_used"})
 _ABOUT_CODE = ("code version", "isac_track", "git_commit", "python", "machine")
 _KEEP_DRAWS = (
@@ -83,6 +88,8 @@ class Comparison:
     """Numbers that only A has, and only B."""
     rows: pd.DataFrame
     """A row for each number that both have, the surest difference first; columns `COLUMNS`."""
+    lead: pd.DataFrame
+    """Its rows of missed conflicts, PLR after the strongest attack and rank 1, at a few levels."""
     verdicts: dict[str, Any] | None
     """Decisions that changed; None unless both runs have a verdict."""
 
@@ -146,13 +153,15 @@ def compare(
         )
     if not pairs:
         raise DataError(lacks)
+    rows = _rows([(*pair, found_a[pair[0]], found_b[pair[1]]) for pair in pairs], first, second)
     return Comparison(
         a=about(out_a, first, mechanism=mechanism_a),
         b=about(out_b, second, mechanism=mechanism_b),
         changed=changed(first, second),
         only=only_in(first, second),
         only_numbers=(len(of_a) - len(pairs), len(of_b) - len(pairs)),
-        rows=_rows([(*pair, found_a[pair[0]], found_b[pair[1]]) for pair in pairs], first, second),
+        rows=rows,
+        lead=_lead(rows, {one: found_a[one] for one, _ in pairs}, first["cells"]),
         verdicts=None if mechanism_a is not None else verdicts(out_a, out_b),
     )
 
@@ -288,6 +297,40 @@ def _rows(
     # Of p-values too small to tell apart, the larger t is the surer.
     order = pd.DataFrame({"p": table["p_value"], "t": -table["t"].abs()})
     return table.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(drop=True)
+
+
+def _lead(
+    rows: pd.DataFrame, found: Mapping[Key, Estimate], cells: Sequence[Manifest]
+) -> pd.DataFrame:
+    """Return the rows that tell most, at the levels of the smoke preset, else at the first ones.
+
+    Attacks are the strongest of A; rank 1 is of the first task, of 100 people if both have it.
+    """
+    best = strongest(found, families_in(cells))
+    wanted = [key.measure for key in found if key.metric == MISSED_RATE][:1]
+    wanted += [best[""].measure(EXPOSURE)] if "" in best else []
+    for linker in [best[task] for task in best if task][:1]:
+        of_100 = linker.measure(_SUCCESS_OF_100)
+        is_known = any(
+            key.measure == of_100 and np.isfinite(one.value) for key, one in found.items()
+        )
+        wanted.append(of_100 if is_known else linker.measure(SUCCESS))
+    there = {key.where for key in found}
+    at = {
+        one["spec"]: where for one in cells if (where := (one["mechanism"], one["level"])) in there
+    }
+    levels = [at[spec] for spec in PRESETS["smoke"].mechanisms if spec in at]
+    levels = levels or list(dict.fromkeys(at.values()))[:_MOST_LEVELS]
+    keys = ["mechanism_a", "level_a", "consumer", "metric", "knowledge"]
+    place = {
+        Key(*row): at
+        for at, row in zip(
+            rows.index, rows[keys].replace(math.nan, None).itertuples(index=False), strict=True
+        )
+    }
+    return rows.loc[
+        [place[one] for of in wanted for where in levels if (one := of.at(*where)) in place]
+    ]
 
 
 def short_list(names: Sequence[str]) -> str:

@@ -25,7 +25,7 @@ from evaluation.verdict import choose_level as design
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from rich.console import Console
 
@@ -33,7 +33,13 @@ _Row: TypeAlias = "tuple[str, str, str, design.Level | None]"
 """Adding rule, mechanism, level, and what it comes to."""
 _ANSWERED = ("met", "chosen", "stricter", "also_meets", "is_saturated")
 _CHECKED = ("name", "limit", "measured", "status")
-_UNMET = {"not met": "exceeds the limits of", "cannot say": "cannot be judged by"}
+_UNMET = {
+    "not met": "above the limits of",
+    "scenes": "more scenes needed for",
+    "people": "more people needed for",
+    "cannot say": "cannot be judged by",
+}
+"""Why a limit does not hold, the surest first."""
 _LEVEL_NAMES = {FID: "eta", FIXED: "d_sigma"}
 
 
@@ -65,7 +71,7 @@ def to_json(choice: design.Choice) -> dict[str, Any]:
             "seed": identity["seed"],
             "predictor": choice.predictor,
             "adding": choice.adding,
-            "limits": limits | {"after_attack": choice.limits.after_attack},
+            "limits": limits | {"as_shared": choice.limits.as_shared},
             "raw": choice.raw,
             "schemes": schemes,
             "refine": closer(choice),
@@ -103,7 +109,17 @@ def reason(check: design.Check) -> str:
     text = make.estimated(metric, check.measured)
     excess = f"{(check.measured.ci_high - check.limit) * shown.scale:.2g}"
     excess += " points" if shown.unit == "%" else f" {shown.unit}"
-    return f"{what} {text.text} {shown.unit} {text.interval}: the upper end is {excess} too high"
+    found = f"{what} {text.text} {shown.unit} {text.interval}: the upper end is {excess} too high"
+    if math.isnan(check.times_more):
+        return found
+    if math.isinf(check.times_more):
+        return f"{found}, and the value at the limit: no more data would tell"
+    more = f"{check.times_more:.2g} times as many people"
+    if check.scenes:
+        more = (
+            f"{max(float(f'{check.scenes * check.times_more:.2g}'), check.scenes + 1):,.0f} scenes"
+        )
+    return f"{found}; about {more} would tell"
 
 
 def reasons(scheme: design.Scheme) -> list[str]:
@@ -139,51 +155,63 @@ def _at(scheme: design.Scheme, level: design.Level | None) -> str:
 
 def sentence(choice: design.Choice) -> str:
     """Return the plain answer."""
-    asked, limits = choice.asked, choice.limits
-    if not choice.met:
-        # What fails comes first.
-        return f"No: {'; '.join(map(_said, sorted(asked, key=lambda scheme: scheme.met)))}."
+    met, failing, limits = [], dict[str, list[str]](), choice.limits
+    for name, schemes in choice.answers.items():
+        if why := _failing(schemes):
+            failing.setdefault(why, []).append(name)
+        else:
+            met.append(_with_levels(name, schemes))
+    people = " (simulated people)" * bool(choice.manifest["dataset"]["simulated"])
+    if not met:
+        told = (f"{why}: {', '.join(names)}" for why, names in failing.items())
+        return f"No{people}: {'; '.join(told)}."
     rates = {name: f"{100.0 * limit:.4g} %" for name, limit in limits.of(*design.TARGETS).items()}
     target = f"at most {rates['missed']} of the conflicts are missed"
     if "false_alarm" in rates:
         target += f" at no more than {rates['false_alarm']} false alarms"
-    is_limited = limits.of(*DESCRIPTORS, SUCCESS)
-    privacy = ", and every privacy limit holds" if is_limited else "; no privacy limit was given"
-    return f"Yes: with {' and '.join(map(_name, asked))} {target}{privacy}."
+    privacy = "; no privacy limit was given"
+    if limits.of(*DESCRIPTORS, SUCCESS):
+        where = " as shared" if limits.as_shared else " after attack"
+        privacy = f", and every privacy limit holds{where * bool(limits.of(*DESCRIPTORS))}"
+    return f"Yes{people}: with {', or '.join(met)} {target}{privacy}."
 
 
-def _said(scheme: design.Scheme) -> str:
-    """Return what a scheme comes to where not all schemes meet everything."""
-    if scheme.chosen is None:
-        name = _LEVEL_NAMES.get(scheme.name, f"level of {scheme.name}")
-        return f"no {name} of the run meets the targets with {scheme.adding} adding"
-    if scheme.met:
-        return f"{_name(scheme)} meets everything"
-    what = []
+def _failing(schemes: Sequence[design.Scheme]) -> str:
+    """Return in a phrase what a mechanism fails under some rule; empty: it meets everything."""
+    rules = [one.adding for one in schemes if one.chosen is None]
+    under = f" with {rules[0]} adding" if 0 < len(rules) < len(schemes) else ""
+    why = [f"no level meets the targets{under}"] * bool(rules)
+    found: dict[str, str] = {}
     for status, text in _UNMET.items():
-        names = [check.name for check in scheme.checks if check.status == status]
-        heads = ", ".join(METRICS[design.METRIC_OF[name]].head for name in names if "/" not in name)
-        tasks = ", ".join(name.partition("/")[2] for name in names if "/" in name)
-        listed = " and ".join(filter(None, [heads, tasks and f"rank 1 in {tasks}"]))
-        what += [f"{text} {listed}"] if names else []
-    return f"{_name(scheme)} meets the targets but {' and '.join(what)}"
+        for check in (check for one in schemes for check in one.checks):
+            close = "scenes" if check.scenes else "people"
+            if status == (check.status if math.isnan(check.times_more) else close):
+                metric = design.METRIC_OF.get(check.name, SUCCESS)
+                found.setdefault(METRICS[metric].head, text)
+    for text in _UNMET.values():
+        heads = [head for head, its in found.items() if its == text]
+        why += [f"{text} {' and '.join(heads)}"] if heads else []
+    return ", ".join(why)
 
 
-def _name(scheme: design.Scheme) -> str:
-    return f"{scheme.name} {_at(scheme, scheme.chosen)} ({scheme.adding})"
+def _with_levels(name: str, schemes: Sequence[design.Scheme]) -> str:
+    """Return a mechanism with its level under every rule."""
+    under = " ({})" if schemes[0].family.adding else ""
+    at = dict.fromkeys(f"{_at(one, one.chosen)}{under.format(one.adding)}" for one in schemes)
+    return f"{name} {' and '.join(at)}"
 
 
 def notes(choice: design.Choice) -> list[str]:
     """Return what else is to be known of the run and of the question."""
     dataset, schemes = choice.manifest["dataset"], choice.schemes
-    has_fixed = {scheme.adding for scheme in schemes if scheme.name == FIXED}
-    missing = " or ".join(rule for rule in choice.adding if rule not in has_fixed)
+    silent = [one for one in schemes if one.name not in choice.answers]
     undeclared = ", ".join(dict.fromkeys(one.name for one in schemes if not one.family.adding))
     raw_misses = "; ".join(_reasons(choice.raw_checks))
     crowds = ", ".join(one.task for one in choice.tasks if not one.limited)
     found = {
         dataset.get("notice") or "the tracks are simulated": dataset["simulated"],
-        f"the run has no level of fixed with {missing} adding": missing,
+        f"{', '.join(one.name for one in silent)}: without a level under every adding rule asked "
+        "for; shown, but no answer": silent,
         f"{undeclared}: declares no adding rule, so that it is judged under both": undeclared,
         f"raw positions, without any added error, miss the targets themselves ({raw_misses}): no "
         "level can be expected to meet them": raw_misses
@@ -262,7 +290,10 @@ def _printed(choice: design.Choice, *, width: int) -> Iterator[terminal.Part]:
         *answer_tables(choice),
     ]
     for scheme in choice.schemes:
-        parts += ["", (f"{scheme.name}, {scheme.adding} adding", "bold cyan")]
+        rule = scheme.adding if scheme.family.adding else "any"
+        if rule == "any" and scheme.adding != choice.adding[0]:
+            continue  # the same as under the first
+        parts += ["", (f"{scheme.name}, {rule} adding", "bold cyan")]
         parts += [f"- {reason}" for reason in reasons(scheme)]
         parts += ["- meets everything that was asked"] * scheme.met
     found = notes(choice)
@@ -288,7 +319,7 @@ def answer_tables(choice: design.Choice) -> list[Table]:
     keys.append(Column("level", lambda row: make.word(row[2])))
     options: dict[str, Any] = {"marks": MEANING, "n_headings": 1, "n_keys": 3}
     limits = choice.limits.of(*design.METRIC_OF)
-    after = choice.limits.of(*DESCRIPTORS) if choice.limits.after_attack else {}
+    after = {} if choice.limits.as_shared else choice.limits.of(*DESCRIPTORS)
     shared = {name: limit for name, limit in limits.items() if name not in after}
     columns = [*keys, *(_number(name, shared) for name in design.METRIC_OF)]
     found = [make.built("shared", "Utility, and privacy as shared", rows, columns, **options)]

@@ -11,6 +11,7 @@ from evaluation.analysis.families import with_unit
 from evaluation.analysis.keys import Source, level_text
 from evaluation.analysis.metrics import METRICS
 from evaluation.analysis.paper import PUBLISHED
+from evaluation.experiment.variants import BASE
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.table import Cell, Column, Table
@@ -18,7 +19,7 @@ from evaluation.verdict import sensitivity
 from evaluation.verdict.rules import SECTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     import pandas as pd
@@ -40,7 +41,7 @@ _MARKS = {comparing.PEOPLE: "~", comparing.NONE: "*"}
 """Of a difference that is not paired in full."""
 _ABOUT_ITEMS = (
     "(Signs of decisions: base against the run's own verdict, all others against base. lost: "
-    "decided before, undecided now; gained: the reverse; missing: not tested there.)"
+    "decided before, not now; gained: the reverse; missing: not tested there.)"
 )
 _ABOUT_CONSTANTS = (
     "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of fid:1000; all "
@@ -54,7 +55,6 @@ def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[st
     `every` adds the numbers that are not in the headline.
     """
     rows = comparison.rows if every else comparison.headline
-    known = rows.replace([math.inf, -math.inf], math.nan).astype(object)
     return {
         "a": comparison.a,
         "b": comparison.b,
@@ -72,8 +72,14 @@ def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[st
             "pairing": comparison.rows["pairing"].value_counts().to_dict(),
         },
         "verdicts": comparison.verdicts,
-        "differences": known.where(known.notna(), None).to_dict("records"),
+        "lead": _plain(comparison.lead),
+        "differences": _plain(rows),
     }
+
+
+def _plain(rows: pd.DataFrame) -> list[dict[Any, Any]]:
+    known = rows.replace([math.inf, -math.inf], math.nan).astype(object)
+    return known.where(known.notna(), None).to_dict("records")
 
 
 def show(
@@ -93,6 +99,7 @@ def _printed(comparison: comparing.Comparison, *, every: bool, room: int) -> Ite
         text = f"{about['out']} ({about['dataset']}, {about['people']} clusters of people"
         text += f", {about['scenes']} scenes, seed {about['seed']}{mechanism})"
         yield f"{name}: {text}", "bold"
+    yield lead(comparison.lead)
     yield ""
     changed = [
         [f"{kind}:", name, " -> ".join(map(_value, pair))]
@@ -138,9 +145,32 @@ def _value(setting: object) -> str:
     return "-" if setting is None else make.shortened(str(setting), room=_ROOM)
 
 
+def lead(shown: pd.DataFrame) -> Table:
+    """Return the table of what tells most."""
+
+    def of(row: Mapping[Any, Any]) -> str:
+        return f"{METRICS[row['metric']].title}, {Source(row['consumer'], row['knowledge']).label}"
+
+    keys = [make.said("", of), make.said("", _where)]
+    title = "What tells most, B - A with 95 % intervals, p after Holm"
+    return _table("lead", title, shown, keys)
+
+
 def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
     """Return the table of some differences out of many, for so many characters."""
     which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
+    keys = [
+        make.said("", lambda row: _heading(row, room=room)),
+        Column("level", lambda row: Cell() if _apart(row) else make.level(row["level_a"])),
+        make.said(
+            "metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()
+        ),
+    ]
+    title = f"{which} differences, B - A with 95 % intervals, p after Holm"
+    return _table("differences", title, shown, keys)
+
+
+def _table(name: str, title: str, shown: pd.DataFrame, keys: Sequence[Column]) -> Table:
     marks = _MARKS if len(set(shown["pairing"])) > 1 else {}
 
     def change(row: Mapping[Any, Any]) -> Cell:
@@ -151,21 +181,19 @@ def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
         p = row["p_holm"]
         return Cell("" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p)
 
-    columns = [
-        make.said("", lambda row: _heading(row, room=room)),
-        Column("level", lambda row: Cell() if _apart(row) else make.level(row["level_a"])),
-        make.said(
-            "metric", lambda row: "{0.head} {0.unit}".format(METRICS[row["metric"]]).rstrip()
-        ),
-        make.measured("A", "a"),
-        make.measured("B", "b"),
-        Column("B - A", change),
-        Column("p", p_value),
-    ]
-    options = {"marks": {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}}
-    title = f"{which} differences, B - A with 95 % intervals, p after Holm"
-    records = shown.to_dict("records")
-    return make.built("differences", title, records, columns, n_headings=1, n_keys=3, **options)
+    columns = [*keys, make.measured("A", "a"), make.measured("B", "b")]
+    columns += [Column("B - A", change), Column("p", p_value)]
+    options: dict[str, Any] = {"marks": {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}}
+    options |= {"n_headings": 1, "n_keys": len(keys)}
+    return make.built(name, title, shown.to_dict("records"), columns, **options)
+
+
+def _where(row: Mapping[Any, Any]) -> str:
+    """Return mechanism and level of A and, if they are not the same, of B."""
+    sides = (
+        f"{row[f'mechanism_{side}']} {level_text(row[f'level_{side}'])}".rstrip() for side in "ab"
+    )
+    return " -> ".join(dict.fromkeys(sides))
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
@@ -228,6 +256,11 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
         records.append({"variant": variant} | said)
     columns = [make.said(name) for name in ("variant", *shown)]
     lines = turned(rows)
+    found = rows.loc[rows["variant"] != BASE, "changed"].value_counts()
+    alike, neither = (int(found.get(one, 0)) for one in (sensitivity.SAME, sensitivity.NEITHER))
+    ended = (
+        f"{alike} items decided alike, {neither} {sensitivity.NEITHER}, {len(lines)} changed sign"
+    )
     terminal.show(
         [
             make.built("sensitivity", "Items of the verdict, by section", records, columns),
@@ -236,7 +269,7 @@ def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
                 f"left out: {name}: {why}; name it with --variant to run it"
                 for name, why in left_out.items()
             ),
-            *("", ("Changed sign:" if lines else "No item changed sign.", "bold")),
+            *("", (f"{ended}{':' if lines else '.'}", "bold")),
             *(f"- {line}" for line in lines),
         ]
     )

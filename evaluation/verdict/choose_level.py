@@ -22,7 +22,7 @@ from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.runs.manifest import read_manifest
-from isac_track.errors import DataError, SettingsError
+from isac_track.errors import DataError, SettingsError, did_you_mean
 from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ ASKED: Final = METRIC_OF | {SUCCESS: SUCCESS}
 """What may be limited."""
 UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
+_SWEEPS: Final = {FID: "fid:1..1000/10", FIXED: "fixed:0.1..1/10"}
 _ENDS = ("ci_low", "ci_high")
 _NUMBERS = frozenset(("level", "value", "rank1", "chance", *_ENDS))
 
@@ -88,6 +89,8 @@ class Level:
 
     mechanism: str
     level: float | None
+    scenes: int
+    """That utility and descriptors were measured on."""
     numbers: Mapping[str, Estimate]
     """By name of `METRIC_OF`."""
     after_attack: Attacked | None
@@ -98,15 +101,14 @@ class Level:
 class Limits:
     """What is asked for.
 
-    SettingsError for a fraction beyond 0..1, a time that is negative or not finite, or
-    `after_attack` without a limit that it is about.
+    SettingsError for a fraction beyond 0..1, or a time that is negative or not finite.
     """
 
     given: Mapping[str, float]
     """By name of `ASKED`, a fraction or s; `rank1` is of the strongest attack of every task of the
     recording. `missed` is always given; with `false_alarm` it chooses the level."""
-    after_attack: bool = False
-    """Whether descriptors are limited after the best reconstruction, not as shared."""
+    as_shared: bool = False
+    """Whether descriptors are limited as shared, not after the best reconstruction."""
 
     def __post_init__(self) -> None:
         for name, limit in self.given.items():
@@ -115,9 +117,6 @@ class Limits:
                 what = "fraction from 0 to 1 (0.2 for 20 %)" if is_share else "time in s, 0 or more"
                 option = f"--max-{name.replace('_', '-')}"
                 raise SettingsError(f"{option} is a {what}, got {limit:g}")
-        if self.after_attack and not self.of(*DESCRIPTORS):
-            options = " or ".join(f"--max-{name}" for name in DESCRIPTORS)
-            raise SettingsError(f"--after-attack says where they hold; give {options}")
 
     def of(self, *names: str) -> dict[str, float]:
         """Return those of some limits that are given."""
@@ -132,6 +131,8 @@ class Check:
     """As in `Limits`; of rank 1 `rank1/TASK`."""
     limit: float
     measured: Estimate
+    scenes: int = 0
+    """That it was measured on; 0: it is not about scenes."""
     whose: str = ""
     """Whose positions or which attack it is of."""
     missing: str = ""
@@ -149,6 +150,18 @@ class Check:
         if self.why_unknown:
             return "cannot say"
         return "met" if self.measured.ci_high <= self.limit else "not met"
+
+    @property
+    def times_more(self) -> float:
+        """How many times as much data would tell the value, if it stays, from its limit.
+
+        An interval narrows with the root of it. NaN unless the limit is missed within the interval.
+        """
+        value, low, high = self.measured.value, self.measured.ci_low, self.measured.ci_high
+        if self.status != "not met" or not low < self.limit:
+            return math.nan
+        side = high - value if value <= self.limit else value - low
+        return (side / gap) ** 2 if (gap := abs(self.limit - value)) > 0.0 else math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,29 +210,38 @@ class Choice:
     raw_checks: tuple[Check, ...]
     """Whether raw itself meets the targets."""
     schemes: tuple[Scheme, ...]
+    """Of all families that were asked for."""
     tasks: tuple[Linked, ...]
     """Of the run, without numbers."""
     is_current: bool
     """Whether the run is of this version of the code."""
 
     @property
-    def asked(self) -> list[Scheme]:
-        """The schemes that the answer is about: those of FID, or of all but fixed noise."""
-        fid = [scheme for scheme in self.schemes if scheme.name == FID]
-        return fid or [scheme for scheme in self.schemes if scheme.family.family != FIXED]
+    def answers(self) -> dict[str, list[Scheme]]:
+        """The schemes by mechanism, of those that have a level under every rule asked for."""
+        found: dict[str, list[Scheme]] = {}
+        for scheme in (one for one in self.schemes if one.adding in self.adding):
+            found.setdefault(scheme.name, []).append(scheme)
+        return {name: of for name, of in found.items() if len(of) == len(self.adding)}
 
     @property
     def met(self) -> bool:
-        """Whether they meet everything under every adding rule asked for."""
-        return all(scheme.met for scheme in self.asked)
+        """Whether some mechanism meets everything under every adding rule asked for."""
+        return any(all(scheme.met for scheme in of) for of in self.answers.values())
 
 
 def choose(
-    out: Path, *, limits: Limits, adding: Sequence[str] = ADDING_RULES, predictor: str | None = None
+    out: Path,
+    *,
+    limits: Limits,
+    adding: Sequence[str] = ADDING_RULES,
+    predictor: str | None = None,
+    only: Sequence[str] = (),
 ) -> Choice:
     """Return the strictest levels of a run that meet the targets, and whether the limits hold.
 
-    `adding` names the rules to answer for; `predictor` is by default the first of the run.
+    `adding` names the rules to answer for; `predictor` is by default the first of the run; `only`
+    names families, by default all of the run.
 
     Raises DataError if the folder holds no run, or a file of it is missing or broken, and
     SettingsError if the run lacks what is asked for; the message names the option and the way out.
@@ -241,11 +263,17 @@ def choose(
     summary, linked = _table(out, "summary.csv", COLUMNS), []
     if (out / "linkability.csv").exists():
         linked = linkability.linked_tasks(_table(out, "linkability.csv", linkability.COLUMNS))
-    levels = _levels(summary, linked, Source(robot), dataset=manifest["dataset"]["name"])
+    levels = _levels(summary, linked, Source(robot), manifest)
     raw = next((one for one in levels if one.mechanism == RAW), None)
     # FID is shown first, then fixed noise, all others as they were run.
     order = {FID: 0, FIXED: 1}
-    families = sorted(families_in(summary).values(), key=lambda one: order.get(one.name, 2))
+    added = [one for one in families_in(summary).values() if one.is_added]
+    families = sorted(added, key=lambda one: order.get(one.name, 2))
+    for name in only:
+        known = dict.fromkeys(text for one in families for text in (one.family, one.name))
+        if name not in known:
+            hint = did_you_mean(name, known, quote="'") or f"; it has {', '.join(known)}"
+            raise SettingsError(f"--family {name}: {out} has no such family{hint}")
     choice = Choice(
         out=out,
         manifest=manifest,
@@ -258,7 +286,7 @@ def choose(
             _scheme(found, family, rule, limits)
             for rule in ADDING_RULES
             for family in families
-            if family.is_added and rule in family.rules
+            if rule in family.rules and (not only or {family.family, family.name} & {*only})
             if (found := [one for one in levels if one.mechanism == family.mechanism])
         ),
         tasks=next((one.tasks for one in levels), ()),
@@ -290,12 +318,16 @@ def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _levels(
-    summary: pd.DataFrame, tasks: Sequence[linkability.LinkedTask], robot: Source, *, dataset: str
+    summary: pd.DataFrame,
+    tasks: Sequence[linkability.LinkedTask],
+    robot: Source,
+    manifest: Mapping[str, Any],
 ) -> list[Level]:
     """Return what the levels of a run come to, each with all of its tasks.
 
     Without those that the robot, or nobody, was shown; raw needs no predictor.
     """
+    dataset, scenes = manifest["dataset"]["name"], manifest["identity"]["scenes"]
     rows = summary[[*Key._fields, "value", *_ENDS]].itertuples(index=False)
     found = {
         Key(name, None if math.isnan(level) else level, *of): Estimate(value, low, high)
@@ -314,7 +346,7 @@ def _levels(
             attacked = best and Attacked(*best, numbers(where, best, DESCRIPTORS))
             known = numbers(where, robot, TARGETS) | numbers(where, AS_SHARED, DESCRIPTORS)
             linked = tuple(_strongest(task, where, dataset) for task in tasks)
-            levels.append(Level(*where, known, attacked, linked))
+            levels.append(Level(*where, scenes, known, attacked, linked))
     return levels
 
 
@@ -334,19 +366,22 @@ def _strongest(task: linkability.LinkedTask, where: Where, dataset: str) -> Link
 
 def _refuse_missing(choice: Choice, *, is_attacked: bool) -> None:
     """Refuse a question that no level of the run could answer."""
-    out, have = choice.out, [scheme.adding for scheme in choice.asked]
-    for rule in choice.adding:
-        if rule not in have:
-            narrower = f", or ask for --adding {have[0]} alone" if have else ""
-            option = f",adding={rule}" * (rule != ADDING_RULES[0])
-            raise SettingsError(
-                f"{out} has no level of fid with {rule} adding for {choice.predictor}; add some "
-                f"with the command of the run and --mechanism fid:1..1000/10{option}{narrower}"
-            )
-    if choice.limits.after_attack and not is_attacked:
+    out, have = choice.out, {scheme.adding: scheme.family.family for scheme in choice.schemes}
+    if not choice.answers:
+        rule = next((one for one in choice.adding if one not in have), choice.adding[-1])
+        family = next(iter(have.values()), FID)
+        spec = _SWEEPS.get(family, f"{family}:LEVEL") + f",adding={rule}" * (
+            rule != ADDING_RULES[0]
+        )
+        narrower = f", or ask for --adding {next(iter(have))} alone" if have else ""
         raise SettingsError(
-            f"--after-attack: {out} has no reconstruction attack; add one with the command of the "
-            "run and --attack radial_rts, or leave it out"
+            f"{out} has no level of {family} with {rule} adding for {choice.predictor}; add some "
+            f"with the command of the run and --mechanism {spec}{narrower}"
+        )
+    if choice.limits.of(*DESCRIPTORS) and not choice.limits.as_shared and not is_attacked:
+        raise SettingsError(
+            f"{out} has no reconstruction attack to judge privacy after; add one with the command "
+            "of the run and --attack radial_rts, or ask for --as-shared"
         )
     if SUCCESS in choice.limits.given and not any(one.limited for one in choice.tasks):
         whose = " of its recording" * bool(choice.tasks)
@@ -358,26 +393,30 @@ def _refuse_missing(choice: Choice, *, is_attacked: bool) -> None:
 
 def _targets(level: Level, limits: Limits) -> list[Check]:
     """Return the checks that choose a level."""
-    return [Check(name, limit, level.numbers[name]) for name, limit in limits.of(*TARGETS).items()]
+    return [
+        Check(name, limit, level.numbers[name], level.scenes)
+        for name, limit in limits.of(*TARGETS).items()
+    ]
 
 
 def _privacy(level: Level, limits: Limits) -> list[Check]:
     """Return the checks at the chosen level."""
     numbers, whose, missing = level.numbers, "as shared", ""
-    if limits.after_attack:
+    if not limits.as_shared:
         numbers, whose, missing = {}, "", "no reconstruction attack was run at this level"
         if attacked := level.after_attack:
             numbers, missing = attacked.numbers, ""
             whose = f"after {Source(attacked.attack, attacked.knowledge).label}"
     checks = [
-        Check(name, limit, numbers.get(name, UNKNOWN), whose, missing)
+        Check(name, limit, numbers.get(name, UNKNOWN), level.scenes, whose, missing)
         for name, limit in limits.of(*DESCRIPTORS).items()
     ]
     for one in level.tasks if SUCCESS in limits.given else ():
         if one.limited:
             by = f"in {one.task} by {Source(one.attack, one.knowledge).label}"
             name, whose = f"{SUCCESS}/{one.task}", by if one.attack else one.task
-            checks.append(Check(name, limits.given[SUCCESS], one.rank1, whose, one.missing))
+            limit = limits.given[SUCCESS]
+            checks.append(Check(name, limit, one.rank1, whose=whose, missing=one.missing))
     return checks
 
 

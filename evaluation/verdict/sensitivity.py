@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 FOLDER: Final = "sensitivity"
 TABLE: Final = "sensitivity.csv"
-SAME, TURNED, LOST, GAINED, MISSING = "same", "changed sign", "lost", "gained", "missing"
-CHANGES: Final = (SAME, TURNED, LOST, GAINED, MISSING)
+SAME, NEITHER, TURNED = "same", "not decided before and after", "changed sign"
+LOST, GAINED, MISSING = "lost", "gained", "missing"
+CHANGES: Final = (SAME, NEITHER, TURNED, LOST, GAINED, MISSING)
 COLUMNS: Final = (
     *("variant", "id", "section", "adding", "descriptor", "task", "subject"),
     *("decision_base", "decision", "effect_base", "effect", "ci_low", "ci_high", "unit", "n"),
@@ -55,8 +56,10 @@ def changes(
     for one in base["items"]:
         other = found.get(one["id"])
         before, after = one["sign"], other["sign"] if other else None
-        otherwise = TURNED if before else GAINED
-        changed = {0: LOST, before: SAME, None: MISSING}.get(after, otherwise)
+        if before == 0:
+            changed = {0: NEITHER, None: MISSING}.get(after, GAINED)
+        else:
+            changed = {0: LOST, before: SAME, None: MISSING}.get(after, TURNED)
         theirs = other or dict.fromkeys(_THEIRS)
         rows.append(
             {

@@ -46,30 +46,45 @@ class TestExitCode:
         assert main([*self.ARGUMENTS, str(made())]) == 0
         said = capsys.readouterr().out.replace("\n", " ")
         assert said.startswith(
-            "Yes: with fid eta = 100 (linear) and fid eta = 100 (independent) at most 23 % of the"
+            "Yes: with fid eta = 100 (linear) and eta = 100 (independent), or fixed d_sig"
         )
         assert " linear adding " in said
         assert "adding adding" not in said
 
     def test_is_1_if_one_rule_fails_and_0_if_it_is_not_asked_about(self, made, capsys):
         out = made(USUAL | {"fid": {1.0: 0.4, 1000.0: 0.3}})
-        assert main([*self.ARGUMENTS, str(out)]) == 1
+        fid = [*self.ARGUMENTS, "--family", "fid"]
+        assert main([*fid, str(out)]) == 1
         said = capsys.readouterr().out.replace("\n", " ")
-        assert said.startswith("No: no eta of the run meets the targets with linear adding;")
-        assert "fid eta = 100 (independent) meets everything" in said
-        assert main([*self.ARGUMENTS, "--adding", "independent", str(out)]) == 0
-        assert main([*self.ARGUMENTS, "--adding", "linear", str(out)]) == 1
+        assert said.startswith("No: no level meets the targets with linear adding: fid.")
+        assert main([*fid, "--adding", "independent", str(out)]) == 0
+        assert main([*fid, "--adding", "linear", str(out)]) == 1
 
     @pytest.mark.parametrize(
-        ("rates", "told"),
+        ("rates", "families", "code", "told"),
         [
-            (USUAL | {"fixed": {0.1: 0.9}}, " fixed none "),
-            ({"fid": FID, f"fid{IND}": FID}, "has no level of fixed with linear or independent"),
+            (USUAL | {"fid": {1.0: 0.9}}, [], 0, "Yes: with fixed d_sigma = 0.5 (linear) and"),
+            (USUAL | {"fid": {1.0: 0.9}}, ["fid"], 1, "with linear adding: fid."),
+            (USUAL | {"fixed": {0.1: 0.9}}, ["fixed"], 1, "with linear adding: fixed."),
+            (USUAL | {"fixed": {0.1: 0.9}}, ["fid", "fixed"], 0, "Yes: with fid eta = 100 (l"),
+            # What has no level under one of the rules gives no answer.
+            ({"fid": {1.0: 0.9}, f"fid{IND}": {1.0: 0.9}, "fixed": FIXED}, [], 1, "targets: fid."),
         ],
     )
-    def test_does_not_depend_on_fixed_noise(self, made, capsys, rates, told):
-        assert main([*self.ARGUMENTS, str(made(rates))]) == 0
+    def test_is_0_if_some_family_asked_about_meets_everything(
+        self, made, capsys, rates, families, code, told
+    ):
+        named = [word for name in families for word in ("--family", name)]
+        assert main([*self.ARGUMENTS, *named, str(made(rates))]) == code
         assert told in " ".join(capsys.readouterr().out.split())
+
+    def test_limits_hold_after_attack_unless_asked_as_shared(self, made, capsys):
+        # PLR at eta = 100: 0.4 as shared, 0.7 after the strongest attack.
+        question = [*self.ARGUMENTS, "--family", "fid", "--max-plr", "0.5", str(made())]
+        assert main(question) == 1
+        assert capsys.readouterr().out.startswith("No: above the limits of PLR: fid.")
+        assert main([*question, "--as-shared"]) == 0
+        assert "privacy limit holds as shared." in " ".join(capsys.readouterr().out.split())
 
     @pytest.mark.parametrize(
         ("run", "spoil", "options", "message"),
@@ -77,10 +92,11 @@ class TestExitCode:
             ({}, None, ["--predictor", "kalman"], "--predictor kalman: "),
             ({}, None, ["--adding", "mine"], "--adding"),
             ({}, None, ["--max-plr", "much"], "--max-plr"),
-            ({}, None, ["--after-attack"], "--after-attack"),
+            ({}, None, ["--family", "fixd"], "did you mean 'fixed'?"),
             (ONLY_FID, None, [], "--mechanism fid:1..1000/10,adding=independent, or ask for"),
             (ONLY_FID, None, ["--adding", "independent"], "ask for --adding linear alone"),
-            ({"rates": {"fixed": FIXED}}, None, ["--adding", "linear"], "fid:1..1000/10\n"),
+            ({"rates": {"fixed": FIXED}}, None, [], "fixed:0.1..1/10,adding=independent, or"),
+            ({"rates": {}}, None, ["--adding", "linear"], "fid:1..1000/10\n"),
             ({}, holding("manifest.json"), [], "holds no run"),
             ({}, holding("summary.csv"), [], "python -m evaluation.report"),
             ({}, holding("linkability.csv"), ["--max-rank1", "0.5"], "--max-rank1: "),
@@ -89,7 +105,7 @@ class TestExitCode:
                 for content in ("", "a,b\n1,2\n", "\0\0")
             ),
             ({}, unattacked, ["--max-rank1", "0.5"], "links nobody of its recording"),
-            ({}, unattacked, ["--max-plr", "0.5", "--after-attack"], "no reconstruction attack"),
+            ({}, unattacked, ["--max-plr", "0.5"], "ask for --as-shared"),
             ({}, unpredicted, [], "--predictor least_squares"),
         ],
     )

@@ -131,7 +131,7 @@ class TestChanges:
         [
             (("holds", 1), ("holds", 1), "same"),
             (("tracks", 1), ("tracks weakly", 1), "same"),
-            (("undecided", 0), ("undecided", 0), "same"),
+            (("undecided", 0), ("undecided", 0), "not decided before and after"),
             (("holds", 1), ("reversed", -1), "changed sign"),
             (("does not track", -1), ("tracks", 1), "changed sign"),
             (("reversed", -1), ("undecided", 0), "lost"),
@@ -162,7 +162,7 @@ class TestChanges:
         ]
         found = held.changes("law=x", base={"items": before + same}, said={"items": after + same})
         rows = pd.DataFrame(found, columns=list(COLUMNS))
-        claim = {"same": 1, "changed sign": 1, "lost": 1}
+        claim = {"not decided before and after": 1, "changed sign": 1, "lost": 1}
         assert held.counts(rows) == {"law=x": {"claim": claim, "inflation": {"same": 1}}}
         told = "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])"
         assert turned(rows) == [told]
@@ -253,7 +253,8 @@ class TestRun:
         base = rows[rows["variant"] == BASE]
         assert len(base) == len(read_verdict(finished)["items"]) > 10
         assert set(base["section"]) == {"validity", "within", "claim", "inflation"}
-        assert set(base["changed"]) == {"same"}
+        decided = np.where(base["sign"] == 0, "not decided before and after", "same")
+        assert (base["changed"] == decided).all()
         assert np.array_equal(base["effect"], base["effect_base"], equal_nan=True)
 
     def test_a_variant_is_the_run_that_its_settings_make(self, finished, tried, tmp_path):
@@ -298,8 +299,15 @@ class TestRun:
         assert head.split() == ["variant", "validity", "within", "claim", "inflation"]
         for name in NAMES:
             (line,) = [line for line in lines if line.startswith(f"{name} ")]
-            assert re.search(r"\d+ same", line)
-        assert "No item changed sign." in shown or "Changed sign:" in shown
+            assert re.search(r"\d+ (same|not decided)", line)
+        others = pd.read_csv(tried / "sensitivity.csv").query("variant != 'base'")["changed"]
+        same, neither, turned_ = (
+            sum(others == one) for one in ("same", "not decided before and after", "changed sign")
+        )
+        told = (
+            f"{same} items decided alike, {neither} not decided before and after, {turned_} changed"
+        )
+        assert told in " ".join(shown.split())
 
     def test_the_run_itself_is_left_alone(self, finished, tried):
         def content(folder):

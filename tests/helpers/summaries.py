@@ -7,7 +7,7 @@ from evaluation.analysis import linkability, summary
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.experiment.presets import PRESETS
 from evaluation.runs.manifest import read_manifest, write_manifest
-from evaluation.verdict.choose_level import Limits, choose
+from evaluation.verdict.choose_level import ASKED, Limits, choose
 from isac_track.config import StageSettings
 
 IND = ":adding=independent"
@@ -141,9 +141,10 @@ def edit_manifest(out, change):
     write_manifest(out, manifest)
 
 
-def asked(out, *, adding=("linear", "independent"), predictor=None, after_attack=False, **limits):
+def asked(out, *, as_shared=False, **question):
     """The choice of a level under some limits, each by its name."""
-    return choose(out, limits=Limits(limits, after_attack), adding=adding, predictor=predictor)
+    limits = Limits({name: question.pop(name) for name in ASKED if name in question}, as_shared)
+    return choose(out, limits=limits, **question)
 
 
 def scheme(choice, family="fid", adding="linear"):

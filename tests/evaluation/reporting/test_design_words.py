@@ -38,8 +38,8 @@ def test_the_answer_is_letter_for_letter_what_was_read_and_approved(made, tmp_pa
         ("new_traversal", "shape", "blind"): {"rank1": 0.80},
     }
     out = made(cells=cells)
-    answer = asked(out, **LIMITS)
-    after = asked(out, missed=0.23, plr=0.9, after_attack=True, adding=("linear",))
+    answer = asked(out, as_shared=True, **LIMITS)
+    after = asked(out, missed=0.23, plr=0.9, adding=("linear",))
     parts = [shown(answer, width=80), shown(after), json.dumps(to_json(after), indent=1)]
     text = "\n".join(parts).replace(str(tmp_path), "")
     assert_as_approved(text, Path(__file__).with_name("design.txt"))

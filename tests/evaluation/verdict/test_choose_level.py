@@ -111,7 +111,7 @@ class TestLimits:
     def test_hold_for_the_upper_end_of_what_was_shared(self, made, limits, failing):
         # PLR at eta = 100: 0.4 + 0.01, AEL 0.2 + 0.01, MEL 0.8 + 0.1.
         given = {name: float(limit) for name, limit in map(str.split, limits.split(", "))}
-        answer = linear(made(), **given)
+        answer = linear(made(), as_shared=True, only=["fid"], **given)
         not_met = {name for name, status in statuses(scheme(answer)).items() if status == "not met"}
         assert not_met == set(failing.split())
         assert statuses(scheme(answer)).keys() == {"missed", *given}
@@ -119,13 +119,13 @@ class TestLimits:
 
     def test_after_an_attack_are_those_of_the_strongest_but_the_oracles(self, made):
         out = made()
-        answer = linear(out, plr=0.72, mel=4.2, after_attack=True)
+        answer = linear(out, plr=0.72, mel=4.2)
         found = scheme(answer).chosen.after_attack
         assert (found.attack, found.knowledge) == ("radial_rts", "informed")
         shown = [found.numbers[name].value for name in ("plr", "mel")]
         assert shown == pytest.approx([0.70, 4.0])
         assert answer.met
-        below = scheme(linear(out, plr=0.70, after_attack=True))
+        below = scheme(linear(out, plr=0.70))
         assert statuses(below)["plr"] == "not met"
         assert any("PLR after radial_rts (informed) 70.0 %" in line for line in reasons(below))
 
@@ -133,7 +133,7 @@ class TestLimits:
         out = made()
         is_there = "level != '100.0' or knowledge == ''"
         edited(out, "summary.csv", lambda frame: frame.query(is_there))
-        answer = linear(out, plr=0.99, after_attack=True)
+        answer = linear(out, plr=0.99, only=["fid"])
         assert statuses(scheme(answer))["plr"] == "cannot say"
         assert not answer.met
         assert "cannot be judged by PLR" in sentence(answer)
@@ -147,13 +147,27 @@ class TestLimits:
             ("rank1", 1.1, "--max-rank1 is a fraction"),
             ("mel", -1.0, "--max-mel is a time in s"),
             ("ael", np.inf, "--max-ael is a time in s"),
-            ("after_attack", True, "--after-attack says where"),
         ],
     )
     def test_that_make_no_sense_are_refused(self, name, limit, message):
         given = {"missed": 0.2, name: limit}
         with pytest.raises(SettingsError, match=message):
-            Limits(after_attack=given.pop("after_attack", False), given=given)
+            Limits(given)
+
+    @pytest.mark.parametrize(
+        ("limit", "half", "told"),
+        [
+            (0.21, 0.02, "about 2,000 scenes would tell"),  # 500 (0.02 / 0.01)^2, to show it
+            (0.18, 0.03, "about 1,100 scenes would tell"),  # 500 (0.03 / 0.02)^2, to show it is not
+            (0.20, 0.02, "the value at the limit: no more data would tell"),
+            (0.17, 0.02, "points too high)"),  # surely above it
+        ],
+    )
+    def test_missed_within_the_interval_asks_for_more_scenes(self, made, limit, half, told):
+        out = made({"fid": {100.0: 0.20}}, half=half)
+        (line, *_) = reasons(scheme(linear(out, missed=limit)))
+        assert told in line
+        assert ("would tell" in line) == ("would tell" in told)
 
 
 class TestRank1:
@@ -172,7 +186,9 @@ class TestRank1:
         assert answer.met
         answer = linear(out, rank1=0.44)  # below its upper end
         assert statuses(scheme(answer))["rank1/rerelease"] == "not met"
-        assert "exceeds the limits of rank 1 in rerelease" in sentence(answer)
+        assert sentence(answer) == "No: more people needed for rank 1: fid, fixed."
+        # 0.40 [0.35, 0.45]: 0.05 shrinks to 0.04, and links pass through no scenes.
+        assert "about 1.6 times as many people would tell" in "".join(reasons(scheme(answer)))
 
     @pytest.mark.parametrize(
         ("rows", "best"),
@@ -212,7 +228,7 @@ class TestRank1:
         out = made(cells=cells)
         if row is None:
             edited(out, "linkability.csv", lambda frame: frame[frame["level"] != "100.0"])
-        answer = linear(out, rank1=0.9)
+        answer = linear(out, rank1=0.9, only=["fid"])
         assert statuses(scheme(answer))["rank1/split"] == "cannot say"
         assert not answer.met
         assert any(reason in line for line in reasons(scheme(answer)))
@@ -225,7 +241,7 @@ MINE = {0.1: 0.14, 0.5: 0.19, 2.0: 0.30}
 class TestFamilies:
     """Any mechanism of the run is judged like FID and fixed noise."""
 
-    def test_all_are_listed_and_fid_answers(self, made):
+    def test_all_are_listed_and_answer(self, made):
         answer = asked(made(USUAL | {"mine": MINE, "mine:k=2": MINE}), missed=0.23)
         names = [(one.adding, one.name) for one in answer.schemes]
         assert names == [
@@ -233,8 +249,11 @@ class TestFamilies:
             for rule in ("linear", "independent")
             for name in ("fid", "fixed", "mine", "mine:k=2")
         ]
-        assert answer.asked == [scheme(answer), scheme(answer, adding="independent")]
+        assert [*answer.answers] == ["fid", "fixed", "mine", "mine:k=2"]
         assert answer.met
+        # By the family's name, or by that of one set of its parameters.
+        for only, found in (("mine", {"mine", "mine:k=2"}), ("mine:k=2", {"mine:k=2"})):
+            assert asked(answer.out, missed=0.23, only=[only]).answers.keys() == found
         # One without a declared rule is judged under both, and that is told.
         both = [scheme(answer, "mine", rule) for rule in ("linear", "independent")]
         assert [one.chosen.level for one in both] == [0.5, 0.5]
@@ -244,9 +263,9 @@ class TestFamilies:
         out = made({"mine": MINE, "fixed": {0.1: 0.9}})
         answer = asked(out, missed=0.23)
         assert answer.met
-        assert sentence(answer).startswith("Yes: with mine level = 0.5 (linear) and mine level = 0")
+        assert sentence(answer).startswith("Yes: with mine level = 0.5 at most 23 %")
         assert not asked(out, missed=0.1).met
-        assert "no level of mine of the run meets" in sentence(asked(out, missed=0.1))
+        assert sentence(asked(out, missed=0.1)) == "No: no level meets the targets: mine."
 
     def test_what_leaks_less_is_stricter(self, made):
         out = made({"mine": MINE})
