@@ -21,7 +21,7 @@ from evaluation.analysis.strongest import strongest
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting.rows import Results
-from evaluation.reporting.tables import write_tex
+from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
 from evaluation.runs.cell_files import read_gallery
 from evaluation.runs.execute import execute
@@ -136,6 +136,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     write_whole(out / "flags.json", flags.to_json(flagged, looked))
     write_whole(out / "verdict.json", verdict.to_bytes(said))
     write_tex(results, folder=out / "tables")
+    write_text(results)
     folder.remove_figures(out)  # those of an earlier report tell of other results
     if pictures:
         _draw(results, pdf=pdf, jobs=jobs)

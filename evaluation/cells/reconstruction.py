@@ -288,8 +288,8 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
                 truth=part.truth,
                 t=own.t,
                 offsets=own.offsets,
-                epsilon_m=block.stages.privacy.epsilon_m,
-                moved=(reconstructed(attack, given, who=who), shown.xy),
+                settings=block.stages.privacy,
+                moved=(reconstructed(attack, given, who=who).xy, shown.xy),
                 turn=complex(frame.turn),
             )
             is_attacked[part.tracks] = True
