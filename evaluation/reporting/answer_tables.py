@@ -272,10 +272,10 @@ def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:
 
 def _told(item: Mapping[str, Any]) -> dict[str, Any]:
     """Return an item with what it says in one sentence, and what it is about as over a column."""
-    why, descriptor = item.get("why_undecided"), item["descriptor"]
+    why, descriptor, decision = item["why"], item["descriptor"], item["decision"].capitalize()
     return {
         **item,
-        "what it says": item["sentence"] + (f" Undecided: {why.rstrip('.')}." if why else ""),
+        "what it says": item["sentence"] + (f" {decision}: {why.rstrip('.')}." if why else ""),
         "descriptor": METRICS[descriptor].head if descriptor in METRICS else descriptor,
         "criterion": CRITERIA.get(item["criterion"], item["criterion"]),
     }
