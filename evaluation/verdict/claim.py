@@ -131,13 +131,15 @@ def answer(items: Items) -> str:
     mine = [one for one in items if "mechanism" not in one]
     if not mine:
         return "The run does not compare FID with fixed noise."
-    parts = []
+    fares: dict[str, list[str]] = {}
     for adding, (criterion, words) in product(
-        ADDING_RULES, {MISSED: "", AT_EQUAL_ALARMS: " and equal false alarms"}.items()
+        ADDING_RULES, {MISSED: "", AT_EQUAL_ALARMS: " at equal false alarms, too"}.items()
     ):
         found = [one for one in mine if (one["adding"], one["criterion"]) == (adding, criterion)]
-        parts += [f"{_fares(found)} ({adding} adding{words})"] * bool(found)
-    return f"FID against fixed noise at equal missed conflicts: {'; '.join(parts)}."
+        if found:
+            fares.setdefault(_fares(found), []).append(f"{adding} adding{words}")
+    parts = [f"{said} ({'; '.join(where)})" for said, where in fares.items()]
+    return f"FID against fixed noise at equal missed conflicts: {', '.join(parts)}."
 
 
 def _fares(items: Items) -> str:
