@@ -16,8 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isac_track.intervals import (
+    FEW_CLUSTERS,
+    LEAST_CLUSTERS,
     Estimate,
     cluster_sums,
+    effective_clusters,
+    of_few,
     percentile_interval,
     percentile_intervals,
     ratio_estimates,
@@ -217,7 +221,9 @@ def scorecard(
 
     A metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
     Wilson's interval, with the clusters as the sample size: of all variables in 0..1 a mean of 0 or
-    1 says least about a coin. With fewer than two clusters there is no interval.
+    1 says least about a coin. Of fewer than 40 effective clusters (n^2 / sum m^2 of m probes each)
+    rank metrics have the jackknife's interval (`intervals.of_few`), of fewer than 15 nothing has
+    any, but a share of people with one outcome each.
 
     Parameters
     ----------
@@ -323,7 +329,7 @@ def scorecard_of(
     of_ranks = _of_ranks(searches, standings, assignments, observed, null)
     values = over_scales(results, n_searches=len(searches))
     estimates = _rank_estimates(of_ranks["probes"], weights)
-    estimates |= _score_estimates(results, values, of_ranks["n_clusters"])
+    estimates |= _score_estimates(results, values, of_ranks["probes"])
     return Scorecard(
         estimates=estimates,
         **of_ranks,
@@ -422,37 +428,43 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     found = ratio_estimates(
         numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
     )
+    found = of_few(found, numerator=numerator, denominator=denominator, is_share=is_share)
     estimates = dict(zip(sums, found, strict=True))
-    estimates["residual_risk"] = _residual_risk_estimate(estimates["rank1"], estimates["chance"])
+    estimates["residual_risk"] = _residual_risk_estimate(
+        *(estimates[name] for name in ("rank1", "chance")),
+        is_few=float(effective_clusters(sums["rank1"][1])) < FEW_CLUSTERS,
+    )
     return estimates
 
 
-def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
+def _residual_risk_estimate(success: Estimate, control: Estimate, *, is_few: bool) -> Estimate:
     value = residual_risk(success=success.value, control=control.value)
     replicates, left = np.full(success.replicates.size, np.nan), 1.0 - control.replicates
     gain = success.replicates - control.replicates
     np.divide(gain, left, out=replicates, where=control.replicates < 1.0)
     low, high = math.nan, math.nan
-    if success.value in {0.0, 1.0}:
-        # Wilson's ends for the share; guessing's chance is known.
+    if is_few or success.value in {0.0, 1.0}:
+        # The share's own ends; guessing's chance is known.
         low, high = (
             residual_risk(success=end, control=control.value)
             for end in (success.ci_low, success.ci_high)
         )
-    elif success.n > 1 and not math.isnan(value):
+    elif not math.isnan(value):
         low, high = percentile_interval(replicates)
     return Estimate(value, low, high, success.n, replicates)
 
 
 def _score_estimates(
-    results: Sequence[Scale], values: dict[str, Floats], n: int
+    results: Sequence[Scale], values: dict[str, Floats], probes: ProbeRanks
 ) -> dict[str, Estimate]:
-    """Return the estimates of score metrics; `n` clusters have a mated probe."""
+    """Return the estimates of score metrics; of very few clusters they have no interval."""
+    sizes = np.bincount(probes.cluster[probes.above >= 0]).astype(np.float64)
+    n, effective = int((sizes > 0).sum()), float(effective_clusters(sizes))
     drawn = np.stack([values[name][1:] for name in METRICS])
     estimates = {}
     for name, replicates, ends in zip(METRICS, drawn, percentile_intervals(drawn).T, strict=True):
         value, low, high = float(values[name][0]), math.nan, math.nan
-        if n > 1 and not math.isnan(value):
+        if effective >= LEAST_CLUSTERS and not math.isnan(value):
             low, high = _interval(name, value, replicates, ends.tolist(), n)
         estimates[name] = Estimate(value, low, high, n, replicates)
 
