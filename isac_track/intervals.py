@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 CONFIDENCE = 0.95
 FEW_CLUSTERS: Final = 40.0
 """Effective clusters below which a share has the jackknife's interval. Of 16 to 33, percentile
-intervals hold shares of 0.1 and 0.85 in 0.87 to 0.94 of studies, the jackknife's in 0.94 to 0.98."""
+intervals hold shares of 10 and 85 % in 87 to 94 of 100 studies, the jackknife's in 94 to 98."""
 LEAST_CLUSTERS: Final = 15.0
 """Effective clusters below which there is no interval, but an exact one of a count."""
 LEAST_DECIDED: Final = 20.0

@@ -61,7 +61,7 @@ from isac_track.linkability.significance import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -69,6 +69,8 @@ if TYPE_CHECKING:
     from isac_track.linkability.significance import People
     from isac_track.types import Floats, Ints
 
+RANK_METRICS = ("rank1", "rank1_assigned", "mrr", "chance", "rank1_g100", "false_link_rate")
+"""Means over probes: `ProbeRanks.values`."""
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
 """Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
 _NO_SPREAD = 1e-12
@@ -93,58 +95,40 @@ class ProbeRanks:
     n_gallery: int
     """Of the largest gallery."""
 
-    def values(self) -> dict[str, tuple[Floats, Ints]]:
-        """Return the values that each metric is the mean of, and their clusters, (N,) each.
+    def values(self, names: Collection[str] = RANK_METRICS) -> dict[str, tuple[Floats, Ints]]:
+        """Return the values that some metrics are the means of, and their clusters, (N,) each.
 
-        All are of probes with a mate, but `false_link_rate`, which is of the others.
+        All are of probes with a mate, but `false_link_rate`, which is of the others, if there are
+        any.
         """
         mated = self.above >= 0
         above, tied, cluster = self.above[mated], self.tied[mated], self.cluster[mated]
         chance, companions = self.chance[mated], self.companions[mated]
-        found = {
-            "rank1": (expected_hit(above, tied), cluster),
-            "rank1_assigned": ((self.assigned[mated] == 1).astype(np.float64), cluster),
-            "mrr": (expected_reciprocal(above, tied, self.n_gallery), cluster),
-            "chance": (chance, cluster),
-            "rank1_g100": (
-                hit_among_strangers(above, tied, chance, companions),
-                cluster,
-            ),  # NaN for one is NaN for all: refused
+        of_mated: dict[str, Callable[[], Floats]] = {
+            "rank1": lambda: expected_hit(above, tied),
+            "rank1_assigned": lambda: (self.assigned[mated] == 1).astype(np.float64),
+            "mrr": lambda: expected_reciprocal(above, tied, self.n_gallery),
+            "chance": lambda: chance,
+            # NaN for one is NaN for all: refused.
+            "rank1_g100": lambda: hit_among_strangers(above, tied, chance, companions),
         }
-        if not mated.all():
+        found = {name: (value(), cluster) for name, value in of_mated.items() if name in names}
+        if "false_link_rate" in names and not mated.all():
             linked = (self.assigned[~mated] >= 0).astype(np.float64)
             found["false_link_rate"] = linked, self.cluster[~mated]
         return found
 
-    def sums(self, n_clusters: int) -> dict[str, tuple[Floats, Floats]]:
-        """Return the sum and the number of each metric's values in each cluster, (C,) each."""
+    def sums(
+        self, n_clusters: int, names: Collection[str] = RANK_METRICS
+    ) -> dict[str, tuple[Floats, Floats]]:
+        """Return the sum and the number of some metrics' values in each cluster, (C,) each."""
         return {
             name: (
                 cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
                 np.bincount(cluster, minlength=n_clusters).astype(np.float64),
             )
-            for name, (values, cluster) in self.values().items()
+            for name, (values, cluster) in self.values(names).items()
         }
-
-    def replicates(
-        self, weights: Floats, names: Collection[str] | None = None
-    ) -> dict[str, Floats]:
-        """Return the bootstrap replicates of each metric, (B,), as `scorecard` estimates it.
-
-        Parameters
-        ----------
-        weights : (B, C)
-            As there.
-        names : collection of str, optional
-            Of these metrics alone.
-        """
-        found = {}
-        for name, sums in self.sums(weights.shape[1]).items():
-            if names is None or name in names:
-                total, number = (weights @ np.stack(sums, axis=1)).T
-                with np.errstate(invalid="ignore"):  # nobody was drawn: NaN
-                    found[name] = total / number
-        return found
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -396,7 +380,7 @@ def _of_ranks(
         cluster=np.concatenate([search.probe_cluster for search in searches]),
         n_gallery=max(sizes),
     )
-    (hits, clusters), (chances, _) = (probes.values()[name] for name in ("rank1", "chance"))
+    (hits, clusters), (chances, _) = probes.values(("rank1", "chance")).values()
     return {
         "probes": probes,
         "p_value": p_value_among(observed, null),
