@@ -24,8 +24,6 @@ FEW_CLUSTERS: Final = 40.0
 intervals hold shares of 10 and 85 % in 87 to 94 of 100 studies, the jackknife's in 94 to 98."""
 LEAST_CLUSTERS: Final = 15.0
 """Effective clusters below which there is no interval, but an exact one of a count."""
-LEAST_DECIDED: Final = 20.0
-"""Effective clusters below which nothing is decided."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,6 +39,8 @@ class Estimate:
     """(B,) bootstrap replicates; the same row of weights in every estimate of a run."""
     closed_error: float | None = None
     """Standard error where it has a closed form."""
+    effective: float = np.nan
+    """Effective clusters, where their sizes are known: n^2 / sum m^2."""
 
     @property
     def standard_error(self) -> float:
@@ -50,14 +50,20 @@ class Estimate:
         drawn = self.replicates[np.isfinite(self.replicates)]
         return float(drawn.std(ddof=1)) if drawn.size > 1 else np.nan
 
+    @property
+    def n_effective(self) -> float:
+        """Clusters of equal size that would tell as much; all of them where no size is known."""
+        return self.effective if np.isfinite(self.effective) else float(self.n)
 
-def estimate_of(values: Floats, *, n: int) -> Estimate:
+
+def estimate_of(values: Floats, *, n: int, effective: float = np.nan) -> Estimate:
     """Return the estimate that a number and its replicates, (1 + B,), of `n` clusters make.
 
     Replicates that are not finite are left out of the interval.
     """
     drawn = values[1:]
-    return Estimate(float(values[0]), *percentile_interval(drawn[np.isfinite(drawn)]), n, drawn)
+    ends = percentile_interval(drawn[np.isfinite(drawn)])
+    return Estimate(float(values[0]), *ends, n, drawn, effective=effective)
 
 
 def difference(a: Estimate, b: Estimate) -> Estimate:
@@ -97,16 +103,6 @@ def exact_binomial(*, hits: int, n: int) -> tuple[float, float]:
     return low, high
 
 
-def effective_clusters(sizes: Floats) -> Floats:
-    """Return as how many clusters of equal size they count, (...,): n^2 / sum m^2; 0 if empty.
-
-    `sizes` are (..., C).
-    """
-    total, squares = sizes.sum(axis=-1), (sizes * sizes).sum(axis=-1)
-    found: Floats = np.divide(total * total, squares, out=np.zeros(total.shape), where=squares > 0)
-    return found
-
-
 def without_each(n_clusters: int) -> Floats:
     """Return weights of clusters, (1 + C, C): all of them, then all but each in turn."""
     return np.concatenate([np.ones((1, n_clusters)), 1.0 - np.eye(n_clusters)])
@@ -135,7 +131,7 @@ def jackknife_estimate(values: Floats, *, sizes: Floats, is_share: bool = False)
     1965 (the effective number).
     """
     value, each = float(values[0]), values[1:][sizes > 0]
-    n, effective = each.size, float(effective_clusters(sizes))
+    n, effective = each.size, effective_clusters(sizes)
     error = float(np.sqrt((n - 1.0) / n * ((each - value) ** 2).sum())) if n > 1 else np.nan
     if effective < LEAST_CLUSTERS or not np.isfinite(value):
         ends = np.nan, np.nan
@@ -147,7 +143,7 @@ def jackknife_estimate(values: Floats, *, sizes: Floats, is_share: bool = False)
         if is_share:
             centre, half = float(logit(value)), half / (value * (1.0 - value))
             ends = float(expit(centre - half)), float(expit(centre + half))
-    return Estimate(value, *ends, n, closed_error=error)
+    return Estimate(value, *ends, n, closed_error=error, effective=effective)
 
 
 def cluster_weights(*, n_clusters: int, n_replicates: int, seed: int) -> Floats:
@@ -164,6 +160,12 @@ def cluster_sums(*, values: Floats, cluster: Ints, n_clusters: int) -> Floats:
     """Return the sum of `values`, (R,), within each cluster, (C,)."""
     sums: Floats = np.bincount(cluster, weights=values, minlength=n_clusters).astype(np.float64)
     return sums
+
+
+def effective_clusters(sizes: Floats) -> float:
+    """Return n^2 / sum m^2 of clusters of m each, (C,), n in all: their number if all are equal."""
+    squares = float(sizes @ sizes)
+    return float(sizes.sum()) ** 2 / squares if squares > 0 else 0.0
 
 
 def ratio_estimate(
@@ -216,7 +218,8 @@ def ratio_estimates(
             ends = np.nan, np.nan
         elif is_share[row] and value in (0.0, 1.0):
             ends = wilson(hits=value * n, n=n)
-        found.append(Estimate(value, *ends, n, replicates[row]))
+        effective = effective_clusters(denominator[row])
+        found.append(Estimate(value, *ends, n, replicates[row], effective=effective))
     return found
 
 
@@ -232,18 +235,20 @@ def of_few(
     They are those of `jackknife_estimate`; below `LEAST_CLUSTERS`, if every cluster has as many
     trials and one outcome of them, the exact one of their count. Numbers and replicates stay.
     """
-    found, effective = [*estimates], effective_clusters(denominator)
-    for row in np.flatnonzero((effective < FEW_CLUSTERS) & is_share).tolist():
+    found = [*estimates]
+    for row, one in enumerate(estimates):
+        if not is_share[row] or one.effective >= FEW_CLUSTERS:
+            continue
         there = denominator[row] > 0
         hits, trials = numerator[row][there], denominator[row][there]
         ends = np.nan, np.nan
-        if effective[row] >= LEAST_CLUSTERS:
+        if one.effective >= LEAST_CLUSTERS:
             over, under = (one.sum() - np.append(0.0, one) for one in (hits, trials))
-            one = jackknife_estimate(over / under, sizes=trials, is_share=True)
-            ends = one.ci_low, one.ci_high
+            jackknife = jackknife_estimate(over / under, sizes=trials, is_share=True)
+            ends = jackknife.ci_low, jackknife.ci_high
         elif trials.size and (trials == trials[0]).all() and np.isin(hits, (0.0, trials[0])).all():
             ends = exact_binomial(hits=int((hits > 0).sum()), n=hits.size)
-        found[row] = replace(found[row], ci_low=ends[0], ci_high=ends[1])
+        found[row] = replace(one, ci_low=ends[0], ci_high=ends[1])
     return found
 
 

@@ -184,6 +184,7 @@ def scorecard(
     | auc, eer, cllr, cllr_min | as the functions; cllr needs `calibration` |
     | tpr_at_fpr_1pct, tpr_at_fpr_01pct | `tpr_at_fpr`; refused by the pairs that a search has |
     | d_sys, d_sys_corrected | `d_sys`, and less its mean under `permutation_p`'s shuffles |
+    | d_sys_published | `d_sys_published`: as its authors' program computes it |
 
     Rank metrics pool the probes of all searches. Score metrics pool the scores within a scale, a
     non-mated pair being of one search; over scales they are averaged, weighted by mated probes.
@@ -416,7 +417,7 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     estimates = dict(zip(sums, found, strict=True))
     estimates["residual_risk"] = _residual_risk_estimate(
         *(estimates[name] for name in ("rank1", "chance")),
-        is_few=float(effective_clusters(sums["rank1"][1])) < FEW_CLUSTERS,
+        is_few=estimates["rank1"].effective < FEW_CLUSTERS,
     )
     return estimates
 
@@ -443,7 +444,7 @@ def _score_estimates(
 ) -> dict[str, Estimate]:
     """Return the estimates of score metrics; of very few clusters they have no interval."""
     sizes = np.bincount(probes.cluster[probes.above >= 0]).astype(np.float64)
-    n, effective = int((sizes > 0).sum()), float(effective_clusters(sizes))
+    n, effective = int((sizes > 0).sum()), effective_clusters(sizes)
     drawn = np.stack([values[name][1:] for name in METRICS])
     estimates = {}
     for name, replicates, ends in zip(METRICS, drawn, percentile_intervals(drawn).T, strict=True):

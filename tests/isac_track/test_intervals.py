@@ -176,8 +176,8 @@ def test_a_difference_is_paired_in_the_replicates_that_both_have():
 
 
 def test_effective_clusters_are_as_many_as_there_are_if_all_are_alike():
-    sizes = np.array([[3.0, 3.0, 3.0, 0.0], [6.0, 1.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
-    assert effective_clusters(sizes) == pytest.approx([3.0, 64 / 38, 0.0])
+    for sizes, expected in (([3.0, 3.0, 3.0, 0.0], 3), ([6.0, 1.0, 1.0], 64 / 38), ([0.0], 0)):
+        assert effective_clusters(np.array(sizes)) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("is_share", [False, True])
