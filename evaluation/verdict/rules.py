@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
-from isac_track.intervals import LEAST_CLUSTERS, Estimate
+from isac_track.intervals import Estimate
 from isac_track.linkability.significance import holm
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ LEAST_FALL: Final = 0.20
 """Of linkage, from raw to the strongest fixed error: where it falls less, anything would track."""
 FEWEST_DISCORDANT: Final = 10
 """People linked under one of two mechanisms only: with fewer the interval is that of counts."""
-FEWEST_SHOWN, FEWEST_EFFECTIVE = LEAST_CLUSTERS, 20
+FEWEST_SHOWN, FEWEST_EFFECTIVE = 15, 20
 """Effective clusters, n^2 / sum m^2: for an interval, and for a decision."""
 REACH: Final = 0.02
 """Share of a descriptor's span by which a point may lie beyond the end of the fixed sweep."""
