@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.planted_worlds import KINDS, TASK, World, run, said_of, simulated
 
-from evaluation.reporting.answer_tables import short_tables
+from evaluation.reporting.answer_tables import item_tables
 from evaluation.verdict import rules
 from evaluation.verdict.sections import to_bytes
 
@@ -45,8 +45,8 @@ class TestPlantedTruths:
             ("flat", "validity", {"does not track"}, {"undecided"}),
             ("flat", "within", {"does not track"}, set()),
             # The advantage of FID was planted as well.
-            ("valid", "claim", {"holds"}, {"undecided"}),
-            ("fooled", "claim", {"holds"}, {"undecided"}),
+            ("valid", "claim", {"holds"}, {"between"}),
+            ("fooled", "claim", {"holds"}, {"between"}),
             ("valid", "inflation", {"inflated"}, set()),
         ],
     )
@@ -69,7 +69,7 @@ class TestPlantedTruths:
         wrong = 0
         for seed in range(times):
             said = run(World("empty", n_people=80), seed=seed)
-            wrong += any(one["decision"] != "undecided" for one in said["items"])
+            wrong += any(one["sign"] for one in said["items"])
         assert wrong <= most_wrong
 
 
@@ -84,7 +84,7 @@ class TestVerdict:
             assert one["ci_low"] <= one["effect"] <= one["ci_high"] or one["section"] == "claim"
             assert one["n"] == 200
             assert one["sentence"].endswith(".")
-            assert bool(one["why_undecided"]) == (one["decision"] == "undecided")
+            assert bool(one["why"]) == (not one["sign"])
             assert one["sign"] == rules.SIGN[one["decision"]]
         assert json.loads(to_bytes(said)) == json.loads(json.dumps(said))
         found = Counter((one["section"], one["adding"]) for one in said["items"])
@@ -93,10 +93,9 @@ class TestVerdict:
         assert len(said["answer"]) == 3
         assert "PLR, AEL and MEL do not track" in said["answer"][0]
 
-    def test_the_short_tables_hold_every_item_of_every_mechanism(self, strangers):
-        tables = short_tables(strangers)
-        cells = [cell.text for one in tables for row in one.rows for cell in row[2:]]
-        assert len([cell for cell in cells if cell]) == len(strangers["items"])
+    def test_the_tables_hold_every_item_of_every_mechanism(self, strangers):
+        tables = item_tables(strangers["items"])
+        assert sum(len(one.rows) for one in tables.values()) == len(strangers["items"])
 
     def test_a_mechanism_of_somebody_elses_is_judged_like_fid(self, strangers):
         items = [one for one in strangers["items"] if one.get("mechanism") == "mine:Ou"]
