@@ -14,6 +14,7 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
+from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, comparisons, matched
 from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
@@ -28,7 +29,6 @@ from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_who
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, given_back
 from evaluation.verdict import sections as verdict
-from evaluation.verdict.within_level import read_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -112,8 +112,8 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     compared = tuple(comparisons(sweeps, predictors=predictors))
     at_equal = matched(compared, known=known, dataset=dataset)
     best = strongest(sweeps.found, known)
-    tracks = read_levels(out, manifest, sweeps, strongest=best)
-    said = verdict.verdict(sweeps, compared, tracks, strongest=best, manifest=manifest)
+    probes = read_probes(out, manifest, sweeps, strongest=best)
+    said = verdict.verdict(sweeps, compared, probes, strongest=best, manifest=manifest)
     results = Results(
         out=out,
         manifest=manifest,

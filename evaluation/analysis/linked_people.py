@@ -1,20 +1,68 @@
-"""Who is linked at every level of a task, and what their own windows give away, summed by cluster.
+"""Who is linked at every level of a task, and what their own windows give away.
 
 Both axes of a comparison of mechanisms come from the same people: the descriptors are those of the
-windows that are linked, not of the tracks in scenes. Everything is a ratio of sums over clusters,
-so that a bootstrap, a jackknife or one half of the people are weights of these sums.
+windows that are linked, not of the tracks in scenes. Summed by cluster everything is a ratio of
+sums, so that a bootstrap, a jackknife or one half of the people are weights of these sums.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
+from evaluation.analysis.strongest import by_task, strongest_of
+from evaluation.cells.link_scores import COMPANIONS
+from evaluation.cells.link_setup import SIDES
+from evaluation.experiment.constants import WINDOWS
+from evaluation.runs.cell_files import read_rows
+from isac_track.intervals import cluster_sums
+from isac_track.linkability import GALLERY
+from isac_track.linkability.ranks import expected_hit, hit_among_strangers
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
 
-    from evaluation.analysis.keys import Source
-    from isac_track.types import Floats
+    from evaluation.analysis.keys import Source, Where
+    from evaluation.analysis.matching import Sweeps
+    from evaluation.analysis.strongest import Levels
+    from isac_track.types import Floats, Ints
+
+COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
+"""Of either release: length, speed and mean noise."""
+_WHOSE: Final = ("search", "source")
+_COLUMN_OF: Final = {name: METRICS[name].column for name in DESCRIPTORS}
+_OF_PROBES: Final = (*_WHOSE, "group", "above", "tied", "chance", *COMPANIONS)
+_OF_WINDOWS: Final = ("side", *_WHOSE, *COVARIATES, *_COLUMN_OF.values())
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkedProbes:
+    """Who is linked at one mechanism level, and what their own windows say: N mated probes."""
+
+    mechanism: str
+    level: float | None
+    linker: Source
+    hit: Floats
+    """(N,) expected share of cases in which the mate comes first"""
+    hit_among: Floats
+    """(N,) the same in a gallery of `GALLERY` without companions; NaN with fewer candidates"""
+    chance: Floats
+    """(N,) of `hit`"""
+    cluster: Ints
+    """(N,) numbered alike at all levels of a task"""
+    clusters: tuple[str, ...]
+    """Their names."""
+    descriptors: Mapping[str, Floats]
+    """By descriptor, (N, 2): in the probe and in the gallery release"""
+    covariates: Floats
+    """(N, K) `COVARIATES` of either release"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,3 +93,126 @@ class LinkedTask:
     clusters: tuple[str, ...]
     """(C,) names, sorted"""
     levels: tuple[LinkedLevel, ...]
+
+
+def read_probes(
+    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, *, strongest: Mapping[str, Source]
+) -> dict[str, list[LinkedProbes]]:
+    """Return who is linked at every level, by task, in the order of the run.
+
+    `strongest` is by task its strongest linker (`analysis.strongest`). Raw, fixed noise and FID are
+    linked by it, every other mechanism by the one that is strongest there: an adversary takes what
+    works.
+
+    Raises DataError if a cell cannot be read.
+    """
+    cells = {
+        (entry["mechanism"], entry["level"], entry["consumer"], entry["knowledge"]): entry
+        for entry in manifest["cells"]
+    }
+    levels = by_task(sweeps.found, metric=SUCCESS)
+    return {
+        task: [
+            _probes(out, linked, windows, one)
+            for where, one in _linkers(sweeps, levels[task], linker)
+            if (linked := cells.get((*where, *one)))
+            and (windows := cells.get((*where, f"{task}/{WINDOWS}", "")))
+        ]
+        for task, linker in strongest.items()
+        if task
+    }
+
+
+def _linkers(sweeps: Sweeps, levels: Levels, linker: Source) -> Iterator[tuple[Where, Source]]:
+    """Yield the levels of a task and who links there."""
+    plain = [
+        RAW,
+        *(sweeps.named(one, adding=rule) for rule in ADDING_RULES for one in (FIXED, FID)),
+    ]
+    of: dict[str, list[Mapping[Source, float]]] = {}
+    for (mechanism, _), block in levels.items():
+        of.setdefault(mechanism, []).append(block)
+    for where in levels:
+        if where[0] in plain:
+            yield where, linker
+        elif sweeps.known[where[0]].is_added:
+            yield where, strongest_of(of[where[0]]) or linker
+
+
+def _probes(
+    out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any], linker: Source
+) -> LinkedProbes:
+    probes = read_rows(out, linked, columns=_OF_PROBES, beside=_OF_WINDOWS)
+    probes = probes.filter(pc.greater_equal(probes["above"], 0))
+    tracks = read_rows(out, windows, columns=_OF_WINDOWS, beside=_OF_PROBES)
+    names, sides = _names(tracks), []
+    for side in SIDES:
+        mine = np.flatnonzero(pc.equal(tracks["side"], side).to_numpy())
+        sides.append(mine[pc.index_in(_names(probes), value_set=names.take(mine)).to_numpy()])
+
+    def both(column: str) -> Floats:
+        values = tracks[column].to_numpy().astype(np.float64)
+        return np.column_stack([values[side] for side in sides])
+
+    above, tied, *along = (
+        probes[name].to_numpy().astype(np.int64) for name in ("above", "tied", *COMPANIONS)
+    )
+    chance = probes["chance"].to_numpy()
+    clusters, cluster = np.unique(probes["group"].to_numpy().astype(str), return_inverse=True)
+    return LinkedProbes(
+        mechanism=linked["mechanism"],
+        level=linked["level"],
+        linker=linker,
+        hit=expected_hit(above, tied),
+        hit_among=hit_among_strangers(above, tied, chance, np.stack(along, axis=1)),
+        chance=chance,
+        cluster=cluster,
+        clusters=tuple(clusters.tolist()),
+        descriptors={name: both(column) for name, column in _COLUMN_OF.items()},
+        covariates=np.column_stack([both(column) for column in COVARIATES]),
+    )
+
+
+def _names(rows: pa.Table) -> pa.ChunkedArray:
+    """Return what a track is called in its search and among all."""
+    search, source = (rows[name].cast(pa.string()) for name in _WHOSE)
+    return pc.binary_join_element_wise(search, source, "\n")
+
+
+def by_cluster(probes: Mapping[str, Sequence[LinkedProbes]]) -> tuple[LinkedTask, ...]:
+    """Return the tasks of a run summed by cluster; `probes` is what `read_probes` returns."""
+    return tuple(_task(task, levels) for task, levels in probes.items() if levels)
+
+
+def _task(task: str, levels: Sequence[LinkedProbes]) -> LinkedTask:
+    among = all(np.isfinite(one.hit_among).all() for one in levels)
+    clusters = levels[0].clusters
+
+    def sums(values: Floats, one: LinkedProbes) -> Floats:
+        return cluster_sums(values=values, cluster=one.cluster, n_clusters=len(clusters))
+
+    return LinkedTask(
+        task=task,
+        gallery=GALLERY if among else None,
+        clusters=clusters,
+        levels=tuple(
+            LinkedLevel(
+                mechanism=one.mechanism,
+                level=one.level,
+                linker=one.linker,
+                success=sums(one.hit_among if among else one.hit, one),
+                chance=sums(np.full(one.hit.size, 1.0 / GALLERY) if among else one.chance, one),
+                probes=sums(np.ones(one.hit.size), one),
+                descriptors={
+                    name: np.stack(
+                        [
+                            sums(np.where(np.isnan(values), 0.0, values).sum(axis=1), one),
+                            sums((~np.isnan(values)).sum(axis=1) * 1.0, one),
+                        ]
+                    )
+                    for name, values in one.descriptors.items()
+                },
+            )
+            for one in levels
+        ),
+    )

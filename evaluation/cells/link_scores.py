@@ -41,6 +41,8 @@ REPLICATES: Final = "replicates"
 ABOUT: Final = "about"
 DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")
 """Metrics whose replicates follow from those of others: they are not kept."""
+COMPANIONS: Final = ("companions", "companions_above", "companions_tied")
+"""Columns of `ProbeRanks.companions`: who walks along is no candidate of `rank1_g100`."""
 ASSIGNED: Final = ("nobody", "other", "mate", "unknown")
 """What is assigned to a probe; unknown where leaving somebody alone has no cost."""
 _NUMBERS = (
@@ -256,7 +258,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
       included (-1 and 0 without a mate); `mate_score`, `best_other_score` (NaN where there is
       none, of controls, and with `SensedSessions.candidates`), `chance` of rank 1, `assigned`
       (`ASSIGNED`); with the raw scores also `mate` (place in the gallery, or -1) and `scores`
-      against the whole gallery;
+      against the whole gallery; `COMPANIONS`;
     - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
     - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
     - `about`: one row with all other numbers as JSON.
@@ -276,6 +278,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         "best_other_score": best.astype(np.float32),
         "chance": probes.chance,
         "assigned": names_column(assigned, ASSIGNED),
+        **dict(zip(COMPANIONS, probes.companions.astype(np.int32).T, strict=True)),
     }
     about: dict[str, Any] = {
         "calibration": {fold: asdict(one) for fold, one in linked.calibration.items()},

@@ -22,7 +22,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.cells.link_scores import ABOUT, ASSIGNED, DERIVED, ESTIMATES, REPLICATES
+from evaluation.cells.link_scores import ABOUT, ASSIGNED, COMPANIONS, DERIVED, ESTIMATES, REPLICATES
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import ROWS, Tables
@@ -41,7 +41,7 @@ _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
 _NAMES: Final = ("source", "group", "search", "side", "assigned", "metric", "about")
 _OUTCOME: Final = (
-    *("group", "above", "tied", "chance", "assigned", "about"),
+    *("group", "above", "tied", "chance", "assigned", "about", *COMPANIONS),
     *("metric", "value", "ci_low", "ci_high", "n"),
 )
 """Columns of a linkage cell beside its replicates."""
@@ -228,6 +228,7 @@ def _outcomes(
     """Yield what consumers of a file achieve: of each its task, its tables, whether it draws."""
     metrics, groups, assigned = (_coded(whole[name]) for name in ("metric", "group", "assigned"))
     above, tied, chance = (whole[name].to_numpy() for name in ("above", "tied", "chance"))
+    along = np.stack([whole[name].to_numpy() for name in COMPANIONS], axis=1)
     fields = [whole[name].to_numpy() for name in ("value", "ci_low", "ci_high", "n")]
     is_mate = np.array([ASSIGNED.index(name) - 1 for name in assigned[1]], dtype=np.int64)
     found = []
@@ -249,6 +250,7 @@ def _outcomes(
             above=above[rows].astype(np.int64),
             tied=tied[rows].astype(np.int64),
             chance=chance[rows],
+            companions=along[rows].astype(np.int64),
             assigned=is_mate[assigned[0][rows]],
             cluster=np.array([place.get(name, -1) for name in groups[1]])[groups[0][rows]],
             n_gallery=about["numbers"]["gallery_sizes"][1],

@@ -17,13 +17,14 @@ from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.rules import DOES_NOT, NAME, TRACKS, UNDECIDED, WEAKLY, listed
 from evaluation.verdict.validity import validity
-from evaluation.verdict.within_level import LevelTracks, within
+from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from evaluation.analysis.keys import Source
+    from evaluation.analysis.linked_people import LinkedProbes
     from evaluation.analysis.matching import Comparison, Sweeps
 
     Items = Sequence[dict[str, Any]]
@@ -39,7 +40,7 @@ _PLURAL: Final = {
 def verdict(
     sweeps: Sweeps,
     compared: Iterable[Comparison],
-    levels: Mapping[str, Sequence[LevelTracks]],
+    levels: Mapping[str, Sequence[LinkedProbes]],
     *,
     strongest: Mapping[str, Source],
     manifest: Mapping[str, Any],

@@ -7,113 +7,31 @@ it: how long the track is, how fast, and how noisy in both releases.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.compute as pc
 from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, RAW
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS
-from evaluation.cells.link_setup import SIDES
-from evaluation.experiment.constants import WINDOWS
-from evaluation.runs.cell_files import read_rows
+from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import rules
 from evaluation.verdict.rules import NAME, Draft, known, with_interval
 from isac_track.intervals import CONFIDENCE, Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from evaluation.analysis.keys import Source
+    from evaluation.analysis.linked_people import LinkedProbes
     from evaluation.analysis.matching import Sweeps
     from isac_track.types import Floats, Ints
 
-COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
-"""Of either release: length, speed and mean noise."""
-_WHOSE: Final = ("search", "source")
 _FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class LevelTracks:
-    """Who is linked at one mechanism level, and what their own tracks say."""
-
-    mechanism: str
-    hit: Floats
-    """(N,) expected share of cases in which the mate comes first"""
-    chance: Floats
-    """(N,)"""
-    cluster: Ints
-    """(N,)"""
-    descriptors: Mapping[str, Floats]
-    """By descriptor, (N, 2): in the probe and in the gallery release"""
-    covariates: Floats
-    """(N, K)"""
-
-
-def read_levels(
-    out: Path, manifest: Mapping[str, Any], sweeps: Sweeps, *, strongest: Mapping[str, Source]
-) -> dict[str, list[LevelTracks]]:
-    """Return the tracks of raw and of every level of a sweep, by task.
-
-    `strongest` is by task its strongest linker.
-
-    Raises DataError if a cell cannot be read.
-    """
-    wanted = {RAW}.union(*(sweeps.swept(adding) for adding in ADDING_RULES))
-    cells = [entry for entry in manifest["cells"] if entry["mechanism"] in wanted]
-    windows = {(entry["spec"], entry["consumer"]): entry for entry in cells}
-    return {
-        task: [
-            _level(out, entry, windows[entry["spec"], f"{task}/{WINDOWS}"])
-            for entry in cells
-            if (entry["consumer"], entry["knowledge"]) == linker
-            and (entry["spec"], f"{task}/{WINDOWS}") in windows
-        ]
-        for task, linker in strongest.items()
-    }
-
-
-def _level(out: Path, linked: Mapping[str, Any], windows: Mapping[str, Any]) -> LevelTracks:
-    descriptors = {name: METRICS[name].column for name in DESCRIPTORS}
-    of_tracks = ["side", *_WHOSE, *COVARIATES, *descriptors.values()]
-    of_probes = [*_WHOSE, "group", "above", "tied", "chance"]
-    probes = read_rows(out, linked, columns=of_probes, beside=of_tracks)
-    probes = probes.filter(pc.greater_equal(probes["above"], 0))
-    tracks = read_rows(out, windows, columns=of_tracks, beside=of_probes)
-    names, sides = _names(tracks), []
-    for side in SIDES:
-        mine = np.flatnonzero(pc.equal(tracks["side"], side).to_numpy())
-        sides.append(mine[pc.index_in(_names(probes), value_set=names.take(mine)).to_numpy()])
-
-    def both(column: str) -> Floats:
-        values = tracks[column].to_numpy().astype(np.float64)
-        return np.column_stack([values[side] for side in sides])
-
-    above, tied = (probes[name].to_numpy() for name in ("above", "tied"))
-    return LevelTracks(
-        mechanism=windows["mechanism"],
-        hit=np.where(above == 0, 1.0 / tied, 0.0),
-        chance=probes["chance"].to_numpy(),
-        cluster=np.unique(probes["group"].to_numpy().astype(str), return_inverse=True)[1],
-        descriptors={name: both(column) for name, column in descriptors.items()},
-        covariates=np.column_stack([both(column) for column in COVARIATES]),
-    )
-
-
-def _names(rows: pa.Table) -> pa.ChunkedArray:
-    """Return what a track is called in its search and among all."""
-    search, source = (rows[name].cast(pa.string()) for name in _WHOSE)
-    return pc.binary_join_element_wise(search, source, "\n")
-
-
 def within(
-    levels: Mapping[str, Sequence[LevelTracks]], sweeps: Sweeps, *, success: Mapping[str, Source]
+    levels: Mapping[str, Sequence[LinkedProbes]], sweeps: Sweeps, *, success: Mapping[str, Source]
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
 
@@ -125,7 +43,7 @@ def within(
         for descriptor in DESCRIPTORS:
             for task, linker in success.items():
                 # Each release once: several eta may share the same.
-                mine: dict[bytes, LevelTracks] = {}
+                mine: dict[bytes, LinkedProbes] = {}
                 for one in levels.get(task, ()):
                     if one.mechanism in wanted:
                         release = np.column_stack([one.hit, *one.descriptors.values()])
@@ -134,7 +52,7 @@ def within(
                     yield _item([*mine.values()], adding, descriptor, linker)
 
 
-def _item(levels: Sequence[LevelTracks], adding: str, descriptor: str, linker: Source) -> Draft:
+def _item(levels: Sequence[LinkedProbes], adding: str, descriptor: str, linker: Source) -> Draft:
     works = clustered_mean(
         np.concatenate([one.hit - one.chance for one in levels]),
         np.concatenate([one.cluster for one in levels]),

@@ -7,6 +7,7 @@ them at once with intervals. Where an attack's scores are all equal, every metri
 """
 
 from isac_track.linkability.ranks import (
+    GALLERY,
     Search,
     assign,
     chance,
@@ -14,6 +15,7 @@ from isac_track.linkability.ranks import (
     log_rank,
     mean_log_rank,
     rank1,
+    rank1_among,
     reciprocal_rank,
     residual_risk,
 )
@@ -42,8 +44,9 @@ from isac_track.linkability.significance import (
 )
 
 __all__ = ["Calibration", "Outcome", "ProbeRanks", "Scorecard", "Search"]
-__all__ += ["LEVEL", "MIN_EXPECTED", "SCORE_REPLICATES", "SLOPE_PENALTY"]
-__all__ += ["assign", "chance", "cmc", "log_rank", "mean_log_rank", "rank1", "reciprocal_rank"]
+__all__ += ["GALLERY", "LEVEL", "MIN_EXPECTED", "SCORE_REPLICATES", "SLOPE_PENALTY"]
+__all__ += ["assign", "chance", "cmc", "log_rank", "mean_log_rank"]
+__all__ += ["rank1", "rank1_among", "reciprocal_rank"]
 __all__ += ["auc", "cllr", "cllr_min", "d_sys", "eer", "fit_calibration"]
 __all__ += ["minimum_detectable_rank1", "outcome", "permutation_p", "rank1_p", "rank_scorecard"]
 __all__ += ["residual_risk", "roc_hull", "scorecard", "tpr_at_fpr"]

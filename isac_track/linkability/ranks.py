@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
     from isac_track.types import Floats, Ints
 
+GALLERY = 100
+"""Candidates, the mate included, among whom `rank1_among` asks for the first: the measure that
+compares over recordings, whose galleries differ. A guess hits one time in so many."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Search:
@@ -97,6 +101,31 @@ def rank1(*, scores: Floats, mate: Ints) -> Floats:
     hit = expected_hit(*standing(scores, mate))
     hit[mate < 0] = np.nan
     return hit
+
+
+def rank1_among(*, above: Ints, tied: Ints, candidates: Ints, gallery: int = GALLERY) -> Floats:
+    """Return how often each probe's mate comes first among candidates drawn at random, (P,).
+
+    Exact over all galleries that hold the mate and gallery - 1 of the N - 1 others:
+    C(N - 1 - m, gallery - 1) / C(N - 1, gallery - 1) with m others at or above the mate, the mean
+    over the places that a tie leaves it. NaN where there are fewer candidates than that.
+
+    Parameters
+    ----------
+    above, tied, candidates : (P,)
+        Candidates that score above the mate, as high (the mate included), and in all.
+    gallery : int, optional
+        At least 1.
+    """
+    first: Floats = np.full(above.shape, np.nan)
+    for n in np.unique(candidates[candidates >= gallery]).tolist():
+        mine = candidates == n
+        # An m-th other is passed over by a draw of gallery - 1 among those who are left.
+        left = np.arange(n - 1.0, 0.0, -1.0)
+        passed = np.cumprod(np.append(1.0, np.maximum(left - (gallery - 1), 0.0) / left))
+        sums = np.append(0.0, np.cumsum(passed))
+        first[mine] = (sums[(above + tied)[mine]] - sums[above[mine]]) / tied[mine]
+    return first
 
 
 def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
@@ -215,6 +244,13 @@ def residual_risk(*, success: float, control: float) -> float:
 def expected_hit(above: Ints, tied: Ints) -> Floats:
     """Return `rank1` of who has so many above it, and as many as high, itself included."""
     return np.where(above == 0, 1.0 / tied, 0.0)
+
+
+def hit_among_strangers(above: Ints, tied: Ints, chance: Floats, companions: Ints) -> Floats:
+    """Return `rank1_among` of who is searched for among strangers: as in `ProbeRanks`, (P,)."""
+    along, along_above, along_tied = companions.T
+    candidates = np.rint(1.0 / chance).astype(np.int64) - along
+    return rank1_among(above=above - along_above, tied=tied - along_tied, candidates=candidates)
 
 
 def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:

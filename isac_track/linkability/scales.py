@@ -226,10 +226,11 @@ def _costs(
     return own, between
 
 
-def over_scales(results: Sequence[Scale]) -> dict[str, Floats]:
+def over_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Floats]:
     """Return the values of `Scale`: means, weighted by each replicate's mass of mated scores.
 
-    NaN where no scale has both classes, and where a TPR is refused.
+    NaN where no scale has both classes, and where a TPR is refused: on the non-mated pairs of one
+    of `n_searches`, in the mean, since those of several are of the same few people again.
     """
     mass = np.stack([one.mass for one in results])
     mean: dict[str, Floats] = {}
@@ -237,7 +238,7 @@ def over_scales(results: Sequence[Scale]) -> dict[str, Floats]:
         of_scale = np.where(mass > 0, [one.values[name] for one in results], 0.0)
         with np.errstate(invalid="ignore"):
             mean[name] = (of_scale * mass).sum(axis=0) / mass.sum(axis=0)
-    n_non_mated = sum(result.n_non_mated for result in results)
+    n_non_mated = sum(result.n_non_mated for result in results) / n_searches
     for name, alpha in LEVELS.items():
         if is_refused(n_non_mated, alpha):
             mean[name][:] = mean[name.replace("tpr_at", "realised")][:] = np.nan

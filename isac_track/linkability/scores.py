@@ -21,8 +21,9 @@ from isac_track.linkability.significance import import_loops
 if TYPE_CHECKING:
     from isac_track.types import Floats
 
-MIN_EXPECTED = 10
-"""A TPR at the FPR alpha needs 10 / alpha non-mated scores: ten above the threshold."""
+MIN_EXPECTED = 30
+"""A TPR at the FPR alpha needs 30 / alpha non-mated scores, thirty above the threshold: pairs of
+the same people depend on each other. In a closed gallery of N people there are N (N - 1)."""
 
 SLOPE_PENALTY = 1e-6
 """Of the squared slope per standard deviation of the score, where each class weighs 1: it keeps the
@@ -95,7 +96,7 @@ def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float
     Returns
     -------
     (float, float)
-        NaN twice for fewer than 10 / alpha non-mated scores (`MIN_EXPECTED`).
+        NaN twice for fewer than 30 / alpha non-mated scores (`MIN_EXPECTED`).
 
     Raises
     ------
@@ -234,7 +235,7 @@ def inner_edges(low: float, high: float, n_bins: int) -> Floats:
     return np.linspace(low, high, n_bins + 1)[1:-1]
 
 
-def is_refused(n_non_mated: int, alpha: float) -> bool:
+def is_refused(n_non_mated: float, alpha: float) -> bool:
     """Tell whether non-mated scores are too few for `tpr_at_fpr`."""
     return n_non_mated * alpha < MIN_EXPECTED * (1 - 1e-12)
 

@@ -28,6 +28,7 @@ from isac_track.linkability.ranks import (
     assign_in,
     expected_hit,
     expected_reciprocal,
+    hit_among_strangers,
     residual_risk,
     standing,
 )
@@ -43,6 +44,7 @@ from isac_track.linkability.scales import (
 from isac_track.linkability.significance import (
     add_shuffles,
     check_searches,
+    companions_of,
     mated_probes,
     minimum_detectable_rank1,
     n_candidates,
@@ -78,6 +80,8 @@ class ProbeRanks:
     """(P,) candidates that score as high as its mate, the mate included; 0 without one"""
     chance: Floats
     """(P,) of rank 1"""
+    companions: Ints
+    """(P, 3) candidates of its cluster beside its mate: how many, and of these above and as high"""
     assigned: Ints
     """(P,) who is assigned to it: 1 its mate, 0 somebody else, -1 nobody"""
     cluster: Ints
@@ -92,11 +96,16 @@ class ProbeRanks:
         """
         mated = self.above >= 0
         above, tied, cluster = self.above[mated], self.tied[mated], self.cluster[mated]
+        chance, companions = self.chance[mated], self.companions[mated]
         found = {
             "rank1": (expected_hit(above, tied), cluster),
             "rank1_assigned": ((self.assigned[mated] == 1).astype(np.float64), cluster),
             "mrr": (expected_reciprocal(above, tied, self.n_gallery), cluster),
-            "chance": (self.chance[mated], cluster),
+            "chance": (chance, cluster),
+            "rank1_g100": (
+                hit_among_strangers(above, tied, chance, companions),
+                cluster,
+            ),  # NaN for one is NaN for all: refused
         }
         if not mated.all():
             linked = (self.assigned[~mated] >= 0).astype(np.float64)
@@ -180,11 +189,12 @@ def scorecard(
     | metric | what it is |
     |---|---|
     | rank1, mrr | `rank1`, `reciprocal_rank`: mean over mated probes |
+    | rank1_g100 | `rank1_among`, without companions; refused if one mated probe has too few |
     | rank1_assigned | share of mated probes to which `assign` gives their mate |
     | false_link_rate | share of probes without a mate that get somebody; only if there are any |
     | chance, residual_risk | `chance`, and `residual_risk` of rank1 against it |
     | auc, eer, cllr, cllr_min | as the functions; cllr needs `calibration` |
-    | tpr_at_fpr_1pct, tpr_at_fpr_01pct | `tpr_at_fpr`; refused on all non-mated pairs together |
+    | tpr_at_fpr_1pct, tpr_at_fpr_01pct | `tpr_at_fpr`; refused by the pairs that a search has |
     | d_sys, d_sys_corrected | `d_sys`, and less its mean under `permutation_p`'s shuffles |
 
     Rank metrics pool the probes of all searches. Score metrics pool the scores within a scale, a
@@ -201,9 +211,9 @@ def scorecard(
     come out too low; replicates come out lower still, and a percentile interval would miss twice.
 
     Away from chance, intervals at 95 % of 40 clusters hold the population's value in 92 to 95 % of
-    studies, those of eer and cllr_min in 89 to 91 %, that of the TPR in 97 % (the tests measure
-    it). At chance, where eer, cllr_min and d_sys are at their bounds, and for an AUC near 1, they
-    hold it far less often: whether there is a link at all is for `p_value` to say.
+    studies, those of eer and cllr_min in 89 to 91 % (the tests measure it). At chance, where eer,
+    cllr_min and d_sys are at their bounds, and for an AUC near 1, they hold it far less often:
+    whether there is a link at all is for `p_value` to say.
 
     A metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
     Wilson's interval, with the clusters as the sample size: of all variables in 0..1 a mean of 0 or
@@ -311,7 +321,7 @@ def scorecard_of(
         for scale, cut in cells.items()
     ]
     of_ranks = _of_ranks(searches, standings, assignments, observed, null)
-    values = over_scales(results)
+    values = over_scales(results, n_searches=len(searches))
     estimates = _rank_estimates(of_ranks["probes"], weights)
     estimates |= _score_estimates(results, values, of_ranks["n_clusters"])
     return Scorecard(
@@ -375,6 +385,7 @@ def _of_ranks(
         above=above,
         tied=tied,
         chance=np.repeat(1.0 / np.array(sizes), [search.mate.size for search in searches]),
+        companions=np.concatenate([_companions(search) for search in searches]),
         assigned=np.concatenate(assignments),
         cluster=np.concatenate([search.probe_cluster for search in searches]),
         n_gallery=max(sizes),
@@ -393,6 +404,14 @@ def _of_ranks(
             n=hits.size, chance=float(chances.mean()) if hits.size else 1.0
         ),
     }
+
+
+def _companions(search: Search) -> Ints:
+    """Return `ProbeRanks.companions` of a search."""
+    probe, column = companions_of(people_of(search))
+    own, theirs = search.scores[probe, search.mate[probe]], search.scores[probe, column]
+    which = (np.ones(probe.size, dtype=bool), theirs > own, theirs == own)
+    return np.stack([np.bincount(probe[one], minlength=search.mate.size) for one in which], axis=1)
 
 
 def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import bdtrc, betaincinv, gammaln, xlog1py, xlogy
 
 from isac_track.linkability.ranks import Search, log_factorials
+from isac_track.types import stretches
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -246,6 +247,23 @@ def mated_probes(people: People) -> Mated:
     n_of_size = np.bincount(counts)
     sizes = np.flatnonzero(n_of_size)
     return Mated(probes, mate[probes], sizes, n_of_size[sizes])
+
+
+@lru_cache(maxsize=64)
+def companions_of(people: People) -> tuple[Ints, Ints]:
+    """Return who walks along with whom: probe and candidate, (n,) each, no mates of each other.
+
+    They are of one cluster; of probes with a mate alone.
+    """
+    mate, probes, gallery = (np.frombuffer(each, dtype=np.int64) for each in people)
+    order = np.argsort(gallery, kind="stable")
+    first, last = (np.searchsorted(gallery[order], probes, side=end) for end in ("left", "right"))
+    probe, column = (
+        np.repeat(np.arange(mate.size), last - first),
+        order[stretches(first, last - first)[0]],
+    )
+    others = (mate[probe] >= 0) & (mate[probe] != column)
+    return probe[others], column[others]
 
 
 def rank_rows(search: Search, breaks: Floats, counts: Ints) -> Ranked:

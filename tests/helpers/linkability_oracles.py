@@ -154,7 +154,7 @@ def pooled(searches, weight):
 def score_metrics(searches, weight, calibration):
     """Every score metric of one replicate: per scale from the duplicated scores, then averaged."""
     everyone = np.ones_like(weight)
-    n_non_mated = sum(s.scores.size - (s.mate >= 0).sum() for s in searches)
+    n_non_mated = np.mean([s.scores.size - (s.mate >= 0).sum() for s in searches])
     values, masses = [], []
     for scale in sorted({search.scale for search in searches}):
         group = [search for search in searches if search.scale == scale]
@@ -170,8 +170,8 @@ def score_metrics(searches, weight, calibration):
                 cllr_min(mated, non_mated),
                 d_sys(mated, non_mated, edges),
                 cllr(slope * mated + intercept, slope * non_mated + intercept),
-                *(tpr(mated, non_mated, 0.01) if n_non_mated >= 1_000 else [np.nan] * 2),
-                *(tpr(mated, non_mated, 0.001) if n_non_mated >= 10_000 else [np.nan] * 2),
+                *(tpr(mated, non_mated, 0.01) if n_non_mated >= 3_000 else [np.nan] * 2),
+                *(tpr(mated, non_mated, 0.001) if n_non_mated >= 30_000 else [np.nan] * 2),
             ]
         )
         masses.append(len(mated))

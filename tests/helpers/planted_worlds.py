@@ -12,13 +12,13 @@ import numpy as np
 from helpers.mechanisms import RULE, sweeps_of
 from scipy.stats import norm
 
-from evaluation.analysis.keys import Key
+from evaluation.analysis.keys import Key, Source
+from evaluation.analysis.linked_people import LinkedProbes
 from evaluation.analysis.matching import comparisons
 from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.analysis.strongest import strongest
 from evaluation.experiment.presets import SHARED
 from evaluation.verdict.sections import verdict
-from evaluation.verdict.within_level import LevelTracks
 from isac_track.intervals import ratio_estimate
 
 KINDS = ("valid", "fooled", "flat", "empty")
@@ -136,6 +136,10 @@ def simulated(world, *, rng):
         if family in {"raw", "fixed", "fid", "mine:Ou"}:
             seen = np.column_stack([plr, plr * np.exp(0.02 * rng.normal(size=n))])
             descriptors = {name: seen * scale for name, scale in SCALES.items()}
-            chance = np.full(n, CHANCE)
-            levels.append(LevelTracks(mechanism, hit, chance, cluster, descriptors, nuisance))
+            levels.append(
+                LinkedProbes(
+                    *(mechanism, level, Source(LINKER, "informed"), hit, hit, np.full(n, CHANCE)),
+                    *(cluster, tuple(map(str, range(n_pairs))), descriptors, nuisance),
+                )
+            )
     return found, levels

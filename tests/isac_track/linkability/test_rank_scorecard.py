@@ -34,7 +34,7 @@ def test_what_ranks_tell_is_alike_and_all_else_refused(decimals, seed):
     assert ranks.p_value == permutation_p(searches=searches, rng=rng)
     for name in ("p_rank1", "n_probes", "n_mated", "gallery_sizes", "n_clusters"):
         assert getattr(ranks, name) == getattr(whole, name)
-    for name in ("above", "tied", "chance", "cluster"):
+    for name in ("above", "tied", "chance", "companions", "cluster"):
         assert np.array_equal(getattr(ranks.probes, name), getattr(whole.probes, name))
 
 

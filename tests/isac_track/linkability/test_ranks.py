@@ -1,6 +1,7 @@
 """Ranks and assignments against brute force and by hand."""
 
 import math
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from isac_track.linkability import (
     log_rank,
     mean_log_rank,
     rank1,
+    rank1_among,
     reciprocal_rank,
     residual_risk,
 )
@@ -34,6 +36,24 @@ def test_ranks_are_means_over_the_orders_of_ties(levels):
     ):
         expected = oracles.over_mates(scores, mate, value)
         assert function(scores=scores, mate=mate) == pytest.approx(expected, abs=1e-12, nan_ok=True)
+
+
+@pytest.mark.parametrize("levels", [2, 5, 100])
+def test_rank1_among_is_the_mean_over_all_galleries_that_could_be_drawn(levels):
+    rng, n, gallery = stream(levels, "test", "galleries"), 8, 4
+    scores = rng.integers(0, levels, (n, n)).astype(float)
+    expected = []
+    for row in range(n):
+        others = [column for column in range(n) if column != row]
+        drawn = np.array([[row, *some] for some in combinations(others, gallery - 1)])
+        hits = [oracles.over_mates(scores[row, one][None], [0], lambda r: r == 1) for one in drawn]
+        expected.append(np.mean(hits))
+    own = np.diag(scores)[:, None]
+    counts = {"above": (scores > own).sum(axis=1), "tied": (scores == own).sum(axis=1)}
+    found = rank1_among(**counts, candidates=np.full(n, n), gallery=gallery)
+    assert found == pytest.approx(expected, abs=1e-12)
+    few = rank1_among(**counts, candidates=np.full(n, gallery - 1), gallery=gallery)
+    assert np.isnan(few).all()
 
 
 def test_cmc_by_hand():

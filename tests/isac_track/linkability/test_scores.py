@@ -46,20 +46,20 @@ def test_score_metrics_are_brute_force(decimals):
 @pytest.mark.parametrize("decimals", [0, 1, 8])
 def test_tpr_at_fpr_is_brute_force(decimals, alpha):
     rng = stream(decimals, "test", "tpr")
-    mated, non_mated = rng.standard_normal(30) + 2, rng.standard_normal(1_000)
+    mated, non_mated = rng.standard_normal(30) + 2, rng.standard_normal(3_000)
     mated, non_mated = np.round(mated, decimals), np.round(non_mated, decimals)
     expected = oracles.tpr(mated, non_mated, alpha)
     actual = tpr_at_fpr(mated=mated, non_mated=non_mated, alpha=alpha)
     assert actual == pytest.approx(expected, abs=1e-12)
 
 
-def test_tpr_is_refused_below_ten_expected_false_links_and_allows_a_share_at_the_level():
-    mated, non_mated = np.ones(3), np.zeros(1_000)
+def test_tpr_is_refused_below_thirty_expected_false_links_and_allows_a_share_at_the_level():
+    mated, non_mated = np.ones(3), np.zeros(3_000)
     assert tpr_at_fpr(mated=mated, non_mated=non_mated, alpha=0.01) == (1.0, 0.0)
     refused = tpr_at_fpr(mated=mated, non_mated=non_mated[1:], alpha=0.01)
     assert np.isnan(refused).all()
-    # Ten of a thousand are at least as high as 990, eleven as 989.
-    classes = {"mated": np.array([989.0, 990.0]), "non_mated": np.arange(1_000.0)}
+    # Thirty of 3,000 are at least as high as 2970, 31 as 2969.
+    classes = {"mated": np.array([2969.0, 2970.0]), "non_mated": np.arange(3_000.0)}
     assert tpr_at_fpr(**classes, alpha=0.01) == (0.5, pytest.approx(0.01))
 
 

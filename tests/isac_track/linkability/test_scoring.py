@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers import linkability_oracles as oracles
 from helpers.searches import CALIBRATION, card, gaussian, random_searches, search
-from scipy.stats import norm
+from scipy.stats import hypergeom, norm
 
 from isac_track.intervals import cluster_weights, wilson
 from isac_track.linkability import (
@@ -67,10 +67,10 @@ def test_replicates_are_the_metrics_of_duplicated_scores(decimals, seed):
 
 @pytest.mark.parametrize(
     ("shape", "refused"),
-    [((72, 72), []), ((20, 26), ["01pct"]), ((20, 25), ["1pct", "01pct"])],
+    [((174, 174), []), ((52, 59), ["01pct"]), ((52, 58), ["1pct", "01pct"])],
 )
-def test_so_is_the_tpr_unless_the_pairs_of_all_scales_are_too_few(shape, refused):
-    """10,224, 1,000 and 960 non-mated pairs, in halves."""
+def test_so_is_the_tpr_unless_the_pairs_of_a_search_are_too_few(shape, refused):
+    """30,102, 3,016 and 2,964 non-mated pairs in either half."""
     rng, diagonal = stream(10, "test", "tpr"), 2.0 * np.eye(*shape)
     scores = np.round(rng.standard_normal((2, *shape)) + diagonal, 1)
     searches = [search(one, scale=scale) for scale, one in enumerate(scores)]
@@ -202,23 +202,50 @@ def test_an_open_set_counts_who_is_linked_though_absent_by_the_search_s_own_scor
     assert 0 < np.mean(linked[::2]) < 1
 
 
-HARMONIC = (1 / np.arange(1, 41)).sum()
+@pytest.mark.parametrize(("n", "decimals"), [(130, 0), (130, 8), (100, 8)])
+def test_rank1_of_100_strangers_is_what_hypergeometric_draws_say(n, decimals):
+    rng = stream(24, "test", "gallery", n, decimals)
+    cluster, mate = np.arange(n) // 2, np.append(rng.permutation(n)[: n - 20], np.full(20, -1))
+    own = np.flatnonzero(mate >= 0)
+    scores = rng.standard_normal((n, n)) + 2.0 * (mate[:, None] == np.arange(n))
+    first = Search(np.round(scores, decimals), mate, cluster, rng.permutation(cluster))
+    hits = []
+    for row in own:
+        theirs = np.flatnonzero(first.gallery_cluster != cluster[row])
+        among = np.append(
+            first.scores[row, theirs[theirs != mate[row]]], first.scores[row, mate[row]]
+        )
+        draws = [among.size - 1, 99]
+        chances = [hypergeom(draws[0], r - 1, draws[1]).pmf(0) for r in oracles.ranks(among, -1)]
+        hits.append(np.mean(chances))
+    one = card([first], n_clusters=n // 2).estimates["rank1_g100"]
+    if n == 100:  # companions are no candidates: too few are left
+        assert np.isnan([one.value, one.ci_low, *one.replicates]).all()
+        return
+    assert one.value == pytest.approx(np.mean(hits), abs=1e-12)
+    for weight, value in zip(
+        cluster_weights(n_clusters=n // 2, n_replicates=20, seed=0), one.replicates, strict=True
+    ):
+        assert value == pytest.approx(np.average(hits, weights=weight[cluster[own]]), abs=1e-12)
+
+
+HARMONIC = (1 / np.arange(1, 61)).sum()
 EXTREMES = {
-    # Scores of 40 people: the metrics, p-values of either tail and of rank 1, whether inverted.
+    # Scores of 60 people: the metrics, p-values of either tail and of rank 1, whether inverted.
     "perfect": (
-        5 * np.eye(40),
+        5 * np.eye(60),
         {"rank1": 1, "mrr": 1, "auc": 1, "eer": 0, "cllr_min": 0, "d_sys": 1}
         | {"tpr_at_fpr_1pct": 1, "residual_risk": 1, "rank1_assigned": 1},
-        (1 / 1000, 1.0, 40.0**-40, False),
+        (1 / 1000, 1.0, 60.0**-60, False),
     ),
-    "equal": (  # one fractional hit is one hit of the 40 guesses
-        np.ones((40, 40)),
-        {"rank1": 1 / 40, "mrr": HARMONIC / 40, "auc": 0.5, "eer": 0.5, "cllr_min": 1}
+    "equal": (  # one fractional hit is one hit of the 60 guesses
+        np.ones((60, 60)),
+        {"rank1": 1 / 60, "mrr": HARMONIC / 60, "auc": 0.5, "eer": 0.5, "cllr_min": 1}
         | {"d_sys": 0, "d_sys_corrected": 0, "tpr_at_fpr_1pct": 0, "residual_risk": 0},
-        (1.0, 1.0, 1 - (39 / 40) ** 40, False),
+        (1.0, 1.0, 1 - (59 / 60) ** 60, False),
     ),
     "inverted": (  # which D_sys cannot see
-        -5 * np.eye(40),
+        -5 * np.eye(60),
         {"rank1": 0, "auc": 0, "eer": 0.5, "cllr_min": 1, "d_sys": 1},
         (1.0, 1 / 1000, 1.0, True),
     ),
@@ -228,7 +255,7 @@ EXTREMES = {
 @pytest.mark.parametrize("name", EXTREMES)
 def test_extremes_have_known_values(name):
     scores, expected, tests = EXTREMES[name]
-    result = card([search(scores)], n_clusters=40, calibration=CALIBRATION)
+    result = card([search(scores)], n_clusters=60, calibration=CALIBRATION)
     found = {metric: result.estimates[metric].value for metric in expected}
     assert found == pytest.approx(expected, abs=1e-12)
     said = (result.p_value, result.p_value_low, result.p_rank1, result.is_inverted)
@@ -236,17 +263,17 @@ def test_extremes_have_known_values(name):
 
 
 def test_what_does_not_vary_has_wilsons_interval():
-    low, high = wilson(hits=40, n=40)
+    low, high = wilson(hits=60, n=60)
     scores, expected, _ = EXTREMES["perfect"]
-    estimates = card([search(scores)], n_clusters=40).estimates
+    estimates = card([search(scores)], n_clusters=60).estimates
     for name, value in expected.items():
         ends = (low, high) if value else (1 - high, 1 - low)
         if name == "residual_risk":
-            ends = residual_risk(success=low, control=1 / 40), 1.0
+            ends = residual_risk(success=low, control=1 / 60), 1.0
         assert (estimates[name].ci_low, estimates[name].ci_high) == pytest.approx(ends, abs=1e-12)
-    equal = card([search(np.ones((40, 40)))], n_clusters=40)
+    equal = card([search(np.ones((60, 60)))], n_clusters=60)
     area = equal.estimates["auc"]
-    assert (area.ci_low, area.ci_high) == pytest.approx(wilson(hits=20, n=40))
+    assert (area.ci_low, area.ci_high) == pytest.approx(wilson(hits=30, n=60))
     assert (equal.estimates["eer"].ci_high, equal.realised_fpr_1pct) == (0.5, 0.0)
     # The chance is known even where it is one.
     single = [search([[1.0]], cluster=[cluster]) for cluster in (0, 1)]
@@ -274,7 +301,7 @@ def test_one_candidate_one_cluster_and_nobody_with_a_mate_say_little():
     # One cluster has values, and no interval.
     scores = stream(14, "test").standard_normal((8, 8))
     for name, one in card([search(scores, cluster=np.zeros(8, int))], **options).estimates.items():
-        assert name.startswith("tpr") or math.isfinite(one.value), name
+        assert name.startswith(("tpr", "rank1_g")) or math.isfinite(one.value), name
         assert np.isnan([one.ci_low, one.ci_high]).all(), name
         assert one.n == 1
 
@@ -303,7 +330,6 @@ def coverage(n_repetitions):
     truth = {"auc": norm.cdf(1.5 / math.hypot(spread, wider)), "eer": eer(**classes)}
     truth |= {"cllr_min": cllr_min(**classes), "d_sys": d_sys(**classes)[0]}
     truth["cllr"] = cllr(llr_mated=mated - 1, llr_non_mated=non_mated - 1)
-    truth["tpr_at_fpr_1pct"] = norm.sf((norm.isf(0.01) * spread - 1.5) / wider)
     rows = []
     for seed in range(n_repetitions):
         rng = stream(seed, "test", "coverage")
@@ -320,7 +346,7 @@ def coverage(n_repetitions):
 
 
 MEASURED = {"rank1": 0.934, "mrr": 0.942, "auc": 0.926, "cllr": 0.925, "d_sys": 0.949}
-MEASURED |= {"tpr_at_fpr_1pct": 0.975, "eer": 0.890, "cllr_min": 0.911}
+MEASURED |= {"eer": 0.890, "cllr_min": 0.911}
 """What 95 % intervals of 40 clusters hold, in 2,000 repetitions: resampling so few is a little too
 narrow, and the hull's bias is corrected only in part."""
 

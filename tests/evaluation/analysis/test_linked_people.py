@@ -1,0 +1,102 @@
+"""Who is linked, read once from the cells: against the summary and the rows of each cell."""
+
+import numpy as np
+import pytest
+from helpers.runs import rows_of
+from helpers.small_runs import smoke, write_walks
+
+import evaluation
+from evaluation.analysis.families import families_in
+from evaluation.analysis.keys import Key, Source
+from evaluation.analysis.linked_people import LinkedProbes, by_cluster, read_probes
+from evaluation.analysis.matching import Sweeps
+from evaluation.runs.manifest import read_manifest
+from isac_track.intervals import Estimate
+
+TASKS = {"rerelease": Source("rerelease/shape", "blind"), "split": Source("split/shape", "blind")}
+SPECS = {("raw", None): "raw", ("fixed", 0.7): "fixed:0.7", ("offset", 0.3): "offset:0.3"}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("linked")
+    settings = smoke(
+        write_walks(folder / "walks.csv"),
+        folder / "run",
+        attacks=("shape", "profile"),
+        tasks=tuple(TASKS),
+        mechanisms=tuple(SPECS.values()),
+    )
+    results = evaluation.run(settings, pictures=False)
+    found = {
+        Key(
+            row.mechanism,
+            None if np.isnan(row.level) else row.level,
+            row.consumer,
+            row.metric,
+            row.knowledge,
+        ): Estimate(row.value)
+        for row in results.summary.fillna({"knowledge": ""}).itertuples()
+    }
+    manifest = read_manifest(settings.out)
+    sweeps = Sweeps(found, families_in(manifest["cells"]))
+    return found, settings.out, read_probes(settings.out, manifest, sweeps, strongest=TASKS)
+
+
+def test_sums_over_clusters_are_the_summary_and_the_windows_of_who_is_linked(run):
+    found, out, probes = run
+    for task in by_cluster(probes):
+        assert task.gallery is None  # of thirty people
+        assert [(one.mechanism, one.level) for one in task.levels] == list(SPECS)
+        for one in task.levels:
+            for name, sums in (("rank1", one.success), ("chance", one.chance)):
+                expected = found[
+                    Key(one.mechanism, one.level, one.linker.consumer, name, one.linker.knowledge)
+                ]
+                assert sums.sum() / one.probes.sum() == pytest.approx(expected.value)
+            spec = SPECS[one.mechanism, one.level]
+            rows = rows_of(out, spec, *one.linker)
+            linked = rows[rows["above"] >= 0]
+            windows = rows_of(out, spec, f"{task.task}/windows")
+            mine = windows.merge(linked[["search", "source"]], on=["search", "source"])
+            assert len(mine) == 2 * len(linked) == 2 * one.probes.sum()
+            total, n = one.descriptors["ael"]
+            own = mine.groupby("group", observed=True)["ael_s"].agg(["sum", "count"])
+            assert list(own.index) == list(task.clusters)
+            assert total == pytest.approx(own["sum"].to_numpy())
+            assert n.tolist() == own["count"].tolist()
+
+
+def test_other_mechanisms_are_linked_by_whoever_is_strongest_there(run):
+    found, _, probes = run
+    for task, linker in TASKS.items():
+        who = {one.mechanism: one.linker for one in probes[task]}
+        rivals = {
+            key.measure.source: one.value
+            for key, one in found.items()
+            if key.mechanism == "offset"
+            and key.metric == "rank1"
+            and key.knowledge
+            and key.measure.source.task == task
+        }
+        assert len(rivals) > 1
+        assert who == {"raw": linker, "fixed": linker, "offset": max(rivals, key=rivals.get)}
+
+
+@pytest.mark.parametrize(("among", "gallery"), [([0.5, 1.0, 0.0], 100), ([0.5, np.nan, 0.0], None)])
+def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
+    hit, chance = np.array([1.0, 1.0, 0.0]), np.full(3, 1 / 120)
+    shown = np.array([[0.1, np.nan], [0.2, 0.4], [np.nan, np.nan]])
+    one = LinkedProbes(
+        *("raw", None, TASKS["split"], hit, np.array(among), chance, np.array([0, 0, 1])),
+        *(("a", "b"), {"plr": shown}, np.zeros((3, 1))),
+    )
+    (task,) = by_cluster({"split": [one]})
+    (level,) = task.levels
+    assert (task.gallery, task.clusters) == (gallery, ("a", "b"))
+    assert level.success.tolist() == ([1.5, 0.0] if gallery else [2.0, 0.0])
+    assert level.chance == pytest.approx(
+        [2 * (0.01 if gallery else 1 / 120), 0.01 if gallery else 1 / 120]
+    )
+    assert level.probes.tolist() == [2.0, 1.0]
+    assert level.descriptors["plr"] == pytest.approx(np.array([[0.7, 0.0], [3.0, 0.0]]))
