@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from evaluation.experiment.settings import Settings
-    from evaluation.results import Results, load, run
+    from evaluation.reporting.notebook import Results, load
+    from evaluation.results import run
 
 __all__ = ["Results", "Settings", "load", "run"]
 
@@ -26,7 +27,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands fo
         raise AttributeError(f"module 'evaluation' has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415 - as above
 
-    home = "experiment.settings" if name == "Settings" else "results"
+    home = {"Settings": "experiment.settings", "run": "results"}.get(name, "reporting.notebook")
     return getattr(import_module(f"evaluation.{home}"), name)
 
 

@@ -20,6 +20,7 @@ from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
+from evaluation.reporting.notebook import load
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex
 from evaluation.runs import folder
@@ -33,7 +34,7 @@ from evaluation.verdict import sections as verdict
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["Results", "build", "load", "run"]
+__all__ = ["Results", "build", "load", "rebuild", "run"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
 
@@ -41,9 +42,10 @@ _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 def run(
     settings: Settings | None = None,
     *,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: bool | Callable[[int, int, str], None] = False,
     ready: Plan | None = None,
     pictures: bool = True,
+    **options: Any,  # noqa: ANN401 - as many types as options
 ) -> Results:
     """Run the matrix and return its results as data frames.
 
@@ -51,17 +53,22 @@ def run(
     ----------
     settings : Settings, optional
         By default preset `paper`.
-    progress : callable, optional
-        Called with cells finished, cells to do, and what is under way.
+    progress : bool or callable
+        Whether to show the data and how far the run is, on standard error; or what is called with
+        cells finished, cells to do, and what is under way.
     ready : Plan, optional
         A plan of `plan`, instead of settings.
     pictures : bool
         Without them there are neither figures nor `report.html`; `evaluation.report` draws them.
+    **options
+        Of `Settings`, over those given: `evaluation.run(preset="smoke", mechanisms=["raw"])`.
 
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     if ready is None:
-        ready = plan(settings or Settings())
+        ready = plan((settings or Settings()).changed(**options))
+    elif settings is not None or options:
+        raise SettingsError("a plan that is ready has its settings: leave out all others")
     if pictures:
         check_drawing()
     folder.check_folder(ready.out)
@@ -71,8 +78,8 @@ def run(
         return build(ready.out, pictures=pictures, jobs=ready.jobs)
 
 
-def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Results:
-    """Return the results of a run folder, and write its tables, figures and page anew.
+def rebuild(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Results:
+    """Write tables, figures and page of a run folder anew, and return its results.
 
     Parameters
     ----------
@@ -96,7 +103,7 @@ def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Result
 def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1) -> Results:
     """Write summary, tables and figures of a run folder, drawn by `jobs` workers, and return them.
 
-    Otherwise as `load`, which locks the folder and checks its cells first.
+    Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]

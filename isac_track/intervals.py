@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import ndtri
 
 from isac_track.rng import stream
 
@@ -64,6 +63,8 @@ def wilson(*, hits: float, n: float) -> tuple[float, float]:
     """
     if not (n > 0 and 0 <= hits <= n):
         raise ValueError(f"a share needs 0 <= hits <= n and n > 0, got {hits} of {n}")
+    from scipy.special import ndtri  # noqa: PLC0415 - slow to import, and seldom needed
+
     z2 = ndtri(0.5 + CONFIDENCE / 2) ** 2
     share = hits / n
     centre = (share + z2 / (2 * n)) / (1 + z2 / n)
