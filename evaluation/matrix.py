@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import sys
 import tomllib
@@ -12,14 +11,21 @@ from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.experiment.presets import PRESETS
 from evaluation.experiment.settings import Settings, check_drawing
-from evaluation.reporting.announcements import broken, listing, notices, plan_lines
+from evaluation.reporting.announcements import (
+    broken,
+    condensed,
+    listing,
+    notices,
+    plan_lines,
+    wrapped,
+)
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
 _EXIT = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
@@ -84,6 +90,7 @@ def parser() -> argparse.ArgumentParser:
     for option, about in {
         "--keep-scores": "keep the raw scores of everybody who links as well: some hundred MB",
         "--fresh": "replace the run in the folder, do not continue it",
+        "--verbose": "print all tables and notices, not the first screen alone",
         "--list": "list what can be named, and stop",
         "--dry-run": "say what would be computed, and stop",
     }.items():
@@ -139,15 +146,20 @@ def _command(arguments: Sequence[str] | None) -> int:
         return DONE
     settings = settings_from(options)
     check_drawing()
+    from evaluation.reporting.progress import progress_bar  # noqa: PLC0415 - as said below
     from evaluation.runs.workers import ahead  # noqa: PLC0415 - as said below
 
-    with _progress_bar() as update, ahead(0 if options.dry_run else _n_workers(settings)):
+    said: list[str] = []
+    whole = options.verbose or options.dry_run
+    with progress_bar(said) as update, ahead(0 if options.dry_run else _n_workers(settings)):
         update(0, None, "reading the recording")
         # Heavy imports only now: --help, --list and a typing error answer at once.
         from evaluation.experiment.plan import plan  # noqa: PLC0415 - as said
 
         ready = plan(settings)
-        _say(plan_lines(ready), stream=sys.stderr)
+        first, *others = plan_lines(ready)
+        said += wrapped(first) + condensed(others, most=None if whole else 3, where="--dry-run")
+        _say(said, stream=sys.stderr)
         if options.dry_run:
             return DONE
         # What draws and shows is heavier still: until here, the user knows what is under way.
@@ -159,9 +171,11 @@ def _command(arguments: Sequence[str] | None) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedCellsWarning)  # told below
             results = run(ready=ready, progress=update)
-    _say((f"notice: {one}" for one in notices(results.manifest)), stream=sys.stderr)
-    show(results)
-    _say([f"\nresults in {results.out}; read {results.out / 'report.html'} first"])
+    told = [f"notice: {one}" for one in notices(results.manifest)]
+    told = condensed(told, most=None if whole else 2, where="tables.txt")
+    _say(told, stream=sys.stderr)
+    # One more: loops may have been compiled.
+    show(results, before=len(said) + len(told) + 1, verbose=options.verbose)
     return FAILED_CELLS if len(results.failed) else DONE
 
 
@@ -174,37 +188,6 @@ def _n_workers(settings: Settings) -> int:
     jobs = jobs_of(crossed, settings)
     needed = jobs > 1 or has_strangers(crossed) or settings.cell_timeout_s is not None
     return jobs if needed and settings.scheduler is None else 0
-
-
-@contextlib.contextmanager
-def _progress_bar() -> Iterator[Callable[[int, int | None, str], None]]:
-    """Show how far a run is: a bar on a terminal, elsewhere a line when a stage begins."""
-    from rich import progress  # noqa: PLC0415 - as said
-    from rich.console import Console  # noqa: PLC0415 - as said
-
-    console, seen = Console(stderr=True), {""}
-    with progress.Progress(
-        progress.TextColumn("{task.description}", markup=False),
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        "cells",
-        progress.TimeElapsedColumn(),
-        "left",
-        progress.TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-    ) as bar:
-        task = bar.add_task("starting", total=None)
-
-        def update(done: int, total: int | None, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=f"{what:<40.40}")
-            stage = what.partition(":")[0] if total else ""
-            if not console.is_terminal and stage not in seen:
-                seen.add(stage)
-                print(f"{stage}: {done} of {total} cells are finished", file=sys.stderr)
-
-        yield update
 
 
 def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace:

@@ -27,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add = command.add_argument
     add("out", type=Path, help="folder of a run, as given to the matrix by --out")
     add("--pdf", action="store_true", help="also write every figure as PDF, for print")
+    add("--verbose", action="store_true", help="print all tables, as in tables.txt")
     about = (
         "also write its summary into docs/results and the result tables of README and docs, in the "
         "repository that one stands in"
@@ -37,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _redraw(options: Namespace) -> int:
     results = rebuild(options.out, pdf=options.pdf)
-    show(results)
+    show(results, verbose=options.verbose)
     if options.docs:
         for path in write_docs(results, root=Path.cwd()):
             print(f"written: {path}")

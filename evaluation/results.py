@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from threadpoolctl import threadpool_limits
@@ -20,9 +22,11 @@ from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import strongest
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
+from evaluation.reporting.announcements import plan_lines
 from evaluation.reporting.notebook import load
+from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
-from evaluation.reporting.tables import write_tex
+from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
 from evaluation.runs.cell_files import read_gallery
 from evaluation.runs.execute import execute
@@ -30,6 +34,7 @@ from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_who
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, given_back
 from evaluation.verdict import sections as verdict
+from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,7 +47,7 @@ _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 def run(
     settings: Settings | None = None,
     *,
-    progress: bool | Callable[[int, int, str], None] = False,
+    progress: bool | Callable[[int, int, str], None] = True,
     ready: Plan | None = None,
     pictures: bool = True,
     **options: Any,  # noqa: ANN401 - as many types as options
@@ -69,13 +74,21 @@ def run(
         ready = plan((settings or Settings()).changed(**options))
     elif settings is not None or options:
         raise SettingsError("a plan that is ready has its settings: leave out all others")
+    if progress is True:
+        for line in plan_lines(ready):
+            sys.stderr.write(f"{line}\n")
     if pictures:
         check_drawing()
     folder.check_folder(ready.out)
-    with given_back(), locked(ready.out), _one_thread():
+    shown = progress_bar([]) if progress is True else contextlib.nullcontext(progress or _silent)
+    with given_back(), locked(ready.out), _one_thread(), shown as update:
         with ahead():
-            execute(ready, progress or (lambda _done, _total, _what: None))
+            execute(ready, update)
         return build(ready.out, pictures=pictures, jobs=ready.jobs)
+
+
+def _silent(_done: int, _total: int, _what: str) -> None:
+    pass
 
 
 def rebuild(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Results:
@@ -143,6 +156,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     write_whole(out / "flags.json", flags.to_json(flagged, looked))
     write_whole(out / "verdict.json", verdict.to_bytes(said))
     write_tex(results, folder=out / "tables")
+    write_text(results)
     folder.remove_figures(out)  # those of an earlier report tell of other results
     if pictures:
         _draw(results, pdf=pdf, jobs=jobs)

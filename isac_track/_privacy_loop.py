@@ -13,23 +13,29 @@ if TYPE_CHECKING:
 
 @compiled(
     *(together(read(2), read(2), read(2), read(2)), together(FLOAT, FLOAT)),
-    *(read(1), read(1, "int64"), FLOAT, written(2)),
+    *(read(1), read(1, "int64"), together(FLOAT, FLOAT), written(2)),
 )
 def described(
     places: tuple[Floats, Floats, Floats, Floats],
     turn: tuple[float, float],
     t: Floats,
     offsets: Ints,
-    epsilon_m: float,
+    rule: tuple[float, float],
     out: Floats,
 ) -> None:
-    """Fill `out` (5, N) with PLR, AEL, MEL, segments and mean squared error of every track."""
-    (xy, truth, moved_to, moved_from), (cos, sin) = places, turn
+    """Fill `out` (5, N) with PLR, AEL, MEL, segments and mean squared error of every track.
+
+    The `rule` is epsilon in m, and 1 if a sample lasts by the intervals beside it, 0 if all last
+    their mean.
+    """
+    (xy, truth, moved_to, moved_from), (cos, sin), (epsilon_m, by_segment) = places, turn, rule
     for i in range(offsets.size - 1):
         first, end = offsets[i], offsets[i + 1]
         n = end - first
-        total_m2 = 0.0
-        leaked = run = longest = segments = 0
+        total_m2 = run_s = leaked_s = longest_s = 0.0
+        leaked = segments = leaks = 0
+        mean_s = (t[end - 1] - t[first]) / (n - 1) if n > 1 else 0.0
+        before_s = t[first + 1] - t[first] if n > 1 else 0.0
         for k in range(first, end):
             step_x = moved_to[k, 0] - moved_from[k, 0]
             step_y = moved_to[k, 1] - moved_from[k, 1]
@@ -38,14 +44,18 @@ def described(
             square_m2 = x * x + y * y
             total_m2 += square_m2
             # Without a branch: which samples leak is as hard to foretell as a coin.
-            leaks = int(sqrt(square_m2) < epsilon_m)
+            leaked_before, leaks = leaks, int(sqrt(square_m2) < epsilon_m)
             leaked += leaks
-            segments += leaks * int(run == 0)
-            run = leaks * (run + 1)
-            longest = max(longest, run)
-        interval_s = (t[end - 1] - t[first]) / (n - 1) if n > 1 else nan
+            segments += leaks * (1 - leaked_before)
+            after_s = t[k + 1] - t[k] if k + 1 < end else before_s
+            lasting_s = 0.5 * (before_s + after_s) if by_segment > 0.0 else mean_s
+            before_s = after_s
+            leaked_s += leaks * lasting_s
+            run_s = leaks * (run_s + lasting_s)
+            longest_s = max(longest_s, run_s)
+        unknown = n == 1 and leaked == 1
         out[0, i] = leaked / n
-        out[1, i] = leaked / segments * interval_s if segments > 0 else 0.0
-        out[2, i] = longest * interval_s if segments > 0 else 0.0
+        out[1, i] = nan if unknown else leaked_s / max(segments, 1)
+        out[2, i] = nan if unknown else longest_s
         out[3, i] = segments
         out[4, i] = total_m2 / n

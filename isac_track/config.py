@@ -12,12 +12,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, Literal, dataclass_transform, get_args, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    TypeAlias,
+    dataclass_transform,
+    get_args,
+    get_type_hints,
+)
 
 from isac_track.errors import SettingsError, did_you_mean, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+IntervalsOf: TypeAlias = Literal["segment", "trajectory"]
+"""Whose sampling intervals the duration of a leaked segment is made of."""
 
 _types_of = cache(get_type_hints)
 
@@ -115,11 +126,11 @@ class SensingSettings:
     rcs_m2: float = _number(1.0, 1e-6, 1e6)
     """reading: radar cross-section of a pedestrian"""
     resource_share: float = _number(1.0, 1e-6, 1e6)  # reading: m_s of eq. swarm_fi
-    large_scale_db: float = _number(11.79, 0, 100)
+    large_scale_db: float = _number(11.72, 0, 100)
     """fitted: two-way log-normal spread, drawn once per track"""
-    processing_gain_db: float = _number(32.43, -200, 200)
+    processing_gain_db: float = _number(32.45, -200, 200)
     """fitted: integration gain of the sensing receiver"""
-    crb_gap_db: float = _number(13.27, -200, 200)  # fitted: sigma_raw over sqrt(CRB), in 20 log10
+    crb_gap_db: float = _number(13.3, -200, 200)  # fitted: sigma_raw over sqrt(CRB), in 20 log10
     sigma_cap_m: float = _number(2.0, 1e-6, 1e6)  # reading, fixed before the fit: caps sigma_raw
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
@@ -147,6 +158,9 @@ class PrivacySettings:
 
     epsilon_m: float = _number(0.3, 1e-6, 1e4)
     """paper: a sample leaks when it lies closer than this to the truth"""
+    intervals: IntervalsOf = "segment"
+    """reading: whose sampling intervals a leaked segment lasts, its own or the `trajectory`'s
+    mean"""
 
 
 @_stage

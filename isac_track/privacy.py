@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from isac_track.config import IntervalsOf, PrivacySettings
     from isac_track.types import Bools, Floats, Ints
 
 
@@ -58,11 +59,13 @@ def distance_m(*, shared_xy: Floats, true_xy: Floats) -> Floats:
     return distance
 
 
-def exposure(*, leaked: Bools, t: Floats, offsets: Ints) -> Exposure:
+def exposure(
+    *, leaked: Bools, t: Floats, offsets: Ints, intervals: IntervalsOf = "segment"
+) -> Exposure:
     """Return PLR, AEL and MEL of every trajectory.
 
-    Consecutive leaked samples form a segment. A segment of n samples lasts n mean sampling
-    intervals of its trajectory, so that one sample counts one interval. AEL is the mean over a
+    Consecutive leaked samples form a segment, and it lasts as long as its samples do
+    (`lasting_s`), so that one sample counts about one interval. AEL is the mean over a
     trajectory's segments, MEL its longest; both are 0 without a leaked sample. A trajectory of
     one sample has no interval: if that sample leaks, AEL and MEL are NaN (unknown, not zero).
 
@@ -75,26 +78,49 @@ def exposure(*, leaked: Bools, t: Floats, offsets: Ints) -> Exposure:
     n_samples = np.diff(offsets)
     if offsets[0] != 0 or offsets[-1] != t.size or (n_samples < 1).any():
         raise ValueError("offsets must run from 0 to M without an empty trajectory")
-    interval_s = mean_interval_s(t=t, offsets=offsets)
     first, last = offsets[:-1], offsets[1:] - 1
     previous = np.concatenate([[False], leaked[:-1]])
     previous[first] = False
     following = np.concatenate([leaked[1:], [False]])
     following[last] = False
-    starts = np.flatnonzero(leaked & ~previous)
+    is_start = leaked & ~previous
+    starts = np.flatnonzero(is_start)
     run_samples = np.flatnonzero(leaked & ~following) - starts + 1
     owner = np.searchsorted(offsets, starts, side="right") - 1
+    sample_s = lasting_s(t=t, offsets=offsets, intervals=intervals)
+    leaked_s, run_of = sample_s[leaked], np.cumsum(is_start)[leaked] - 1
+    run_s = np.bincount(run_of, weights=leaked_s, minlength=starts.size)
 
     n_tracks = n_samples.size
     segments = np.bincount(owner, minlength=n_tracks)
     leaked_samples = np.bincount(owner, weights=run_samples, minlength=n_tracks)
     exposed = segments > 0
     ael_s, mel_s = np.zeros(n_tracks), np.zeros(n_tracks)
-    ael_s[exposed] = (leaked_samples[exposed] / segments[exposed]) * interval_s[exposed]
-    if run_samples.size:
+    total_s = np.bincount(owner[run_of], weights=leaked_s, minlength=n_tracks)
+    ael_s[exposed] = total_s[exposed] / segments[exposed]
+    if run_s.size:
         first_run = np.cumsum(segments)[exposed] - segments[exposed]
-        mel_s[exposed] = np.maximum.reduceat(run_samples, first_run) * interval_s[exposed]
+        mel_s[exposed] = np.maximum.reduceat(run_s, first_run)
     return Exposure(plr=leaked_samples / n_samples, ael_s=ael_s, mel_s=mel_s, segments=segments)
+
+
+def lasting_s(*, t: Floats, offsets: Ints, intervals: IntervalsOf) -> Floats:
+    """Return how long each sample lasts, (M,) s; NaN for a trajectory of one sample.
+
+    By the intervals of its `segment` half the interval before it and half the one after it (at
+    either end of the trajectory the one interval that there is); by those of its `trajectory` the
+    mean interval of the whole.
+    """
+    if intervals == "trajectory":
+        return np.repeat(mean_interval_s(t=t, offsets=offsets), np.diff(offsets))
+    steps_s = np.diff(t)
+    before_s, after_s = np.append(np.nan, steps_s), np.append(steps_s, np.nan)
+    first, last = offsets[:-1], offsets[1:] - 1
+    after_s[last] = np.nan
+    before_s[first] = after_s[first]
+    after_s[last] = before_s[last]
+    lasting: Floats = 0.5 * (before_s + after_s)
+    return lasting
 
 
 def described(
@@ -103,7 +129,7 @@ def described(
     truth: Floats,
     t: Floats,
     offsets: Ints,
-    epsilon_m: float,
+    settings: PrivacySettings,
     moved: tuple[Floats, Floats] | None = None,
     turn: complex = 1.0,
 ) -> Floats:
@@ -117,8 +143,9 @@ def described(
     to, since = moved or (xy, xy)
     places = tuple(np.ascontiguousarray(one) for one in (xy, truth, to, since))
     times, out = np.ascontiguousarray(t), np.empty((5, offsets.size - 1))
+    rule = settings.epsilon_m, float(settings.intervals == "segment")
     import_module("isac_track._privacy_loop").described(
-        places, (turn.real, turn.imag), times, offsets, epsilon_m, out
+        places, (turn.real, turn.imag), times, offsets, rule, out
     )
     return out
 

@@ -148,7 +148,9 @@ def make_scenes(
     exhausted = np.zeros(n_scenes, dtype=np.int64)
     for scene, rng in enumerate(rngs):
         if (first + scene) % 2 == 0:  # on the robot's point at a random step
-            step = int(rng.integers(settings.conflict.horizon_steps))
+            # Of the future: step 0 is now.
+            n_steps = settings.conflict.horizon_steps
+            step = int(rng.integers(min(1, n_steps - 1), n_steps))
             shift[scene, 0] = robot[scene, 0, step] - futures[scene, 0, step]
         else:
             shift[scene, 0] = _past_the_robot(robot[scene, 0], futures[scene, 0], settings, rng)

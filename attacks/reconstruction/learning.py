@@ -12,6 +12,7 @@ the network's estimator is a constant, learnt from other people.
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, TypeVar
 
@@ -86,35 +87,41 @@ def smoother(
     *,
     given: _Choice | None,
     candidates: Sequence[_Choice],
+    then: Callable[[_Choice], Sequence[_Choice]] | None = None,
     tried: Callable[[Release, Floats, _Choice], Reconstruction] | None = None,
 ) -> Reconstructor:
     """Return what smooths releases like those in the training set, by the noise of each sample.
 
     `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice: the one that was
     given or, if that is None, the candidate that reconstructs the training set best (of equals the
-    first), or without one the middle one, as from `around`. Where they are compared `tried` is used
-    instead, if there is one.
+    first), or without one the middle one, as from `around`. `then` makes further candidates of that
+    one. Where they are compared `tried` is used instead, if there is one.
     """
     variance = learn_variance(context)
     choice = given
     if choice is None:
-        choice = choose(
-            context,
-            default=candidates[len(candidates) // 2],
-            candidates=candidates,
-            reconstruct=lambda one, release: (tried or smooth)(release, variance(release), one).xy,
-        )
+
+        @cache
+        def reconstruct(one: _Choice, release: Release) -> Floats:
+            return (tried or smooth)(release, variance(release), one).xy
+
+        middle = candidates[len(candidates) // 2]
+        choice = choose(context, default=middle, candidates=candidates, reconstruct=reconstruct)
+        if then is not None:
+            further = then(choice)
+            choice = choose(context, default=choice, candidates=further, reconstruct=reconstruct)
     if variance is _estimated:  # two adversaries may well choose alike
-        return lambda release: _smoothed(release, smooth, choice)
+        return lambda release: smoothed(release, smooth, choice)
     return lambda release: smooth(release, variance(release), choice)
 
 
 @remembered
-def _smoothed(
+def smoothed(
     release: Release,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
     choice: _Choice,
 ) -> Reconstruction:
+    """Return what a smoother makes of a release by the noise that its innovations show."""
     return smooth(release, _estimated(release), choice)
 
 

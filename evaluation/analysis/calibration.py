@@ -26,7 +26,7 @@ from evaluation.cells.work import Block, Levels, cells
 from evaluation.experiment.axes import Consumer
 from evaluation.experiment.constants import BLOCK_SCENES
 from isac_track import plugins, privacy, sensing, sharing
-from isac_track.config import SensingSettings, StageSettings
+from isac_track.config import PrivacySettings, SensingSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.scenes import Cut, cut, make_scenes, track_order
 
@@ -124,7 +124,7 @@ def descriptors(
     blocks: tuple[Link, ...],
     *,
     settings: SensingSettings,
-    epsilon_m: float,
+    rule: PrivacySettings,
     eta: float | None = None,
 ) -> tuple[float, float]:
     """Return mean PLR and mean MEL in s, raw or under FID with linear adding."""
@@ -139,7 +139,10 @@ def descriptors(
             )
             sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=0.5, beta=1.5)
         exposure = privacy.exposure(
-            leaked=sigma * link.unit_norm < epsilon_m, t=link.t, offsets=link.offsets
+            leaked=sigma * link.unit_norm < rule.epsilon_m,
+            t=link.t,
+            offsets=link.offsets,
+            intervals=rule.intervals,
         )
         plr.append(exposure.plr)
         mel_s.append(exposure.mel_s)
@@ -161,7 +164,7 @@ def fit(
         net_db: float, spread_db: float, gap_db: float = 0.0, *, eta: float | None = None
     ) -> tuple[float, float]:
         tried = _fitted(stages.sensing, net_db + gap_db, spread_db, gap_db)
-        return descriptors(blocks, settings=tried, epsilon_m=stages.privacy.epsilon_m, eta=eta)
+        return descriptors(blocks, settings=tried, rule=stages.privacy, eta=eta)
 
     def net_for(spread: float) -> float:
         return _root(lambda net: trial(net, spread)[0] - raw_plr, _GAINS, what="raw PLR")

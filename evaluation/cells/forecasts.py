@@ -38,7 +38,7 @@ def sharing_rows(
                 truth=scenes.xy,
                 t=scenes.t,
                 offsets=scenes.offsets,
-                epsilon_m=stages.privacy.epsilon_m,
+                settings=stages.privacy,
             ),
         }
     who = f"predictor {predictor.spec!r}"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from attacks.tasks.sessions import Sessions
-    from isac_track.config import StageSettings
+    from isac_track.config import PrivacySettings, StageSettings
 
 N_REPLICATES = 1000
 SIDES = ("probe", "gallery")
@@ -72,7 +72,7 @@ class SensedSessions:
     """(B, C) bootstrap weights of the clusters."""
     cluster: Ints
     """(K,) cluster of each person: a column of the weights."""
-    epsilon_m: float
+    privacy: PrivacySettings
     seed: int
     candidates: int = 0
     """How many of a gallery are scored for each probe; 0: all."""
@@ -118,7 +118,7 @@ def _sense_sessions(
         n_groups=len(groups),
         weights=linkage_weights(drawn_as, n_groups=len(groups), task=task.name, seed=seed),
         cluster=cluster.astype(np.int64),
-        epsilon_m=stages.privacy.epsilon_m,
+        privacy=stages.privacy,
         seed=seed,
         candidates=candidates if candidates < largest else 0,
     )

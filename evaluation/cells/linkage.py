@@ -210,7 +210,7 @@ def _untaught(
     """Return the scores of a linker of ours that is granted what the task grants to everyone."""
     context = AttackContext(
         rng=stream(known.seed, "linkage", "untaught"),
-        epsilon_m=known.epsilon_m,
+        epsilon_m=known.privacy.epsilon_m,
         granted=attack.requires & known.sessions.task.everyone,
     )
     return attack.fit(context)(*sides.of(pairing))
@@ -273,7 +273,7 @@ def _smoothed(
         train = TrainingSet(sharing.handed(probe, behind), truth)
     context = AttackContext(
         rng=stream(known.seed, "attacks", behind.spec, "linkage", level.mechanism.spec, fold),
-        epsilon_m=known.epsilon_m,
+        epsilon_m=known.privacy.epsilon_m,
         granted=granted,
         mechanism=level.mechanism.instance,
         train=train,
@@ -310,7 +310,7 @@ def _fitted(
     key = (consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
     context = AttackContext(
         rng=stream(known.seed, "attacks", *key),
-        epsilon_m=known.epsilon_m,
+        epsilon_m=known.privacy.epsilon_m,
         granted=granted,
         mechanism=level.mechanism.instance,
         train=train,
@@ -354,7 +354,7 @@ def window_tables(level: LinkedLevel) -> Tables:
             truth=getattr(known.sessions, side).xy,
             t=release.t,
             offsets=release.offsets,
-            epsilon_m=known.epsilon_m,
+            settings=known.privacy,
         )
         sigma_m = np.full(release.t.size, np.nan) if release.sigma is None else release.sigma
         columns = {

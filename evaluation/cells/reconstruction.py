@@ -288,7 +288,7 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
                 truth=part.truth,
                 t=own.t,
                 offsets=own.offsets,
-                epsilon_m=block.stages.privacy.epsilon_m,
+                settings=block.stages.privacy,
                 moved=(reconstructed(attack, given, who=who), shown.xy),
                 turn=complex(frame.turn),
             )

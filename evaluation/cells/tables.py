@@ -13,6 +13,7 @@ from isac_track import privacy
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from isac_track.config import PrivacySettings
     from isac_track.scenes import Cut
     from isac_track.types import Floats, Ints, Scenes
 
@@ -56,13 +57,15 @@ def track_columns(scenes: Scenes, rows: Ints) -> Rows:
     }
 
 
-def descriptors(*, xy: Floats, truth: Floats, t: Floats, offsets: Ints, epsilon_m: float) -> Rows:
+def descriptors(
+    *, xy: Floats, truth: Floats, t: Floats, offsets: Ints, settings: PrivacySettings
+) -> Rows:
     """Return PLR, AEL, MEL and mean squared error of every track, shared or reconstructed.
 
     `xy` and `truth` are (M, 2) m, `t` (M,) s, `offsets` (N + 1,).
     """
     return described_rows(
-        privacy.described(xy=xy, truth=truth, t=t, offsets=offsets, epsilon_m=epsilon_m)
+        privacy.described(xy=xy, truth=truth, t=t, offsets=offsets, settings=settings)
     )
 
 

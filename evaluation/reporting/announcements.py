@@ -5,8 +5,10 @@ Nothing heavy is imported: `--list` answers at once.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shlex
+import textwrap
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -20,12 +22,41 @@ if TYPE_CHECKING:
     from evaluation.experiment.plan import Plan
     from isac_track.plugins import Kind
 
+WIDTH: Final = 80
+"""Columns of the first screen."""
 CONSUMERS: Final = ("predictor", "attack", "task")
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _MOST_SECONDS = 120
 _LARGE_GALLERY = 3000
 """People, above which it is proposed to score some alone."""
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
+
+
+def near(path: Path) -> Path:
+    """Return a path as it is shortest to type from here: relative below the working folder."""
+    with contextlib.suppress(ValueError, OSError):
+        return path.absolute().relative_to(Path.cwd())
+    return path
+
+
+def wrapped(text: str, *, width: int = WIDTH) -> list[str]:
+    """Return a text in lines; a number and its unit stay together."""
+    lines = textwrap.wrap(
+        text.replace(" %", "\0%"),
+        width,
+        subsequent_indent="  ",
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+    return [line.replace("\0", " ") for line in lines]
+
+
+def condensed(notices: Sequence[str], *, most: int | None, where: str) -> list[str]:
+    """Return notices in lines, at most so many; the last then says where they can be read."""
+    lines = [line for one in notices for line in wrapped(one)]
+    if most is None or len(lines) <= most:
+        return lines
+    return [*lines[: most - 1], f"  ... {len(notices)} notices in full: {where}"]
 
 
 def listing() -> list[str]:
@@ -80,12 +111,12 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         finished = n_finished(ready)
     is_continued = finished and not ready.settings.fresh
     so_far = f", {finished} of them finished by {CHECKSUMS}" if is_continued else ""
-    if ready.dataset.notice:
-        yield f"notice: {ready.dataset.notice}"
     yield (
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)} tracks used, "
-        f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {ready.out}"
+        f"{scenes_text(ready.identity)}; {ready.n_cells} cells{so_far}, in {near(ready.out)}"
     )
+    if ready.dataset.notice:
+        yield f"notice: {ready.dataset.notice}"
     for why in ready.axes.skipped.values():
         yield f"notice: left out: {why}"
     yield from _large_galleries(ready)
@@ -125,23 +156,23 @@ def _large_galleries(ready: Plan) -> Iterator[str]:
 
 def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     """Yield what a reader of a finished run must know."""
-    for spec, asked in manifest["granted"].items():
+    for spec, asked in manifest.get("granted", {}).items():
         yield f"{spec} asked for {' and '.join(asked)}, which a robot does not have by default"
-    for family in manifest["without_rule"]:
+    for family in manifest.get("without_rule", ()):
         told = "does not say by `adding` how it adds its error: it is judged under both rules"
         yield f"{family} {told}"
-    if dropped := manifest["dropped_cells"]:
+    if dropped := manifest.get("dropped_cells"):
         yield f"{dropped} cells of another code version were dropped"
-    if damaged := manifest["damaged_cells"]:
+    if damaged := manifest.get("damaged_cells"):
         told = "cells were not as they had been written and are computed anew"
         yield f"{len(damaged)} {told}, {damaged[0]} for one"
-    if redraws := manifest["exhausted_redraws"]:
+    if redraws := manifest.get("exhausted_redraws"):
         told = "background agents found no place with scenes.clearance_m and kept their last draw"
         yield f"{redraws} {told}"
     for task in (manifest.get("linkage") or {}).get("tasks", {}):
         if told := approximation(manifest, task):
             yield f"{task}: {told}"
-    for why in manifest["gallery_without"]:
+    for why in manifest.get("gallery_without", ()):
         yield f"track gallery without {why}"
 
 

@@ -62,7 +62,6 @@ SHORT: Final = {
     rules.DOES_NOT: "does not",
     rules.HOLDS: "lower",
     rules.REVERSED: "higher",
-    rules.UNDECIDED: "?",
 }
 _ASPECTS: Final = ("descriptor", "task", "criterion")
 _CRITERIA: Final = {MISSED: "", AT_EQUAL_ALARMS: " and alarms"}

@@ -61,15 +61,10 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
     )
 
 
-def headline_of(run: Results, *, most: int | None = None) -> Headline:
-    """Return what the first table of a run shows, of at most so many levels."""
-    options = {} if most is None else {"most": most}
+def headline_of(run: Results) -> Headline:
+    """Return what the first table of a run shows."""
     return headline(
-        run.summary,
-        dataset=run.dataset,
-        attacks=run.strongest,
-        linkability=run.linkability,
-        **options,
+        run.summary, dataset=run.dataset, attacks=run.strongest, linkability=run.linkability
     )
 
 
@@ -78,7 +73,7 @@ def reference(of: Headline) -> Where:
 
     Raw of a run that adds nothing.
     """
-    wheres = [where for where in of.levels if of.known[where[0]].is_added]
+    wheres = [where for where in of.wheres if of.known[where[0]].is_added]
     if named := [where for one in HEADLINE for where in wheres if where == one]:
         return named[0]
 
@@ -92,15 +87,15 @@ def reference(of: Headline) -> Where:
 def _lost(of: Headline, where: Where) -> str:
     """Return what noise costs the robots."""
     parts = []
-    for place, one in enumerate(of.robots):
+    for one in of.robots:
         raw = of.at((RAW, None), one) if where[0] != RAW else None
         beside = [f"raw {100 * raw.value:.1f} %"] if raw else []
         if value := _both(of, where, one, beside=beside):
             who = ROBOTS.get(one.measure.consumer, one.measure.consumer)
-            parts.append(f"{who}{'' if place else ' misses'} {value}")
+            parts.append(f"{who} {value}")
     if not parts:
         return f"{_UNTESTED}the run has no predictor."
-    return f"of the conflicts at {of.name(where)} {', '.join(parts)}."
+    return f"missed conflicts at {of.name(where)}: {', '.join(parts)}."
 
 
 def _leaks(of: Headline, where: Where) -> str:
@@ -119,14 +114,12 @@ def _leaks(of: Headline, where: Where) -> str:
 
 def _linked(of: Headline, where: Where) -> str:
     """Return who is found again, beside chance."""
-    parts: list[str] = []
-    for one in of.linked:
-        beside = [f"chance {100 * one.chance:.1f} %"]
-        if value := _both(of, where, one, beside=beside):
-            parts.append(f"{value}{'' if parts else ' of people'} {_how(one)}")
-    if not parts:
+    found = [(value, one) for one in of.linked if (value := _both(of, where, one))]
+    if not found:
         return f"{_UNTESTED}nobody links in this run."
-    return f"at {of.name(where)} these attacks find again {', '.join(parts)}."
+    chances = ", ".join(f"{100 * one.chance:.1f}" for _, one in found)
+    parts = ", ".join(f"{value} {_how(one)}" for value, one in found)
+    return f"found again at {of.name(where)}: {parts}; chance {chances} %."
 
 
 def _told(items: Sequence[Mapping[str, Any]]) -> str:
@@ -154,7 +147,7 @@ def _told(items: Sequence[Mapping[str, Any]]) -> str:
         where = f"{widest['task']}, {widest['adding']}"
         who = ", ".join(named[rules.DOES_NOT])
         return (
-            f"{who}: no. At equal {head} linkage differs by {gap} ({where}; {_evidence(widest)}). "
+            f"no ({who}): at equal {head} linkage differs by {gap} ({where}), {_evidence(widest)}. "
             f"Of {len(mine)} items {count}."
         )
     tracks = named.get(rules.TRACKS, [])
@@ -207,7 +200,7 @@ def _chosen(of: Headline) -> str:
 
 def _choice(of: Headline, options: Mapping[Where, tuple[Estimate, Estimate]]) -> str:
     """Return what to choose of some levels, each with what it costs and what is left to attacks."""
-    limit = f"PLR after attack below {100 * LIMIT:g} %"
+    limit = f"attacked PLR below {100 * LIMIT:g} %"
     kept = {at: one for at, one in options.items() if one[1].ci_high <= LIMIT}
     if not kept:
         at, (cost, left) = min(options.items(), key=lambda one: one[1][1].value)
@@ -215,13 +208,13 @@ def _choice(of: Headline, options: Mapping[Where, tuple[Estimate, Estimate]]) ->
         return f"no level keeps {limit}; the least is {least}"
     at, (cost, left) = min(kept.items(), key=lambda one: one[1][0].value)
     again = [
-        f"{_value(found)} of people {_how(one)}"
+        f"; found again {_how(one)}: {_value(found)}"
         for one in of.linked[-1:]
         if (found := of.at(at, one))
     ]
     return (
         f"of the levels that keep {limit}, {of.name(at)} misses fewest conflicts: {_value(cost)} "
-        f"at {_value(left)}" + "".join(f"; still found: {one}" for one in again)
+        f"at {_value(left)}" + "".join(again)
     )
 
 
@@ -245,7 +238,7 @@ def _both(of: Headline, where: Where, one: Shown, *, beside: Sequence[str] = ())
         and abs(other.value - value.value) >= _MATTERS
         and (other.ci_low > value.ci_high or other.ci_high < value.ci_low)
     ):
-        more = [f"{of.known[twin[0]].adding} {_value(other)}", *more]
+        more = [f"ind. {_value(other)}", *more]
     return _value(value) + f" ({', '.join(more)})" * bool(more)
 
 

@@ -268,7 +268,7 @@ def _ends(scheme: design.Scheme, *, hopeless: bool) -> str:
 def show(choice: design.Choice, *, console: Console | None = None) -> None:
     """Print the answer in one sentence, the levels behind it, and why."""
     console = terminal.standard_output() if console is None else console
-    terminal.show(_printed(choice, width=console.width), console=console, whole=True)
+    terminal.show(_printed(choice, width=console.width), console=console)
     if command := closer(choice):
         terminal.show(["", ("To look closer where the answer turns:", "bold")], console=console)
         # As one line, whatever the width: it is there to be copied.

@@ -224,7 +224,7 @@ def turned(rows: pd.DataFrame) -> list[str]:
 
 
 def _short(value: float, unit: str) -> str:
-    return f"{value:.3g}{' s' * (unit == 's')}" if math.isfinite(value) else "?"
+    return f"{value:.3g}{' s' * (unit == 's')}" if math.isfinite(value) else "unknown"
 
 
 def variants_json(

@@ -33,9 +33,9 @@ GALLERY: Final = 100
 ROBOTS: Final = {"least_squares": "the paper's line", "kalman_cv": "Kalman"}
 """Predictors that are shown if a run has them, and what they are called."""
 TASKS: Final = {
-    "handover-1s": ("1 s", "after 1 s of silence"),
+    "handover-1s": ("1 s", "after 1 s"),
     "handover-5s": ("5 s", "after 5 s"),
-    "rerelease": ("rerel.", "from two releases of a walk"),
+    "rerelease": ("rerel.", "in a re-release"),
 }
 """Tasks that are shown if a run has them: over a column, and in a sentence."""
 MOST_LEVELS: Final = 14
@@ -70,10 +70,8 @@ class Headline:
     """After the strongest reconstruction."""
     linked: Sequence[Shown]
     """By the strongest linker of each task."""
-    levels: Sequence[Where]
-    """Those shown, in order."""
-    n_left_out: int
-    """Mechanisms without a row."""
+    wheres: Sequence[Where]
+    """All levels of the run: the ceiling comes last."""
 
     @property
     def columns(self) -> list[Shown]:
@@ -112,7 +110,6 @@ def headline(
     dataset: str,
     attacks: Mapping[str, Source] | None = None,
     linkability: pd.DataFrame | None = None,
-    most: int = MOST_LEVELS,
 ) -> Headline:
     """Return what comes first of a run's summary.
 
@@ -132,7 +129,7 @@ def headline(
     order = [one for one in rows["consumer"].unique() if one in consumers]
     robots = [one for one in ROBOTS if one in order] or order[:2]
     linked = _linked(attacks, found, linkability)
-    levels, n_left_out = _levels(found, known, robot=robots[:1], most=most)
+    wheres = [where for where in dict.fromkeys(key.where for key in found) if where[0] in known]
     return Headline(
         known=known,
         found=found,
@@ -145,8 +142,7 @@ def headline(
         if "" in attacks
         else None,
         linked=linked,
-        levels=levels,
-        n_left_out=n_left_out,
+        wheres=sorted(wheres, key=lambda where: known[where[0]].family == CLEAN),
     )
 
 
@@ -189,63 +185,50 @@ def _linked(
     return columns
 
 
-def _levels(
-    found: Mapping[Key, Estimate], known: Mapping[str, Family], *, robot: Sequence[str], most: int
-) -> tuple[list[Where], int]:
+def levels_of(of: Headline, *, most: int = MOST_LEVELS) -> tuple[list[Where], int]:
     """Return the levels that have a row, and how many mechanisms have none.
 
     All levels where there is room; else the headline levels, then one of every other mechanism: a
     headline level of its family, or that which costs a robot about as much as the strictest FID.
     """
-    wheres = [where for where in dict.fromkeys(key.where for key in found) if where[0] in known]
-    wheres.sort(key=lambda where: known[where[0]].family == CLEAN)  # the ceiling comes last
+    names = {where: family_of(of.known, where[0]) for where in of.wheres}
     first = [
         where
-        for name, at in HEADLINE
-        for where in wheres
-        if where[1] == at
-        and known[where[0]].name == name
-        and known[where[0]].adding != "independent"
+        for headline_level in HEADLINE
+        for where, one in names.items()
+        if (one.name, where[1]) == headline_level and one.adding != "independent"
     ]
-    rest = [where for where in wheres if where not in first]
-    if len(wheres) <= most:
+    rest = [where for where in of.wheres if where not in first]
+    if len(of.wheres) <= most:
         return [*first, *rest], 0
-    cost = {
-        where: one.value
-        for where in wheres
-        for name in robot
-        if (one := found.get(Measure(name, MISSED_RATE).at(*where))) is not None
-    }
+    found = {where: of.at(where, one) for where in of.wheres for one in of.robots[:1]}
+    cost = {where: one.value for where, one in found.items() if one}
     target = cost.get(("fid", 1.0), max(cost.values(), default=0.0))
-    by_name: dict[str, list[Where]] = {}
-    for where in rest:
-        by_name.setdefault(where[0], []).append(where)
-    others = []
-    for name, ats in by_name.items():
-        if any(where[0] == name for where in first):
-            continue
-        wanted = [at for one, at in HEADLINE if one == known[name].name]
-        told = [where for at in wanted for where in ats if where[1] == at]
+    others: dict[str, Where] = {}
+    for name in dict.fromkeys(where[0] for where in rest).keys() - {where[0] for where in first}:
+        ats = [where for where in rest if where[0] == name]
+        wanted = [(name, at) for one, at in HEADLINE if one == names[ats[0]].name]
         nearest = min(ats, key=lambda where: abs(cost.get(where, math.inf) - target))
-        others.append(told[0] if told else nearest)
+        others[name] = next((where for where in wanted if where in ats), nearest)
     room = max(0, most - len(first))
-    return [*first, *others[:room]], len(others[room:])
+    told = [others[name] for name in dict.fromkeys(where[0] for where in rest) if name in others]
+    return [*first, *told[:room]], len(told[room:])
 
 
-def headline_table(of: Headline, *, intervals: bool = True) -> Table:
+def headline_table(of: Headline, levels: Sequence[Where], *, intervals: bool = True) -> Table:
     """Return the first table; without intervals a last row has their typical half-width."""
     columns = [make.said("sharing", of.name)]
     columns += [
         Column(one.name, partial(_cell, of, one, intervals), "%", above=one.above)
         for one in of.columns
     ]
-    found = make.built("headline", "", of.levels, columns)
+    found = make.built("headline", "", levels, columns)
     if intervals:
         return found
     last = []
     for label, values in (
         (f"chance{_candidates(of)}", [one.chance for one in of.columns]),
-        ("+- (95 %, typical)", [_half_width(of, one) for one in of.columns]),
+        ("+- (95 %, typical)", [_half_width(of, one, levels) for one in of.columns]),
     ):
         if np.isfinite(values).any():
             cells = [make.number(value, scale=100.0) for value in values]
@@ -266,9 +249,9 @@ def _cell(of: Headline, one: Shown, intervals: bool, where: Where) -> Cell:  # n
     return cell if intervals else replace(cell, low="", high="")
 
 
-def _half_width(of: Headline, one: Shown) -> float:
+def _half_width(of: Headline, one: Shown, levels: Sequence[Where]) -> float:
     """Return the median half-width of the intervals that are shown in a column."""
-    found = [estimate for where in of.levels if (estimate := of.at(where, one)) is not None]
+    found = [estimate for where in levels if (estimate := of.at(where, one)) is not None]
     widths = [0.5 * (estimate.ci_high - estimate.ci_low) for estimate in found]
     known = [width for width in widths if math.isfinite(width)]
     return float(np.median(known)) if known else math.nan

@@ -8,8 +8,6 @@ from functools import partial
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from attacks.tasks.controls import CONTROLS
 from evaluation.analysis.families import CLEAN, LEVEL_UNITS, Family, families_in
 from evaluation.analysis.keys import (
@@ -26,7 +24,6 @@ from evaluation.analysis.metrics import (
     DESCRIPTORS,
     EXPOSURE,
     METRICS,
-    MISSED_RATE,
     RECONSTRUCTION,
     SUCCESS,
     UTILITY,
@@ -45,8 +42,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-_WEIGHTS = {MISSED_RATE: 3.0, EXPOSURE: 3.0, "rmse": 2.5, "ael": 2.0, "mel": 2.0}
-MARKS = dict(zip(REMARKS, "~?!", strict=True))
+MARKS = dict(zip(REMARKS, "~^!", strict=True))
 """Of what is to be said of a cell that does not simply link."""
 MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
 TOO_WEAK = "attack too weak"
@@ -107,8 +103,7 @@ def _by_level(
 
 def _column(source: Source, metric: str, name: str) -> Column:
     """Return the column of a metric of some positions."""
-    weight = _WEIGHTS.get(metric, 1.0)
-    return Column(name, partial(_cell, source, metric), METRICS[metric].unit, weight=weight)
+    return Column(name, partial(_cell, source, metric), METRICS[metric].unit)
 
 
 def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
@@ -140,12 +135,7 @@ def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Tabl
     rows = after_attack(summary)
     rows = rows[rows["metric"] == EXPOSURE]
     shown = most_knowing(sources_of(rows))
-    columns = []
-    for source in shown:
-        # The strongest keep their intervals longest.
-        mean = float(picked.of_source(rows, source)["value"].mean())
-        weight = np.inf if source == AS_SHARED else mean
-        columns.append(Column(source.label, partial(_cell, source, EXPOSURE), weight=weight))
+    columns = [Column(source.label, partial(_cell, source, EXPOSURE)) for source in shown]
     oracle = "The oracle is a reference: it stands where nobody less can run the attack."
     notes = [oracle] * any(source.knowledge == ORACLE for source in shown)
     ran = [source.consumer for source in shown if source.consumer in slow]
@@ -172,10 +162,7 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
     columns = [
         *picked.mechanism_columns(known),
         *map(make.said, ("positions", "adversary")),
-        *(
-            make.held(METRICS[one].head, one, unit=METRICS[one].unit, weight=_WEIGHTS.get(one, 1.0))
-            for one in RECONSTRUCTION
-        ),
+        *(make.held(METRICS[one].head, one, unit=METRICS[one].unit) for one in RECONSTRUCTION),
     ]
     title = f"{title}; 95 % intervals"
     return make.built("attacks", title, told, columns, n_headings=3, n_keys=5)
@@ -213,10 +200,8 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     columns = [make.said("attack", itemgetter(0))]
     for place, (name, at) in enumerate(wheres, start=1):
         one = picked.family_of(known, name)
-        # A level of the default rule keeps its interval longest.
-        weight = 2.0 * (one.adding != "independent") + (at is not None)
         heading = f"{one.name} {level_text(at)}".rstrip()
-        columns.append(Column(heading, itemgetter(place), above=one.adding, weight=weight))
+        columns.append(Column(heading, itemgetter(place), above=one.adding))
     records: list[list[Any]] = [
         [
             make.shortened(source.label.removesuffix(f" ({_USUAL})"), room=_LABEL_WIDTH),
@@ -326,8 +311,8 @@ def _against_chance(row: Mapping[str, Any], *, before: str = "") -> str:
     return f"{value} ({before}{chance})"
 
 
-def _controls(task: LinkedTask) -> str:
-    """Return how many controls beat chance, and which audits leak at how many levels."""
+def control_tests(task: LinkedTask) -> dict[str, list[bool]]:
+    """Return of each control whether it beats chance, at every level where that may differ."""
     tests: dict[str, list[bool]] = {}
     for row in task.controls:
         name = row["consumer"].partition("/control-")[2]
@@ -335,6 +320,12 @@ def _controls(task: LinkedTask) -> str:
         # One that only sees times says the same at every level.
         if not (found and name in CONTROLS and CONTROLS[name].sees_times_only):
             found.append(row["p_value"] <= LEVEL)
+    return tests
+
+
+def _controls(task: LinkedTask) -> str:
+    """Return how many controls beat chance, and which audits leak at how many levels."""
+    tests = control_tests(task)
     every = [one for found in tests.values() for one in found]
     beaten = {name: (sum(found), len(found)) for name, found in tests.items()}
     often = [f"{name} {n} of {of}" for name, (n, of) in beaten.items() if n > of / 2]

@@ -25,7 +25,7 @@ _SIGNS = (
     ("✗", "bad", ("does not track", "does not hold", "no", "differs")),
     ("⇄", "bad", ("reversed",)),
     ("▲", "bad", ("inflated",)),
-    ("?", "open", ("undecided", "unclear")),
+    ("·", "open", ("undecided", "unclear", "between", "not testable")),
 )
 SYMBOLS: Final = {text: (sign, tone) for sign, tone, texts in _SIGNS for text in texts}
 """Of a decision: the sign that says the same without colour, and its tone."""
@@ -73,8 +73,6 @@ class Column:
     align: Literal["left", "right"] = "right"
     above: str = ""
     """What stands above the name, such as an adding rule."""
-    weight: float = 0.0
-    """Where there is no room, intervals of little weight go first."""
     is_long: bool = False
     """Sentences: left out of terminals and of LaTeX."""
 

@@ -1,4 +1,4 @@
-"""Which tables of a run are shown where: terminal, page, LaTeX files, README and docs.
+"""Which tables of a run are shown where: terminal, text file, page, LaTeX, README and docs.
 
 In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table NAME of
 `docs/results/RUN.csv`, which holds the rows of a run's `summary.csv` that these tables show, and
@@ -8,6 +8,7 @@ of the smoke run all.
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import re
 from dataclasses import replace
@@ -15,6 +16,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
+from rich.console import Console
+from rich.text import Text
 
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import families_in
@@ -23,7 +26,8 @@ from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, RECONSTRUCTION, S
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
-from evaluation.reporting.announcements import scenes_text
+from evaluation.reporting.announcements import notices
+from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
 from evaluation.reporting.table import Cell, Table, amount, built, held, said
@@ -35,30 +39,41 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from rich.console import Console
-
     from evaluation.reporting.terminal import Part
 
 _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_WIDE: Final = 160
+"""Columns of `tables.txt`."""
 _REFERENCE: Final = "smoke"
 """The preset whose numbers the tests hold a fresh run against."""
 _SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, "chance")
 _SMOOTHED: Final = tuple(Source(name, INFORMED) for name in ("kalman_rts", "radial_rts"))
 
 
-def show(run: Results, *, console: Console | None = None) -> None:
-    """Print what was run, its tables, its doubts and its verdict, by default on standard output."""
-    terminal.show(_printed(run), console=console)
+def show(run: Results, *, before: int = 1, verbose: bool = False) -> None:
+    """Print the first screen, of which `before` lines were printed already, or all tables."""
+    console = terminal.standard_output()
+    if verbose:
+        terminal.show(_everything(run), console=console)
+        return
+    for line in first_screen(run, before=before):
+        console.print(Text(terminal.literal(console, line)), soft_wrap=True)
 
 
-def _printed(run: Results) -> Iterator[Part]:
-    dataset, identity = run.manifest["dataset"], run.manifest["identity"]
-    used = f"{dataset['tracks_used']} of {dataset['tracks']} tracks used"
-    about = f"{used}, {scenes_text(identity)}, seed {identity['seed']}"
-    yield f"{dataset['name']}: {about}", "bold"
-    notice = dataset.get("notice")
-    if notice or dataset.get("simulated"):
-        yield f"NOTICE: {notice or 'the tracks are simulated'}", "yellow"
+def write_text(run: Results) -> None:
+    """Write `tables.txt`: all that is not on the first screen.
+
+    Raises DataError if the file cannot be written.
+    """
+    sink = io.StringIO()
+    terminal.show(_everything(run), console=Console(file=sink, width=_WIDE, highlight=False))
+    write_whole(run.out / TABLES, sink.getvalue().encode())
+
+
+def _everything(run: Results) -> Iterator[Part]:
+    yield data_line(run.manifest), "bold"
+    for notice in filter(None, [run.manifest["dataset"].get("notice"), *notices(run.manifest)]):
+        yield f"NOTICE: {notice}", "yellow"
     yield from measured.sweep_tables(run.ours)
     yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))
     yield measured.attack_table(run.ours)
@@ -77,7 +92,7 @@ def _printed(run: Results) -> Iterator[Part]:
         yield "Verdict", "bold"
         yield from (f"- {one}" for one in run.verdict["answer"])
         yield from answers.short_tables(run.verdict)
-        yield "(?: undecided, no statement either way. Items, intervals and reasons: verdict.json.)"
+        yield "(Items, intervals and reasons: verdict.json.)"
     for line in failed_lines(run.failed):
         yield f"failed: {line}", "red"
 

@@ -34,16 +34,13 @@ def standard_output() -> Console:
     return Console(width=PIPE_WIDTH if piped else None, highlight=False)
 
 
-def show(parts: Iterable[Part], *, console: Console | None = None, whole: bool = False) -> None:
-    """Print tables, paragraphs with or without a style, and empty lines for empty texts.
-
-    `whole` tables keep all of their intervals.
-    """
+def show(parts: Iterable[Part], *, console: Console | None = None) -> None:
+    """Print tables, paragraphs with or without a style, and empty lines for empty texts."""
     console = standard_output() if console is None else console
     for part in parts:
         text, style = part if isinstance(part, tuple) else (part, "")
         if isinstance(text, Table):
-            show_table(text, console=console, whole=whole)
+            show_table(text, console=console)
         elif text:
             say(console, text, style, wrap=True)
         else:
@@ -71,48 +68,30 @@ def aligned(rows: Sequence[Sequence[str]], *, left: Collection[int] = frozenset(
     ]
 
 
-def show_table(table: Table, *, console: Console, whole: bool = False) -> None:
+def show_table(table: Table, *, console: Console) -> None:
     """Print a table: title, lines that fit, what its marks mean, and its notes.
 
-    Where there is no room, intervals go first, those of light columns before all others; then the
-    table is split, and nothing else if it is to stay `whole`. Nothing is printed of a table
-    without rows.
+    Where there is no room it is split. Nothing is printed of a table without rows.
     """
     if not table.rows:
         return
-    told = "" if table.title.endswith("intervals") else " (intervals"
-    told += " where there is room" + ")" * bool(told)
-    for part in _parts(table, width=console.width, whole=whole):
-        # The last of the light ones go first.
-        order = sorted(
-            _intervals(table, part), key=lambda place: (-table.columns[place].weight, place)
-        )
-        for n in range(len(order), -1, -1):
-            lines = _lines(table, part, intervals=set(order[:n]), width=console.width)
-            if max(len(line) for line, _ in lines) <= console.width:
-                break
+    for part in _parts(table, width=console.width):
         console.print()
-        say(console, table.title + told * (n < len(order)), "bold", wrap=True)
-        for line, style in lines:
+        say(console, table.title, "bold", wrap=True)
+        for line, style in _lines(table, part, width=console.width):
             say(console, line, style)
     for note in [*([f"({table.legend})"] if table.legend else []), *table.notes]:
         say(console, note, wrap=True)
 
 
-def _intervals(table: Table, columns: Iterable[int]) -> set[int]:
-    """Return which of the columns have intervals."""
-    return {place for place in columns if any(row[place].low for row in table.rows)}
-
-
-def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
-    """Return the columns in parts that fit, with intervals if `whole`, each beside the keys."""
+def _parts(table: Table, *, width: int) -> list[list[int]]:
+    """Return the columns in parts that fit, each beside the keys."""
     shown = [place for place, column in enumerate(table.columns) if not column.is_long]
     keys = [place for place in shown if table.n_headings <= place < table.n_keys]
     parts = [keys]
     for place in shown[max(table.n_headings, table.n_keys) :]:
         wider = [*parts[-1], place]
-        intervals = _intervals(table, wider) if whole else set()
-        lines = _lines(table, wider, intervals=intervals, width=width)
+        lines = _lines(table, wider, width=width)
         if len(parts[-1]) > len(keys) and max(len(line) for line, _ in lines) > width:
             parts.append([*keys, place])
         else:
@@ -120,9 +99,9 @@ def _parts(table: Table, *, width: int, whole: bool) -> list[list[int]]:
     return parts
 
 
-def _lines(table: Table, columns: list[int], *, intervals: set[int], width: int) -> Lines:
+def _lines(table: Table, columns: list[int], *, width: int) -> Lines:
     """Return the lines with their styles: heads, headings, and rows whose columns line up."""
-    shown = [_column(table, place, has_interval=place in intervals) for place in columns]
+    shown = [_column(table, place) for place in columns]
     depth = max(len(head) for head, _ in shown)
     filled = [[*[""] * (depth - len(head)), *head, *cells] for head, cells in shown]
     grid = [list(cells) for cells in zip(*filled, strict=True)]
@@ -153,7 +132,7 @@ def _lines(table: Table, columns: list[int], *, intervals: set[int], width: int)
     return lines
 
 
-def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str], list[str]]:
+def _column(table: Table, place: int) -> tuple[list[str], list[str]]:
     """Return the head of a column in lines, and its cells; intervals stand close to their value."""
     column, cells = table.columns[place], [row[place] for row in table.rows]
     missing = "-" if column.align == "right" and place >= table.n_keys else ""
@@ -167,7 +146,7 @@ def _column(table: Table, place: int, *, has_interval: bool) -> tuple[list[str],
         head[-1] = f"{head[-1]} {column.unit}".strip()
     elif column.unit:
         head.append(column.unit)
-    if not has_interval:
+    if not any(cell.low for cell in cells):
         return head, values
     width = max(map(len, values))
     # A hyphen where neither end has a sign.

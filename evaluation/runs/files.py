@@ -54,7 +54,7 @@ FRAMES: Final = {
 }
 """By the names of `Results`."""
 WRITTEN: Final = (
-    *(*FRAMES.values(), "flags.json", "verdict.json", PAGE, GALLERY, CHECKSUMS),
+    *(*FRAMES.values(), "flags.json", "verdict.json", "tables.txt", PAGE, GALLERY, CHECKSUMS),
     *(f"tables/{name}.tex" for name in ("sweep", "attacks", "paper", "linkability", "verdict")),
 )
 """All that a run leaves beside its manifest, its cells, and its figures."""

@@ -8,7 +8,7 @@ oracle of the suite; it is meant to be read.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import groupby, pairwise, product
 from math import comb, expm1, nan, sqrt
 from typing import TYPE_CHECKING
 
@@ -69,19 +69,31 @@ def text_of(leaked: Bools) -> str:
     return "".join("01"[sample] for sample in leaked.astype(int))
 
 
-def segments(pattern: str) -> list[int]:
-    """Return the number of samples of every leaked segment."""
-    return [len(run) for run in pattern.split("0") if run]
+def lasting_s(t: Sequence[float]) -> list[float]:
+    """Return how long every sample lasts: half the interval before it and half the one after.
+
+    At either end that is the one interval there is; a single sample has none.
+    """
+    steps = [after - before for before, after in pairwise(t)]
+    if not steps:
+        return [nan]
+    return [(a + b) / 2 for a, b in zip([steps[0], *steps], [*steps, steps[-1]], strict=True)]
+
+
+def segments_s(track: Track) -> list[float]:
+    """Return how long every leaked segment lasts."""
+    samples = zip(track.pattern, lasting_s(track.t.tolist()), strict=True)
+    runs = groupby(samples, key=lambda sample: sample[0])
+    return [sum(seconds for _, seconds in run) for leaks, run in runs if leaks == "1"]
 
 
 def by_definition(track: Track) -> dict[str, float]:
-    """Return PLR, AEL (s) and MEL (s) by function; a single sample has no interval."""
-    runs, size = segments(track.pattern), len(track.pattern)
-    interval_s = float(track.t[-1] - track.t[0]) / (size - 1) if size > 1 else nan
+    """Return PLR, AEL (s) and MEL (s) by function."""
+    runs_s = segments_s(track)
     return {
-        "plr": sum(runs) / size,
-        "ael_s": sum(runs) / len(runs) * interval_s if runs else 0.0,
-        "mel_s": max(runs) * interval_s if runs else 0.0,
+        "plr": track.pattern.count("1") / len(track.pattern),
+        "ael_s": sum(runs_s) / len(runs_s) if runs_s else 0.0,
+        "mel_s": max(runs_s, default=0.0),
     }
 
 
@@ -228,9 +240,9 @@ def _all_and_none_leaked(function: Function) -> None:
 
 @_check_each(ael_s="", mel_s="")
 def _irregular_sampling(function: Function) -> None:
-    """{of} counts samples in mean intervals of the whole trajectory, not elapsed time."""
-    last = {"ael_s": 5.0, "mel_s": 20 / 3}[function.__name__]
-    examples = {"1100": 20 / 3, "0011": 20 / 3, "1011": last}
+    """{of} gives a sample half of either interval beside it: its own, not the trajectory's mean."""
+    last = {"ael_s": 6.75, "mel_s": 12.5}[function.__name__]
+    examples = {"1100": 2.0, "0011": 12.5, "0010": 4.5, "1011": last}
     _by_hand(function, examples, t=[0.0, 1.0, 2.0, 10.0])
 
 

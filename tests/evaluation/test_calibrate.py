@@ -7,7 +7,7 @@ import pytest
 
 from evaluation import calibrate
 from evaluation.analysis.calibration import descriptors, fit, links, predictions
-from isac_track.config import SensingSettings, StageSettings
+from isac_track.config import PrivacySettings, SensingSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.scenes import cut
 
@@ -25,8 +25,8 @@ def blocks(known):
 
 
 def targets_of(blocks, settings):
-    raw_plr, raw_mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3)
-    fid_plr, _ = descriptors(blocks, settings=settings, epsilon_m=0.3, eta=1000.0)
+    raw_plr, raw_mel_s = descriptors(blocks, settings=settings, rule=PrivacySettings())
+    fid_plr, _ = descriptors(blocks, settings=settings, rule=PrivacySettings(), eta=1000.0)
     return raw_plr, raw_mel_s, fid_plr
 
 
@@ -43,7 +43,7 @@ def test_the_short_way_gives_the_numbers_of_the_pipeline(known, blocks):
     settings = StageSettings().sensing
     ours = predictions(known, stages=StageSettings(), n_scenes=N_SCENES, seed=0)
     for spec, eta in (("raw", None), ("fid:1000", 1000.0)):
-        plr, mel_s = descriptors(blocks, settings=settings, epsilon_m=0.3, eta=eta)
+        plr, mel_s = descriptors(blocks, settings=settings, rule=PrivacySettings(), eta=eta)
         assert ours[spec, "plr"] == pytest.approx(plr, abs=1e-6)
         assert ours[spec, "mel"] == pytest.approx(mel_s, abs=1e-4)
 

@@ -36,8 +36,8 @@ def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, cap
     assert not (tmp_path / "run").exists()
     assert run(*small) == 0
     shown = capsys.readouterr()
-    assert "PLR" in shown.out
-    assert f"results in {tmp_path / 'run'}" in shown.out
+    assert "known in 0.3 m" in shown.out
+    assert f"tables: {tmp_path / 'run' / 'tables.txt'}" in shown.out
     assert "12 of 12 tracks used, 8 scenes; 1 cells" in shown.err
     value = pd.read_csv(tmp_path / "run" / "summary.csv").set_index("metric")["value"]["plr"]
     assert f"{100 * value:.1f}" in shown.out
@@ -59,7 +59,7 @@ def test_a_dry_run_writes_nothing_and_a_run_ends_in_a_table(small, tmp_path, cap
         (["--mechanism", "none", "--mechanism", "raw"], "none empties the axis"),
         (["--set", "privacy.epsilon_m"], "--set takes STAGE.KEY=VALUE"),
         (["--config", "nowhere.toml"], "--config nowhere.toml: No such file"),
-        (["--verbose"], "unrecognized arguments: --verbose"),
+        (["--verbos"], "unrecognized arguments: --verbos"),
         (["--pre", "smoke"], "unrecognized arguments: --pre smoke"),
     ],
 )
@@ -221,6 +221,9 @@ def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, capsys):
     words = "--scenes 8 --mechanism raw --task none --predictor kalman_cv:noise=declared"
     words += " --set scenes.clearance_m=6.5 --set scenes.max_redraws=2"
     assert run("--dataset", csv_recording, *words.split(), "--out", tmp_path / "run") == 0
-    shown = capsys.readouterr().err
-    assert "kalman_cv:noise=declared asked for SIGMA, which a robot does not have" in shown
-    assert re.search(r"\d+ background agents found no place", shown)
+    shown = capsys.readouterr()
+    assert "kalman_cv:noise=declared asked for SIGMA, which a robot does not have" in shown.err
+    assert "2 notices in full: tables.txt" in shown.err
+    assert "Doubts: 2 notices." in shown.out
+    told = (tmp_path / "run" / "tables.txt").read_text(encoding="utf-8")
+    assert re.search(r"\d+ background agents found no place", told)

@@ -26,17 +26,13 @@ def plr(leaks="strictly", share=np.mean):
     return lambda shared_xy, true_xy, epsilon_m: share(LEAKS[leaks](shared_xy - true_xy, epsilon_m))
 
 
-def mean_interval(t):
-    return (t[-1] - t[0]) / (len(t) - 1) if len(t) > 1 else nan
-
-
-def duration(combine, *, leaks="strictly", change=np.asarray, interval=mean_interval, nothing=0.0):
-    """Return AEL if `combine` is the mean, MEL if it is max; it is given samples per segment."""
+def duration(combine, *, leaks="strictly", change=np.asarray, lasting=oracles.own_s, nothing=0.0):
+    """Return AEL if `combine` is the mean, MEL if it is max; it is given s per segment."""
 
     def descriptor(shared_xy, true_xy, t, epsilon_m):
-        leaked = LEAKS[leaks](shared_xy - true_xy, epsilon_m)
-        found = np.array(oracles.runs(change(leaked)))
-        return combine(found) * interval(t) if found.size else nothing
+        leaked = change(LEAKS[leaks](shared_xy - true_xy, epsilon_m))
+        found = oracles.segments_s(leaked, lasting(t))
+        return combine(found) if found else nothing
 
     return descriptor
 
@@ -45,18 +41,21 @@ ael, mel = partial(duration, np.mean), partial(duration, max)
 
 
 def without_first_segment(leaked):
-    return leaked[np.argmin(leaked) if not leaked.all() else leaked.size :]
+    first = np.argmin(leaked) if not leaked.all() else leaked.size
+    return leaked & (np.arange(leaked.size) >= first)
 
 
 PER_AXIS = plr("per_axis")
 LOSES_FIRST = ael(change=without_first_segment)
-LOSES_LAST = mel(change=lambda leaked: without_first_segment(leaked[::-1]))
+LOSES_LAST = mel(change=lambda leaked: without_first_segment(leaked[::-1])[::-1])
 
-INTERVALS = {
-    "zero_for_one": lambda t: mean_interval(t) if len(t) > 1 else 0.0,
-    "first": lambda t: t[1] - t[0] if len(t) > 1 else nan,
-    "span_over_samples": lambda t: (t[-1] - t[0]) / len(t),
-    "clock_from_zero": lambda t: t[-1] / (len(t) - 1) if len(t) > 1 else nan,
+LASTING = {
+    "zero_for_one": lambda t: oracles.own_s(t) if len(t) > 1 else [0.0],
+    "mean": oracles.mean_s,
+    "first": lambda t: [t[1] - t[0] if len(t) > 1 else nan] * len(t),
+    "after": lambda t: [*np.diff(t), t[-1] - t[-2]] if len(t) > 1 else [nan],
+    "span_over_samples": lambda t: [(t[-1] - t[0]) / len(t)] * len(t),
+    "clock_from_zero": lambda t: [t[-1] / (len(t) - 1) if len(t) > 1 else nan] * len(t),
 }
 
 
@@ -155,20 +154,22 @@ BROKEN = {
         (duration(np.median), "ael_of_independent_samples", "ael_matches_brute_force"),
         (mel(), "ael_may_fall_as_epsilon_grows"),
         (elapsed(np.mean), "ael_hand_examples"),
-        (ael(interval=INTERVALS["first"]), "ael_irregular_sampling"),
+        (ael(lasting=LASTING["mean"]), "ael_irregular_sampling", "ael_matches_brute_force"),
+        (ael(lasting=LASTING["after"]), "ael_irregular_sampling", "ael_rigid_motion_and_clock"),
         (ael(nothing=nan), "ael_all_and_none_leaked"),
         (LOSES_FIRST, "ael_segment_at_either_end", "ael_rigid_motion_and_clock"),
-        (ael(interval=INTERVALS["zero_for_one"]), "ael_single_sample"),
+        (ael(lasting=LASTING["zero_for_one"]), "ael_single_sample"),
     ],
     "mel_s": [
         (mel(leaks="or_equal"), "mel_boundary_is_strict"),
         (duration(sum), "mel_hand_examples", "mel_of_independent_samples"),
         (LOSES_LAST, "mel_segment_at_either_end", "mel_monotone_in_epsilon", "mel_is_at_least_ael"),
-        (mel(interval=INTERVALS["first"]), "mel_irregular_sampling"),
+        (mel(lasting=LASTING["first"]), "mel_irregular_sampling"),
+        (mel(lasting=LASTING["mean"]), "mel_irregular_sampling", "mel_matches_brute_force"),
         (elapsed(max), "mel_is_zero_exactly_when_plr_is"),
-        (mel(interval=INTERVALS["span_over_samples"]), "mel_all_and_none_leaked"),
-        (mel(interval=INTERVALS["zero_for_one"]), "mel_single_sample"),
-        (mel(interval=INTERVALS["clock_from_zero"]), "mel_rigid_motion_and_clock"),
+        (mel(lasting=LASTING["span_over_samples"]), "mel_all_and_none_leaked"),
+        (mel(lasting=LASTING["zero_for_one"]), "mel_single_sample"),
+        (mel(lasting=LASTING["clock_from_zero"]), "mel_rigid_motion_and_clock"),
         (mel_changes_its_input, "mel_matches_brute_force"),
     ],
     "exposure": [

@@ -15,44 +15,57 @@ def leaked_samples(*, shared_xy, true_xy, epsilon_m):
     return [dist(s, m) < epsilon_m for s, m in zip(shared_xy, true_xy, strict=True)]
 
 
-def runs(leaked):
-    """Length of every unbroken run of leaked samples."""
-    found = []
-    length = 0
-    for sample in leaked:
-        if sample:
-            length += 1
-        elif length > 0:
-            found.append(length)
-            length = 0
-    if length > 0:
-        found.append(length)
-    return found
-
-
 def mean_interval_s(t):
     """Mean of the differences; a single sample has none."""
     gaps = [t[k] - t[k - 1] for k in range(1, len(t))]
     return sum(gaps) / len(gaps) if gaps else nan
 
 
-def exposure(*, leaked, t):
+def mean_s(t):
+    """Every sample lasts one mean interval."""
+    return [mean_interval_s(t)] * len(t)
+
+
+def own_s(t):
+    """Half the interval before a sample and half the one after; at an end the only one."""
+    found = []
+    for k in range(len(t)):
+        beside = [abs(t[k] - t[other]) for other in (k - 1, k + 1) if 0 <= other < len(t)]
+        found.append(sum(beside) / len(beside) if beside else nan)
+    return found
+
+
+def segments_s(leaked, samples_s):
+    """Duration of every unbroken run of leaked samples."""
+    found = []
+    inside = False
+    for sample, seconds in zip(leaked, samples_s, strict=True):
+        if sample and inside:
+            found[-1] += seconds
+        elif sample:
+            found.append(seconds)
+        inside = sample
+    return found
+
+
+def exposure(*, leaked, t, intervals="segment"):
     """PLR, AEL and MEL of one trajectory, and the number of its segments."""
-    found = runs(leaked)
     count = 0
     for sample in leaked:
         if sample:
             count += 1
-    if not found:
+    if not count:
         return 0.0, 0.0, 0.0, 0
-    interval_s = mean_interval_s(t)
-    ael_s = sum(length * interval_s for length in found) / len(found)
-    return count / len(leaked), ael_s, max(found) * interval_s, len(found)
+    found = segments_s(leaked, own_s(t) if intervals == "segment" else mean_s(t))
+    return count / len(leaked), sum(found) / len(found), max(found), len(found)
 
 
-def exposure_of_all(*, leaked, t, offsets):
+def exposure_of_all(*, leaked, t, offsets, intervals="segment"):
     """Each trajectory cut out and treated alone; four lists."""
-    rows = [exposure(leaked=list(leaked[lo:hi]), t=list(t[lo:hi])) for lo, hi in pairwise(offsets)]
+    rows = [
+        exposure(leaked=list(leaked[lo:hi]), t=list(t[lo:hi]), intervals=intervals)
+        for lo, hi in pairwise(offsets)
+    ]
     return tuple(map(list, zip(*rows, strict=True)))
 
 

@@ -7,7 +7,9 @@ from math import pi
 
 import numpy as np
 import pytest
+from helpers import oracles
 
+from isac_track.config import PrivacySettings
 from isac_track.privacy import described, exposure, leakage_indicator, mean_interval_s
 from isac_track.rng import stream
 
@@ -39,7 +41,8 @@ def test_segments_end_with_their_track():
         offsets=np.array([0, 4, 8, 9, 15]),
     )
     assert found.segments.tolist() == [1, 1, 1, 2]
-    assert found.mel_s.tolist() == pytest.approx([2.0, 2.0, np.nan, 2.4], nan_ok=True)
+    # The samples at 9 and 11 s last 2 and 1.5 s, those at 14 and 15 s one each.
+    assert found.mel_s.tolist() == pytest.approx([2.0, 2.0, np.nan, 3.5], nan_ok=True)
     nothing = exposure(leaked=~leaked[2:4], t=np.arange(2.0), offsets=np.array([0, 2]))
     assert nothing.segments.tolist() == [0]
 
@@ -58,8 +61,9 @@ def test_offsets(offsets):
         exposure(leaked=np.zeros(3, bool), t=np.arange(3.0), offsets=np.array(offsets))
 
 
+@pytest.mark.parametrize("intervals", ["segment", "trajectory"])
 @pytest.mark.parametrize("is_moved", [False, True])
-def test_in_one_pass_they_are_those_of_the_definitions(is_moved):
+def test_in_one_pass_they_are_those_of_the_definitions(is_moved, intervals):
     rng = stream(0, "test", "described")
     sizes = np.array([1, 1, 1, 1, 1, 1, 2, 3, 7, 40, 300])
     offsets = np.concatenate([[0], np.cumsum(sizes)])
@@ -71,10 +75,13 @@ def test_in_one_pass_they_are_those_of_the_definitions(is_moved):
         here = (xy + truth) / 2.0
         there = (here @ turned + 5.0, xy @ turned + 5.0)
     moved = {"moved": there, "turn": np.exp(2j)} if is_moved else {}
-    found = described(xy=xy, truth=truth, t=t, offsets=offsets, epsilon_m=0.3, **moved)
+    settings = PrivacySettings(intervals=intervals)
+    found = described(xy=xy, truth=truth, t=t, offsets=offsets, settings=settings, **moved)
     leaked = leakage_indicator(shared_xy=here, true_xy=truth, epsilon_m=0.3)
     assert set(leaked[:6]) == {False, True}  # also of a single sample
-    expected = exposure(leaked=leaked, t=t, offsets=offsets)
+    expected = exposure(leaked=leaked, t=t, offsets=offsets, intervals=intervals)
+    by_eye = oracles.exposure_of_all(leaked=leaked, t=t, offsets=offsets, intervals=intervals)
+    np.testing.assert_allclose([expected.plr, expected.ael_s, expected.mel_s], by_eye[:3])
     parts = np.split(((here - truth) ** 2).sum(axis=1), offsets[1:-1])
     rows = (expected.plr, expected.ael_s, expected.mel_s, expected.segments)
     np.testing.assert_allclose(found[:4], rows, rtol=1e-12)

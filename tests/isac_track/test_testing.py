@@ -28,7 +28,7 @@ from isac_track.testing._descriptor_checks import (
     longest_run_expected,
     plain_track,
     random_tracks,
-    segments,
+    segments_s,
 )
 
 DOCS = ROOT / "docs" / "metrics.md"
@@ -85,8 +85,11 @@ class TestTheOracleOfTheSuite:
     """The suite and `oracles.py` were written apart; here they meet."""
 
     def test_segments(self):
+        t = [0.0, 0.5, 1.25, 3.0, 3.25, 7.0]
         for pattern in map("".join, product("01", repeat=6)):
-            assert segments(pattern) == oracles.runs([sample == "1" for sample in pattern])
+            leaked = [sample == "1" for sample in pattern]
+            expected = oracles.segments_s(leaked, oracles.own_s(t))
+            assert segments_s(plain_track(pattern, t=t)) == pytest.approx(expected)
 
     def test_random_tracks_cover_what_matters_and_are_what_the_coordinates_say(self):
         patterns = []
@@ -97,8 +100,8 @@ class TestTheOracleOfTheSuite:
             patterns.append("".join("01"[sample] for sample in leaked))
             assert patterns[-1] == track.pattern
         assert {"0", "1"} <= set(patterns)
-        assert any(max(segments(pattern), default=0) > 5 for pattern in patterns)
-        assert any(len(segments(pattern)) > 3 for pattern in patterns)
+        assert any("1" * 6 in pattern for pattern in patterns)
+        assert any(pattern.replace("0", " ").count("1 ") > 3 for pattern in patterns)
 
     @pytest.mark.slow
     def test_expected_longest_run_of_the_paper(self):

@@ -36,7 +36,7 @@ _ROOM_IN = 0.06
 _MECHANISMS_IN = 0.43
 """How far above the numbers the mechanisms stand."""
 _POINTS_PER_IN = 72.0
-_MARKS = {"no link detected": "~", "attack too weak": "?"}
+_MARKS = {"no link detected": "~", "attack too weak": "^"}
 _BRIGHT = 0.46
 """Share of the colour scale above which text is dark."""
 
@@ -44,7 +44,7 @@ _BRIGHT = 0.46
 def drawings(run: Results) -> list[Drawing]:
     """Return a figure for each task."""
     caption = (
-        "? attack too weak: it fails even without any error, so its silence is no privacy. ~ no "
+        "^ attack too weak: it fails even without any error, so its silence is no privacy. ~ no "
         "link detected. Crossed out: invalid, a shortcut tells people apart."
     )
     return [
@@ -136,7 +136,7 @@ def _draw_heat(ax: Axes, rows: Sequence[Sequence[Mapping[str, Any] | None]]) -> 
             continue
         values[y, x] = PERCENT * row["rank1"]
         mark = _MARKS.get(row["outcome"], "")
-        text = mark if mark == "?" else f"{mark}{values[y, x]:.0f}"
+        text = mark if mark == "^" else f"{mark}{values[y, x]:.0f}"
         colour = _ON_BRIGHT if values[y, x] > _BRIGHT * PERCENT else _ON_DARK
         places.setdefault((text, colour), []).append((x, y))
         if row[INVALID]:

@@ -4,10 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.sensed import LAWS
 from helpers.walks import context, cv_walks, flat_release, smooth_walks
 
-from attacks.reconstruction.kalman_rts import PRIOR_STD, ImmRTS, KalmanRTS, RadialRTS
+from attacks.reconstruction.kalman_rts import (
+    PRIOR_STD,
+    ImmRTS,
+    KalmanRTS,
+    RadialRTS,
+    looks_radial,
+)
 from isac_track.kalman import Batch, Moods, imm_smoother
+from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
 from isac_track.types import Knowledge
@@ -40,7 +48,8 @@ def compared(law, *granted):
     if Knowledge.SIGMA not in granted:
         release = release.without_sigma()
     ours, theirs = (
-        track_rmse(attack, release, truth, *granted) for attack in (RadialRTS(q=Q), KalmanRTS(q=Q))
+        track_rmse(attack, release, truth, *granted)
+        for attack in (RadialRTS(Q, passes=5), KalmanRTS(q=Q))
     )
     ratio = np.log(ours / theirs)
     return ratio.mean(), 1.96 * ratio.std(ddof=1) / np.sqrt(N_TRACKS)
@@ -55,6 +64,36 @@ def test_it_beats_the_linear_smoother_under_the_radial_law_and_only_there(grante
     assert low < np.exp(mean - half_width)
     assert np.exp(mean + half_width) < high
     assert half_width < 0.04
+
+
+@pytest.mark.parametrize("granted", [(), (Knowledge.SIGMA,)], ids=["blind", "with sigma"])
+@pytest.mark.parametrize("law", LAWS)
+def test_without_being_told_it_is_the_smoother_of_the_law(granted, law):
+    release, _ = walks(law)
+    right = RadialRTS(q=Q, passes=5) if law == "radial" else KalmanRTS(q=Q)
+    ours, theirs = (one.fit(context(granted=granted))(release) for one in (RadialRTS(q=Q), right))
+    np.testing.assert_array_equal(ours.xy, theirs.xy)
+    np.testing.assert_array_equal(ours.std, theirs.std)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.25], ids=["even", "from sample to sample"])
+@pytest.mark.parametrize("law", [*LAWS, "radial on radial"])
+def test_the_law_shows_whatever_scales_the_errors(law, spread):
+    release, truth = walks("radial")
+    rng, n = stream(0, "test", "laws"), release.t.size
+    sigma = release.sigma * np.exp(spread * rng.standard_normal(n))
+    drawn = [unit_errors(n_samples=n, law=one, rng=rng) for one in law.split(" on ")]
+    seen = replace(release, xy=truth + sigma[:, None] * sum(drawn))
+    turned = replace(seen, xy=seen.xy[:, ::-1] * 0.1 + 50.0, t=seen.t / 3.0)
+    assert looks_radial(seen) == looks_radial(turned) == (law != "isotropic")
+
+
+@pytest.mark.parametrize(("law", "passes"), [("radial", 10), ("isotropic", 1)])
+def test_the_passes_are_learnt_from_others(law, passes):
+    release, truth = walks(law)
+    known = context(TrainingSet(release, truth))
+    ours, theirs = (one.fit(known)(release) for one in (RadialRTS(q=Q), RadialRTS(Q, passes)))
+    np.testing.assert_array_equal(ours.xy, theirs.xy)
 
 
 def test_a_single_pass_is_the_linear_smoother():

@@ -17,6 +17,7 @@ from evaluation.cells import reconstruction
 from evaluation.cells.reconstruction import TRAINING_PEOPLE, benchmark, folds
 from evaluation.cells.tables import descriptors
 from evaluation.experiment.axes import Axes
+from isac_track.config import PrivacySettings
 from isac_track.errors import DataError, PluginError
 from isac_track.plugins import Plugin
 from isac_track.protocols import grants
@@ -432,7 +433,7 @@ def test_descriptors_by_hand():
         truth=np.zeros((4, 2)),
         t=np.array([0.0, 0.5, 1.0, 7.0]),
         offsets=np.array([0, 3, 4]),
-        epsilon_m=0.3,
+        settings=PrivacySettings(),
     )
     expected = {"plr": [2 / 3, 0.0], "ael_s": [0.5, 0.0], "mel_s": [0.5, 0.0]}
     expected |= {"segments": [2, 0], "mse_m2": [(0.01 + 0.25) / 3, 25.0]}

@@ -66,7 +66,7 @@ class TestWhatItSays:
         places = [made.index(sentence) for sentence in VERDICT["answer"]]
         assert places == sorted(places)
         assert places[-1] < made.index('id="fig-headline"') < made.index("<nav")
-        told = ["▲ inflated", "? undecided", "split: too few [red]people[/red]"]
+        told = ["▲ inflated", "· undecided", "split: too few [red]people[/red]"]
         assert all(text in made for text in [*told, "18.7 [18.4, 19.1]"])
         for name, title in {name: escape(one) for name, one in page.SECTIONS.items()}.items():
             assert f'<li><a href="#{name}">{title}</a></li>' in made

@@ -1,7 +1,7 @@
 """What the tables of a run say: the numbers of its frames, and what is to be doubted."""
 
-import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,6 @@ from helpers.finished_runs import (
     rows_where,
 )
 from helpers.pages import assert_as_approved
-from rich.console import Console
 
 from evaluation.analysis.families import families_in
 from evaluation.analysis.linkability import linked_tasks
@@ -40,10 +39,10 @@ STRANGER = [*levels(swept=HEADLINE, others=[]), *[("ou", at) for at in (0.2, 0.4
 TOLD = ["clean", "raw", "fid 1", "fid 1000", "fixed 0.7", "fixed 1"]
 
 
-def shown(run, *, width=200):
-    raw = io.StringIO()
-    tables.show(run, console=Console(file=raw, width=width, highlight=False))
-    return raw.getvalue()
+def shown(run, out):
+    """All that is not on the first screen."""
+    tables.write_text(replace(run, out=out))
+    return (out / "tables.txt").read_text(encoding="utf-8")
 
 
 def row_of(table, *start):
@@ -62,28 +61,28 @@ def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(
     tables.write_tex(run, folder=tmp_path)
     found = tables.page_tables(run)
     told = [name for name in found if re.match("matched|cells-h|doubts|flags|contr|verd", name)]
-    parts = [shown(run, width=100), *(f"{name}\n{markdown(found[name])}" for name in told)]
+    parts = [shown(run, tmp_path), *(f"{name}\n{markdown(found[name])}" for name in told)]
     parts += [(tmp_path / f"{name}.tex").read_text("utf-8") for name in ("linkability", "verdict")]
     parts += [f"{one.name}: {one.words(run)}\n" for one in figures_of(run)]
     text = "\n".join(parts)
     assert_as_approved(text, Path(__file__).with_name("shown.txt"))
 
 
-class TestTheTerminal:
-    def test_notices_and_at_last_failed_cells_are_told(self):
+class TestTheTextFile:
+    def test_notices_and_at_last_failed_cells_are_told(self, tmp_path):
         row = {"spec": "fid:1", "kind": "attack", "consumer": "mine", "knowledge": "blind"}
         run = make_run(failed=pd.DataFrame([row | {"block": 0, "why": "it broke"}]))
         run.manifest["dataset"]["simulated"] = True
-        text = shown(run)
-        assert "NOTICE: the tracks are simulated" in text
+        text = shown(run, tmp_path)
+        assert text.startswith("SIMULATED crowd students03: ")
         last = "failed: mine (blind) at fid:1: it broke; left out everywhere"
         assert text.splitlines()[-1] == last
         run.manifest["dataset"]["notice"] = "a stand-in"
-        assert "NOTICE: a stand-in" in shown(run)
+        assert "NOTICE: a stand-in" in shown(run, tmp_path)
 
-    def test_an_empty_run_is_shown(self):
+    def test_an_empty_run_is_shown(self, tmp_path):
         run = make_run(**emptied(make_run()), verdict={})
-        assert not re.search("mechanism|Verdict", shown(run))
+        assert not re.search("mechanism|Verdict", shown(run, tmp_path))
         assert tables.page_tables(run) == {}
 
 
@@ -172,7 +171,8 @@ class TestLinkage:
         frame = make_linkability()
         frame.to_csv(tmp_path / "linkability.csv", index=False)
         read = pd.read_csv(tmp_path / "linkability.csv")
-        assert shown(make_run(linkability=read)) == shown(make_run(linkability=frame))
+        found = [shown(make_run(linkability=one), tmp_path) for one in (read, frame)]
+        assert found[0] == found[1]
 
 
 class TestAnswers:

@@ -1,0 +1,127 @@
+"""The first screen of a run: the data, one table, five answers, doubts, and where to read on.
+
+At most 40 lines of 80 columns, with what was said before it; all else is in `tables.txt`.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, Final
+
+from evaluation.analysis import weak_attacks
+from evaluation.analysis.families import RAW
+from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text, wrapped
+from evaluation.reporting.answers import LIMIT, answers, headline_of
+from evaluation.reporting.headline import MOST_LEVELS, Headline, headline_table, levels_of
+from evaluation.reporting.result_tables import control_tests
+from evaluation.reporting.table import Table, printable, shortened
+from evaluation.reporting.terminal import aligned
+from evaluation.runs.files import PAGE
+from isac_track.linkability import LEVEL
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from evaluation.reporting.rows import Results
+
+LINES: Final = 40
+_CORNER: Final = "in %; ind. = independent"
+TABLES: Final = "tables.txt"
+_BEFORE: Final = 5
+"""Lines that were said until then, unless who calls knows."""
+_LEAST_LEVELS: Final = 5
+_LABEL, _HEAD = 28, 8
+"""Characters of a level and over a column."""
+_SLACK: Final = 0.05
+"""Of missed conflicts, above what raw costs: what the next question allows."""
+
+
+def first_screen(run: Results, *, before: int = _BEFORE) -> list[str]:
+    """Return the lines; `before` of them were printed already, which leaves levels less room."""
+    of = headline_of(run)
+    said = [
+        f"{place} {one.topic}: {one.sentence}"
+        for place, one in enumerate(answers(run, of), start=1)
+    ]
+    rest = [*said, f"Doubts: {', '.join(_doubts(run)) or 'none'}."]
+    lines = [line for text in rest for line in wrapped(text)]
+    top, last = wrapped(data_line(run.manifest)), _next(run, of)
+    fixed = len([*top, *lines, *last]) + 2 + 2 + 1  # heads; chance and widths; where to read
+    most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))
+    levels, n_left_out = levels_of(of, most=most)
+    grid = _grid(headline_table(of, levels, intervals=False)) if levels else []
+    return [*top, *grid, *lines, _where(run, n_left_out=n_left_out), *last]
+
+
+def data_line(manifest: Mapping[str, Any]) -> str:
+    """Return what was recorded, and how much of it is used; simulated people are named first."""
+    dataset, identity = manifest["dataset"], manifest["identity"]
+    crowd = "SIMULATED crowd " if dataset.get("simulated") else ""
+    return (
+        f"{crowd}{dataset['name']}: {dataset['tracks_used']} of {dataset['tracks']} tracks used, "
+        f"{scenes_text(identity)}, seed {identity['seed']}"
+    )
+
+
+def _grid(table: Table) -> list[str]:
+    """Return a table in lines, what is above several columns once."""
+    heads = [shortened(one.name, room=_HEAD) for one in table.columns]
+    rows = [
+        [shortened(row[0].text, room=_LABEL), *(one.text or "-" for one in row[1:])]
+        for row in table.rows
+    ]
+    lines = aligned([[_CORNER, *heads[1:]], *rows], left={0})
+    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    above = " " * max(widths[0], len(_CORNER))
+    for name, of in groupby(
+        zip(table.columns[1:], widths[1:], strict=True), key=lambda one: one[0].above
+    ):
+        above += name.rjust(sum(width + 2 for _, width in of))
+    return [above, *lines]
+
+
+def _doubts(run: Results) -> Iterator[str]:
+    """Yield what speaks against believing the numbers, in numbers."""
+    if n := len(run.failed):
+        yield f"{n} cells FAILED"
+    if n := len(weak_attacks.lines(run.flags)):
+        yield f"{n} flags of weak attacks"
+    of = run.linkability[
+        (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
+    ]
+    shortcuts = [one for one in of["invalid"].fillna("") if one]
+    if shortcuts:
+        names = sorted({name for one in shortcuts for name in one.split(", ")})
+        yield f"{len(shortcuts)} of {len(of)} linkage cells invalid ({', '.join(names)} gives away)"
+    tests = [one for task in run.tasks for of in control_tests(task).values() for one in of]
+    if tests:
+        yield f"{sum(tests)} of {len(tests)} controls link ({LEVEL * len(tests):.0f} expected)"
+    linkage = run.manifest.get("linkage") or {}
+    tasks = linkage.get("tasks", {}).values()
+    if n := max((one.get("frozen", 0) for one in tasks), default=0):
+        yield f"{n} tracks frozen"
+    if linkage.get("skipped"):
+        yield f"{', '.join(linkage['skipped'])} left out"
+    if n := sum(1 for _ in notices(run.manifest)):
+        yield f"{n} notice{'s' * (n > 1)}"
+
+
+def _where(run: Results, *, n_left_out: int) -> str:
+    """Return where to read on, in one line: it is there to be copied."""
+    page = f"Page: {near(run.out / PAGE)}; " if (run.out / PAGE).exists() else ""
+    more = f" ({n_left_out} more mechanisms)" if n_left_out else ""
+    return printable(f"{page}tables{more}: {TABLES if page else near(run.out / TABLES)}")
+
+
+def _next(run: Results, of: Headline) -> list[str]:
+    """Return the command that asks the next question."""
+    out = shlex.quote(str(near(run.out)))
+    raw = of.at((RAW, None), of.robots[0]) if of.robots else None
+    if raw is None or of.attacked is None or not any(name == "fid" for name in of.known):
+        return [f"Next: python -m evaluation.report --verbose {out}"]
+    missed = math.ceil(20.0 * (raw.ci_high + _SLACK)) / 20.0
+    asked = f"--max-missed {missed:.2f} --max-plr {LIMIT:.2f}"
+    line = f"Next: python -m evaluation.design {asked} {out}"
+    return [line] if len(line) <= WIDTH else [line.removesuffix(out) + "\\", f"  {out}"]

@@ -1,0 +1,77 @@
+"""What comes first of a run: few lines, none too wide, with all that may be doubted."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.finished_runs import everything, levels, make_flags, make_linkability, make_run
+
+from evaluation.analysis.keys import Source
+from evaluation.reporting.announcements import condensed
+from evaluation.reporting.first_screen import first_screen
+from evaluation.reporting.progress import Clock
+
+MANY = [*levels(), *[(f"ou{n}", at) for n in range(20) for at in (0.2, 0.4)]]
+
+
+@pytest.mark.parametrize("before", [1, 5, 11])
+@pytest.mark.parametrize("run", [make_run(at=MANY), everything(), make_run(at=[("raw", np.nan)])])
+def test_it_fits_a_terminal_whatever_was_said_before(run, before):
+    lines = first_screen(run, before=before)
+    assert before + len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    assert not any("?" in line for line in lines)
+    assert lines[0].startswith("students03: 106 of 428 tracks used")
+    assert any(line.startswith("raw ") for line in lines)
+
+
+def test_the_paper_levels_come_first_then_one_of_every_other_mechanism():
+    lines = first_screen(make_run(at=MANY), before=1)
+    rows = [line.split("  ")[0] for line in lines[3:] if not line.startswith(" ")]
+    told = ["raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1"]
+    assert rows[:7] == [*told, "fid:1 ind.", "fixed:0.7 ind."]
+    assert len({row.partition(":")[0] for row in rows[7:14]} - {"1 Robot"}) >= 3
+    n_rows = next(n for n, row in enumerate(rows) if row.startswith(("chance", "+-")))
+    assert n_rows <= 14
+    assert any(f"({27 - (n_rows - 5)} more mechanisms)" in line for line in lines)
+
+
+def test_what_simulates_says_so_first_and_doubts_are_counted():
+    linked = make_linkability()
+    linked.loc[linked["mechanism"] == "raw", "invalid"] = "duration"
+    row = {"spec": "fid:1", "kind": "attack", "consumer": "mine", "knowledge": "blind"}
+    failed = pd.DataFrame([row | {"block": 0, "why": "it broke"}])
+    run = make_run(flags=make_flags(), failed=failed, linkability=linked)
+    run.manifest["dataset"]["simulated"] = True
+    run.manifest["linkage"] = {"tasks": {"rerelease": {"frozen": 7}}, "skipped": {"split": "x"}}
+    text = " ".join(" ".join(first_screen(run)).split())
+    assert text.startswith("SIMULATED crowd ")
+    assert "Doubts: 1 cells FAILED, 1 flags of weak attacks, 6 of " in text
+    assert "linkage cells invalid (duration gives away)" in text
+    assert "7 tracks frozen, split left out." in text
+
+
+def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
+    asked = first_screen(make_run(tmp_path / "run", strongest={"": Source("kalman_rts", "blind")}))
+    assert any("evaluation.design --max-missed 0.20 --max-plr 0.50" in line for line in asked)
+    alone = first_screen(make_run(tmp_path / "run", strongest={}))
+    assert "evaluation.report --verbose" in alone[-2] + alone[-1]
+
+
+def test_notices_are_cut_where_they_can_be_read_in_full():
+    notices = ["a " * 100, "b"]
+    assert len(condensed(notices, most=None, where="x")) == 4
+    found = condensed(notices, most=3, where="tables.txt")
+    assert len(found) == 3
+    assert found[-1] == "  ... 2 notices in full: tables.txt"
+    assert condensed(["b"], most=2, where="x") == ["b"]
+
+
+def test_the_time_left_goes_by_what_was_finished_after_the_first_cell():
+    at = iter([0.0, 1.0, 30.0, 31.0, 40.0, 4130.0])
+    clock = Clock(now=lambda: next(at))
+    assert clock.text(0, 1000) == "0:01"
+    assert clock.text(10, 1000) == "0:30"  # 29 s of compiling tell nothing of the others
+    assert clock.text(20, 1000) == "0:31"
+    # 100 cells in 10 s: 89 s for 890; then an eighth of 129 s for the report.
+    assert clock.text(110, 1000) == "0:40, about 1:44 left"
+    assert clock.text(1000, 1000) == "1:08:50"
