@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from evaluation.experiment.settings import Settings
-    from evaluation.reporting.notebook import Results, load
+    from evaluation.reporting.notebook import load
+    from evaluation.reporting.rows import Results
     from evaluation.results import run
 
 __all__ = ["Results", "Settings", "load", "run"]

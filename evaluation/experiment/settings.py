@@ -20,6 +20,7 @@ _KINDS: dict[str, tuple[Any, type, str]] = {
     **dict.fromkeys(("scenes", "seed", "jobs"), (Integral, int, "a whole number, as {}=40")),
     **dict.fromkeys(("fps", "cell_timeout_s"), (Real, float, "a number, as {}=2.5")),
     **dict.fromkeys(("preset", "dataset", "format", "executor", "scheduler"), (str, str, "text")),
+    "out": ((str, Path), Path, "the path of a folder"),
 }
 """What an option must be, what it becomes, and how that is said."""
 
@@ -100,8 +101,7 @@ class Settings:
             value = given[name]
             if value is not None:
                 if not isinstance(value, kind) or isinstance(value, bool):
-                    what = what.format(name)
-                    raise SettingsError(f"{name} must be {what}; got {quoted(value)}")
+                    raise SettingsError(f"{name} must be {what.format(name)}; got {quoted(value)}")
                 given[name] = becomes(value)
         for name, value in given.items():
             object.__setattr__(self, name, value)

@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import LEVEL_UNITS, RAW
@@ -24,6 +25,8 @@ from isac_track.intervals import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from isac_track.types import Floats
 
 STRONGEST: Final = "strongest"
 AFTER: Final = "_after"
@@ -135,17 +138,18 @@ def plot(
     ax = plt.subplots()[1] if ax is None else ax
     for (family, adding), rows in both.groupby(["family", "adding"], sort=False):
         ordered = rows.sort_values(LEVEL)
-        at, errors = {}, {}
-        for one in "xy":
-            at[one], low, high = (ordered[f"{name}_{one}"] for name in ENDS)
-            errors[f"{one}err"] = [
-                (at[one] - low).clip(lower=0.0),
-                (high - at[one]).clip(lower=0.0),
-            ]
-        ax.errorbar(**at, **errors, marker="o", capsize=2, label=f"{family} {adding}".rstrip())
+        (x_at, x_error), (y_at, y_error) = (_bars(ordered, one) for one in "xy")
+        name = f"{family} {adding}".rstrip()
+        ax.errorbar(x_at, y_at, y_error, x_error, marker="o", capsize=2, label=name)
     ax.set(xlabel=of_x.attrs["title"], ylabel=of_y.attrs["title"])
     ax.legend()
     return ax
+
+
+def _bars(rows: pd.DataFrame, side: str) -> tuple[Floats, Floats]:
+    """Return values, (R,), and what the ends of their intervals lie below and above, (2, R)."""
+    at, low, high = (rows[f"{name}_{side}"].to_numpy() for name in ENDS)
+    return at, np.maximum([at - low, high - at], 0.0)
 
 
 def _scaled(run: Results, name: str, *, task: str, robot: str) -> pd.DataFrame:
@@ -159,11 +163,16 @@ def _scaled(run: Results, name: str, *, task: str, robot: str) -> pd.DataFrame:
 
 
 def html(run: Results) -> str:
-    """Return what a notebook shows of a run: the first table, and the verdict's sentences."""
-    from evaluation.reporting.headline import headline, headline_table  # noqa: PLC0415 - a table is read without
+    """Return what a notebook shows of a run: the first screen."""
+    from evaluation.reporting import answers, first_screen, headline  # noqa: PLC0415 - seldom needed
 
-    first = headline_table(headline(run.ours, dataset=run.dataset, attacks=run.strongest))
-    heads = [f"{one.head} {one.unit}".strip() for one in first.columns]
+    of = answers.headline_of(run)
+    levels, _ = headline.levels_of(of)
+    first = headline.headline_table(of, levels)
+    heads = [" ".join(filter(None, [one.above, one.head])) for one in first.columns]
     rows = pd.DataFrame([[cell.full for cell in row] for row in first.rows], columns=heads)
-    said = "".join(f"<li>{escape(str(one))}</li>" for one in run.verdict.get("answer", ()))
-    return f"<p>{escape(repr(run))}</p>{rows.to_html(index=False, border=0)}<ol>{said}</ol>"
+    told = (
+        f"<li>{escape(f'{one.topic}: {one.sentence}')}</li>" for one in answers.answers(run, of)
+    )
+    data = escape(first_screen.data_line(run.manifest))
+    return f"<p>{data}</p>{rows.to_html(index=False, border=0)}<ol>{''.join(told)}</ol>"

@@ -330,10 +330,12 @@ def _levels(
 
     Without those that the robot, or nobody, was shown; raw needs no predictor.
     """
-    dataset, scenes = manifest["dataset"]["name"], [manifest["identity"]["scenes"]] * 2
+    dataset, identity = manifest["dataset"]["name"], manifest["identity"]
     n_files = {one["consumer"]: len(one["files"]) for one in manifest["cells"]}
-    if n_files.get(robot.consumer, 0) != n_files.get(SHARED):
-        scenes[1] = manifest["identity"].get("scenes_utility", scenes[0])
+    is_in_all = n_files.get(robot.consumer, 0) != n_files.get(SHARED)
+    every = identity.get("scenes_utility", identity["scenes"]) if is_in_all else identity["scenes"]
+    # What holds under other assumptions, another error law say, has a data set of its own.
+    summary = summary[~summary["dataset"].str.startswith(f"{dataset}:")]
     rows = summary[[*Key._fields, "value", *_ENDS]].itertuples(index=False)
     found = {
         Key(name, None if math.isnan(level) else level, *of): Estimate(value, low, high)
@@ -352,6 +354,7 @@ def _levels(
             attacked = best and Attacked(*best, numbers(where, best, DESCRIPTORS))
             known = numbers(where, robot, TARGETS) | numbers(where, AS_SHARED, DESCRIPTORS)
             linked = tuple(_strongest(task, where, dataset) for task in tasks)
+            scenes = identity["scenes"], every
             levels.append(Level(*where, *scenes, known, attacked, linked))
     return levels
 
