@@ -150,6 +150,26 @@ def described(
     return out
 
 
+def alignment_error(*, xy: Floats, truth: Floats, offsets: Ints) -> Floats:
+    """Return the root-mean-square distance of each trajectory to its true walk, (N,) m, at best.
+
+    That is after the rotation and the translation that bring them closest (Umeyama, IEEE TPAMI
+    13(4), 1991, without scale): what nobody undoes who knows not where, nor which way, a walk went.
+    NaN for a single sample. `xy` and `truth` are (M, 2) m, `offsets` (N + 1,).
+    """
+    starts, sizes = offsets[:-1], np.diff(offsets)
+    first, second = (
+        points - np.repeat(np.add.reduceat(points, starts) / sizes, sizes)
+        for points in (one[:, 0] + 1j * one[:, 1] for one in (xy, truth))
+    )
+    squares = np.add.reduceat(np.abs(first) ** 2 + np.abs(second) ** 2, starts)
+    # The sum of products is as long as it is for the best rotation, which makes it real.
+    squares -= 2.0 * np.abs(np.add.reduceat(first.conj() * second, starts))
+    left: Floats = np.sqrt(np.maximum(squares, 0.0) / sizes)
+    left[sizes == 1] = np.nan
+    return left
+
+
 def mean_interval_s(*, t: Floats, offsets: Ints) -> Floats:
     """Return the mean sampling interval of each trajectory, (N,) s; NaN for a single sample."""
     intervals = np.diff(offsets) - 1

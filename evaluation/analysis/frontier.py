@@ -136,6 +136,6 @@ def _levels(levels: Sequence[float | None], where: tuple[Ints, Floats]) -> Float
 def _read(names: tuple[str, str, str], values: Floats) -> dict[str, Floats]:
     """Return estimate and both ends, (P,) each, of estimate and replicates, (1 + B, P)."""
     drawn = values[1:].T.copy()
-    has_interval = np.isfinite(drawn).mean(axis=1) >= MIN_DEFINED
+    has_interval = np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1]
     ends = np.where(has_interval & np.isfinite(values[0]), percentile_intervals(drawn), np.nan)
     return dict(zip(names, (values[0], *ends), strict=True))

@@ -19,6 +19,7 @@ from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.cells.link_scores import COMPANIONS
 from evaluation.cells.link_setup import SIDES
+from evaluation.cells.tables import ON_TRIAL
 from evaluation.experiment.constants import WINDOWS
 from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import cluster_sums
@@ -37,7 +38,9 @@ if TYPE_CHECKING:
 COVARIATES: Final = ("n_samples", "duration_s", "speed_mps", "sigma_m")
 """Of either release: length, speed and mean noise."""
 _WHOSE: Final = ("search", "source")
-_COLUMN_OF: Final = {name: METRICS[name].column for name in DESCRIPTORS}
+_COLUMN_OF: Final = {name: METRICS[name].column for name in DESCRIPTORS} | dict(
+    zip(ON_TRIAL, ON_TRIAL, strict=True)
+)
 _OF_PROBES: Final = (*_WHOSE, "group", "above", "tied", "chance", *COMPANIONS)
 _OF_WINDOWS: Final = ("side", *_WHOSE, *COVARIATES, *_COLUMN_OF.values())
 
@@ -60,7 +63,7 @@ class LinkedProbes:
     clusters: tuple[str, ...]
     """Their names."""
     descriptors: Mapping[str, Floats]
-    """By descriptor, (N, 2): in the probe and in the gallery release"""
+    """By descriptor, those on trial among them, (N, 2): in the probe and in the gallery release"""
     covariates: Floats
     """(N, K) `COVARIATES` of either release"""
 

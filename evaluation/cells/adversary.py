@@ -101,8 +101,10 @@ def granted_at(
     return granted - {Knowledge.SIGMA}
 
 
-def reconstructed(attack: Callable[[Release], object], release: Release, *, who: str) -> Floats:
-    """Return what a fitted attack makes of a release, (M, 2) m in its frame.
+def reconstructed(
+    attack: Callable[[Release], object], release: Release, *, who: str
+) -> Reconstruction:
+    """Return what a fitted attack makes of a release, in its frame.
 
     Raises PluginError if it raises or returns anything else; the message names it.
     """
@@ -112,4 +114,4 @@ def reconstructed(attack: Callable[[Release], object], release: Release, *, who:
         raise PluginError(
             f"{who} must return a Reconstruction with xy {release.xy.shape}, got {got}"
         )
-    return found.xy
+    return found

@@ -29,6 +29,7 @@ from evaluation.cells.link_scores import Linked, calibrated, no_match_score, rea
 from evaluation.cells.link_setup import SIDES, Pairing, SensedSessions
 from evaluation.cells.tables import (
     DESCRIPTORS,
+    ON_TRIAL,
     ROWS,
     Rows,
     Tables,
@@ -36,6 +37,7 @@ from evaluation.cells.tables import (
     names_column,
     track_means,
 )
+from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.protocols import (
     AttackContext,
@@ -59,6 +61,7 @@ WINDOW_COLUMNS = (
     *("n_samples", "duration_s", "path_m", "speed_mps"),
     *("sigma_m", "sigma_raw_m"),
     *DESCRIPTORS,
+    *ON_TRIAL,
 )
 """Of the rows of a cell of windows."""
 
@@ -69,6 +72,8 @@ class _Sides:
 
     probe: Release
     gallery: Release
+    std: tuple[Floats | None, ...] = ()
+    """(M,) m of either, that the reconstruction in front claims."""
     found: dict[int, tuple[Release, Release]] = field(default_factory=dict)
 
     def of(self, pairing: Pairing) -> tuple[Release, Release]:
@@ -239,8 +244,9 @@ def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
 
 def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
     """Return both releases as a linker gets them: smoothed first, where it stands behind that."""
-    assert consumer.plugin is not None
-    behind, shows = consumer.behind, consumer.granted & declared(consumer.plugin)
+    behind, shows = consumer.behind, consumer.granted
+    if consumer.plugin is not None:
+        shows &= declared(consumer.plugin)
     if behind is None:
         return level.showing(shows)
     granted = consumer.granted & declared(behind)
@@ -248,14 +254,17 @@ def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
     is_alike = Knowledge.TRAIN not in granted and behind.origin.startswith(sharing.OURS)
     key = (Knowledge.SIGMA in shows, behind.spec, granted, None if is_alike else fold)
     if key not in level.sides:
-        pair = _smoothed(consumer, behind, level, fold)
-        level.sides[key] = _Sides(showing(pair[0], shows), showing(pair[1], shows))
+        level.sides[key] = _smoothed(consumer, behind, level, fold, shows)
     return level.sides[key]
 
 
 def _smoothed(
-    consumer: Consumer, behind: Plugin, level: LinkedLevel, fold: int
-) -> tuple[Release, Release]:
+    consumer: Consumer,
+    behind: Plugin,
+    level: LinkedLevel,
+    fold: int,
+    shows: frozenset[Knowledge],
+) -> _Sides:
     """Return both releases with the positions that a reconstruction attack makes of them."""
     name = f"attack {behind.spec}"
     who = f"{name} (behind {consumer.label})"
@@ -264,11 +273,7 @@ def _smoothed(
     sides = level.showing(granted)
     train, rows = None, known.halves[fold].learns.probe
     if rows.size:
-        windows = known.sessions.probe
-        samples = sharing.samples_of(windows.offsets, rows)
-        truth = windows.xy[samples.rows]
-        if known.frames:
-            truth = known.frames[0].of(np.repeat(rows, np.diff(samples.offsets))).points(truth)
+        truth = _true_walks(level, 0)[sharing.samples_of(known.sessions.probe.offsets, rows).rows]
         probe, _ = sides.of(known.halves[fold].learns)
         train = TrainingSet(sharing.handed(probe, behind), truth)
     context = AttackContext(
@@ -279,11 +284,24 @@ def _smoothed(
         train=train,
     )
     attack = sharing.guarded(who, lambda: behind.instance.fit(context))
+    found = [
+        reconstructed(attack, sharing.handed(view, behind), who=who)
+        for view in (sides.probe, sides.gallery)
+    ]
     first, second = (
-        derived(one, xy=reconstructed(attack, sharing.handed(view, behind), who=who))
-        for one, view in zip(releases, (sides.probe, sides.gallery), strict=True)
+        showing(derived(release, xy=one.xy), shows)
+        for release, one in zip(releases, found, strict=True)
     )
-    return first, second
+    return _Sides(first, second, std=tuple(one.std for one in found))
+
+
+def _true_walks(level: LinkedLevel, side: int) -> Floats:
+    """Return the true positions of a side's samples, (M, 2) m, in the frames of the adversary."""
+    windows: Windows = getattr(level.known.sessions, SIDES[side])
+    if not level.known.frames:
+        return windows.xy
+    walks = np.repeat(np.arange(len(windows)), np.diff(windows.offsets))
+    return level.known.frames[side].of(walks).points(windows.xy)
 
 
 def _fitted(
@@ -337,24 +355,38 @@ def _fitted(
     return score
 
 
-def window_tables(level: LinkedLevel) -> Tables:
+def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
     """Return the table of a cell of windows: a row for each of both sides, `WINDOW_COLUMNS`.
 
     `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`, `group`;
     of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where none is
     declared), `sigma_raw_m` (mean of sensing) and `DESCRIPTORS`; of the true walk, alike at all
-    levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample).
+    levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample); after the
+    reconstruction that the consumer stands behind, whatever else is in the run, `ON_TRIAL`: the
+    descriptors, `privacy.alignment_error`, and the mean standard deviation that it claims.
     """
     known, sessions = level.known, level.whole.sessions
+    smooth = _sides(consumer, level, 0)
     sides = []
-    for side, sensed, release in zip(SIDES, known.sensed, level.shared, strict=True):
+    for number, (side, sensed) in enumerate(zip(SIDES, known.sensed, strict=True)):
+        release, attacked = level.shared[number], (smooth.probe, smooth.gallery)[number].xy
         whole: Windows = getattr(sessions, side)
-        exposed = descriptors(
-            xy=release.xy,
-            truth=getattr(known.sessions, side).xy,
-            t=release.t,
-            offsets=release.offsets,
-            settings=known.privacy,
+        truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
+        exposed, left = (
+            descriptors(
+                xy=one,
+                truth=real,
+                t=release.t,
+                offsets=release.offsets,
+                settings=known.privacy,
+            )
+            for one, real in ((release.xy, truth), (attacked, walked))
+        )
+        std = smooth.std[number]
+        on_trial = (
+            *(left[name] for name in DESCRIPTORS),
+            privacy.alignment_error(xy=attacked, truth=walked, offsets=release.offsets),
+            track_means(np.full(release.t.size, np.nan) if std is None else std, release.offsets),
         )
         sigma_m = np.full(release.t.size, np.nan) if release.sigma is None else release.sigma
         columns = {
@@ -368,6 +400,7 @@ def window_tables(level: LinkedLevel) -> Tables:
             "sigma_m": track_means(sigma_m, release.offsets),
             "sigma_raw_m": track_means(sensed.sigma_raw, sensed.offsets),
             **{name: exposed[name] for name in DESCRIPTORS},
+            **dict(zip(ON_TRIAL, on_trial, strict=True)),
         }
         sides.append(pa.table(columns))
     return {ROWS: pa.concat_tables(sides).combine_chunks()}

@@ -289,7 +289,7 @@ def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
                 t=own.t,
                 offsets=own.offsets,
                 settings=block.stages.privacy,
-                moved=(reconstructed(attack, given, who=who), shown.xy),
+                moved=(reconstructed(attack, given, who=who).xy, shown.xy),
                 turn=complex(frame.turn),
             )
             is_attacked[part.tracks] = True

@@ -22,6 +22,11 @@ Tables: TypeAlias = "dict[str, pa.Table]"
 ROWS: Final = "rows"
 DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")
 """Columns of the descriptors of a track, or of a window."""
+ON_TRIAL: Final = (
+    *("plr_attacked", "ael_attacked", "mel_attacked"),
+    *("alignment_error", "posterior_std"),
+)
+"""Columns of other descriptors of a window, after a blind smoother: fraction, s, s, m, and m."""
 _DESCRIBED: Final = (*DESCRIPTORS, "segments", "mse_m2")
 
 

@@ -134,7 +134,7 @@ def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Ite
             key = () if is_same else digest, consumer.label
             tables = alike.get(key)
             if tables is None and consumer.kind == "windows":
-                tables = window_tables(level)
+                tables = window_tables(consumer, level)
             elif tables is None:
                 found = link(consumer, level)
                 tables = linkage_tables(found, whole, keep_scores=work.keep_scores)

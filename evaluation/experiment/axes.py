@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TYPE_CHECKING, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
@@ -131,7 +132,7 @@ class Axes:
     def readers(self, task: Task) -> tuple[Consumer, ...]:
         """Return all consumers of a task: its windows, the controls, the attacks by adversary."""
         return (
-            Consumer("windows", task=task.name),
+            windows_of(task.name),
             *(
                 Consumer("control", task=task.name, control=name)
                 for name, control in CONTROLS.items()
@@ -146,6 +147,15 @@ class Axes:
                 ).items()
             ),
         )
+
+
+@cache
+def windows_of(task: str) -> Consumer:
+    """Return who reads what the windows of a task give away by themselves, smoothed or not.
+
+    The smoother is one of ours that knows nothing: the same whatever else is in the run.
+    """
+    return Consumer("windows", task=task, behind=plugins.parse("attacks", "radial_rts")[0])
 
 
 def axes(settings: Settings) -> Axes:

@@ -7,7 +7,7 @@ tricks. To be read by eye.
 from __future__ import annotations
 
 from itertools import pairwise
-from math import dist, exp, nan
+from math import atan2, cos, dist, exp, nan, sin, sqrt
 
 
 def leaked_samples(*, shared_xy, true_xy, epsilon_m):
@@ -82,3 +82,22 @@ def fid_d_sigma(*, fid, eta, alpha_m, beta):
     if rho <= 1:
         return 0.0
     return alpha_m * (beta - exp(-(rho - 1)))
+
+
+def aligned(xy, truth):
+    """RMS distance that is left after the best shift, then the best turn, by its angle."""
+    a, b = (
+        [
+            (
+                x - sum(p[0] for p in points) / len(points),
+                y - sum(p[1] for p in points) / len(points),
+            )
+            for x, y in points
+        ]
+        for points in (xy, truth)
+    )
+    across = sum(p[0] * q[1] - p[1] * q[0] for p, q in zip(a, b, strict=True))
+    along = sum(p[0] * q[0] + p[1] * q[1] for p, q in zip(a, b, strict=True))
+    angle = atan2(across, along)
+    turned = [(cos(angle) * x - sin(angle) * y, sin(angle) * x + cos(angle) * y) for x, y in a]
+    return sqrt(sum(dist(p, q) ** 2 for p, q in zip(turned, b, strict=True)) / len(a))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from math import pi
 
 import numpy as np
@@ -10,7 +11,13 @@ import pytest
 from helpers import oracles
 
 from isac_track.config import PrivacySettings
-from isac_track.privacy import described, exposure, leakage_indicator, mean_interval_s
+from isac_track.privacy import (
+    alignment_error,
+    described,
+    exposure,
+    leakage_indicator,
+    mean_interval_s,
+)
 from isac_track.rng import stream
 
 
@@ -92,3 +99,20 @@ def test_mean_interval():
     t = np.array([0.0, 1.0, 2.0, 10.0, 7.0, 0.0, pi])
     interval_s = mean_interval_s(t=t, offsets=np.array([0, 4, 5, 7]))
     assert interval_s.tolist() == pytest.approx([10 / 3, np.nan, pi], rel=1e-15, nan_ok=True)
+
+
+def test_the_alignment_error_is_what_no_turn_and_no_shift_undoes():
+    rng = np.random.default_rng(8)
+    sizes = (1, 2, 3, 40)
+    offsets = np.append(0, np.cumsum(sizes))
+    truth = rng.normal(size=(offsets[-1], 2)).cumsum(axis=0)
+    noisy, mirrored = truth + rng.normal(size=truth.shape), truth * [1.0, -1.0]
+    turned = truth @ [[0.6, 0.8], [-0.8, 0.6]] + [500.0, -900.0]
+    for xy in (noisy, mirrored, turned):
+        found = alignment_error(xy=xy, truth=truth, offsets=offsets)
+        rows = [slice(*ends) for ends in pairwise(offsets)][1:]
+        assert found[1:] == pytest.approx(
+            [oracles.aligned(xy[one], truth[one]) for one in rows], abs=1e-6
+        )
+        assert np.isnan(found[0])
+    assert found[1:] == pytest.approx(0.0, abs=1e-6)

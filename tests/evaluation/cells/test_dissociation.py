@@ -6,21 +6,24 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers.cells import EPSILON_M, STAGES, Silent, Spy, World, linked, parsed, plugin, sessions_of
+from helpers.oracles import aligned
 
 from attacks.reconstruction.averaging import Identity
+from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.tasks.sessions import Windows
 from evaluation.cells.link_setup import sensed_sessions
 from evaluation.cells.linkage import WINDOW_COLUMNS, sees_times_alone, window_tables
 from evaluation.cells.sharing import restricted, samples_shared, share
 from evaluation.cells.work import LinkWork, cells
-from evaluation.experiment.axes import Consumer, axes
+from evaluation.experiment.axes import Consumer, axes, windows_of
 from evaluation.experiment.presets import DISSOCIATION
 from evaluation.experiment.settings import Settings
 from isac_track import plugins, privacy
 from isac_track.config import StageSettings
 from isac_track.conflict import minimum_separation
 from isac_track.errors import PluginError
-from isac_track.protocols import grants
+from isac_track.protocols import AttackContext, grants
+from isac_track.rng import stream
 from isac_track.scenes import robot_positions
 from isac_track.sharing import Clean, Fixed, Raw
 from isac_track.types import Knowledge, Release, Sensed
@@ -260,12 +263,12 @@ class TestLinkage:
     def test_one_sample_a_window_is_enough(self, sessions, task):
         links = links_of(task, "radial_rts")
         _, level = linked(sessions[task], "thin:100000", *links, controls=True)
-        assert set(window_tables(level)["rows"]["n_samples"].to_pylist()) == {1}
+        assert set(window_tables(windows_of(task), level)["rows"]["n_samples"].to_pylist()) == {1}
 
 
 class TestWindows:
     def frame(self, sessions, by, stages=STAGES):
-        consumer = Consumer("windows", task=sessions.task.name)
+        consumer = windows_of(sessions.task.name)
         work = LinkWork(sessions, groups=(), levels=((parsed("mechanisms", by), (consumer,)),))
         ((_, _, one, tables),) = cells(work, tracks=None, stages=stages, seed=0)
         assert one.spec == f"{sessions.task.name}/windows"
@@ -280,13 +283,19 @@ class TestWindows:
         known = sensed_sessions(task, groups=(), stages=stages, seed=0)
         sensed = known.sensed[("probe", "gallery").index(side)]
         windows = getattr(task, side)
-        release = share(parsed("mechanisms", by), sensed, "linkage", "rerelease", side, seed=0)[row]
+        shared = share(parsed("mechanisms", by), sensed, "linkage", "rerelease", side, seed=0)
+        release, mine = shared[row], slice(*shared.offsets[row : row + 2])
         window = slice(*windows.offsets[row : row + 2])
         t, xy = windows.t[window], windows.xy[window]
         held = np.isin(t, release.t)
         person, length_m = windows.person[row], sum(np.hypot(*(b - a)) for a, b in pairwise(xy))
         leaked = privacy.leakage_indicator(shared_xy=release.xy, true_xy=xy[held], epsilon_m=0.6)
         exposed = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
+        context = AttackContext(rng=stream(0, "test"), epsilon_m=0.6, granted=frozenset())
+        after = RadialRTS().fit(context)(shared.without_sigma())
+        after_xy = after.xy[mine]
+        leaked = privacy.leakage_indicator(shared_xy=after_xy, true_xy=xy[held], epsilon_m=0.6)
+        left = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
         assert found[found["side"] == side].iloc[row].to_dict() == {
             "side": side,
             "search": task.searches[windows.search[row]],
@@ -299,6 +308,11 @@ class TestWindows:
             "sigma_m": pytest.approx(release.sigma.mean()),
             "sigma_raw_m": pytest.approx(sensed.sigma_raw[window][held].mean()),
             **{name: getattr(exposed, name)[0] for name in ("plr", "ael_s", "mel_s")},
+            "plr_attacked": left.plr[0],
+            "ael_attacked": pytest.approx(left.ael_s[0]),
+            "mel_attacked": pytest.approx(left.mel_s[0]),
+            "alignment_error": pytest.approx(aligned(after_xy, xy[held]), abs=1e-6),
+            "posterior_std": pytest.approx(after.std[mine].mean()),
         }
 
     @pytest.mark.parametrize("task", LINKER)
