@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.families import LEVEL_UNITS, RAW
+from evaluation.analysis.families import LEVEL_UNITS
 from evaluation.analysis.keys import Key, Source, rows_of
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.analysis.strongest import strongest
@@ -105,7 +105,7 @@ def frame(
         there = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
         raise SettingsError(f"{run.out} has no {name} of {who or after!r}; it has that of {there}")
     known = found["mechanism"].map(run.families)
-    level = found[LEVEL].mask(found["mechanism"] == RAW, 0.0)
+    level = found[LEVEL].where([one.is_added for one in known], 0.0)
     adding = [one.adding for one in known]
     columns = {"family": [one.name for one in known], LEVEL: level, "adding": adding}
     is_attack = found["knowledge"] != ""

@@ -13,7 +13,7 @@ import pandas as pd
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
 from evaluation.analysis.keys import Source, Where, level_text, rows_of
 from evaluation.analysis.metrics import MISSED_RATE
-from evaluation.experiment.presets import DISSOCIATION
+from evaluation.experiment.presets import DISSOCIATION, SHARED
 from evaluation.reporting.table import Column, level, said
 
 if TYPE_CHECKING:
@@ -67,7 +67,8 @@ class Results:
         """Return what run it is, in a line."""
         identity, what = self.manifest["identity"], self.dataset
         what += " (simulated people)" * bool(self.manifest["dataset"].get("simulated"))
-        n_levels = len(self.ours[["mechanism", "level"]].drop_duplicates())
+        shared = self.ours[self.ours["consumer"] == SHARED]
+        n_levels = len(shared[["mechanism", "level"]].drop_duplicates())
         failed = f", {len(self.failed)} cells failed" * bool(len(self.failed))
         told = f"{what}, {identity['scenes']} scenes, seed {identity['seed']}, {n_levels} levels"
         return f"<Results {self.out}: {told}{failed}>"
@@ -95,7 +96,7 @@ class Results:
         robot : str
             Predictor whose utility it is; by default the first of the run.
 
-        The level of raw is 0. SettingsError for what the run does not have.
+        The level of what adds nothing (raw, clean) is 0. SettingsError for what the run does not have.
         """
         from evaluation.reporting import notebook  # noqa: PLC0415 - it builds on this
 

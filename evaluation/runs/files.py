@@ -116,7 +116,6 @@ def from_csv(content: bytes) -> pd.DataFrame:
         dtype=dict.fromkeys(_TEXTS.intersection(names), str),
         keep_default_na=False,
         na_values=[""],  # a name may be "NA"
-        float_precision="round_trip",
     )
     for name in _TEXTS.intersection(names):
         known = frame[name].fillna("").unique()
