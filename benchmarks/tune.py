@@ -1,8 +1,8 @@
 """Choose the trackers' process noise by likelihood: `python -m benchmarks.tune`.
 
-The defaults come from the bundled crowd alone, so that no recording that is evaluated had a say
-in them, and from shared histories alone, never from the hidden futures. Other recordings are
-shown beside it for comparison.
+The defaults come from the bundled crowd alone, and from shared histories alone, never from the
+hidden futures. No recording was fitted, but the crowd's own constants were set by hand until its
+statistics agreed with those of Students03. Other recordings are shown beside it for comparison.
 """
 
 from __future__ import annotations

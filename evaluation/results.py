@@ -16,10 +16,11 @@ from evaluation.analysis import weak_attacks as flags
 from evaluation.analysis.decisions import decisions
 from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
+from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, comparisons, matched
 from evaluation.analysis.metrics import ACHIEVED
-from evaluation.analysis.strongest import strongest
+from evaluation.analysis.strongest import cross_fitted, strongest
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting.announcements import plan_lines
@@ -120,7 +121,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     """
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
-    found, scored = summary.estimates(out, manifest)
+    found, scored, attacked = summary.estimates(out, manifest)
     predictors = manifest["settings"]["predictors"]
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     once = flags.on_first_releases(out, manifest)
@@ -133,7 +134,15 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     at_equal = matched(compared, known=known, dataset=dataset)
     best = strongest(sweeps.found, known)
     probes = read_probes(out, manifest, sweeps, strongest=best)
-    said = verdict.verdict(sweeps, compared, probes, strongest=best, manifest=manifest)
+    crossed, halves = cross_fitted(
+        attacked,
+        known,
+        best.get("", AS_SHARED),
+        weights=summary.weights_of(manifest),
+        seed=manifest["identity"]["seed"],
+    )
+    judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
+    said = verdict.verdict(judged, probes, strongest=best, scored=halves, manifest=manifest)
     results = Results(
         out=out,
         manifest=manifest,

@@ -169,7 +169,8 @@ class LinkageSettings:
 
     window_s: float = _number(12.0, 0.1, 1e6)  # length of a release in rerelease and new_traversal
     rerelease_shift_s: float = _number(6.0, 0, 1e6)
-    """the two releases of a walk start at most this far apart, so that most of it is shown twice"""
+    """the two releases of a walk start at most this far apart: at least 50 % of either window is
+    in both, 87 % on average (Students03)"""
     split_window_s: float = _number(5.0, 0.1, 1e6)  # length of either half in split
     split_gap_s: float = _number(2.0, 0, 1e6)  # shortest gap between them; in all 12 s of a track
     handover_period_s: float = _number(20.0, 0.1, 1e6)  # between two rotations of all pseudonyms

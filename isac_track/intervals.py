@@ -30,6 +30,8 @@ class Estimate:
     """(B,) bootstrap replicates; the same row of weights in every estimate of a run."""
     closed_error: float | None = None
     """Standard error where it has a closed form."""
+    effective: float = np.nan
+    """Effective clusters, where their sizes are known: n^2 / sum m^2."""
 
     @property
     def standard_error(self) -> float:
@@ -39,14 +41,20 @@ class Estimate:
         drawn = self.replicates[np.isfinite(self.replicates)]
         return float(drawn.std(ddof=1)) if drawn.size > 1 else np.nan
 
+    @property
+    def n_effective(self) -> float:
+        """Clusters of equal size that would tell as much; all of them where no size is known."""
+        return self.effective if np.isfinite(self.effective) else float(self.n)
 
-def estimate_of(values: Floats, *, n: int) -> Estimate:
+
+def estimate_of(values: Floats, *, n: int, effective: float = np.nan) -> Estimate:
     """Return the estimate that a number and its replicates, (1 + B,), of `n` clusters make.
 
     Replicates that are not finite are left out of the interval.
     """
     drawn = values[1:]
-    return Estimate(float(values[0]), *percentile_interval(drawn[np.isfinite(drawn)]), n, drawn)
+    ends = percentile_interval(drawn[np.isfinite(drawn)])
+    return Estimate(float(values[0]), *ends, n, drawn, effective=effective)
 
 
 def difference(a: Estimate, b: Estimate) -> Estimate:
@@ -89,6 +97,12 @@ def cluster_sums(*, values: Floats, cluster: Ints, n_clusters: int) -> Floats:
     """Return the sum of `values`, (R,), within each cluster, (C,)."""
     sums: Floats = np.bincount(cluster, weights=values, minlength=n_clusters).astype(np.float64)
     return sums
+
+
+def effective_clusters(sizes: Floats) -> float:
+    """Return n^2 / sum m^2 of clusters of m each, (C,), n in all: their number if all are equal."""
+    squares = float(sizes @ sizes)
+    return float(sizes.sum()) ** 2 / squares if squares > 0 else 0.0
 
 
 def ratio_estimate(
@@ -141,7 +155,8 @@ def ratio_estimates(
             ends = np.nan, np.nan
         elif is_share[row] and value in (0.0, 1.0):
             ends = wilson(hits=value * n, n=n)
-        found.append(Estimate(value, *ends, n, replicates[row]))
+        effective = effective_clusters(denominator[row])
+        found.append(Estimate(value, *ends, n, replicates[row], effective=effective))
     return found
 
 

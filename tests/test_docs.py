@@ -37,7 +37,7 @@ def test_the_plugin_guide_runs_as_it_stands(tmp_path, monkeypatch, csv_recording
         assert (tmp_path / f"run{number}" / "summary.csv").is_file()
     shown = capsys.readouterr().out
     assert "coarse:Coarse" in shown
-    assert "stand:Stand" in shown
+    assert "stand:Stand" in (tmp_path / "run1" / "tables.txt").read_text(encoding="utf-8")
 
 
 def test_the_linker_of_the_guide_passes_the_kit(tmp_path, monkeypatch):

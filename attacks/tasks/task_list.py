@@ -57,7 +57,10 @@ class Task:
 TASKS: Final[Mapping[str, Task]] = {
     task.name: task
     for task in (
-        Task("rerelease", "one walk sensed and shared twice: an upper bound"),
+        Task(
+            "rerelease",
+            "one walk sensed and shared twice, at least 50 % of it the same steps: an upper bound",
+        ),
         Task("split", "two windows of one walk that do not touch: behaviour only"),
         *(
             Task(

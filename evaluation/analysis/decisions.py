@@ -151,7 +151,7 @@ def decisions(
             raw_alarm = found.get(alarms.at("raw", None))
             if name == _SEPARATION and raw_alarm is not None:
                 at_raw_alarms[Measure(consumer, EQUAL_ALARMS).at(*where)] = estimate_of(
-                    drawn.missed_at(_drawn(raw_alarm)), n=raw_alarm.n
+                    drawn.missed_at(_drawn(raw_alarm)), n=raw_alarm.n, effective=raw_alarm.effective
                 )
             level = np.nan if where[1] is None else where[1]
             whose = (manifest["dataset"]["name"], where[0], level, consumer, name)

@@ -63,6 +63,7 @@ class Sweeps:
                 self._levels.setdefault(key.mechanism, []).append(key.level)
         self._in_order: dict[str, list[float | None]] = {}
         self._monotone: dict[tuple[str, Measure], Floats | None] = {}
+        self._joined: dict[tuple[str, str, Measure], tuple[Floats, Floats] | None] = {}
 
     def levels(self, mechanism: str) -> list[float | None]:
         """Return the levels of a mechanism, noisiest first: eta grows, a fixed error falls.
@@ -114,15 +115,40 @@ class Sweeps:
         """
         asked = mechanism, measure
         if asked not in self._monotone:
-            levels = self.levels(mechanism)
-            keys = [measure.at(mechanism, level) for level in levels] + [measure.at(RAW, None)]
-            self._monotone[asked] = None
-            if len(levels) >= FEWEST_LEVELS and all(key in self.found for key in keys):
-                # What noise costs falls towards raw, what it hides rises.
-                rises = measure.metric not in (MISSED_RATE, EQUAL_ALARMS)
-                values = np.stack([self.drawn(key) for key in keys], axis=1)
-                self._monotone[asked] = monotone(values, increasing=rises)
+            values = self._along(mechanism, measure)
+            self._monotone[asked] = (
+                None if values is None else monotone(values, increasing=_rises(measure))
+            )
         return self._monotone[asked]
+
+    def curves(self, a: str, b: str, measure: Measure) -> tuple[Floats, Floats] | None:
+        """Return two mechanisms' curves that end in one raw, pooled over both; None as `curve`."""
+        asked = a, b, measure
+        if asked not in self._joined:
+            first, second = (self._along(one, measure) for one in (a, b))
+            self._joined[asked] = None
+            if first is not None and second is not None:
+                self._joined[asked] = joined(first, second, increasing=_rises(measure))
+        return self._joined[asked]
+
+    def _along(self, mechanism: str, measure: Measure) -> Floats | None:
+        levels = self.levels(mechanism)
+        keys = [measure.at(mechanism, level) for level in levels] + [measure.at(RAW, None)]
+        if len(levels) < FEWEST_LEVELS or any(key not in self.found for key in keys):
+            return None
+        return np.stack([self.drawn(key) for key in keys], axis=1)
+
+    def rests_on(self, mechanisms: Iterable[str], *measures: Measure) -> tuple[int, float]:
+        """Return the least number of clusters, and of effective ones, over all levels and raw."""
+        keys = [
+            one.at(*where)
+            for one in measures
+            for mechanism in mechanisms
+            for where in (*((mechanism, level) for level in self.levels(mechanism)), (RAW, None))
+        ]
+        of = [self.found[key] for key in keys if key in self.found]
+        n = min((one.n for one in of), default=0)
+        return n, min((one.n_effective for one in of), default=0.0)
 
     def n(self, mechanism: str, measure: Measure) -> int:
         """Return how many clusters the least of a mechanism's levels has; 0 if none was run."""
@@ -153,8 +179,8 @@ class Comparison:
 def comparisons(sweeps: Sweeps, *, predictors: Sequence[str]) -> Iterator[Comparison]:
     """Yield every mechanism with levels against fixed noise: every criterion, rule and measure.
 
-    Both curves run from their noisiest level to raw, which is the end of either. What is matched
-    and what is compared are made monotone over the levels (isotonic regression) and interpolated,
+    Both curves run from their noisiest level to raw, which is one and the same for both. What is
+    matched and what is compared are made monotone over the levels (`joined`) and interpolated,
     descriptors on a logarithmic scale, never beyond what both reach. Matched is the *change from
     raw*, so that each bootstrap replicate, which repeats all of it on its own drawn people, is read
     at its own raw value plus that change: the comparison is paired in both.
@@ -231,29 +257,55 @@ def compare(
 
     `arms` are the names of the mechanism that is compared and of fixed noise.
     """
-    scales = [scale for arm in arms if (scale := sweeps.curve(arm, by)) is not None]
-    if len(scales) < len(arms):
+    scales = sweeps.curves(*arms, by)
+    if scales is None:
         return
-    change = [np.abs(scale - scale[:, -1:]) for scale in scales]
-    reach = min(one[0].max() for one in change)
+    reach = min(np.abs(scale[0] - scale[0, -1]).max() for scale in scales)
     if not reach > 0:
         return
     raw = float(scales[0][0, -1])
     is_plr = by.source == AS_SHARED
-    order = slice(None, None, -1 if is_plr else 1)  # at ascends, in PLR as well
-    # No change is raw itself, the end of both curves: nothing is compared there.
-    at_of = {n: np.linspace(0.0, reach, n + 1)[1:][order] for n in (N_POINTS, N_ATTACK_POINTS)}
-    where_of = {n: [places(at, scale) for scale in change] for n, at in at_of.items()}
+    for n_points, are_shared in ((N_POINTS, True), (N_ATTACK_POINTS, False)):
+        # No change is raw itself, the end of both curves: nothing is compared there.
+        at = np.linspace(0.0, reach, n_points + 1)[1:]
+        at = at[::-1] if is_plr else at  # at ascends, in PLR as well
+        of = [one for one in measures if (one.consumer == SHARED) == are_shared]
+        yield from _compared(sweeps, arms, by, of, at=at, raw=raw)
+
+
+def at_changes(
+    sweeps: Sweeps, arms: tuple[str, str], by: Measure, measures: Sequence[Measure], *, at: Floats
+) -> Iterator[tuple[Measure, Floats, Floats]]:
+    """Yield measures of both mechanisms where `by` has changed from raw by `at`, (1 + B, P) each.
+
+    Raw is one for both; what is out of reach is NaN. Measures that a level lacks are left out.
+    """
+    scales = sweeps.curves(*arms, by)
+    if scales is None:
+        return
+    where = [places(at, np.abs(scale - scale[:, -1:])) for scale in scales]
     for measure in measures:
-        curves = [curve for arm in arms if (curve := sweeps.curve(arm, measure)) is not None]
-        if len(curves) < len(arms):
-            continue
-        n_points = N_POINTS if measure.consumer == SHARED else N_ATTACK_POINTS
-        at = at_of[n_points]
-        compared, fixed = (
-            interpolated(where, curve, log=measure.metric in DESCRIPTORS)
-            for where, curve in zip(where_of[n_points], curves, strict=True)
-        )
+        curves = sweeps.curves(*arms, measure)
+        if curves is not None:
+            first, second = (
+                interpolated(place, curve, log=measure.metric in DESCRIPTORS)
+                for place, curve in zip(where, curves, strict=True)
+            )
+            n_rows = min(len(first), len(second))
+            yield measure, first[:n_rows], second[:n_rows]
+
+
+def _compared(
+    sweeps: Sweeps,
+    arms: tuple[str, str],
+    by: Measure,
+    measures: Sequence[Measure],
+    *,
+    at: Floats,
+    raw: float,
+) -> Iterator[Comparison]:
+    n_points, is_plr = at.size, by.source == AS_SHARED
+    for measure, compared, fixed in at_changes(sweeps, arms, by, measures, at=at):
         difference = compared - fixed
         defined = np.isfinite(difference[1:]).mean(axis=0)
         counts = (defined >= MIN_DEFINED) & np.isfinite(difference[0])
@@ -303,6 +355,33 @@ def monotone(values: Floats, *, increasing: bool) -> Floats:
         smallest = np.minimum.accumulate(means[::-1], axis=0)[::-1]
         np.maximum(best[first:], smallest, out=best[first:])
     return np.ascontiguousarray(best.T)
+
+
+def joined(a: Floats, b: Floats, *, increasing: bool) -> tuple[Floats, Floats]:
+    """Return two curves that end in one raw, their last column, made monotone together.
+
+    Isotonic regression over both, (R, L) and (R, K), in which raw counts once: it is the largest
+    mean of raw and the last so many levels of either curve, the others are those of each curve
+    by itself, cut off there (isotonic regression within bounds; Barlow et al. 1972).
+    """
+    if not increasing:
+        first, second = joined(-a, -b, increasing=True)
+        return -first, -second
+    raw = a[:, -1:]
+    sums = [np.cumsum(np.append(raw * 0.0, one[:, -2::-1], axis=1), axis=1) for one in (a, b)]
+    n = np.arange(sums[0].shape[1])[:, None] + np.arange(sums[1].shape[1])
+    pooled = (raw[:, :, None] + sums[0][:, :, None] + sums[1][:, None, :]) / (1.0 + n)
+    top = pooled.max(axis=(1, 2))[:, None]
+    first, second = (
+        np.append(np.minimum(monotone(one[:, :-1], increasing=True), top), top, axis=1)
+        for one in (a, b)
+    )
+    return first, second
+
+
+def _rises(measure: Measure) -> bool:
+    """Return whether a measure rises towards raw: what noise costs falls, what it hides rises."""
+    return measure.metric not in (MISSED_RATE, EQUAL_ALARMS)
 
 
 def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:

@@ -109,6 +109,7 @@ _ROWS: Final = (
     Metric("cllr", "Cllr", "linkage", "bit", "lower", digits=3),
     Metric("cllr_min", "Cllr_min", "linkage", "bit", "lower", digits=3, is_biased=True),
     Metric("d_sys", "D_sys", "linkage", "ratio", "higher", digits=3),
+    Metric("d_sys_published", "D_sys, published program", "linkage", "ratio", "higher", digits=3),
     Metric("d_sys_corrected", "D_sys, corrected", "linkage", "ratio", "higher", digits=3),
     Metric("residual_risk", "residual risk", "linkage", "fraction", "higher"),
     Metric("chance", "chance", "linkage", "fraction", "higher"),

@@ -15,7 +15,7 @@ import pandas as pd
 
 from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import Cards, dataset_of
-from evaluation.analysis.metrics import METRICS, RECONSTRUCTION
+from evaluation.analysis.metrics import DESCRIPTORS, METRICS, RECONSTRUCTION
 from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
 
@@ -52,14 +52,17 @@ the scenes' clusters, (S,), and its columns as in `_COLUMNS_OF`."""
 
 def estimates(
     out: Path, manifest: Mapping[str, Any]
-) -> tuple[dict[Key, Estimate], tuple[Scored, ...]]:
+) -> tuple[dict[Key, Estimate], tuple[Scored, ...], dict[Key, Floats]]:
     """Return every metric of the scenes with its interval and replicates, and the scores.
+
+    The last are the descriptors after each attack, (2, C): numerator and denominator by cluster.
 
     Raises DataError if a cell cannot be read.
     """
     weights = weights_of(manifest)
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
+    attacked: dict[Key, Floats] = {}
     entries = [entry for entry in manifest["cells"] if entry["kind"] in _COLUMNS_OF]
     every = {name for columns in _COLUMNS_OF.values() for name in columns}
     for _, of in groupby(entries, key=itemgetter("files")):
@@ -74,9 +77,14 @@ def estimates(
             for metric, ratio in ratios(entry["kind"], table).items():
                 keys.append(key_of(entry, metric))
                 sums.append([_within(one, cluster, weights) for one in ratio])
-        metrics = [key.metric for key in keys]
-        found |= zip(keys, _estimates(metrics, np.array(sums), weights), strict=True)
-    return found, tuple(scored)
+        metrics, of_clusters = [key.metric for key in keys], np.array(sums)
+        found |= zip(keys, _estimates(metrics, of_clusters, weights), strict=True)
+        attacked |= {
+            key: one
+            for key, one in zip(keys, of_clusters, strict=True)
+            if key.knowledge and key.metric in DESCRIPTORS
+        }
+    return found, tuple(scored), attacked
 
 
 def key_of(entry: Mapping[str, Any], metric: str) -> Key:
@@ -109,9 +117,10 @@ def _estimates(metrics: Sequence[str], sums: Floats, weights: Floats) -> Iterato
     )
     for name, one in zip(metrics, found, strict=True):
         if METRICS[name].is_root:
-            roots = (float(np.sqrt(number)) for number in (one.value, one.ci_low, one.ci_high))
-            value, low, high = roots
-            yield Estimate(value, low, high, one.n, np.sqrt(one.replicates))
+            ends = (float(np.sqrt(number)) for number in (one.value, one.ci_low, one.ci_high))
+            value, low, high = ends
+            roots = np.sqrt(one.replicates)
+            yield Estimate(value, low, high, one.n, roots, effective=one.effective)
         else:
             yield one
 

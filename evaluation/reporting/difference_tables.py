@@ -44,8 +44,8 @@ _ABOUT_ITEMS = (
     "decided before, not now; gained: the reverse; missing: not tested there.)"
 )
 _ABOUT_CONSTANTS = (
-    "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of fid:1000; all "
-    "others (linear adding) are predictions"
+    "rates and PLR in %, lengths in s; fitted: raw PLR, raw MEL and the PLR of fid:1000; the "
+    "others (linear adding) were not fitted, but seen"
 )
 
 

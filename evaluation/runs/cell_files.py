@@ -28,7 +28,7 @@ from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import ROWS, Tables
 from evaluation.runs.files import FOLDER, GALLERY, checked, content_of, write_whole, written_down
 from isac_track.errors import DataError
-from isac_track.intervals import Estimate
+from isac_track.intervals import Estimate, effective_clusters
 from isac_track.linkability import ProbeRanks
 
 if TYPE_CHECKING:
@@ -238,11 +238,12 @@ def _outcomes(
         at = {name: slice(first, first + n) for name, (first, n) in held.tables.items()}
         about = json.loads(whole["about"][at[ABOUT].start].as_py())
         replicates: dict[str, Any] = {}
+        effective: dict[str, float] = {}
         for metric in whole.column_names if REPLICATES in at else ():
             of = whole[metric].slice(*held.tables[REPLICATES])
             if (drawn is None or metric in drawn) and of.null_count == 0:
                 replicates[metric] = of.to_numpy()
-        found.append((about, at[ESTIMATES], replicates))
+        found.append((about, at[ESTIMATES], replicates, effective))
         if not draws:
             continue
         rows, place = at[ROWS], {name: n for n, name in enumerate(about["clusters"])}
@@ -257,6 +258,7 @@ def _outcomes(
         )
         drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
         for metric, both in _rank_sums(probes, _weights(*drawn_as).shape[1], drawn).items():
+            effective[metric] = effective_clusters(both[1])
             sums[drawn_as].append(both)
             asked[drawn_as].append((replicates, metric))
     for drawn_as, of in sums.items():
@@ -265,11 +267,14 @@ def _outcomes(
             ratios = (over / under).astype(np.float32)
         for (replicates, metric), ratio in zip(asked[drawn_as], ratios, strict=True):
             replicates[metric] = ratio
-    for about, mine, replicates in found:
+    for about, mine, replicates, effective in found:
         names = [metrics[1][code] for code in metrics[0][mine]]
         numbers = zip(*(one[mine].tolist() for one in fields), strict=True)
         estimates = {
-            name: Estimate(value, low, high, int(n), replicates.get(name, _NONE))
+            name: Estimate(
+                *(value, low, high, int(n), replicates.get(name, _NONE)),
+                effective=effective.get(name, np.nan),
+            )
             for name, (value, low, high, n) in zip(names, numbers, strict=True)
         }
         yield LinkageOutcome(estimates, about["numbers"], about["cohorts"])

@@ -6,119 +6,156 @@ of any other mechanism of the run that has levels.
 
 from __future__ import annotations
 
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from evaluation.analysis.families import ADDING_RULES, FID
-from evaluation.analysis.keys import AS_SHARED, Source
-from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED, Comparison, Sweeps
-from evaluation.analysis.metrics import DESCRIPTORS, METRICS, SUCCESS
+from evaluation.analysis.families import ADDING_RULES, FID, FIXED
+from evaluation.analysis.frontier import TARGETS
+from evaluation.analysis.keys import AS_SHARED, Measure, Source
+from evaluation.analysis.matching import AT_EQUAL_ALARMS, MIN_DEFINED, MISSED, Sweeps, at_changes
+from evaluation.analysis.metrics import DESCRIPTORS, EQUAL_ALARMS, METRICS, MISSED_RATE, SUCCESS
 from evaluation.verdict import rules
-from evaluation.verdict.rules import NAME, UNDECIDED, Draft, listed
+from evaluation.verdict.items import Draft
+from evaluation.verdict.rules import NAME, known, listed
 from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from isac_track.types import Floats
 
     Items = Sequence[dict[str, Any]]
 
 _CRITERIA: Final = {
-    MISSED: "equal missed-conflict rate",
-    AT_EQUAL_ALARMS: "equal missed-conflict rate and equal false alarms",
+    MISSED: (MISSED_RATE, "At an equal rise of missed conflicts"),
+    AT_EQUAL_ALARMS: (EQUAL_ALARMS, "At an equal rise of missed conflicts and equal false alarms"),
 }
 AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"
 """What a claim compares."""
 
 
-def claims(
-    compared: Iterable[Comparison], sweeps: Sweeps, strongest: Mapping[str, Source]
-) -> Iterator[Draft]:
-    """Yield an item for everything that is compared at an equal missed rate.
+def claims(sweeps: Sweeps, strongest: Mapping[str, Source], *, predictor: str) -> Iterator[Draft]:
+    """Yield an item for everything that is compared where `predictor` misses as many more.
 
-    Of FID, and of any other mechanism of the run that has levels.
+    Of FID, and of any other mechanism of the run that has levels. The rises over raw, which is one
+    for both mechanisms, are fixed beforehand; those that either does not reach are listed.
     """
     wanted = {AS_SHARED.measure(descriptor): AS_IS for descriptor in DESCRIPTORS}
     for task, source in strongest.items():
         metrics, of = ((SUCCESS,), LINKED) if task else (DESCRIPTORS, AFTER)
         wanted |= dict.fromkeys(map(source.measure, metrics), of)
-    for one in compared:
-        if one.criterion in _CRITERIA and one.measure in wanted:
-            name = sweeps.known[one.mechanism].name
-            yield _claim(one, wanted[one.measure], "" if name == FID else name)
+    for adding in ADDING_RULES:
+        fixed = sweeps.named(FIXED, adding=adding)
+        others = [one for one in sweeps.swept(adding) if one != fixed]
+        for mechanism, (criterion, (metric, _)) in product(others, _CRITERIA.items()):
+            arms, by = (mechanism, fixed), Measure(predictor, metric)
+            found = at_changes(sweeps, arms, by, list(wanted), at=np.array(TARGETS))
+            for measure, ours, theirs in found:
+                name = sweeps.known[mechanism].name
+                about = adding, criterion, wanted[measure], "" if name == FID else name
+                people = sweeps.rests_on(arms, by, measure)
+                yield _claim(measure, (ours, theirs), about, people)
 
 
-def _claim(one: Comparison, of: str, mechanism: str) -> Draft:
-    """Return an item; the paper's mechanism has no name."""
-    found = estimate_of(one.mean_difference, n=one.n)
-    source = one.measure.source
-    descriptor = "" if of == LINKED else one.measure.metric
-    unit = METRICS[one.measure.metric].summary_unit
-    where = f"At {_CRITERIA[one.criterion]} ({one.adding} adding)"
+def _claim(
+    measure: Measure,
+    found: tuple[Floats, Floats],
+    about: tuple[str, str, str, str],
+    people: tuple[int, float],
+) -> Draft:
+    """Return an item from both mechanisms at the rises, (1 + B, P) each.
+
+    `about` are adding rule, criterion, what is compared, and the mechanism, empty for the paper's;
+    `people` the clusters that it rests on, and the effective ones.
+    """
+    (ours, theirs), (adding, criterion, of, mechanism), (n, effective) = found, about, people
+    gaps = ours - theirs
+    reached = np.isfinite(gaps[0]) & (np.isfinite(gaps[1:]).mean(axis=0) >= MIN_DEFINED)
+    targets = np.array(TARGETS)
+    mean, relative = np.full(len(gaps), np.nan), np.nan
+    if reached.any():
+        # Of each row over what is known; a row of which nothing is stays unknown.
+        is_known = reached & np.isfinite(gaps)
+        with np.errstate(invalid="ignore"):
+            mean = np.where(is_known, gaps, 0.0).sum(axis=1) / is_known.sum(axis=1)
+            relative = float(mean[0] / theirs[0, reached].mean())
+    points = [
+        {"at": float(at), **rules.numbers(estimate_of(gap, n=n))}
+        for at, gap in zip(targets[reached], gaps[:, reached].T, strict=True)
+    ]
+    source = measure.source
+    descriptor = "" if of == LINKED else measure.metric
+    where = f"{_CRITERIA[criterion][1]} ({adding} adding)"
     who = mechanism or "FID"
     what = {
         AS_IS: f"{NAME.get(descriptor, '')} as shared",
         AFTER: f"{NAME.get(descriptor, '')} after {source.consumer}",
         LINKED: f"the share of people linked in {source.task}",
     }[of]
-    gap = rules.with_interval(found, unit, signed=True)
-    relative = found.value / one.mean_fixed if one.mean_fixed else np.nan
     share = f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
-    than = f"under {who} than under fixed noise: {gap}{share}."
-    reached = one.points["at"][np.isfinite(one.points["ci_low"])]
-    undecided = f"{where}, {who} less fixed noise in {what} is {gap}."
-    why = "the interval, adjusted, holds zero"
-    if not rules.is_known(found):
-        undecided = f"{where}, {what} cannot be compared."
-        why = "the two mechanisms have no range in common that enough replicates reach"
+    than = f"under {who} than under fixed noise: {{}}{share}."
+    least = f"{100 * targets[0]:g} points"
     return Draft(
-        adding=one.adding,
+        adding=adding,
         descriptor=descriptor,
         task=source.task,
         subject="" if of == AS_IS else source.attack.label,
-        criterion=one.criterion,
-        effect=found,
-        unit=unit,
-        options={rules.HOLDS: rules.p_below(found, 0.0), rules.REVERSED: rules.p_above(found, 0.0)},
+        criterion=criterion,
+        effect=estimate_of(mean, n=n, effective=effective),
+        parted_at=0.0,
+        above=rules.REVERSED,
+        below=rules.HOLDS,
+        unit=METRICS[measure.metric].summary_unit,
         sentences={
-            UNDECIDED: undecided,
             rules.HOLDS: f"{where}, {what} is lower {than}",
             rules.REVERSED: f"{where}, {what} is higher {than}",
+            rules.BETWEEN: f"{where}, {who} less fixed noise in {what} is {{}}.",
+            "": f"{where}, {what} cannot be compared.",
         },
-        why_undecided=why,
+        untestable="" if reached.any() else f"not both surely miss {least} more than raw",
         details={
             "of": of,
-            "relative": rules.known(float(relative)),
-            "range": [float(reached.min()), float(reached.max())] if reached.size else None,
+            "relative": known(relative),
+            "range": [float(targets[reached][place]) for place in (0, -1)] if points else None,
+            "unreached": targets[~reached].tolist(),
+            "points": points,
             **({"mechanism": mechanism} if mechanism else {}),
         },
     )
 
 
 def answer(items: Items) -> str:
-    """Return what is said of the paper's mechanism."""
-    mine = [one for one in items if one["criterion"] == MISSED and "mechanism" not in one]
+    """Return what is said of the paper's mechanism, by both criteria."""
+    mine = [one for one in items if "mechanism" not in one]
     if not mine:
         return "The run does not compare FID with fixed noise."
-    compared = {AS_IS: "as shared", AFTER: "after the strongest smoother", LINKED: "in linkage"}
-    parts = []
-    for adding in ADDING_RULES:
-        words = [
-            f"{where} {_fares(one_rule)}"
-            for of, where in compared.items()
-            if (one_rule := [one for one in mine if (one["adding"], one["of"]) == (adding, of)])
-        ]
-        is_open = all(word.endswith(UNDECIDED) for word in words)
-        said = f"{UNDECIDED} throughout" if is_open else listed(words)
-        parts += [f"under {adding} adding it is {said}"] * bool(words)
-    return "FID against fixed noise at equal missed-conflict rate: " + "; ".join(parts) + "."
+    fares: dict[str, list[str]] = {}
+    for adding, (criterion, words) in product(
+        ADDING_RULES, {MISSED: "", AT_EQUAL_ALARMS: " at equal false alarms, too"}.items()
+    ):
+        found = [one for one in mine if (one["adding"], one["criterion"]) == (adding, criterion)]
+        if found:
+            fares.setdefault(_fares(found), []).append(f"{adding} adding{words}")
+    parts = [f"{said} ({'; '.join(where)})" for said, where in fares.items()]
+    return f"FID against fixed noise at equal missed conflicts: {', '.join(parts)}."
 
 
 def _fares(items: Items) -> str:
+    """Return in what the paper's mechanism is better, and in what worse."""
+    compared = {AS_IS: "as shared", AFTER: "after attack", LINKED: "in linkage"}
     parts = []
     for decision, word in ((rules.HOLDS, "better"), (rules.REVERSED, "worse")):
-        found = [one for one in items if one["decision"] == decision]
-        if names := [str(NAME.get(one["descriptor"], one["task"])) for one in found]:
-            all_of = "" if len(names) < len(items) or len(names) == 1 else "all of "
-            parts.append(f"{word} in {all_of}{listed(names)}")
-    return " but ".join(parts) or UNDECIDED
+        where = []
+        for of, words in compared.items():
+            names = [
+                str(NAME.get(one["descriptor"], one["task"]))
+                for one in items
+                if (one["decision"], one["of"]) == (decision, of)
+            ]
+            if names:
+                where.append(f"{listed(names)} {words}")
+        if where:
+            parts.append(f"{word} in {listed(where)}")
+    return ", ".join(parts) or "no difference is shown"

@@ -11,7 +11,8 @@ from evaluation.analysis.families import ADDING_RULES
 from evaluation.analysis.keys import AS_SHARED, Source
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import rules
-from evaluation.verdict.rules import NAME, UNDECIDED, Draft, listed
+from evaluation.verdict.items import Draft
+from evaluation.verdict.rules import NAME, listed
 from isac_track.intervals import estimate_of
 
 if TYPE_CHECKING:
@@ -43,25 +44,22 @@ def _inflated(
     if not ratios:
         return
     mean = np.mean(ratios, axis=0)
-    n = sweeps.n(mechanism, measures[0])
-    in_logarithms, ratio = estimate_of(mean, n=n), estimate_of(np.exp(mean), n=n)
+    n, effective = sweeps.rests_on([mechanism], *measures)
     name = sweeps.known[mechanism].name
-    said = (
-        f"After {attack.label} {NAME[descriptor]} under {name} ({adding} adding) is "
-        f"{rules.with_interval(ratio, 'ratio')} what it was as shared"
-    )
     yield Draft(
         adding=adding,
         descriptor=descriptor,
         subject=attack.label,
-        effect=ratio,
+        effect=estimate_of(mean, n=n, effective=effective),
+        parted_at=0.0,
+        above=rules.INFLATED,
+        below=rules.DEFLATED,
         unit="ratio",
-        options={
-            rules.INFLATED: rules.p_above(in_logarithms, 0.0),
-            rules.DEFLATED: rules.p_below(in_logarithms, 0.0),
+        sentences={
+            "": f"After {attack.label} {NAME[descriptor]} under {name} ({adding} adding) is {{}} "
+            "what it was as shared (geometric mean over the levels)."
         },
-        sentences={UNDECIDED: f"{said} (geometric mean over the levels)."},
-        why_undecided="the interval, adjusted, holds 1",
+        untestable="" if np.isfinite(mean[0]) else f"{NAME[descriptor]} is 0 at a level",
         details={"of": name, "levels": len(ratios)},
     )
 
@@ -72,7 +70,7 @@ def answer(items: Items) -> str:
     if not items:
         return "What an attack makes of the descriptors was not tested: no attack was run."
     if not mine:
-        return "That an attack raises the descriptors is undecided."
+        return "That an attack raises the descriptors is not shown by these people."
     subject = mine[0]["subject"]
     parts = []
     for descriptor in DESCRIPTORS:

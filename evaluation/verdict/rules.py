@@ -18,21 +18,23 @@ import numpy as np
 from scipy.special import stdtr
 
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
+from isac_track.intervals import Estimate
 from isac_track.linkability.significance import holm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from isac_track.intervals import Estimate
 
 NAME: Final = {name: METRICS[name].head for name in DESCRIPTORS}
 TRACKS, WEAKLY, DOES_NOT = "tracks", "tracks weakly", "does not track"
 HOLDS, REVERSED = "holds", "reversed"
 INFLATED, DEFLATED = "inflated", "deflated"
 UNDECIDED = "undecided"
+BETWEEN, NOT_TESTABLE = "between", "not testable"
+DIFFERS, EQUAL = "differs", "equal"
+"""Readings of a contrast by itself."""
 SIGN: Final = {
     **dict.fromkeys((TRACKS, WEAKLY, HOLDS, INFLATED), 1),
-    UNDECIDED: 0,
+    **dict.fromkeys((UNDECIDED, BETWEEN, NOT_TESTABLE), 0),
     **dict.fromkeys((DOES_NOT, REVERSED, DEFLATED), -1),
 }
 """Of a decision."""
@@ -42,6 +44,8 @@ ALPHA: Final = 0.05
 VALIDITY, WITHIN, CLAIM, INFLATION = "validity", "within", "claim", "inflation"
 SECTIONS: Final = (VALIDITY, WITHIN, CLAIM, INFLATION)
 SECTION_ALPHA: Final = ALPHA / len(SECTIONS)
+BAND_COVERAGE: Final = 0.992
+"""Share of studies in which the bands of a section (within, claim, inflation) hold all truths."""
 SUCCESS_MARGIN: Final = 0.05
 """Difference in rank 1 that counts as none: five people in a hundred."""
 WEAK_MARGIN: Final = 0.10
@@ -51,6 +55,12 @@ LEAST_SPAN: Final = 1.25
 LEAST_CORRELATION: Final = 0.10
 """Partial rank correlation below which a descriptor tells nothing of a single track."""
 LEAST_CLUSTERS: Final = 8
+LEAST_FALL: Final = 0.20
+"""Of linkage, from raw to the strongest fixed error: where it falls less, anything would track."""
+FEWEST_DISCORDANT: Final = 10
+"""People linked under one of two mechanisms only: with fewer the interval is that of counts."""
+FEWEST_SHOWN, FEWEST_EFFECTIVE = 15, 20
+"""Effective clusters, n^2 / sum m^2: for an interval, and for a decision."""
 REACH: Final = 0.02
 """Share of a descriptor's span by which a point may lie beyond the end of the fixed sweep."""
 _LEAST_SE = 1e-9
@@ -165,7 +175,12 @@ def with_interval(one: Estimate, unit: str, *, signed: bool = False, absolute: b
         return "unknown"
     value, low, high = (f"{number:{'+' if signed else ''}.{digits}f}" for number in found)
     word = {"fraction": " points", "s": " s", "ratio": " times"}.get(unit, "")
-    return f"{value}{word} [{low}, {high}]"
+    return f"{value}{word} [{low}, {high}]" if np.isfinite(found[1:]).all() else f"{value}{word}"
+
+
+def written(value: float, unit: str) -> str:
+    """Return a number as people write it, with its unit; units are those of `with_interval`."""
+    return with_interval(Estimate(value), unit, signed=unit != "ratio")
 
 
 def listed(words: Sequence[str]) -> str:

@@ -15,17 +15,18 @@ from typing import TYPE_CHECKING, Any, Final
 from evaluation.analysis.families import ADDING_RULES, FID
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import claim, inflation, rules
+from evaluation.verdict.items import decided
 from evaluation.verdict.rules import DOES_NOT, NAME, TRACKS, UNDECIDED, WEAKLY, listed
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from evaluation.analysis.keys import Source
     from evaluation.analysis.linked_people import LinkedProbes
-    from evaluation.analysis.matching import Comparison, Sweeps
+    from evaluation.analysis.matching import Sweeps
 
     Items = Sequence[dict[str, Any]]
 
@@ -39,51 +40,36 @@ _PLURAL: Final = {
 
 def verdict(
     sweeps: Sweeps,
-    compared: Iterable[Comparison],
     levels: Mapping[str, Sequence[LinkedProbes]],
     *,
     strongest: Mapping[str, Source],
+    scored: Sequence[Source] = (),
     manifest: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the verdict of a run as in `verdict.json`.
 
-    `compared` is with fixed noise: the claim is read with the first predictor of the run. `levels`
-    are by task who is linked at each level by its strongest linker, which `strongest` names; under
-    "" that is the strongest reconstruction.
+    The claim is read with the first predictor of the run. `levels` are by task who is linked at
+    each level by its strongest linker, which `strongest` names; under "" that is the strongest
+    reconstruction. `scored` are those that its descriptors in `sweeps` come from, if they are
+    others: what either half of the people chose.
     """
     success = {task: linker for task, linker in strongest.items() if task}
     attacks = [attack for task, attack in strongest.items() if not task]
-    predictors = manifest["settings"]["predictors"]
-    of_first = [one for one in compared if one.predictor in predictors[:1]]
-    drafts = {
-        rules.VALIDITY: validity(sweeps, success=success),
-        rules.WITHIN: within(levels, sweeps, success=success),
-        rules.CLAIM: claim.claims(of_first, sweeps, strongest),
-        rules.INFLATION: inflation.inflation(sweeps, attacks),
-    }
-    items: list[dict[str, Any]] = []
-    for section in rules.SECTIONS:
-        mine = list(drafts[section])
-        decided = rules.decide([draft.options for draft in mine])
-        for draft, (decision, p_value, p_adjusted) in zip(mine, decided, strict=True):
-            about = ("adding", "descriptor", "task", "subject", "criterion")
-            items.append(
-                {
-                    "id": "/".join([section, *draft.names]),
-                    "section": section,
-                    **{name: getattr(draft, name) for name in about},
-                    "decision": decision,
-                    "sign": rules.SIGN[decision],
-                    **rules.numbers(draft.effect),
-                    "unit": draft.unit,
-                    "n": draft.effect.n,
-                    "p_value": p_value,
-                    "p_adjusted": p_adjusted,
-                    "sentence": draft.sentences.get(decision, draft.sentences[UNDECIDED]),
-                    "why_undecided": draft.why_undecided if decision == UNDECIDED else "",
-                    **draft.details,
-                }
-            )
+    seed = manifest["identity"]["seed"]
+    claims = (
+        draft
+        for predictor in manifest["settings"]["predictors"][:1]
+        for draft in claim.claims(sweeps, strongest, predictor=predictor)
+    )
+    items = [
+        *_of_validity([*validity(sweeps, success=success)]),
+        *decided(rules.WITHIN, within(levels, sweeps, success=success, seed=seed)),
+        *decided(rules.CLAIM, claims),
+        *decided(rules.INFLATION, inflation.inflation(sweeps, attacks)),
+    ]
+    for one in items:
+        if scored and (one["section"] == rules.INFLATION or one.get("of") == claim.AFTER):
+            one["scored"] = [source.label for source in scored]
     dataset = manifest["dataset"]
     of = {name: [one for one in items if one["section"] == name] for name in rules.SECTIONS}
     fid = {sweeps.named(FID, adding=adding) for adding in ADDING_RULES}
@@ -102,22 +88,44 @@ def verdict(
             "confidence": CONFIDENCE,
             "alpha": rules.ALPHA,
             "section_alpha": rules.SECTION_ALPHA,
+            "band_coverage": rules.BAND_COVERAGE,
             "margins": {
                 "success": rules.SUCCESS_MARGIN,
                 "success_weak": rules.WEAK_MARGIN,
                 "correlation": rules.LEAST_CORRELATION,
                 "span": rules.LEAST_SPAN,
-                "clusters": rules.LEAST_CLUSTERS,
+                "clusters": rules.FEWEST_EFFECTIVE,
             },
-            "text": "Decided is what passes its test after Holm's adjustment over the section, "
-            f"each section at {100 * rules.SECTION_ALPHA:g} %; all else is undecided, which is no "
-            "statement either way. Intervals are at 95 % and not adjusted.",
+            "text": "Within, claim and inflation are decided by bands that hold for all items of a "
+            f"section at once in {100 * rules.BAND_COVERAGE:g} % of studies: an item is decided if "
+            "its band lies on one side. Intervals are at 95 %, each by itself.",
         },
         "counts": {
             name: dict(Counter(one["decision"] for one in mine)) for name, mine in of.items()
         },
         "items": items,
     }
+
+
+def _of_validity(drafts: Sequence[rules.Draft]) -> Iterator[dict[str, Any]]:
+    about = ("adding", "descriptor", "task", "subject", "criterion")
+    options = rules.decide([draft.options for draft in drafts])
+    for draft, (decision, p_value, p_adjusted) in zip(drafts, options, strict=True):
+        yield {
+            "id": "/".join([rules.VALIDITY, *draft.names]),
+            "section": rules.VALIDITY,
+            **{name: getattr(draft, name) for name in about},
+            "decision": decision,
+            "sign": rules.SIGN[decision],
+            **rules.numbers(draft.effect),
+            "unit": draft.unit,
+            "n": draft.effect.n,
+            "p_value": p_value,
+            "p_adjusted": p_adjusted,
+            "sentence": draft.sentences.get(decision, draft.sentences[UNDECIDED]),
+            "why": draft.why_undecided if decision == UNDECIDED else "",
+            **draft.details,
+        }
 
 
 def to_bytes(said: Mapping[str, Any]) -> bytes:
@@ -135,8 +143,8 @@ def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
         )
     named: dict[str, list[str]] = {decision: [] for decision in (*_PLURAL, UNDECIDED)}
     for descriptor in DESCRIPTORS:
-        decided = {one["decision"] for one in items if one["descriptor"] == descriptor}
-        worst = next((decision for decision in _PLURAL if decision in decided), UNDECIDED)
+        found = {one["decision"] for one in items if one["descriptor"] == descriptor}
+        worst = next((decision for decision in _PLURAL if decision in found), UNDECIDED)
         named[worst].append(NAME[descriptor])
     open_ones = named.pop(UNDECIDED)
     parts = [

@@ -42,7 +42,12 @@ def attacks_of(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
     found: defaultdict[str, set[str]] = defaultdict(set)
     for one in items:
         contrasts = [pair for pair in one.get("contrasts", ()) if pair["reading"] == "differs"]
-        for subject in filter(None, [one["subject"], *(pair.get("subject") for pair in contrasts)]):
+        subjects = (
+            one["subject"],
+            *one.get("scored", ()),
+            *(two.get("subject") for two in contrasts),
+        )
+        for subject in filter(None, subjects):
             found[subject.rpartition(" (")[0]].add(one["task"])
     return {spec: frozenset(tasks) for spec, tasks in found.items()}
 

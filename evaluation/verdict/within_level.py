@@ -15,9 +15,12 @@ from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES, RAW
 from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.analysis.summary import N_REPLICATES
 from evaluation.verdict import rules
-from evaluation.verdict.rules import NAME, Draft, known, with_interval
-from isac_track.intervals import CONFIDENCE, Estimate
+from evaluation.verdict.items import Draft
+from evaluation.verdict.rules import NAME, known
+from isac_track.intervals import CONFIDENCE, Estimate, effective_clusters
+from isac_track.rng import stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -31,13 +34,25 @@ _FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
 
 
 def within(
-    levels: Mapping[str, Sequence[LinkedProbes]], sweeps: Sweeps, *, success: Mapping[str, Source]
+    levels: Mapping[str, Sequence[LinkedProbes]],
+    sweeps: Sweeps,
+    *,
+    success: Mapping[str, Source],
+    seed: int,
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
 
     `levels` are by task; clusters are numbered alike at all levels of a task. `sweeps` are of the
     run and say under which rule a mechanism is judged; `success` is the linker of each task.
     """
+    drawn: dict[str, Floats] = {}
+    of_task = {}
+    for task, (one, *_) in levels.items():
+        for name in one.clusters:
+            if name not in drawn:  # by its name: who is in several tasks is drawn once
+                rng = stream(seed, "within", name)
+                drawn[name] = rng.standard_normal(N_REPLICATES)
+        of_task[task] = np.column_stack([drawn[name] for name in one.clusters])
     for adding in ADDING_RULES:
         wanted = (RAW, *sweeps.swept(adding))
         for descriptor in DESCRIPTORS:
@@ -49,48 +64,46 @@ def within(
                         release = np.column_stack([one.hit, *one.descriptors.values()])
                         mine.setdefault(release.tobytes(), one)
                 if any(one.mechanism != RAW for one in mine.values()):
-                    yield _item([*mine.values()], adding, descriptor, linker)
+                    yield _item([*mine.values()], adding, descriptor, linker, of_task[task])
 
 
-def _item(levels: Sequence[LinkedProbes], adding: str, descriptor: str, linker: Source) -> Draft:
+def _item(
+    levels: Sequence[LinkedProbes], adding: str, descriptor: str, linker: Source, drawn: Floats
+) -> Draft:
     works = clustered_mean(
         np.concatenate([one.hit - one.chance for one in levels]),
         np.concatenate([one.cluster for one in levels]),
     )
     found = partial_correlation(
-        [(one.descriptors[descriptor], one.hit, one.covariates, one.cluster) for one in levels]
+        [(one.descriptors[descriptor], one.hit, one.covariates, one.cluster) for one in levels],
+        drawn=drawn,
     )
-    condition = rules.p_above(works, rules.SUCCESS_MARGIN)
     name = NAME[descriptor]
     said = (
         f"In {linker.task}, among tracks of like length, speed and noise, a track's own {name} "
-        f"and whether it is linked go together by "
-        f"{with_interval(found, 'correlation')} (rank correlation)"
+        "and whether it is linked go together by {} (rank correlation)"
     )
-    why = "the interval reaches on both sides of the bound"
-    if condition > rules.ALPHA:
-        why = "the strongest attack hardly links anybody: nothing could be seen"
-    elif not rules.is_known(found):
-        why = f"{name} hardly varies beyond length, speed and noise, or there are too few people"
+    untestable = ""
+    if not works.ci_low > rules.SUCCESS_MARGIN:
+        untestable = "the strongest attack hardly links anybody: nothing could be seen"
+    elif not np.isfinite(found.value):
+        untestable = f"{name} hardly varies beyond length, speed and noise"
     return Draft(
         adding=adding,
         descriptor=descriptor,
         task=linker.task,
         subject=linker.attack.label,
         effect=found,
+        parted_at=rules.LEAST_CORRELATION,
+        above=rules.TRACKS,
+        below=rules.DOES_NOT,
         unit="correlation",
-        options={
-            rules.DOES_NOT: max(condition, rules.p_below(found, rules.LEAST_CORRELATION)),
-            rules.TRACKS: max(condition, rules.p_above(found, rules.LEAST_CORRELATION)),
-            rules.WEAKLY: max(condition, rules.p_above(found, 0.0)),
-        },
         sentences={
             rules.DOES_NOT: f"{said}: less than {rules.LEAST_CORRELATION:g}, it does not tell.",
             rules.TRACKS: f"{said}: it tells.",
-            rules.WEAKLY: f"{said}: it tells a little.",
-            rules.UNDECIDED: f"{said}.",
+            "": f"{said}.",
         },
-        why_undecided=why,
+        untestable=untestable,
         details={"levels": len(levels), "linked": known(works.value)},
     )
 
@@ -101,7 +114,9 @@ def clustered_mean(values: Floats, cluster: Ints) -> Estimate:
     return _with_error(mean, (values - mean) / values.size, cluster)
 
 
-def partial_correlation(levels: Sequence[tuple[Floats, Floats, Floats, Ints]]) -> Estimate:
+def partial_correlation(
+    levels: Sequence[tuple[Floats, Floats, Floats, Ints]], *, drawn: Floats | None = None
+) -> Estimate:
     """Return the rank correlation of descriptor and hit within levels, beyond the covariates.
 
     At each level all are put in ranks; the mean rank of the descriptor in both releases, and the
@@ -111,7 +126,9 @@ def partial_correlation(levels: Sequence[tuple[Floats, Floats, Floats, Ints]]) -
     once.
 
     `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each; rows in
-    which anything is unknown are left out.
+    which anything is unknown are left out. `drawn`, (B, C), are standard normal numbers of each
+    cluster, from which the replicates come (Gaussian multipliers of the influence of each cluster:
+    Chernozhukov, Chetverikov and Kato, Ann. Stat. 41, 2013).
     """
     rests: list[Floats] = []
     clusters: list[Ints] = []
@@ -139,7 +156,7 @@ def partial_correlation(levels: Sequence[tuple[Floats, Floats, Floats, Ints]]) -
         return Estimate(np.nan, n=int(np.unique(cluster).size))
     value = float(x @ y / x.size / scale)
     influence = x * y / scale - value / 2.0 * (x * x / (x @ x) + y * y / (y @ y)) * x.size
-    return _with_error(value, influence / x.size, cluster)
+    return _with_error(value, influence / x.size, cluster, drawn)
 
 
 def _ranks(values: Floats) -> Floats:
@@ -149,13 +166,18 @@ def _ranks(values: Floats) -> Floats:
     return scaled
 
 
-def _with_error(value: float, parts: Floats, cluster: Ints) -> Estimate:
+def _with_error(
+    value: float, parts: Floats, cluster: Ints, drawn: Floats | None = None
+) -> Estimate:
     """Return an effect whose influence, (N,), sums up within clusters."""
     names, column = np.unique(cluster, return_inverse=True)
     n = names.size
     if n < 2:  # noqa: PLR2004 - one person has no rank
         return Estimate(value, n=n)
-    sums = np.bincount(column, weights=parts, minlength=n)
-    error = float(np.sqrt(n / (n - 1.0) * (sums @ sums)))
+    effective = effective_clusters(np.bincount(column).astype(np.float64))
+    sums = np.sqrt(n / (n - 1.0)) * np.bincount(column, weights=parts, minlength=n)
+    error = float(np.sqrt(sums @ sums))
     half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * error
-    return Estimate(value, value - half, value + half, n, closed_error=error)
+    replicates = np.zeros(0) if drawn is None else value + drawn[:, names] @ sums
+    ends = value - half, value + half
+    return Estimate(value, *ends, n, replicates, closed_error=error, effective=effective)

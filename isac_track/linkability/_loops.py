@@ -230,13 +230,14 @@ def weigh(
         number += 1
 
 
-@compiled(read(2), read(2), read(1, "int64"), written(2), written(1))
+@compiled(read(2), read(2), read(1, "int64"), written(2), written(2))
 def link_shares(mated: Floats, non_mated: Floats, bins: Ints, totals: Floats, out: Floats) -> None:
-    """Write `d_sys`, (R,), of the weights of either class in each of K cells, (K, R).
+    """Write `d_sys` and `d_sys_published`, (2, R), of both classes' weights in K cells, (K, R).
 
-    The `bins` of the cells, (K,), ascend. The `totals` of both classes, (2, R), are written, too.
+    The `bins` of the cells, (K,), ascend from the first bin to the last. The `totals` of both
+    classes, (2, R), are written, too.
     """
-    n = out.size
+    n = out.shape[1]
     sums = np.zeros((2, n))
     totals[:], out[:] = 0.0, 0.0
     for k in range(bins.size):
@@ -248,10 +249,14 @@ def link_shares(mated: Floats, non_mated: Floats, bins: Ints, totals: Floats, ou
             sums[0, r] += mated[k, r]
             sums[1, r] += non_mated[k, r]
         if k == bins.size - 1 or bins[k + 1] != bins[k]:
+            # Of the trapezia between bin centres the outer bins have one instead of two.
+            inner = 1.0 - 0.5 * (bins[k] == bins[0]) - 0.5 * (bins[k] == bins[-1])
             for r in range(n):
                 p, q = sums[0, r] / totals[0, r], sums[1, r] / totals[1, r]
                 # 2 LR / (1 + LR) - 1 = (LR - 1) / (LR + 1), which is 1 where LR is infinite.
-                out[r] += p * (p - q) / (p + q) if p > q else 0.0
+                share = p * (p - q) / (p + q) if p > q else 0.0
+                out[0, r] += share
+                out[1, r] += inner * share
             sums[:] = 0.0
 
 

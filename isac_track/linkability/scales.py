@@ -37,12 +37,15 @@ SCORE_REPLICATES = 200
 probe. The ends of a 95 % interval from 200 replicates have a standard error of 0.19 standard
 deviations of the estimate (0.08 from 1,000)."""
 
-METRICS = ("auc", "eer", "cllr_min", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct", "d_sys", "cllr")
+METRICS = (
+    *("auc", "eer", "cllr_min", "tpr_at_fpr_1pct", "tpr_at_fpr_01pct"),
+    *("d_sys", "d_sys_published", "cllr"),
+)
 LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
 _COLUMNS = (
     *("auc", "eer", "cllr_min"),
     *("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct"),
-    "d_sys",
+    *("d_sys", "d_sys_published"),
 )
 """What the loops over the ROCs and the histograms write."""
 _LANES = 16
@@ -156,19 +159,19 @@ def score_scale(
     non_mated, mated = masses
     columns, totals = np.empty((len(_COLUMNS), masses.shape[2])), np.empty((2, masses.shape[2]))
     bins = cut.bins[is_occupied].astype(np.int64)
-    loops.link_shares(mated, non_mated, bins, totals, columns[-1])
-    loops.read_rocs(mated, non_mated, totals, np.array(list(LEVELS.values())), columns[:-1])
+    loops.link_shares(mated, non_mated, bins, totals, columns[-2:])
+    loops.read_rocs(mated, non_mated, totals, np.array(list(LEVELS.values())), columns[:-2])
 
     n_non_mated, n_mated = counts.sum(axis=0).tolist()
     bias = math.nan
     if n_mated and n_non_mated:
         n_bins, n_shuffles = cut.null_bins.shape
         total = np.bincount(cut.bins, weights=counts.sum(axis=1), minlength=n_bins)
-        null, others = np.empty(n_shuffles), total[:, None] - cut.null_bins
+        null, others = np.empty((2, n_shuffles)), total[:, None] - cut.null_bins
         loops.link_shares(
             *(cut.null_bins, others, np.arange(n_bins), np.empty((2, n_shuffles)), null)
         )
-        bias = float(null.mean())
+        bias = float(null[0].mean())
 
     # Some replicates more are there for the loops alone.
     n_replicates = people.rows[0][0].shape[1]

@@ -196,6 +196,7 @@ def scorecard(
     | auc, eer, cllr, cllr_min | as the functions; cllr needs `calibration` |
     | tpr_at_fpr_1pct, tpr_at_fpr_01pct | `tpr_at_fpr`; refused by the pairs that a search has |
     | d_sys, d_sys_corrected | `d_sys`, and less its mean under `permutation_p`'s shuffles |
+    | d_sys_published | `d_sys_published`: as its authors' program computes it |
 
     Rank metrics pool the probes of all searches. Score metrics pool the scores within a scale, a
     non-mated pair being of one search; over scales they are averaged, weighted by mated probes.

@@ -7,8 +7,8 @@ from itertools import combinations, pairwise, permutations, product
 import numpy as np
 from sklearn.isotonic import IsotonicRegression
 
-METRICS = ("auc", "eer", "cllr_min", "d_sys", "cllr", "tpr_at_fpr_1pct", "realised_fpr_1pct")
-METRICS += ("tpr_at_fpr_01pct", "realised_fpr_01pct")
+METRICS = ("auc", "eer", "cllr_min", "d_sys", "d_sys_published", "cllr")
+METRICS += ("tpr_at_fpr_1pct", "realised_fpr_1pct", "tpr_at_fpr_01pct", "realised_fpr_01pct")
 
 
 def ranks(row, column):
@@ -113,6 +113,19 @@ def d_sys(mated, non_mated, edges):
     return total
 
 
+def d_sys_published(mated, non_mated, edges):
+    """As the authors' program has it: densities, their ratio, trapezia between bin centres."""
+    centres = (edges[1:] + edges[:-1]) / 2
+    with np.errstate(divide="ignore", invalid="ignore"):  # of scores that are all equal
+        own, other = (np.histogram(x, bins=edges, density=True)[0] for x in (mated, non_mated))
+    ratio = np.divide(own, other, out=np.ones_like(own), where=other != 0)
+    d = 2 * ratio / (1 + ratio) - 1
+    d[ratio <= 1] = 0
+    d[other == 0] = 1
+    y = d * own
+    return sum((y[1:] + y[:-1]) / 2 * np.diff(centres))
+
+
 def possible_mates(search):
     """All mates that the null allows: of all permutations those that keep clusters together."""
     probes = np.flatnonzero(search.mate >= 0)
@@ -169,6 +182,7 @@ def score_metrics(searches, weight, calibration):
                 eer(mated, non_mated),
                 cllr_min(mated, non_mated),
                 d_sys(mated, non_mated, edges),
+                d_sys_published(mated, non_mated, edges),
                 cllr(slope * mated + intercept, slope * non_mated + intercept),
                 *(tpr(mated, non_mated, 0.01) if n_non_mated >= 3_000 else [np.nan] * 2),
                 *(tpr(mated, non_mated, 0.001) if n_non_mated >= 30_000 else [np.nan] * 2),

@@ -14,7 +14,6 @@ from scipy.stats import norm
 
 from evaluation.analysis.keys import Key, Source
 from evaluation.analysis.linked_people import LinkedProbes
-from evaluation.analysis.matching import comparisons
 from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.analysis.strongest import strongest
 from evaluation.experiment.presets import SHARED
@@ -90,9 +89,8 @@ def said_of(found, levels):
         "settings": {"preset": "paper", "scenes": 500, "predictors": [PREDICTOR]},
     }
     sweeps = sweeps_of(found)
-    compared = tuple(comparisons(sweeps, predictors=[PREDICTOR]))
     best = strongest(found, sweeps.known)
-    return verdict(sweeps, compared, levels, strongest=best, manifest=manifest)
+    return verdict(sweeps, levels, strongest=best, manifest=manifest)
 
 
 def simulated(world, *, rng):

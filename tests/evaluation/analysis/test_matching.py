@@ -9,7 +9,7 @@ from helpers.straight_lines import FID, FIXED, PREDICTORS, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.optimize import isotonic_regression
+from scipy.optimize import isotonic_regression, lsq_linear
 
 from evaluation.analysis.keys import Key, Measure
 from evaluation.analysis.matching import (
@@ -21,6 +21,7 @@ from evaluation.analysis.matching import (
     PLR,
     comparisons,
     interpolated,
+    joined,
     matched,
     monotone,
     places,
@@ -36,6 +37,30 @@ from evaluation.experiment.presets import SHARED
 def test_monotone_is_isotonic_regression_of_scipy(values, increasing):
     expected = [isotonic_regression(row, increasing=increasing).x for row in values]
     assert np.allclose(monotone(values, increasing=increasing), expected, atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_two_curves_that_end_in_one_raw_are_the_nearest_that_are_monotone(seed, increasing):
+    """Against a solver of least squares over steps that are not negative."""
+    rng = np.random.default_rng(seed)
+    a, b = (np.round(rng.normal(size=(1, n)), 1) for n in rng.integers(2, 6, 2))
+    b[:, -1] = a[:, -1]
+    first, second = joined(a, b, increasing=increasing)
+    assert first[0, -1] == second[0, -1]
+    n = a.size + b.size - 1
+    # Every level is raw less the steps between.
+    sign = -1.0 if increasing else 1.0
+    steps = np.zeros((n, n - 1))
+    for start, size in ((1, a.size - 1), (a.size, b.size - 1)):
+        for row in range(size):
+            steps[start + row, start - 1 : start + row] = sign
+    design = np.column_stack([np.ones(n), steps])
+    target = np.concatenate([a[0, -1:], a[0, -2::-1], b[0, -2::-1]])
+    found = lsq_linear(design, target, bounds=([-np.inf] + [0.0] * (n - 1), np.inf), tol=1e-14)
+    expected = design @ found.x
+    ours = np.concatenate([first[0, ::-1], second[0, -2::-1]])
+    assert ours == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_row_of_unknowns_stays_unknown():

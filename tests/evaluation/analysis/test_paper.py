@@ -161,3 +161,48 @@ def test_what_attacks_get_changes_no_match_and_no_claim():
         lambda one: paper.paper_table(sweeps_of(one), dataset="students03"),
     ):
         assert made(attacked).equals(made(found))
+
+
+def test_the_papers_own_error_is_that_of_250_conflicts():
+    errors = [
+        paper.monte_carlo_error(metric, value)
+        for *_, metric, value in paper.PUBLISHED
+        if metric == "missed_conflict_rate"
+    ]
+    # As PAPER-NOTES and the documentation say: 1.9 to 3.1 points.
+    assert (round(min(errors), 3), round(max(errors), 3)) == (0.019, 0.031)
+    draws = np.random.default_rng(0).binomial(250, 0.305, 20_000) / 250
+    assert paper.monte_carlo_error("missed_conflict_rate", 0.305) == pytest.approx(
+        draws.std(), rel=0.03
+    )
+    assert np.isnan(paper.monte_carlo_error("plr", 0.184))
+
+
+@pytest.mark.parametrize(
+    ("metric", "ours", "is_far"),
+    # Ours has a standard error of 0.01, the missed rate of the paper one of 0.029.
+    [
+        ("missed_conflict_rate", 0.305 + 0.059, False),
+        ("missed_conflict_rate", 0.305 - 0.062, True),
+        ("plr", 0.305 + 0.019, False),
+        ("plr", 0.305 + 0.021, True),
+    ],
+)
+def test_a_difference_is_judged_by_the_errors_of_both(metric, ours, is_far):
+    ends = {"ci_low": ours - 0.0196, "ci_high": ours + 0.0196}
+    assert paper.differs({"metric": metric, "paper": 0.305, "ours": ours} | ends) == is_far
+
+
+@pytest.mark.parametrize(
+    ("shift", "answer"), [(0.0, "holds"), (0.15, "does not hold"), (-0.12, "does not hold")]
+)
+def test_some_eta_gives_the_rate_that_is_said_without_one(shift, answer):
+    found = results()
+    for level in ETAS:
+        key = Key("fid", level, PREDICTOR, "missed_conflict_rate")
+        found[key] = estimate(found[key].value + shift, 0.001)
+    row = claim(found, "approximately 27 %")
+    assert row["answer"] == answer
+    if not shift:
+        assert row["effect"] == pytest.approx(-0.02)  # 25 %, at eta = 100
+        assert "nearest at eta = 100; 34.0 % at eta = 1, 15.0 % at eta = 1000" in row["evidence"]

@@ -5,8 +5,9 @@ import pytest
 from helpers.mechanisms import families_of
 
 from evaluation.analysis.keys import Source
-from evaluation.analysis.strongest import strongest, strongest_of
-from isac_track.intervals import Estimate
+from evaluation.analysis.strongest import cross_fitted, strongest, strongest_of
+from isac_track.intervals import Estimate, cluster_weights
+from isac_track.rng import stream
 
 SHAPE, DTW = Source("rerelease/shape", "blind"), Source("rerelease/dtw", "informed")
 LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
@@ -53,3 +54,34 @@ def test_which_it_is(found, expected):
 def test_its_mean_is_a_number():
     assert strongest_of([{SHAPE: 0.3, DTW: np.nan}]) == SHAPE
     assert strongest_of([]) is None
+
+
+def test_what_one_half_chose_is_scored_on_the_other():
+    """Against sums by hand: who is good on one half of the people is not that good on the other."""
+    rng = np.random.default_rng(0)
+    n, first, second = 60, Source("kalman_rts", "blind"), Source("radial_rts", "blind")
+    weights = cluster_weights(n_clusters=n, n_replicates=50, seed=0)
+    tracks = rng.integers(1, 5, n).astype(float)
+    is_first = stream(7, "strongest", "halves").permutation(n) < n / 2
+    # Each is the better one on its own half.
+    shares = {first: np.where(is_first, 0.9, 0.1), second: np.where(is_first, 0.2, 0.8)}
+    sums = {
+        source.measure(metric).at(*where): np.stack([share * tracks * rng.random(n), tracks])
+        for where in LEVELS
+        for source, share in shares.items()
+        for metric in ("plr", "mel")
+    }
+    known = families_of(sums)
+    found, halves = cross_fitted(sums, known, first, weights=weights, seed=7)
+    assert halves == [first, second]
+    for where in LEVELS:
+        for metric in ("plr", "mel"):
+            mine, theirs = (sums[one.measure(metric).at(*where)][0] for one in (first, second))
+            scored = np.where(is_first, theirs, mine)
+            one = found[first.measure(metric).at(*where)]
+            assert one.value == pytest.approx(scored.sum() / tracks.sum())
+            assert one.replicates == pytest.approx(weights @ scored / (weights @ tracks))
+    assert found[first.measure("plr").at("raw", None)].value < 0.2
+    # Where both halves choose the headline its own estimates stand.
+    alone = {key: one for key, one in sums.items() if key.consumer == "kalman_rts"}
+    assert cross_fitted(alone, known, first, weights=weights, seed=7) == ({}, [])

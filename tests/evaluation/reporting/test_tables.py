@@ -180,7 +180,7 @@ class TestAnswers:
         table = paper_table(make_run(dataset="plaza"))
         told = "The paper used students03; ours are of plaza, so they need not agree."
         assert table.notes == ["Missed rates rest on 2,000 scenes, the others on 500.", told]
-        assert table.columns[-1].head == "ours - paper"
+        assert table.columns[-1].head == "paper's own error"
 
     @pytest.mark.parametrize(
         ("unit", "value", "text"),

@@ -45,8 +45,8 @@ class TestPlantedTruths:
             ("flat", "validity", {"does not track"}, {"undecided"}),
             ("flat", "within", {"does not track"}, set()),
             # The advantage of FID was planted as well.
-            ("valid", "claim", {"holds"}, {"undecided"}),
-            ("fooled", "claim", {"holds"}, {"undecided"}),
+            ("valid", "claim", {"holds"}, {"between"}),
+            ("fooled", "claim", {"holds"}, {"between"}),
             ("valid", "inflation", {"inflated"}, set()),
         ],
     )
@@ -69,7 +69,7 @@ class TestPlantedTruths:
         wrong = 0
         for seed in range(times):
             said = run(World("empty", n_people=80), seed=seed)
-            wrong += any(one["decision"] != "undecided" for one in said["items"])
+            wrong += any(one["sign"] for one in said["items"])
         assert wrong <= most_wrong
 
 
@@ -84,7 +84,7 @@ class TestVerdict:
             assert one["ci_low"] <= one["effect"] <= one["ci_high"] or one["section"] == "claim"
             assert one["n"] == 200
             assert one["sentence"].endswith(".")
-            assert bool(one["why_undecided"]) == (one["decision"] == "undecided")
+            assert bool(one["why"]) == (not one["sign"])
             assert one["sign"] == rules.SIGN[one["decision"]]
         assert json.loads(to_bytes(said)) == json.loads(json.dumps(said))
         found = Counter((one["section"], one["adding"]) for one in said["items"])

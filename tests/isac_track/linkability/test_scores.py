@@ -15,6 +15,7 @@ from isac_track.linkability import (
     cllr,
     cllr_min,
     d_sys,
+    d_sys_published,
     eer,
     fit_calibration,
     roc_hull,
@@ -26,7 +27,7 @@ from isac_track.rng import stream
 @pytest.mark.parametrize("decimals", [0, 1, 8])
 def test_score_metrics_are_brute_force(decimals):
     rng = stream(decimals, "test", "scores")
-    for n_mated, n_non_mated in ((1, 1), (3, 20), (25, 60)):
+    for n_mated, n_non_mated in ((1, 1), (3, 20), (25, 60), (80, 300)):
         mated = np.round(rng.standard_normal(n_mated) + 0.7, decimals)
         non_mated = np.round(rng.standard_normal(n_non_mated), decimals)
         classes = {"mated": mated, "non_mated": non_mated}
@@ -38,6 +39,8 @@ def test_score_metrics_are_brute_force(decimals):
             pytest.approx(oracles.d_sys(mated, non_mated, edges), abs=1e-12),
             edges.size - 1,
         )
+        published = oracles.d_sys_published(mated, non_mated, edges)
+        assert d_sys_published(**classes) == pytest.approx(published, abs=1e-12)
         direct = cllr(llr_mated=mated, llr_non_mated=non_mated)
         assert direct == pytest.approx(oracles.cllr(mated, non_mated), abs=1e-12)
 
@@ -61,6 +64,15 @@ def test_tpr_is_refused_below_thirty_expected_false_links_and_allows_a_share_at_
     # Thirty of 3,000 are at least as high as 2970, 31 as 2969.
     classes = {"mated": np.array([2969.0, 2970.0]), "non_mated": np.arange(3_000.0)}
     assert tpr_at_fpr(**classes, alpha=0.01) == (0.5, pytest.approx(0.01))
+
+
+def test_the_published_program_loses_half_of_either_outer_bin():
+    """Forty mated scores at the top, all others at the bottom: nothing could link better."""
+    classes = {"mated": np.full(40, 3.0), "non_mated": np.zeros(80)}
+    assert d_sys(**classes) == (1.0, 4)
+    assert d_sys_published(**classes) == 0.5
+    few = {"mated": np.full(19, 3.0), "non_mated": np.zeros(80)}  # one bin: no trapezium
+    assert d_sys_published(**few) == 0.0
 
 
 def test_the_hull_is_convex_and_lies_above_the_roc():
@@ -134,7 +146,9 @@ def test_calibration_of_scores_that_say_nothing_or_everything():
     assert separated.slope * 10 + separated.intercept > 3
 
 
-@pytest.mark.parametrize("function", [auc, eer, roc_hull, cllr_min, d_sys, fit_calibration])
+@pytest.mark.parametrize(
+    "function", [auc, eer, roc_hull, cllr_min, d_sys, d_sys_published, fit_calibration]
+)
 def test_metrics_refuse_an_empty_class_and_infinity(function):
     for mated, non_mated in (([], [1.0]), ([1.0], []), ([[1.0]], [1.0])):
         with pytest.raises(ValueError, match="must have shape"):
