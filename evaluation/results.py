@@ -24,7 +24,7 @@ from evaluation.analysis.strongest import cross_fitted, strongest
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting.announcements import plan_lines
-from evaluation.reporting.notebook import load
+from evaluation.reporting.finished import load
 from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,6 +15,7 @@ from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, famil
 from evaluation.analysis.keys import Source, Where, level_text, rows_of
 from evaluation.analysis.metrics import MISSED_RATE
 from evaluation.experiment.presets import DISSOCIATION, SHARED
+from evaluation.reporting import frames
 from evaluation.reporting.table import Column, level, said
 
 if TYPE_CHECKING:
@@ -63,6 +65,13 @@ class Results:
     gallery: pd.DataFrame | None = None
     """Sample tracks, as in `gallery.parquet`; None without, and as `load` reads a run."""
 
+    @property
+    def measured(self) -> frames.Measured:
+        """What frames and plots are made of: all but what holds under other assumptions."""
+        # Another error law, say, has a data set of its own, named after this one.
+        is_other = self.summary["dataset"].str.startswith(f"{self.dataset}:")
+        return frames.Measured(self.summary[~is_other], self.families, self.strongest)
+
     def __repr__(self) -> str:
         """Return what run it is, in a line."""
         identity, what = self.manifest["identity"], self.dataset
@@ -74,9 +83,8 @@ class Results:
         return f"<Results {self.out}: {told}{failed}>"
 
     def _repr_html_(self) -> str:
-        from evaluation.reporting import notebook  # noqa: PLC0415 - it builds on this
-
-        return notebook.html(self)
+        said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
+        return f"<p>{escape(repr(self)[1:-1])}</p>{frames.html(self.measured)}<ul>{said}</ul>"
 
     def frame(
         self, metric: str, *, after: str = "", task: str = "", robot: str = ""
@@ -96,11 +104,9 @@ class Results:
         robot : str
             Predictor whose utility it is; by default the first of the run.
 
-        The level of what adds nothing (raw, clean) is 0. SettingsError for what the run does not have.
+        What adds nothing (raw, clean) has level 0. SettingsError for what the run does not have.
         """
-        from evaluation.reporting import notebook  # noqa: PLC0415 - it builds on this
-
-        return notebook.frame(self, metric, after=after, task=task, robot=robot)
+        return frames.frame(self.measured, metric, after=after, task=task, robot=robot)
 
     def plot(
         self, *, x: str, y: str, task: str = "", robot: str = "", ax: Axes | None = None
@@ -110,9 +116,7 @@ class Results:
         `x` and `y` are metrics as in `frame`, or `plr_after`: after the strongest attack; `x` may
         be `level`. `ax` are the axes to draw on, else new ones.
         """
-        from evaluation.reporting import notebook  # noqa: PLC0415 - it builds on this
-
-        return notebook.plot(self, x=x, y=y, task=task, robot=robot, ax=ax)
+        return frames.plot(self.measured, x=x, y=y, task=task, robot=robot, ax=ax)
 
     @cached_property
     def dataset(self) -> str:

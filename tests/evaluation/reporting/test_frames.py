@@ -199,4 +199,5 @@ def test_it_is_told_in_a_line_and_as_html(made):
     assert text.endswith("run: walks, 20 scenes, seed 0, 5 levels>")
     html = made.loaded._repr_html_()
     assert "<table" in html
-    assert html.count("<li>") == 5
+    assert html.count("<li>") == len(made.run.verdict["answer"])
+    assert "PLR (%), as shared" in html

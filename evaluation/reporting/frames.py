@@ -1,31 +1,27 @@
-"""A finished run in a notebook: read from its files at once, as tidy frames, as a plot, as HTML."""
+"""What a notebook makes of a run: tidy frames, plots, and how it is shown."""
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import replace
-from html import escape
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass
+from functools import reduce
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import LEVEL_UNITS
-from evaluation.analysis.keys import Key, Source, rows_of
+from evaluation.analysis.keys import Source
 from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
-from evaluation.analysis.strongest import strongest
 from evaluation.experiment.constants import SHARED
-from evaluation.reporting.rows import ENDS, Results
-from evaluation.runs.files import FRAMES, content_of, from_csv
-from evaluation.runs.manifest import read_manifest
-from isac_track.errors import DataError, SettingsError, did_you_mean
-from isac_track.intervals import Estimate
+from isac_track.errors import SettingsError, did_you_mean
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from matplotlib.axes import Axes
 
+    from evaluation.analysis.families import Family
     from isac_track.types import Floats
 
 STRONGEST: Final = "strongest"
@@ -35,48 +31,22 @@ LEVEL: Final = "level"
 SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}
 """Names of metrics that are long to type."""
 _AT: Final = ["family", LEVEL, "adding"]
+_ENDS: Final = ["value", "ci_low", "ci_high"]
+_MOST_SHOWN = 14
 
 
-def load(out: Path | str) -> Results:
-    """Return the results of a finished run as its tables hold them; nothing is made anew.
+@dataclass(frozen=True, eq=False, slots=True)
+class Measured:
+    """What a run measured."""
 
-    The gallery of tracks, which only pictures need, is not read. `evaluation.report` makes the
-    tables anew from the cells.
-
-    Raises DataError if the folder holds no run, or a table is missing or broken, with the way out.
-    """
-    out = Path(out)
-    manifest = read_manifest(out)
-    found: dict[str, Any] = {}
-    for of, name in {**FRAMES, "flags": "flags.json", "verdict": "verdict.json"}.items():
-        again = f"python -m evaluation.report {out} writes it anew"
-        try:
-            content = content_of(out / name)
-            found[of] = from_csv(content) if of in FRAMES else json.loads(content)
-        except FileNotFoundError:
-            raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
-        except (OSError, ValueError) as error:
-            raise DataError(f"{out / name} cannot be read ({error}); {again}") from None
-    found["flags"] = pd.DataFrame(found["flags"]["flags"], columns=found["flags"].get("columns"))
-    results = Results(out=out, manifest=manifest, **found)
-    rows = _own(results)
-    ranked = rows_of(rows[rows["metric"].isin([EXPOSURE, SUCCESS]) & (rows["knowledge"] != "")])
-    known = {}
-    for row in ranked:
-        level = None if math.isnan(row["level"]) else row["level"]
-        key = Key(row["mechanism"], level, row["consumer"], row["metric"], row["knowledge"])
-        known[key] = Estimate(row["value"])
-    best = strongest(known, results.families)
-    return replace(results, strongest={task: source.attack for task, source in best.items()})
-
-
-def _own(run: Results) -> pd.DataFrame:
-    """Return the summary without the rows of other assumptions, such as another error law."""
-    return run.summary[~run.summary["dataset"].str.startswith(f"{run.dataset}:")]
+    summary: pd.DataFrame
+    """Without the rows of other assumptions."""
+    families: Mapping[str, Family]
+    strongest: Mapping[str, Source]
 
 
 def frame(
-    run: Results, metric: str, *, after: str = "", task: str = "", robot: str = ""
+    run: Measured, metric: str, *, after: str = "", task: str = "", robot: str = ""
 ) -> pd.DataFrame:
     """Return a metric at every level of every mechanism; see `Results.frame`."""
     name = SHORT.get(metric, metric)
@@ -84,7 +54,7 @@ def frame(
         listed = f"; known: {', '.join(METRICS)}"
         hint = did_you_mean(metric, [*METRICS, *SHORT], quote="'") or listed
         raise SettingsError(f"unknown metric {metric!r}{hint}")
-    rows = _own(run)
+    rows = run.summary
     rows = rows[rows["metric"] == name]
     place = METRICS[name].measured
     tasks = rows["consumer"].map(lambda one: Source(one).task)
@@ -103,14 +73,14 @@ def frame(
     found = rows[rows["consumer"] == who]
     if found.empty:
         there = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
-        raise SettingsError(f"{run.out} has no {name} of {who or after!r}; it has that of {there}")
+        raise SettingsError(f"the run has no {name} of {who or after!r}; it has that of {there}")
     known = found["mechanism"].map(run.families)
-    level = found[LEVEL].where([one.is_added for one in known], 0.0)
+    level = found[LEVEL].where(known.map(lambda one: one.is_added), 0.0)
     adding = [one.adding for one in known]
     columns = {"family": [one.name for one in known], LEVEL: level, "adding": adding}
     is_attack = found["knowledge"] != ""
     columns["attack"] = found["consumer"].where(is_attack, "").str.removeprefix(f"{task}/")
-    table = pd.DataFrame(columns | {one: found[one] for one in ("knowledge", *ENDS)})
+    table = pd.DataFrame(columns | {one: found[one] for one in ("knowledge", *_ENDS)})
     knowledge = found["knowledge"].unique()
     label = Source(who, knowledge[0] if len(knowledge) == 1 else "").label
     if who == SHARED:
@@ -122,7 +92,7 @@ def frame(
 
 
 def plot(
-    run: Results, *, x: str, y: str, task: str = "", robot: str = "", ax: Axes | None = None
+    run: Measured, *, x: str, y: str, task: str = "", robot: str = "", ax: Axes | None = None
 ) -> Axes:
     """Draw one metric over another, or over the level; see `Results.plot`."""
     from matplotlib import pyplot as plt  # noqa: PLC0415 - slow to import, and seldom needed
@@ -148,31 +118,30 @@ def plot(
 
 def _bars(rows: pd.DataFrame, side: str) -> tuple[Floats, Floats]:
     """Return values, (R,), and what the ends of their intervals lie below and above, (2, R)."""
-    at, low, high = (rows[f"{name}_{side}"].to_numpy() for name in ENDS)
+    at, low, high = (rows[f"{name}_{side}"].to_numpy() for name in _ENDS)
     return at, np.maximum([at - low, high - at], 0.0)
 
 
-def _scaled(run: Results, name: str, *, task: str, robot: str) -> pd.DataFrame:
+def _scaled(run: Measured, name: str, *, task: str, robot: str) -> pd.DataFrame:
     """Return a metric as it is shown; a name that ends in `AFTER` is after the strongest attack."""
     metric = name.removesuffix(AFTER)
     after = STRONGEST if metric != name else ""
     found = frame(run, metric, after=after, task=task, robot=robot)
     scale = METRICS[SHORT.get(metric, metric)].scale
-    found[ENDS] *= scale
+    found[_ENDS] *= scale
     return found
 
 
-def html(run: Results) -> str:
-    """Return what a notebook shows of a run: the first screen."""
-    from evaluation.reporting import answers, first_screen, headline  # noqa: PLC0415 - seldom needed
-
-    of = answers.headline_of(run)
-    levels, _ = headline.levels_of(of)
-    first = headline.headline_table(of, levels)
-    heads = [" ".join(filter(None, [one.above, one.head])) for one in first.columns]
-    rows = pd.DataFrame([[cell.full for cell in row] for row in first.rows], columns=heads)
-    told = (
-        f"<li>{escape(f'{one.topic}: {one.sentence}')}</li>" for one in answers.answers(run, of)
+def html(run: Measured) -> str:
+    """Return a table of what tells most: missed conflicts, PLR as shared and attacked, rank 1."""
+    shown = []
+    for name in ("missed", EXPOSURE, f"{EXPOSURE}{AFTER}", SUCCESS):
+        try:
+            one = _scaled(run, name, task="", robot="")
+        except SettingsError:  # the run has none
+            continue
+        shown.append(one[[*_AT, "value"]].rename(columns={"value": one.attrs["title"]}))
+    both = reduce(lambda left, right: left.merge(right, on=_AT, how="left"), shown)
+    return both.head(_MOST_SHOWN).to_html(
+        index=False, border=0, float_format="{:.4g}".format, na_rep=""
     )
-    data = escape(first_screen.data_line(run.manifest))
-    return f"<p>{data}</p>{rows.to_html(index=False, border=0)}<ol>{''.join(told)}</ol>"
