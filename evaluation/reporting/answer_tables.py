@@ -18,7 +18,6 @@ from evaluation.experiment.presets import SHARED
 from evaluation.reporting import table as make
 from evaluation.reporting.rows import Results, by_level, compared_levels, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
-from evaluation.verdict import rules
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -56,16 +55,7 @@ SECTIONS: Final = {
     ),
 }
 """By the name of a section in `verdict.json`: its question, and what is asked."""
-SHORT: Final = {
-    rules.TRACKS: "tracks",
-    rules.WEAKLY: "weakly",
-    rules.DOES_NOT: "does not",
-    rules.HOLDS: "lower",
-    rules.REVERSED: "higher",
-}
 _ASPECTS: Final = ("descriptor", "task", "criterion")
-_CRITERIA: Final = {MISSED: "", AT_EQUAL_ALARMS: " and alarms"}
-_OF: Final = {"as-shared": "as shared", "after-attack": "after attack", "linkage": "linked"}
 
 
 def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
@@ -214,28 +204,6 @@ def flag_table(run: Results) -> Table:
 _EFFECT: Final = Column("effect", partial(effect, signed=True))
 
 
-def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
-    """Return a table for each section that has items: decisions by what they are about."""
-    found = []
-    for name, items in _by_section(verdict["items"]).items():
-        first = "positions" if name == "claim" else "adding"
-        records: dict[tuple[str, str], dict[str, Cell]] = {}
-        heads: dict[str, None] = {}
-        for one in items:
-            row, head = _place(one)
-            is_number = one["decision"] in (rules.INFLATED, rules.DEFLATED)
-            text = make.word(SHORT.get(one["decision"], one["decision"]))
-            start = {first: make.word(row[0]), "of": make.word(row[1])}
-            records.setdefault(row, start)[head] = make.number(one["effect"]) if is_number else text
-            heads[head] = None
-        question, about = SECTIONS.get(name, (name, ""))
-        columns = [make.held(key, align="left") for key in (first, "of")]
-        columns += map(make.held, heads)
-        options = {"notes": [about], "n_keys": 2}
-        found.append(make.built(f"short-{name}", question, records.values(), columns, **options))
-    return found
-
-
 def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     """Return the items of the verdict, a table for each section."""
     found = {}
@@ -243,7 +211,7 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
         aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
         columns = [
             make.decided("decision"),
-            make.said("what it says"),
+            replace(make.said("what it says"), is_long=True),
             _EFFECT,
             make.said("adding"),
             *map(make.said, aspects),
@@ -281,18 +249,6 @@ def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[st
     for item in items:
         found.setdefault(str(item["section"]), []).append(item)
     return {name: of for name, of in found.items() if of}
-
-
-def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:
-    """Return row and column of an item."""
-    name = METRICS[one["descriptor"]].head if one["descriptor"] else ""
-    if one["section"] == "claim":
-        # Of FID, unless it says of which other mechanism.
-        of = ", ".join([*([one["mechanism"]] if "mechanism" in one else ()), _OF[one["of"]]])
-        return (of, name or one["task"]), one["adding"] + _CRITERIA[one["criterion"]]
-    if one["section"] == "inflation":
-        return (one["adding"], one["of"]), name
-    return (one["adding"], name), one["task"]
 
 
 def _told(item: Mapping[str, Any]) -> dict[str, Any]:

@@ -75,19 +75,6 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
     return [one for one in found if one.rows]
 
 
-def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source, str]]) -> Table:
-    """Return the levels that tell, a column for each metric of some positions or a predictor."""
-    known, found = families_in(summary), picked.by_level(summary)
-    records = [
-        {"mechanism": mechanism, "level": at, "of": sources}
-        for mechanism, at in picked.telling(found, known, controls=False)
-        if (sources := picked.sources_at(found[mechanism, at]))
-        and any(metric in sources.get(one, {}) for one, metric in of)
-    ]
-    columns = [_column(one, metric, f"{METRICS[metric].head}, {one.label}") for one, metric in of]
-    return make.built(name, "", records, [*picked.mechanism_columns(known), *columns], n_keys=3)
-
-
 def _by_level(
     name: str, title: str, rows: pd.DataFrame, columns: list[Column], *, notes: list[str]
 ) -> Table:

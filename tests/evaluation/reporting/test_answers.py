@@ -40,6 +40,16 @@ def held(run):
     return {tuple(f"{one:.1f}" for one in row) for row in ends}
 
 
+def spreads_of(verdict):
+    """By how many of 100 people linkage differs, of all items."""
+    ends = [
+        sorted(abs(100 * one[key]) for key in ("ci_low", "effect", "ci_high"))
+        for one in verdict.get("items", ())
+        if one["section"] == "validity"
+    ]
+    return {(f"{value:.0f}", f"{low:.0f}", f"{high:.0f}") for low, value, high in ends}
+
+
 RUNS = {
     "all": lambda: with_links(make_run()),
     "raw alone": lambda: with_links(make_run(at=[("raw", np.nan)])),
@@ -63,6 +73,9 @@ def test_every_number_of_an_answer_is_in_the_tables(name):
     found = SHARE.findall(" ".join(one.sentence for one in said))
     assert set(found) <= held(run)
     assert found or name == "nothing"
+    spreads = PEOPLE.findall(said[3].sentence)
+    assert set(spreads) <= spreads_of(run.verdict)
+    assert len(spreads) == (name not in ("no verdict", "nothing"))
     untested = [one.topic for one in said if one.sentence.startswith("Not tested")]
     expected = {
         "no predictor": ["Robot", "Links", "Level"],
