@@ -6,7 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -17,7 +17,10 @@ from evaluation.reporting.rows import Results
 from evaluation.runs.files import FRAMES, content_of, from_csv
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
-from isac_track.intervals import Estimate
+
+
+class _Known(NamedTuple):
+    value: float
 
 
 def load(out: Path | str) -> Results:
@@ -48,6 +51,6 @@ def load(out: Path | str) -> Results:
     for row in ranked:
         level = None if math.isnan(row["level"]) else row["level"]
         key = Key(row["mechanism"], level, row["consumer"], row["metric"], row["knowledge"])
-        known[key] = Estimate(row["value"])
+        known[key] = _Known(row["value"])
     best = strongest(known, results.families)
     return replace(results, strongest={task: source.attack for task, source in best.items()})

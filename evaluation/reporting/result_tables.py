@@ -209,28 +209,6 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     return make.built(f"linkage-{task.name}", title, records, columns, **options)
 
 
-def cells_table(run: picked.Results, task: LinkedTask) -> Table:
-    """Return every attack and adversary of a task at the levels that tell, a row each."""
-    records = [
-        {**row, "attack": source.consumer}
-        for where in picked.telling(task.cells, run.families)
-        for source, row in task.cells[where].items()
-    ]
-    columns = [
-        *picked.mechanism_columns(run.families),
-        make.said("attack"),
-        make.said("adversary", "knowledge"),
-        make.measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
-        make.measured("chance", "chance", metric=SUCCESS),
-        make.said("outcome"),
-        make.said("shortcut", "invalid"),
-        make.counted("candidates", "", "gallery_mean", digits=0),
-        make.counted("people", "", "n_clusters", digits=0),
-    ]
-    title = f"{task.name}: {task.about}, every adversary; 95 % intervals"
-    return make.built(f"cells-{task.name}", title, records, columns, n_headings=3, n_keys=5)
-
-
 def doubt_table(run: picked.Results) -> Table:
     """Return the linkage cells that measure nothing: invalid ones, and too weak attacks."""
     of = run.linkability[run.linkability["cohort"] == "all"]

@@ -31,6 +31,7 @@ from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import notices
+from evaluation.reporting.answers import headline_of
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.headline import LAW, headline, headline_table
 from evaluation.reporting.markup import latex, markdown
@@ -104,19 +105,17 @@ def _everything(run: Results) -> Iterator[Part]:
 def page_tables(run: Results) -> dict[str, Table]:
     """Return the tables of the page by name; none of them is empty."""
     items = run.verdict["items"] if run.verdict else []
+    title = "The pictures in numbers, at every level; 95 % intervals"
     found = [
+        replace(headline_table(headline_of(run)), title=title),
         answers.paper_table(run),
         answers.claims_table(run),
-        *measured.sweep_tables(run.ours),
-        answers.matched_table(run),
+        *measured.sweep_tables(run.ours)[:1],
+        answers.frontier_table(run),
         measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
-        measured.attack_table(run.ours),
         *(measured.rank_table(run, task) for task in run.tasks),
-        *(measured.cells_table(run, task) for task in run.tasks),
-        answers.decision_table(run),
         answers.flag_table(run),
         measured.doubt_table(run),
-        answers.contrast_table(items),
         *answers.item_tables(items).values(),
     ]
     return {one.name: one for one in found if one.rows}

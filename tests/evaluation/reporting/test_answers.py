@@ -3,7 +3,6 @@
 import re
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers.finished_runs import (
     STRONGEST,
@@ -11,27 +10,13 @@ from helpers.finished_runs import (
     levels,
     make_run,
     make_summary,
+    with_links,
 )
 
 from evaluation.reporting.answers import answers
 
 SHARE = re.compile(r"(\d+\.\d) % \[(\d+\.\d), (\d+\.\d)\]")
 PEOPLE = re.compile(r"(\d+) \[(\d+), (\d+)\] of 100")
-
-
-def with_links(run):
-    """A run whose summary holds what its linkers achieve."""
-    of = run.linkability[
-        (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
-    ]
-    of = of.assign(n=55, unit="fraction", family="", adding="")
-    chance = of.assign(metric="chance", value=of["chance"])
-    rows = [run.summary, of.assign(metric="rank1", value=of["rank1"]), chance]
-    joined = pd.concat(rows)[run.summary.columns]
-    about = run.summary.drop_duplicates("mechanism").set_index("mechanism")[["family", "adding"]]
-    known = joined.drop(columns=["family", "adding"]).join(about, on="mechanism")
-    changes = {"summary": known[run.summary.columns], "linkability": run.linkability}
-    return make_run(strongest=run.strongest, flags=run.flags, **changes)
 
 
 def held(run):
