@@ -19,6 +19,7 @@ from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, comparisons, matched
 from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import cross_fitted, strongest
+from evaluation.experiment.constants import OTHER_LAW
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
 from evaluation.reporting.rows import Results
@@ -102,6 +103,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
     found, scored, attacked = summary.estimates(out, manifest)
+    other_law = summary.estimates(out, manifest, law=OTHER_LAW)[0]
     predictors = manifest["settings"]["predictors"]
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     once = flags.on_first_releases(out, manifest)
@@ -126,7 +128,9 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     results = Results(
         out=out,
         manifest=manifest,
-        summary=summary.to_frame({**found, **linked}, known=known, dataset=dataset),
+        summary=summary.to_frame(
+            {**found, **linked}, other_law=other_law, known=known, dataset=dataset
+        ),
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,

@@ -40,7 +40,7 @@ LAYOUT: Final = 3
 """Of the folder and of its manifest: another one wherever readers would miss or mistake a value."""
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
 _OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "spec", "files")
-_OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow")
+_OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "law")
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
@@ -62,7 +62,7 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     for level, entries in groupby(
         manifest["cells"], key=lambda entry: {name: entry[name] for name in _OF_LEVEL}
     ):
-        alike = [{name: entry[name] for name in _OF_CONSUMER} for entry in entries]
+        alike = [{name: entry.get(name) for name in _OF_CONSUMER} for entry in entries]
         if alike not in consumers:
             consumers.append(alike)
         cells.append(level | {"consumers": consumers.index(alike)})
@@ -117,9 +117,12 @@ def others(
     entries: Iterable[dict[str, Any]], *, than: Iterable[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the entries of other consumers at other levels."""
-    key = ("spec", "consumer", "knowledge")
-    known = {tuple(entry[name] for name in key) for entry in than}
-    return [entry for entry in entries if tuple(entry[name] for name in key) not in known]
+
+    def key(entry: Mapping[str, Any]) -> tuple[str, str]:
+        return entry["spec"], label_of(entry)
+
+    known = set(map(key, than))
+    return [entry for entry in entries if key(entry) not in known]
 
 
 def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -274,6 +277,7 @@ def entries_of(
             "consumer": consumer.spec,
             "knowledge": consumer.knowledge,
             "slow": consumer.is_slow,
+            "law": consumer.law,
             "files": files[mechanism.spec, consumer.label],
         }
         for mechanism, consumer in ready.pairs
