@@ -164,6 +164,7 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
         "simpler": {"order": SIMPLER, "others": "held against all of these", **_ALONE},
         "intervals": _INTERVALS,
         **looked,
+        "columns": COLUMNS,
         "flags": known.where(known.notna(), None).to_dict("records"),
     }
     return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()

@@ -25,15 +25,14 @@ import numpy as np
 
 import isac_track
 from evaluation.experiment.fingerprint import digest
-from evaluation.runs.cell_files import Index, label_of, read_outcomes
 from evaluation.runs.files import MANIFEST, content_of, write_whole
 from isac_track.errors import DataError
-from isac_track.privacy import mean_interval_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from evaluation.experiment.plan import Plan, Unit
+    from evaluation.runs.cell_files import Index
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 LAYOUT: Final = 3
@@ -142,6 +141,8 @@ def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def describe(ready: Plan) -> dict[str, Any]:
     """Return what a run is made from: code, settings, data set, what is linked."""
+    from isac_track.privacy import mean_interval_s  # noqa: PLC0415 - a reader needs none
+
     tracks, dataset, settings, axes = ready.tracks, ready.dataset, ready.settings, ready.axes
     tasks = {}
     for sessions in ready.sessions:
@@ -224,6 +225,8 @@ def losses_of(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
     full as well; over the cells the mean `loss` of rank 1, a fraction, and the `most`, of which
     `consumer` at which mechanism, `spec`, it was. A task whose pairs are all scored is not there.
     """
+    from evaluation.runs.cell_files import label_of, read_outcomes  # noqa: PLC0415 - slow to import
+
     found: dict[str, list[tuple[float, int, str, str]]] = defaultdict(list)
     linked = [entry for entry in entries if entry["kind"] == "linkage"]
     for entry, outcome in zip(linked, read_outcomes(out, linked, drawn=()), strict=True):
@@ -292,6 +295,8 @@ def merged_cells(
     An earlier level that was never finished (interrupted, or a plug-in that failed) is left out:
     `held` has what the files hold that are there.
     """
+    from evaluation.runs.cell_files import label_of  # noqa: PLC0415 - slow to import
+
     finished = [
         entry
         for entry in earlier
