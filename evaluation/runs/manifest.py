@@ -116,6 +116,7 @@ def others(
     entries: Iterable[dict[str, Any]], *, than: Iterable[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the entries of other consumers at other levels."""
+
     def key(entry: Mapping[str, Any]) -> tuple[str, str]:
         return entry["spec"], label_of(entry)
 
