@@ -29,7 +29,6 @@ _UNTESTED: Final = "not tested: "
 _EVIDENCE: Final = {
     "attacks": _HELD,
     "shown": "shown by linking more",
-    "construction": "by construction",
 }
 _LEADS: Final = {
     rules.DOES_NOT: "no",
@@ -153,7 +152,7 @@ def _told(items: Sequence[Mapping[str, Any]]) -> str:
     head, needed = rules.NAME[widest["descriptor"]], widest["n_needed"]
     equal, where = f"at equal {head} linkage differs by", f"{widest['task']}, {widest['adding']}"
     if decision == rules.DOES_NOT:
-        said = f"{equal} {spread} [{low}, {high}] of 100 people ({where})"
+        said = f"{equal} {spread} of 100 people, at least {low} ({where})"
         if widest["spread_low"] <= rules.SUCCESS_MARGIN:
             said = f"linkage falls where {head} hardly changes ({where})"
     elif decision == rules.NOT_TESTABLE:
@@ -162,7 +161,8 @@ def _told(items: Sequence[Mapping[str, Any]]) -> str:
         said = f"{equal} {low} to {high} of 100 people ({where})"
         if needed and decision == rules.BETWEEN:
             said += f"; were it equal, about {needed:.0f} people would show it"
-    rests = "".join(f", {_EVIDENCE[one]}" for one in widest["evidence"])
+    # What is so by construction decides nothing by itself.
+    rests = "".join(f", {_EVIDENCE[one]}" for one in widest["evidence"] if one in _EVIDENCE)
     return f"{_LEADS[decision]} ({heads}): {said}{rests}; of {len(mine)} items {count}."
 
 
