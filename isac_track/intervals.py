@@ -1,12 +1,15 @@
-"""Intervals: Wilson for a count, and the bootstrap over clusters (people) for everything else."""
+"""Intervals: Wilson for a count, and the bootstrap over clusters (people) for everything else.
+
+Of few clusters the bootstrap's are too narrow: there a jackknife takes its place.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import betaincinv, expit, logit, ndtri, stdtrit
 
 from isac_track.rng import stream
 
@@ -16,6 +19,11 @@ if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
 
 CONFIDENCE = 0.95
+FEW_CLUSTERS: Final = 40.0
+"""Effective clusters below which a share has the jackknife's interval. Of 16 to 33, percentile
+intervals hold shares of 10 and 85 % in 87 to 94 of 100 studies, the jackknife's in 94 to 98."""
+LEAST_CLUSTERS: Final = 15.0
+"""Effective clusters below which there is no interval, but an exact one of a count."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -80,6 +88,62 @@ def wilson(*, hits: float, n: float) -> tuple[float, float]:
     low = 0.0 if hits == 0 else float(centre - half)
     high = 1.0 if hits == n else float(centre + half)
     return low, high
+
+
+def exact_binomial(*, hits: int, n: int) -> tuple[float, float]:
+    """Return the interval of a share that holds it at least as often as it says, at any n.
+
+    Clopper and Pearson, Biometrika 26, 1934. ValueError as `wilson`.
+    """
+    if not (n > 0 and 0 <= hits <= n):
+        raise ValueError(f"a share needs 0 <= hits <= n and n > 0, got {hits} of {n}")
+    tail = (1.0 - CONFIDENCE) / 2.0
+    low = float(betaincinv(hits, n - hits + 1, tail)) if hits else 0.0
+    high = float(betaincinv(hits + 1, n - hits, 1.0 - tail)) if hits < n else 1.0
+    return low, high
+
+
+def without_each(n_clusters: int) -> Floats:
+    """Return weights of clusters, (1 + C, C): all of them, then all but each in turn."""
+    return np.concatenate([np.ones((1, n_clusters)), 1.0 - np.eye(n_clusters)])
+
+
+def jackknife_estimate(values: Floats, *, sizes: Floats, is_share: bool = False) -> Estimate:
+    """Return an estimate with the interval of the delete-one-cluster jackknife.
+
+    Its error times Student's t with one degree of freedom less than effective clusters; of a share
+    that error is of the logit. A share of exactly 0 or 1 has Wilson's interval of so many. There is
+    none below `LEAST_CLUSTERS`.
+
+    Parameters
+    ----------
+    values : (1 + C,)
+        The number at the weights of `without_each`: any function of sums over clusters. What is
+        no part of the sums, such as the gallery, stays as it is.
+    sizes : (C,)
+        What each cluster contributes; those of 0 do not count.
+    is_share : bool
+        Whether it is a single share of trials, 0..1, and no difference of two.
+
+    References
+    ----------
+    Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11; Kish, Survey Sampling,
+    1965 (the effective number).
+    """
+    value, each = float(values[0]), values[1:][sizes > 0]
+    n, effective = each.size, effective_clusters(sizes)
+    error = float(np.sqrt((n - 1.0) / n * ((each - value) ** 2).sum())) if n > 1 else np.nan
+    if effective < LEAST_CLUSTERS or not np.isfinite(value):
+        ends = np.nan, np.nan
+    elif is_share and value in (0.0, 1.0):
+        ends = wilson(hits=value * effective, n=effective)
+    else:
+        half = float(stdtrit(effective - 1.0, 0.5 + CONFIDENCE / 2.0)) * error
+        ends = value - half, value + half
+        if is_share:
+            centre, half = float(logit(value)), half / (value * (1.0 - value))
+            ends = float(expit(centre - half)), float(expit(centre + half))
+    return Estimate(value, *ends, n, closed_error=error, effective=effective)
 
 
 def cluster_weights(*, n_clusters: int, n_replicates: int, seed: int) -> Floats:
@@ -156,6 +220,35 @@ def ratio_estimates(
             ends = wilson(hits=value * n, n=n)
         effective = effective_clusters(denominator[row])
         found.append(Estimate(value, *ends, n, replicates[row], effective=effective))
+    return found
+
+
+def of_few(
+    estimates: Sequence[Estimate],
+    *,
+    numerator: Floats,
+    denominator: Floats,
+    is_share: Sequence[bool],
+) -> list[Estimate]:
+    """Return `ratio_estimates` with other intervals for shares of fewer than `FEW_CLUSTERS`.
+
+    They are those of `jackknife_estimate`; below `LEAST_CLUSTERS`, if every cluster has as many
+    trials and one outcome of them, the exact one of their count. Numbers and replicates stay.
+    """
+    found = [*estimates]
+    for row, one in enumerate(estimates):
+        if not is_share[row] or one.effective >= FEW_CLUSTERS:
+            continue
+        there = denominator[row] > 0
+        hits, trials = numerator[row][there], denominator[row][there]
+        ends = np.nan, np.nan
+        if one.effective >= LEAST_CLUSTERS:
+            over, under = (one.sum() - np.append(0.0, one) for one in (hits, trials))
+            jackknife = jackknife_estimate(over / under, sizes=trials, is_share=True)
+            ends = jackknife.ci_low, jackknife.ci_high
+        elif trials.size and (trials == trials[0]).all() and np.isin(hits, (0.0, trials[0])).all():
+            ends = exact_binomial(hits=int((hits > 0).sum()), n=hits.size)
+        found[row] = replace(one, ci_low=ends[0], ci_high=ends[1])
     return found
 
 

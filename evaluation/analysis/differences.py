@@ -18,7 +18,7 @@ from scipy.special import ndtri, stdtr
 from evaluation.analysis.families import LEVEL_UNITS, families_in
 from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import cards
-from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS
+from evaluation.analysis.metrics import EXPOSURE, METRICS, MISSED_RATE, SUCCESS, SUCCESS_OF_100
 from evaluation.analysis.strongest import strongest
 from evaluation.analysis.summary import estimates, linkage_estimates
 from evaluation.experiment.presets import PRESETS
@@ -43,7 +43,6 @@ SIGNIFICANCE: Final = 0.05
 DRAWS, PEOPLE, NONE = "people and draws", "people", "none"
 """Pairing of a row."""
 _VERDICT = "verdict.json"
-_SUCCESS_OF_100 = "rank1_g100"
 """Compares over galleries of any size."""
 _MOST_NAMED = 4
 _MOST_LEVELS = 5
@@ -310,7 +309,7 @@ def _lead(
     wanted = [key.measure for key in found if key.metric == MISSED_RATE][:1]
     wanted += [best[""].measure(EXPOSURE)] if "" in best else []
     for linker in [best[task] for task in best if task][:1]:
-        of_100 = linker.measure(_SUCCESS_OF_100)
+        of_100 = linker.measure(SUCCESS_OF_100)
         is_known = any(
             key.measure == of_100 and np.isfinite(one.value) for key, one in found.items()
         )

@@ -136,5 +136,7 @@ EXPOSURE: Final = "plr"
 """The descriptor that reconstructions are ranked by."""
 SUCCESS: Final = "rank1"
 """What linkers are ranked by."""
+SUCCESS_OF_100: Final = "rank1_g100"
+"""The same in a gallery of 100: what compares over runs."""
 ACHIEVED: Final = (SUCCESS, "auc")
 """What is compared of a linker at equal cost."""

@@ -18,8 +18,8 @@ import pyarrow as pa
 
 from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
-from isac_track.intervals import Estimate, cluster_sums, ratio_estimates
-from isac_track.linkability.scoring import Drawn, draw, scorecard_of
+from isac_track.intervals import Estimate, cluster_sums, of_few, ratio_estimates
+from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_of
 from isac_track.linkability.significance import People, people_of
 from isac_track.rng import stream
 
@@ -198,8 +198,12 @@ def _cohorts(
         ).reshape(shape)
         for one in (hit, np.ones_like(hit))
     ]
-    found = ratio_estimates(
-        numerator=sums[0], denominator=sums[1], weights=weights, is_share=[True] * len(among)
+    over, under, shares = *sums, [True] * len(among)
+    found = of_few(
+        ratio_estimates(numerator=over, denominator=under, weights=weights, is_share=shares),
+        numerator=over,
+        denominator=under,
+        is_share=shares,
     )
     return [
         {
@@ -311,7 +315,7 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
         ABOUT: pa.table({"about": [_about_task(known) + _json(about)[1:]]}),
     }
     if not linked.is_control:
-        follow = {*DERIVED, *probes.values()}
+        follow = {*DERIVED, *RANK_METRICS}
         tables[REPLICATES] = pa.table(
             {
                 name: one.replicates.astype(np.float32)

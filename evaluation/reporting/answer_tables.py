@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import partial
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from evaluation.analysis import paper
-from evaluation.analysis.keys import AS_SHARED, Source, level_text, rows_of
+from evaluation.analysis.keys import Source, level_text, rows_of
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MISSED
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
-from evaluation.experiment.presets import SHARED
 from evaluation.reporting import table as make
-from evaluation.reporting.rows import Results, by_level, compared_levels, mechanism_columns
+from evaluation.reporting.rows import (
+    Results,
+    family_of,
+    mechanism_columns,
+)
 from evaluation.reporting.table import Cell, Column, Table
-from evaluation.verdict import rules
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,6 @@ CRITERIA = {
     "plr": "equal PLR as shared",
 }
 """By what operating points are matched."""
-_POINT = ["criterion", "adding", "predictor", "consumer", "knowledge", "metric", "mechanism"]
 _EFFECTS = {
     "fraction": (100.0, 1, "points"),
     "s": (1.0, 3, "s"),
@@ -56,16 +55,7 @@ SECTIONS: Final = {
     ),
 }
 """By the name of a section in `verdict.json`: its question, and what is asked."""
-SHORT: Final = {
-    rules.TRACKS: "tracks",
-    rules.WEAKLY: "weakly",
-    rules.DOES_NOT: "does not",
-    rules.HOLDS: "lower",
-    rules.REVERSED: "higher",
-}
 _ASPECTS: Final = ("descriptor", "task", "criterion")
-_CRITERIA: Final = {MISSED: "", AT_EQUAL_ALARMS: " and alarms"}
-_OF: Final = {"as-shared": "as shared", "after-attack": "after attack", "linkage": "linked"}
 
 
 def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
@@ -147,55 +137,31 @@ def claims_table(run: Results) -> Table:
     return make.built("claims", title, records, columns, notes=notes, n_headings=1, n_keys=2)
 
 
-def matched_table(run: Results) -> Table:
-    """Return every mechanism against fixed noise half way along each curve, strongest attacks."""
-    sources = {AS_SHARED}
-    for task, one in run.strongest.items():
-        sources.add(Source(f"{task}/{one.consumer}" if task else one.consumer, one.knowledge))
-    texts = run.matched.assign(**run.matched[_POINT].astype(object).fillna(""))
-    parts: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-    for row in rows_of(texts):
-        parts.setdefault(tuple(row[name] for name in _POINT), []).append(row)
-    rows = []
-    for part in parts.values():
-        known = [row for row in part if not math.isnan(row["ci_low"])]
-        ordered = sorted(known or part, key=itemgetter("at"))
-        row = ordered[max(0, len(known) - 1) // 2]
-        if Source(row["consumer"], row["knowledge"]) in sources:
-            whose = "as shared" if row["consumer"] == SHARED else row["consumer"]
-            rows.append(row | {"positions or attack": whose})
+def frontier_table(run: Results) -> Table:
+    """Return what is left, and at which level, where missed conflicts have risen by a target."""
+    is_shown = run.frontier["robot"].isin(list(run.frontier["robot"].unique()[:2]))
+    of = run.frontier[is_shown & (run.frontier["criterion"] == MISSED)]
+    names = ["robot", "mechanism", "target"]
+    records: dict[tuple[Any, ...], dict[str, Any]] = {}
+    heads: dict[str, str] = {}
+    for row in rows_of(of):
+        source = Source(row["consumer"], row["knowledge"])
+        head = f"{METRICS[row['metric']].head if row['metric'] in METRICS else 'rank 1 of 100'}"
+        head += f", {source.label}"
+        heads[head] = row["metric"]
+        record = records.setdefault(tuple(row[name] for name in names), dict(row))
+        record[head] = make.number(row["value"], row["ci_low"], row["ci_high"], scale=100.0)
     columns = [
-        make.said("matched by", lambda row: CRITERIA.get(row["criterion"], row["criterion"])),
-        *map(make.said, ("adding", "predictor")),
-        make.said("positions or attack"),
-        make.said("adversary", "knowledge"),
-        make.said("metric", lambda row: METRICS[row["metric"]].title),
-        make.said("mechanism"),
-        make.counted("at", "%", "at", scale=100.0),
-        make.measured("of the mechanism", "fid", "fid_low", "fid_high"),
-        make.measured("of fixed noise", "fixed", "fixed_low", "fixed_high"),
-        make.measured("difference", "difference", "ci_low", "ci_high", sign="+"),
+        make.said("robot"),
+        make.said("mechanism", lambda row: family_of(run.families, row["mechanism"]).name),
+        make.said("adding"),
+        make.counted("rise", "points", "target", scale=100.0, sign="+"),
+        make.counted("level", "", "level", "level_low", "level_high", digits=2),
+        *(replace(make.held(head), unit="%") for head in heads),
     ]
-    title = "Every mechanism against fixed noise, half way along each curve: the strongest attacks"
-    notes = ["All points, attacks and intervals: matched.csv."]
-    return make.built("matched", title, rows, columns, notes=notes, n_headings=3, n_keys=7)
-
-
-def decision_table(run: Results) -> Table:
-    """Return misses at equal false alarms, at levels that cost alike."""
-    told = by_level(run.decisions)
-    columns = [
-        *mechanism_columns(run.families),
-        make.said("predictor", "consumer"),
-        make.said("score"),
-        make.counted("area (0 perfect, 0.5 chance)", "", "area", "area_low", "area_high", digits=3),
-        make.counted("at false alarms", "%", "false_alarm_rate", scale=100.0),
-        make.measured("missed", MISSED_RATE, "missed_low", "missed_high", metric=MISSED_RATE),
-        make.points("missed - reference", "difference", "ci_low", "ci_high"),
-    ]
-    records = [row for where in compared_levels(run.ours) for row in told.get(where, ())]
-    title = "Misses at equal false alarms"
-    return make.built("decisions", title, records, columns, n_headings=3, n_keys=5)
+    title = "What is left where missed conflicts have risen so far over raw; 95 % intervals"
+    notes = ["Empty: out of reach of the levels that were run. More: frontier.csv."]
+    return make.built("frontier", title, records.values(), columns, notes=notes, n_keys=4)
 
 
 def flag_table(run: Results) -> Table:
@@ -214,28 +180,6 @@ def flag_table(run: Results) -> Table:
 _EFFECT: Final = Column("effect", partial(effect, signed=True))
 
 
-def short_tables(verdict: Mapping[str, Any]) -> list[Table]:
-    """Return a table for each section that has items: decisions by what they are about."""
-    found = []
-    for name, items in _by_section(verdict["items"]).items():
-        first = "positions" if name == "claim" else "adding"
-        records: dict[tuple[str, str], dict[str, Cell]] = {}
-        heads: dict[str, None] = {}
-        for one in items:
-            row, head = _place(one)
-            is_number = one["decision"] in (rules.INFLATED, rules.DEFLATED)
-            text = make.word(SHORT.get(one["decision"], one["decision"]))
-            start = {first: make.word(row[0]), "of": make.word(row[1])}
-            records.setdefault(row, start)[head] = make.number(one["effect"]) if is_number else text
-            heads[head] = None
-        question, about = SECTIONS.get(name, (name, ""))
-        columns = [make.held(key, align="left") for key in (first, "of")]
-        columns += map(make.held, heads)
-        options = {"notes": [about], "n_keys": 2}
-        found.append(make.built(f"short-{name}", question, records.values(), columns, **options))
-    return found
-
-
 def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     """Return the items of the verdict, a table for each section."""
     found = {}
@@ -243,7 +187,7 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
         aspects = [key for key in _ASPECTS if any(one[key] for one in of)]
         columns = [
             make.decided("decision"),
-            make.said("what it says"),
+            replace(make.said("what it says"), is_long=True),
             _EFFECT,
             make.said("adding"),
             *map(make.said, aspects),
@@ -255,44 +199,12 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     return found
 
 
-def contrast_table(items: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the contrasts with the dissociation controls that validity rests on."""
-    records = [
-        {**_told(item), **contrast, "subject": contrast.get("subject") or item["subject"]}
-        for item in items
-        for contrast in item.get("contrasts") or ()
-    ]
-    columns = [
-        *map(make.said, ("adding", "descriptor", "task")),
-        make.said("attack", "subject"),
-        make.said("against", "mechanism"),
-        Column("level", lambda row: make.level(row["level"])),
-        make.decided("reading"),
-        _EFFECT,
-    ]
-    where = "FID and the controls against fixed noise where the descriptor is equal"
-    title = f"The contrasts behind it: {where}"
-    return make.built("contrasts", title, records, columns, n_keys=6)
-
-
 def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Return the items by section: those that are known first, in their order."""
     found: dict[str, list[Mapping[str, Any]]] = {name: [] for name in SECTIONS}
     for item in items:
         found.setdefault(str(item["section"]), []).append(item)
     return {name: of for name, of in found.items() if of}
-
-
-def _place(one: Mapping[str, Any]) -> tuple[tuple[str, str], str]:
-    """Return row and column of an item."""
-    name = METRICS[one["descriptor"]].head if one["descriptor"] else ""
-    if one["section"] == "claim":
-        # Of FID, unless it says of which other mechanism.
-        of = ", ".join([*([one["mechanism"]] if "mechanism" in one else ()), _OF[one["of"]]])
-        return (of, name or one["task"]), one["adding"] + _CRITERIA[one["criterion"]]
-    if one["section"] == "inflation":
-        return (one["adding"], one["of"]), name
-    return (one["adding"], name), one["task"]
 
 
 def _told(item: Mapping[str, Any]) -> dict[str, Any]:

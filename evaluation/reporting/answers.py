@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.analysis.families import ADDING_RULES, RAW
-from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS
+from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.reporting import table as make
 from evaluation.reporting.headline import ROBOTS, TASKS, Headline, Shown, headline
@@ -25,6 +26,11 @@ LIMIT: Final = 0.5
 _HELD: Final = "as far as these attacks go"
 _MATTERS: Final = 0.05
 _UNTESTED: Final = "not tested: "
+_EVIDENCE: Final = {
+    "attacks": _HELD,
+    "shown": "shown by linking more",
+    "construction": "by construction",
+}
 _PLURAL: Final = {rules.TRACKS: "track", rules.DOES_NOT: "do not track"}
 
 
@@ -63,9 +69,7 @@ def answers(run: Results, of: Headline | None = None) -> tuple[Answer, ...]:
 
 def headline_of(run: Results) -> Headline:
     """Return what the first table of a run shows."""
-    return headline(
-        run.summary, dataset=run.dataset, attacks=run.strongest, linkability=run.linkability
-    )
+    return headline(run.summary, attacks=run.strongest, linkability=run.linkability)
 
 
 def reference(of: Headline) -> Where:
@@ -131,49 +135,28 @@ def _told(items: Sequence[Mapping[str, Any]]) -> str:
     ]
     if not mine:
         return f"{_UNTESTED}that takes levels of fixed noise, and somebody who links."
-    named: dict[str, list[str]] = {}
-    counts: dict[str, int] = {}
-    for one in mine:
-        counts[one["decision"]] = counts.get(one["decision"], 0) + 1
-        head, of = METRICS[one["descriptor"]].head, named.setdefault(one["decision"], [])
-        of += [head] * (head not in of)
+    counts = Counter(one["decision"] for one in mine)
     count = ", ".join(f"{n} {_PLURAL.get(one, one)}" for one, n in counts.items())
+    of = f"of {len(mine)} items {count}"
     against = [one for one in mine if one["decision"] == rules.DOES_NOT]
-    if against:
-        widest = max(against, key=_apart)
-        spread, low, high = _spread(widest)
-        gap = f"{100 * spread:.0f} [{100 * low:.0f}, {100 * high:.0f}] of 100 people"
-        head = METRICS[widest["descriptor"]].head
-        where = f"{widest['task']}, {widest['adding']}"
-        who = ", ".join(named[rules.DOES_NOT])
-        return (
-            f"no ({who}): at equal {head} linkage differs by {gap} ({where}), {_evidence(widest)}. "
-            f"Of {len(mine)} items {count}."
-        )
-    tracks = named.get(rules.TRACKS, [])
-    said = f"{', '.join(tracks)} where tested" if tracks else "not shown either way"
-    return f"{said}. Of {len(mine)} items {count}."
+    if not against:
+        return f"{'as far as tested' if counts[rules.TRACKS] else 'not shown either way'}: {of}."
+    widest = max(against, key=lambda one: _spread(one)[1])
+    gap = "{:.0f} [{:.0f}, {:.0f}]".format(*(100.0 * one for one in _spread(widest)))
+    heads = ", ".join(dict.fromkeys(rules.NAME[one["descriptor"]] for one in against))
+    head, where = rules.NAME[widest["descriptor"]], f"{widest['task']}, {widest['adding']}"
+    kinds = widest.get("evidence") or ["attacks" if widest["effect"] < 0 else "shown"]
+    rests = " and ".join(_EVIDENCE[one] for one in kinds)
+    differs = f"at equal {head} linkage differs by {gap} of 100 people ({where})"
+    return f"no ({heads}): {differs}, {rests}; {of}."
 
 
 def _spread(item: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return by how much of all people linkage differs at an equal descriptor."""
-    if item.get("spread") is not None:
-        return item["spread"], item["spread_low"], item["spread_high"]
-    ends = sorted(abs(item[end] or 0.0) for end in ("ci_low", "ci_high"))
-    return abs(item["effect"] or 0.0), ends[0], ends[1]
-
-
-def _apart(item: Mapping[str, Any]) -> float:
-    return _spread(item)[1]
-
-
-def _evidence(item: Mapping[str, Any]) -> str:
-    """Return what a decision rests on."""
-    kinds = item.get("evidence")
-    if kinds is None:
-        kinds = ["attacks" if (item["effect"] or 0.0) < 0 else "shown"]
-    words = {"attacks": _HELD, "shown": "shown by linking more", "construction": "by construction"}
-    return " and ".join(words.get(one, one) for one in kinds)
+    """Return by how much of all people linkage differs at an equal descriptor, with its ends."""
+    names = ("effect", "ci_low", "ci_high")
+    names = ("spread", "spread_low", "spread_high") if "spread" in item else names
+    value, *ends = (abs(item[name] or 0.0) for name in names)
+    return value, min(ends), max(ends)
 
 
 def _chosen(of: Headline) -> str:
@@ -229,16 +212,14 @@ def _both(of: Headline, where: Where, one: Shown, *, beside: Sequence[str] = ())
 
     It is another if the intervals are apart, by what matters at least.
     """
-    value, twin = of.at(where, one), of.other_rule(where)
+    twin = of.twin(where)
+    value, other, more = of.at(where, one), of.at(twin, one), list(beside)
     if value is None:
         return ""
-    other, more = of.at(twin, one) if twin else None, list(beside)
-    if (
-        (twin and other)
-        and abs(other.value - value.value) >= _MATTERS
-        and (other.ci_low > value.ci_high or other.ci_high < value.ci_low)
-    ):
-        more = [f"ind. {_value(other)}", *more]
+    if other and abs(other.value - value.value) >= _MATTERS:
+        apart = max(other.ci_low - value.ci_high, value.ci_low - other.ci_high)
+        rule = of.known[twin[0]].adding.replace("independent", "ind.")
+        more = [f"{rule} {_value(other)}"] * (apart > 0) + more
     return _value(value) + f" ({', '.join(more)})" * bool(more)
 
 

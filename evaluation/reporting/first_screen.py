@@ -14,7 +14,7 @@ from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import RAW
 from evaluation.reporting.announcements import WIDTH, near, notices, scenes_text, wrapped
 from evaluation.reporting.answers import LIMIT, answers, headline_of
-from evaluation.reporting.headline import MOST_LEVELS, Headline, headline_table, levels_of
+from evaluation.reporting.headline import MOST_LEVELS, Headline, levels_of, screen_table
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.table import Table, printable, shortened
 from evaluation.reporting.terminal import aligned
@@ -51,7 +51,7 @@ def first_screen(run: Results, *, before: int = _BEFORE) -> list[str]:
     fixed = len([*top, *lines, *last]) + 2 + 2 + 1  # heads; chance and widths; where to read
     most = max(_LEAST_LEVELS, min(MOST_LEVELS, LINES - before - fixed))
     levels, n_left_out = levels_of(of, most=most)
-    grid = _grid(headline_table(of, levels, intervals=False)) if levels else []
+    grid = _grid(screen_table(of, levels)) if levels else []
     return [*top, *grid, *lines, _where(run, n_left_out=n_left_out), *last]
 
 
@@ -121,7 +121,7 @@ def _next(run: Results, of: Headline) -> list[str]:
     raw = of.at((RAW, None), of.robots[0]) if of.robots else None
     if raw is None or of.attacked is None or not any(name == "fid" for name in of.known):
         return [f"Next: python -m evaluation.report --verbose {out}"]
-    missed = math.ceil(20.0 * (raw.ci_high + _SLACK)) / 20.0
+    missed = min(1.0, math.ceil(20.0 * (raw.ci_high + _SLACK)) / 20.0)
     asked = f"--max-missed {missed:.2f} --max-plr {LIMIT:.2f}"
     line = f"Next: python -m evaluation.design {asked} {out}"
     return [line] if len(line) <= WIDTH else [line.removesuffix(out) + "\\", f"  {out}"]

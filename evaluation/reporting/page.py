@@ -16,8 +16,11 @@ from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
 from evaluation.reporting.announcements import command, data_notices
 from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
+from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.drawing import figures_of
+from evaluation.reporting.gallery import panels
 from evaluation.reporting.markup import HTML
+from evaluation.reporting.pictures import pictures, planes
 from evaluation.reporting.table import decision
 from evaluation.reporting.tables import page_tables
 from evaluation.runs.files import write_whole
@@ -32,20 +35,39 @@ if TYPE_CHECKING:
 
 PAGE: Final = "report.html"
 SECTIONS: Final = {
-    "verdict": "Verdict",
-    "paper": "The paper's numbers",
-    "figures": "The paper's figures",
-    "plane": "Operating points",
-    "after": "After attack",
-    "linkability": "Linkability",
-    "against": "Descriptor against linkability",
-    "alarms": "Misses and false alarms",
+    "level": "Which level",
     "gallery": "Tracks",
+    "verdict": "What was decided, and how surely",
+    "paper": "The paper's numbers and figures",
+    "attacks": "Every attack",
     "doubts": "Weak attacks and invalid cells",
     "threat": "Threat model",
+    "words": "Glossary",
     "again": "Run it again",
 }
-"""Of the page, in order."""
+"""Of the page below the answers, in order."""
+GLOSSARY: Final = {
+    "FID": "Fisher information density: how well a point of the ground can be located, in "
+    "1/(m² s). The mechanism fid adds the more noise, the more it exceeds a threshold η.",
+    "PLR": "Position leakage rate: share of positions that are closer to the truth than ε.",
+    "AEL, MEL": "Average and maximum exposure length: how many seconds positions leak without a "
+    "break, on average and at most.",
+    "raw, clean": "What was sensed with nothing added; and without any error at all.",
+    "linear, independent": "How added noise joins that of sensing: standard deviations add up, or "
+    "variances do.",
+    "missed conflicts": "Share of the conflicts with a person that a robot does not foresee; the "
+    "paper's line predicts by least squares, the other by a Kalman filter.",
+    "after attack": "The same of positions that a reconstruction attack has filtered: the "
+    "strongest of the run, short of one that is told everything.",
+    "rank 1": "Share of people whose other release comes first among the candidates; chance is one "
+    "in so many.",
+    "rerelease": "One walk, shared twice: an upper bound of what can be linked.",
+    "handover": "All pseudonyms rotate after some seconds of silence, in one true frame.",
+    "split, new_traversal": "Two windows of one walk that do not touch; the same person on another "
+    "day, simulated.",
+    "blind, informed, oracle": "What an adversary is told: nothing, the mechanism and examples of "
+    "others, everything.",
+}
 _PER_POINT = 4.0 / 3.0
 """CSS pixels of a point."""
 DARK = {
@@ -57,6 +79,9 @@ DARK = {
     "#0072b2": "#4ba9e8",
     "#d55e00": "#f0883c",
     "#009e73": "#2bc299",
+    "#cc79a7": "#e09cc4",
+    "#e69f00": "#f0b93c",
+    "#56b4e9": "#8fd0f5",
 }
 """Colours of the figures that change in the dark: the others can be read on either ground."""
 DARK_CSS: Final = "".join(f"--f-{old[1:]}:{new};" for old, new in DARK.items())
@@ -72,6 +97,9 @@ _PATH = re.compile(r'\sd="([^"]*)"')
 _PLACE = re.compile(r'\s[xy]="-?\d+\.\d+"|translate\([^)]*\)')
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _EMPTY = re.compile(r"<g(?:\s[^<>]*)?/>|<g(?:\s[^<>]*)?>\s*</g>")
+_GROUP = re.compile(r"<g( [^>]*)?>|</g>")
+_FONTS = re.compile(r"'DejaVu Sans'.*?sans-serif")
+_FONT = "'DejaVu Sans',Verdana,sans-serif"
 _DIGITS = 2
 
 
@@ -95,10 +123,15 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
             content, box = inline(svgs[one.name], name=f"f{len(figures)}", styles=styles)
             width_px = round(float(box.split()[2]) * _PER_POINT)  # at the size of print
             figures.append({"of": one, "box": box, "width": width_px, "content": content})
-    flags = weak_attacks.lines(run.flags)
-    return HTML.get_template("report.html.j2").render(
+    flags, of = weak_attacks.lines(run.flags), headline_of(run)
+    text = HTML.get_template("report.html.j2").render(
         contents=SECTIONS,
         run=run,
+        answers=list(zip(answers(run, of), pictures(of), strict=True)),
+        planes=planes(of),
+        gallery=[] if run.gallery is None else panels(run.gallery),
+        epsilon_m=f"{run.manifest['settings']['stages']['privacy.epsilon_m']:g}",
+        glossary=GLOSSARY,
         questions=QUESTIONS,
         decision=decision,
         figures=figures,
@@ -111,6 +144,7 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
         figure_css=style_css(styles),
         dark_css=DARK_CSS,
     )
+    return re.sub(r">\n+<", "><", text)  # a line's end between two elements would be a node
 
 
 def style_css(styles: Mapping[str, str]) -> str:
@@ -144,7 +178,7 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
 
     def style(found: re.Match[str]) -> str:
         one = re.sub(r"\s*([:;,])\s*", r"\1", found[1].strip().rstrip(";"))
-        name = styles.setdefault(one, f"s{len(styles)}")
+        name = styles.setdefault(_FONTS.sub(_FONT, one), f"s{len(styles)}")
         return f' class="{name}"'
 
     body = _ID.sub(lambda one: f' id="{short[one[1]]}"' if one[1] in short else "", body)
@@ -154,7 +188,15 @@ def inline(svg: bytes, *, name: str, styles: dict[str, str]) -> tuple[str, str]:
     before = ""
     while before != body:  # a group of empty groups is empty
         before, body = body, _EMPTY.sub("", body)
-    return body.strip(), head[1]
+    telling: list[bool] = []
+
+    def group(found: re.Match[str]) -> str:
+        if found[0] == "</g>":
+            return found[0] if telling.pop() else ""
+        telling.append(found[1] is not None)
+        return found[0] if telling[-1] else ""
+
+    return _GROUP.sub(group, body).strip(), head[1]
 
 
 def _rounded(text: str) -> str:

@@ -75,19 +75,6 @@ def sweep_tables(summary: pd.DataFrame) -> list[Table]:
     return [one for one in found if one.rows]
 
 
-def sources_table(summary: pd.DataFrame, *, name: str, of: Sequence[tuple[Source, str]]) -> Table:
-    """Return the levels that tell, a column for each metric of some positions or a predictor."""
-    known, found = families_in(summary), picked.by_level(summary)
-    records = [
-        {"mechanism": mechanism, "level": at, "of": sources}
-        for mechanism, at in picked.telling(found, known, controls=False)
-        if (sources := picked.sources_at(found[mechanism, at]))
-        and any(metric in sources.get(one, {}) for one, metric in of)
-    ]
-    columns = [_column(one, metric, f"{METRICS[metric].head}, {one.label}") for one, metric in of]
-    return make.built(name, "", records, [*picked.mechanism_columns(known), *columns], n_keys=3)
-
-
 def _by_level(
     name: str, title: str, rows: pd.DataFrame, columns: list[Column], *, notes: list[str]
 ) -> Table:
@@ -220,28 +207,6 @@ def rank_table(run: picked.Results, task: LinkedTask) -> Table:
     title = f"{task.name}: {task.about}; rank 1 in %, 95 % intervals"
     options = {"notes": list(filter(None, notes)), "marks": MEANING}
     return make.built(f"linkage-{task.name}", title, records, columns, **options)
-
-
-def cells_table(run: picked.Results, task: LinkedTask) -> Table:
-    """Return every attack and adversary of a task at the levels that tell, a row each."""
-    records = [
-        {**row, "attack": source.consumer}
-        for where in picked.telling(task.cells, run.families)
-        for source, row in task.cells[where].items()
-    ]
-    columns = [
-        *picked.mechanism_columns(run.families),
-        make.said("attack"),
-        make.said("adversary", "knowledge"),
-        make.measured("rank 1", "rank1", "ci_low", "ci_high", metric=SUCCESS),
-        make.measured("chance", "chance", metric=SUCCESS),
-        make.said("outcome"),
-        make.said("shortcut", "invalid"),
-        make.counted("candidates", "", "gallery_mean", digits=0),
-        make.counted("people", "", "n_clusters", digits=0),
-    ]
-    title = f"{task.name}: {task.about}, every adversary; 95 % intervals"
-    return make.built(f"cells-{task.name}", title, records, columns, n_headings=3, n_keys=5)
 
 
 def doubt_table(run: picked.Results) -> Table:

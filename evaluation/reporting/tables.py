@@ -12,7 +12,6 @@ import io
 import math
 import re
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
@@ -21,13 +20,20 @@ from rich.text import Text
 
 from evaluation.analysis import weak_attacks
 from evaluation.analysis.families import families_in
-from evaluation.analysis.keys import AS_SHARED, INFORMED, ORACLE, Source
-from evaluation.analysis.metrics import EXPOSURE, MISSED_RATE, RECONSTRUCTION, SUCCESS, UTILITY
+from evaluation.analysis.keys import INFORMED, Source
+from evaluation.analysis.metrics import (
+    RECONSTRUCTION,
+    SUCCESS,
+    SUCCESS_OF_100,
+    UTILITY,
+)
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import data_notices, notices
+from evaluation.reporting.answers import headline_of
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
+from evaluation.reporting.headline import LAW, headline, headline_table, levels_of
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
 from evaluation.reporting.table import Cell, Table, amount, built, held, said
@@ -46,8 +52,7 @@ _WIDE: Final = 160
 """Columns of `tables.txt`."""
 _REFERENCE: Final = "smoke"
 """The preset whose numbers the tests hold a fresh run against."""
-_SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, "chance")
-_SMOOTHED: Final = tuple(Source(name, INFORMED) for name in ("kalman_rts", "radial_rts"))
+_SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, "chance")
 
 
 def show(run: Results, *, before: int = 1, verbose: bool = False) -> None:
@@ -92,8 +97,8 @@ def _everything(run: Results) -> Iterator[Part]:
         yield ""
         yield "Verdict", "bold"
         yield from (f"- {one}" for one in run.verdict["answer"])
-        yield from answers.short_tables(run.verdict)
-        yield "(Items, intervals and reasons: verdict.json.)"
+        yield from answers.item_tables(run.verdict["items"]).values()
+        yield "(In words, with reasons: verdict.json.)"
     for line in failed_lines(run.failed):
         yield f"failed: {line}", "red"
 
@@ -101,19 +106,18 @@ def _everything(run: Results) -> Iterator[Part]:
 def page_tables(run: Results) -> dict[str, Table]:
     """Return the tables of the page by name; none of them is empty."""
     items = run.verdict["items"] if run.verdict else []
+    of = headline_of(run)
+    first = headline_table(of, levels_of(of)[0])
     found = [
+        replace(first, title="The pictures in numbers; 95 % intervals"),
         answers.paper_table(run),
         answers.claims_table(run),
-        *measured.sweep_tables(run.ours),
-        answers.matched_table(run),
+        *measured.sweep_tables(run.ours)[:1],
+        answers.frontier_table(run),
         measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
-        measured.attack_table(run.ours),
         *(measured.rank_table(run, task) for task in run.tasks),
-        *(measured.cells_table(run, task) for task in run.tasks),
-        answers.decision_table(run),
         answers.flag_table(run),
         measured.doubt_table(run),
-        answers.contrast_table(items),
         *answers.item_tables(items).values(),
     ]
     return {one.name: one for one in found if one.rows}
@@ -133,7 +137,7 @@ def write_tex(run: Results, *, folder: Path) -> None:
         "attacks": [measured.attack_table(attacked, only=source) for source in sources],
         "paper": [answers.paper_table(run)],
         "linkability": [measured.rank_table(run, task) for task in run.tasks],
-        "verdict": answers.short_tables(run.verdict) if run.verdict else [],
+        "verdict": answers.item_tables(run.verdict.get("items", ())).values(),
     }
     for name, tables in files.items():
         write_whole(folder / f"{name}.tex", latex(tables).encode())
@@ -158,18 +162,11 @@ def _linkage(summary: pd.DataFrame) -> Table:
     return built("linkage", "Rank 1 (%) of every linker; 95 % intervals", records.values(), columns)
 
 
-_HEADLINE: Final = (
-    (Source("least_squares"), MISSED_RATE),
-    *((one, EXPOSURE) for one in (AS_SHARED, *_SMOOTHED)),
-)
-_AVERAGES: Final = Source("moving_average", INFORMED), Source("averaging", ORACLE)
-_FILTERING: Final = [(one, EXPOSURE) for one in (AS_SHARED, _AVERAGES[0], *_SMOOTHED, _AVERAGES[1])]
 DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
+    "headline": lambda summary: headline_table(headline(summary)),
     "sweep": lambda summary: measured.sweep_tables(summary)[0],
     "exposure": measured.exposure_table,
     "attacks": measured.attack_table,
-    "headline": partial(measured.sources_table, name="headline", of=_HEADLINE),
-    "filtering": partial(measured.sources_table, name="filtering", of=_FILTERING),
     "linkage": _linkage,
 }
 """By the name in a block."""
@@ -222,6 +219,9 @@ def filled(text: str, *, results: Path) -> str:
         path = results / f"{run}.csv"
         if name not in DOCS or not path.is_file():
             raise DataError(f"no table {name!r} of {path}; known: {', '.join(DOCS)}")
-        return f"{start}{markdown(DOCS[name](pd.read_csv(path, keep_default_na=True)))}{end}"
+        rows = pd.read_csv(path, keep_default_na=True)
+        if name != "headline":  # it alone shows more than one error law
+            rows = rows[~rows["dataset"].str.contains(LAW, regex=False)]
+        return f"{start}{markdown(DOCS[name](rows))}{end}"
 
     return _BLOCK.sub(block, text)

@@ -29,7 +29,7 @@ from evaluation.cells.tables import ROWS, Tables
 from evaluation.runs.files import FOLDER, GALLERY, checked, content_of, write_whole, written_down
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate, effective_clusters
-from isac_track.linkability import ProbeRanks
+from isac_track.linkability.scoring import RANK_METRICS, ProbeRanks
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -284,11 +284,8 @@ def _rank_sums(
     probes: ProbeRanks, n_clusters: int, drawn: Collection[str] | None
 ) -> dict[str, tuple[Floats, Floats]]:
     """Return sum and number of the rank metrics in each cluster, (C,) each."""
-    found = {
-        metric: both
-        for metric, both in probes.sums(n_clusters).items()
-        if metric not in DERIVED and (drawn is None or metric in drawn)
-    }
+    wanted = {*(RANK_METRICS if drawn is None else drawn)} - {*DERIVED}
+    found = probes.sums(n_clusters, wanted)
     if ASSIGNED[probes.assigned[0] + 1] == "unknown":
         for metric in found.keys() & {"rank1_assigned", "false_link_rate"}:
             found[metric] = np.full(n_clusters, np.nan), found[metric][1]

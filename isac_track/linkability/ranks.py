@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -119,13 +120,18 @@ def rank1_among(*, above: Ints, tied: Ints, candidates: Ints, gallery: int = GAL
     """
     first: Floats = np.full(above.shape, np.nan)
     for n in np.unique(candidates[candidates >= gallery]).tolist():
-        mine = candidates == n
-        # An m-th other is passed over by a draw of gallery - 1 among those who are left.
-        left = np.arange(n - 1.0, 0.0, -1.0)
-        passed = np.cumprod(np.append(1.0, np.maximum(left - (gallery - 1), 0.0) / left))
-        sums = np.append(0.0, np.cumsum(passed))
+        mine, sums = candidates == n, _sums_passed_over(n, gallery)
         first[mine] = (sums[(above + tied)[mine]] - sums[above[mine]]) / tied[mine]
     return first
+
+
+@lru_cache(maxsize=256)  # of a task they are the same for every attack
+def _sums_passed_over(n: int, gallery: int) -> Floats:
+    """Return how often m others are all passed over, summed below each m of 0..n, (n + 1,)."""
+    # The m-th is, by a draw of gallery - 1 among those who are left.
+    left = np.arange(n - 1.0, 0.0, -1.0)
+    passed = np.cumprod(np.append(1.0, np.maximum(left - (gallery - 1), 0.0) / left))
+    return np.append(0.0, np.cumsum(passed))
 
 
 def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:

@@ -16,8 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isac_track.intervals import (
+    FEW_CLUSTERS,
+    LEAST_CLUSTERS,
     Estimate,
     cluster_sums,
+    effective_clusters,
+    of_few,
     percentile_interval,
     percentile_intervals,
     ratio_estimates,
@@ -57,7 +61,7 @@ from isac_track.linkability.significance import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -65,6 +69,8 @@ if TYPE_CHECKING:
     from isac_track.linkability.significance import People
     from isac_track.types import Floats, Ints
 
+RANK_METRICS = ("rank1", "rank1_assigned", "mrr", "chance", "rank1_g100", "false_link_rate")
+"""Means over probes: `ProbeRanks.values`."""
 _FITTED = {"eer": 0.5, "cllr_min": 1.0}
 """Metrics whose hull is fitted to the very scores that it judges, and their upper bounds."""
 _NO_SPREAD = 1e-12
@@ -89,58 +95,40 @@ class ProbeRanks:
     n_gallery: int
     """Of the largest gallery."""
 
-    def values(self) -> dict[str, tuple[Floats, Ints]]:
-        """Return the values that each metric is the mean of, and their clusters, (N,) each.
+    def values(self, names: Collection[str] = RANK_METRICS) -> dict[str, tuple[Floats, Ints]]:
+        """Return the values that some metrics are the means of, and their clusters, (N,) each.
 
-        All are of probes with a mate, but `false_link_rate`, which is of the others.
+        All are of probes with a mate, but `false_link_rate`, which is of the others, if there are
+        any.
         """
         mated = self.above >= 0
         above, tied, cluster = self.above[mated], self.tied[mated], self.cluster[mated]
         chance, companions = self.chance[mated], self.companions[mated]
-        found = {
-            "rank1": (expected_hit(above, tied), cluster),
-            "rank1_assigned": ((self.assigned[mated] == 1).astype(np.float64), cluster),
-            "mrr": (expected_reciprocal(above, tied, self.n_gallery), cluster),
-            "chance": (chance, cluster),
-            "rank1_g100": (
-                hit_among_strangers(above, tied, chance, companions),
-                cluster,
-            ),  # NaN for one is NaN for all: refused
+        of_mated: dict[str, Callable[[], Floats]] = {
+            "rank1": lambda: expected_hit(above, tied),
+            "rank1_assigned": lambda: (self.assigned[mated] == 1).astype(np.float64),
+            "mrr": lambda: expected_reciprocal(above, tied, self.n_gallery),
+            "chance": lambda: chance,
+            # NaN for one is NaN for all: refused.
+            "rank1_g100": lambda: hit_among_strangers(above, tied, chance, companions),
         }
-        if not mated.all():
+        found = {name: (value(), cluster) for name, value in of_mated.items() if name in names}
+        if "false_link_rate" in names and not mated.all():
             linked = (self.assigned[~mated] >= 0).astype(np.float64)
             found["false_link_rate"] = linked, self.cluster[~mated]
         return found
 
-    def sums(self, n_clusters: int) -> dict[str, tuple[Floats, Floats]]:
-        """Return the sum and the number of each metric's values in each cluster, (C,) each."""
+    def sums(
+        self, n_clusters: int, names: Collection[str] = RANK_METRICS
+    ) -> dict[str, tuple[Floats, Floats]]:
+        """Return the sum and the number of some metrics' values in each cluster, (C,) each."""
         return {
             name: (
                 cluster_sums(values=values, cluster=cluster, n_clusters=n_clusters),
                 np.bincount(cluster, minlength=n_clusters).astype(np.float64),
             )
-            for name, (values, cluster) in self.values().items()
+            for name, (values, cluster) in self.values(names).items()
         }
-
-    def replicates(
-        self, weights: Floats, names: Collection[str] | None = None
-    ) -> dict[str, Floats]:
-        """Return the bootstrap replicates of each metric, (B,), as `scorecard` estimates it.
-
-        Parameters
-        ----------
-        weights : (B, C)
-            As there.
-        names : collection of str, optional
-            Of these metrics alone.
-        """
-        found = {}
-        for name, sums in self.sums(weights.shape[1]).items():
-            if names is None or name in names:
-                total, number = (weights @ np.stack(sums, axis=1)).T
-                with np.errstate(invalid="ignore"):  # nobody was drawn: NaN
-                    found[name] = total / number
-        return found
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -218,7 +206,9 @@ def scorecard(
 
     A metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
     Wilson's interval, with the clusters as the sample size: of all variables in 0..1 a mean of 0 or
-    1 says least about a coin. With fewer than two clusters there is no interval.
+    1 says least about a coin. Of fewer than 40 effective clusters (n^2 / sum m^2 of m probes each)
+    rank metrics have the jackknife's interval (`intervals.of_few`), of fewer than 15 nothing has
+    any, but a share of people with one outcome each.
 
     Parameters
     ----------
@@ -324,7 +314,7 @@ def scorecard_of(
     of_ranks = _of_ranks(searches, standings, assignments, observed, null)
     values = over_scales(results, n_searches=len(searches))
     estimates = _rank_estimates(of_ranks["probes"], weights)
-    estimates |= _score_estimates(results, values, of_ranks["n_clusters"])
+    estimates |= _score_estimates(results, values, of_ranks["probes"])
     return Scorecard(
         estimates=estimates,
         **of_ranks,
@@ -391,7 +381,7 @@ def _of_ranks(
         cluster=np.concatenate([search.probe_cluster for search in searches]),
         n_gallery=max(sizes),
     )
-    (hits, clusters), (chances, _) = (probes.values()[name] for name in ("rank1", "chance"))
+    (hits, clusters), (chances, _) = probes.values(("rank1", "chance")).values()
     return {
         "probes": probes,
         "p_value": p_value_among(observed, null),
@@ -423,37 +413,43 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     found = ratio_estimates(
         numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
     )
+    found = of_few(found, numerator=numerator, denominator=denominator, is_share=is_share)
     estimates = dict(zip(sums, found, strict=True))
-    estimates["residual_risk"] = _residual_risk_estimate(estimates["rank1"], estimates["chance"])
+    estimates["residual_risk"] = _residual_risk_estimate(
+        *(estimates[name] for name in ("rank1", "chance")),
+        is_few=estimates["rank1"].effective < FEW_CLUSTERS,
+    )
     return estimates
 
 
-def _residual_risk_estimate(success: Estimate, control: Estimate) -> Estimate:
+def _residual_risk_estimate(success: Estimate, control: Estimate, *, is_few: bool) -> Estimate:
     value = residual_risk(success=success.value, control=control.value)
     replicates, left = np.full(success.replicates.size, np.nan), 1.0 - control.replicates
     gain = success.replicates - control.replicates
     np.divide(gain, left, out=replicates, where=control.replicates < 1.0)
     low, high = math.nan, math.nan
-    if success.value in {0.0, 1.0}:
-        # Wilson's ends for the share; guessing's chance is known.
+    if is_few or success.value in {0.0, 1.0}:
+        # The share's own ends; guessing's chance is known.
         low, high = (
             residual_risk(success=end, control=control.value)
             for end in (success.ci_low, success.ci_high)
         )
-    elif success.n > 1 and not math.isnan(value):
+    elif not math.isnan(value):
         low, high = percentile_interval(replicates)
     return Estimate(value, low, high, success.n, replicates)
 
 
 def _score_estimates(
-    results: Sequence[Scale], values: dict[str, Floats], n: int
+    results: Sequence[Scale], values: dict[str, Floats], probes: ProbeRanks
 ) -> dict[str, Estimate]:
-    """Return the estimates of score metrics; `n` clusters have a mated probe."""
+    """Return the estimates of score metrics; of very few clusters they have no interval."""
+    sizes = np.bincount(probes.cluster[probes.above >= 0]).astype(np.float64)
+    n, effective = int((sizes > 0).sum()), effective_clusters(sizes)
     drawn = np.stack([values[name][1:] for name in METRICS])
     estimates = {}
     for name, replicates, ends in zip(METRICS, drawn, percentile_intervals(drawn).T, strict=True):
         value, low, high = float(values[name][0]), math.nan, math.nan
-        if n > 1 and not math.isnan(value):
+        if effective >= LEAST_CLUSTERS and not math.isnan(value):
             low, high = _interval(name, value, replicates, ends.tolist(), n)
         estimates[name] = Estimate(value, low, high, n, replicates)
 

@@ -4,20 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
+from scipy.stats import binomtest, t
 
 from isac_track.intervals import (
     CONFIDENCE,
+    LEAST_CLUSTERS,
     Estimate,
     cluster_sums,
     cluster_weights,
     difference,
+    effective_clusters,
     estimate_of,
+    exact_binomial,
+    jackknife_estimate,
+    of_few,
     percentile_interval,
     percentile_intervals,
     ratio_estimate,
     ratio_estimates,
     wilson,
+    without_each,
 )
 from isac_track.rng import stream
 
@@ -28,10 +34,17 @@ def test_wilson_is_scipys(hits, n):
     assert wilson(hits=hits, n=n) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
+@pytest.mark.parametrize(("hits", "n"), [(0, 7), (1, 7), (5, 7), (7, 7), (1, 1)])
+def test_the_exact_interval_of_a_count_is_scipys(hits, n):
+    expected = binomtest(hits, n).proportion_ci(method="exact")
+    assert exact_binomial(hits=hits, n=n) == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+@pytest.mark.parametrize("interval", [wilson, exact_binomial])
 @pytest.mark.parametrize(("hits", "n"), [(1, 0), (-1, 5), (6, 5)])
-def test_wilson_refuses_what_is_no_share(hits, n):
+def test_what_is_no_share_is_refused(interval, hits, n):
     with pytest.raises(ValueError, match="a share needs"):
-        wilson(hits=hits, n=n)
+        interval(hits=hits, n=n)
 
 
 def test_weights_draw_as_many_clusters_as_there_are_and_depend_on_the_seed_alone():
@@ -160,3 +173,83 @@ def test_a_difference_is_paired_in_the_replicates_that_both_have():
     assert (found.value, found.n) == (1.5, 20)
     assert found.replicates == pytest.approx(np.full(100, 1.5))
     assert (found.ci_low, found.ci_high) == pytest.approx((1.5, 1.5))
+
+
+def test_effective_clusters_are_as_many_as_there_are_if_all_are_alike():
+    for sizes, expected in (([3.0, 3.0, 3.0, 0.0], 3), ([6.0, 1.0, 1.0], 64 / 38), ([0.0], 0)):
+        assert effective_clusters(np.array(sizes)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("is_share", [False, True])
+def test_the_jackknife_of_a_mean_is_students_interval(is_share):
+    values = stream(3, "test", "mean").random(30)
+    weights = without_each(30)
+    found = jackknife_estimate(
+        weights @ values / weights.sum(axis=1), sizes=np.ones(30), is_share=is_share
+    )
+    mean, error = values.mean(), values.std(ddof=1) / np.sqrt(30)
+    assert (found.value, found.standard_error, found.n) == pytest.approx((mean, error, 30))
+    law = t(29)
+    if is_share:  # on the scale of the logit, whose slope is 1 / p (1 - p)
+        half = law.ppf(0.975) * error / (mean * (1 - mean))
+        ends = 1 / (1 + (1 / mean - 1) * np.exp([half, -half]))
+    else:
+        ends = mean + error * law.ppf([0.025, 0.975])
+    assert (found.ci_low, found.ci_high) == pytest.approx(tuple(ends))
+
+
+@pytest.mark.parametrize(
+    ("hits", "trials", "ends"),
+    [
+        (np.arange(14) % 2, np.ones(14), exact_binomial(hits=7, n=14)),
+        (2.0 * (np.arange(7) < 7), np.full(7, 2.0), exact_binomial(hits=7, n=7)),
+        (np.arange(14) % 3, np.full(14, 2.0), (np.nan, np.nan)),  # not one outcome a person
+        (np.arange(14) % 2, 1.0 + np.arange(14) % 2, (np.nan, np.nan)),
+        (np.zeros(20), np.ones(20), wilson(hits=0, n=20)),
+        (np.zeros(0), np.zeros(0), (np.nan, np.nan)),
+    ],
+)
+def test_very_few_people_have_the_interval_of_their_count_or_none(hits, trials, ends):
+    weights = cluster_weights(n_clusters=max(trials.size, 1), n_replicates=9, seed=0)[
+        :, : trials.size
+    ]
+    sums = {"numerator": hits[None] * 1.0, "denominator": trials[None], "is_share": [True]}
+    (one,) = of_few(ratio_estimates(**sums, weights=weights), **sums)
+    assert (one.ci_low, one.ci_high) == pytest.approx(ends, nan_ok=True)
+    assert one.replicates.size == 9
+
+
+def test_of_many_clusters_and_of_what_is_no_share_nothing_changes():
+    weights = cluster_weights(n_clusters=40, n_replicates=50, seed=0)
+    hits = stream(4, "test", "many").random((2, 40))
+    sums = {"numerator": hits, "denominator": np.ones((2, 40)), "is_share": [True, False]}
+    sums["denominator"][1, 20:] = 0.0
+    found = ratio_estimates(**sums, weights=weights)
+    assert all(a is b for a, b in zip(of_few(found, **sums), found, strict=True))
+
+
+def beta_binomial(rng, chances, sizes, within=0.4):
+    """Hits of each person, whose own chance varies around those of all."""
+    own = rng.beta(*(one * (1 / within - 1) for one in (chances, 1 - chances)), sizes.shape)
+    return rng.binomial(sizes.astype(int), own) * 1.0
+
+
+@pytest.mark.parametrize("n_clusters", [15, 20])
+@pytest.mark.parametrize("chance", [0.2, 0.5, 0.85])
+def test_intervals_of_fifteen_to_twenty_clusters_cover(n_clusters, chance):
+    rng = stream(5, "test", "coverage", n_clusters, str(chance))
+    weights, held = without_each(n_clusters), []
+    for _ in range(1000):
+        sizes = 2.0 * np.ones(n_clusters)
+        sizes[: n_clusters - 15] += 2.0  # at least 15 in effect
+        hits = beta_binomial(rng, np.array(chance), sizes)
+        other = beta_binomial(rng, np.array(0.4), sizes) + hits * 0.5  # goes with the first
+        rate = jackknife_estimate(weights @ hits / (weights @ sizes), sizes=sizes, is_share=True)
+        gap = jackknife_estimate(weights @ (hits - other) / (weights @ sizes), sizes=sizes)
+        truth = (chance, rate), (chance / 2 - 0.4, gap)
+        held.append([one.ci_low <= value <= one.ci_high for value, one in truth])
+    assert effective_clusters(sizes) >= LEAST_CLUSTERS
+    rate_held, gap_held = np.mean(held, axis=0)
+    # Hits are counts: a share's interval holds it rather too often, never much less.
+    assert 0.93 <= rate_held <= 0.99
+    assert 0.93 <= gap_held <= 0.97

@@ -1,4 +1,4 @@
-"""Figures over the level: what is shared and missed, what attacks leave, and the headline."""
+"""Figures over the level: what is shared and missed, and what attacks leave."""
 
 from __future__ import annotations
 
@@ -33,8 +33,6 @@ _EXPOSURE_LABEL = "Exposure, shared (s)"
 _MOST_BANDS = 2
 _MOST_CHARACTERS = 80
 """Of a file's name."""
-_MOST_SINGLE = 2
-"""Panels that fit into one column of a journal."""
 _SHARED_LOOK = Look("#000000", "o", "-")
 # Apart from the looks of the predictors, with which they share a legend.
 _SWEPT_LOOKS = {
@@ -42,20 +40,16 @@ _SWEPT_LOOKS = {
     "ael": Look("#56B4E9", "v", "-"),
     "mel": Look("#000000", "D", "--"),
 }
-_HEADLINE_LOOKS = _SHARED_LOOK, Look("#0072B2", "s", "--"), Look("#D55E00", "^", "-.")
 # The oracle is set apart: grey, thin and hollow.
 _ORACLE: dict[str, Any] = {"linewidth": 0.8, "markerfacecolor": "white"}
 _ORACLE_LOOKS = Look("#777777", "D", (0, (2, 1.5))), Look("#999999", "v", (0, (4, 1.5)))
 
 
 def drawings(run: picked.Results) -> list[Drawing]:
-    """Return those of the first screen and after attack, and one of each swept mechanism."""
-    about = "What the descriptor says, and what an adversary gets"
-    caption = "If the descriptor told linkability, the lines would fall together."
+    """Return that after attack, and one of each swept mechanism."""
     every = "PLR as shared and after each attack, over the level"
     found = [
         Drawing("after_attack", "after", every, _attack_figure, _attack_words),
-        Drawing("headline", "answer", about, _headline_figure, _headline_words, caption),
     ]
     for swept, of in groupby(picked.schemes(run.ours), key=attrgetter("name")):
         known = list(of)
@@ -252,53 +246,3 @@ def _attack_lines(rows: pd.DataFrame) -> dict[Source, Line]:
         label = f"{of.label}, a reference"
         lines[of] = Line(label, look, picked.of_source(rows, of), apart=_ORACLE)
     return lines
-
-
-def _headline_figure(run: picked.Results) -> Figure | None:
-    """Return PLR as shared and after attack, and the strongest link, under one adding rule."""
-    lines, rule, known = _headline(run)
-    known = picked.shown_in(known, lines[0].rows)
-    if not known:
-        return None
-    widths = drawing.SINGLE_COLUMN_IN, drawing.DOUBLE_COLUMN_IN
-    figure, ((*panels,),) = drawing.panels(
-        *(1, len(known)),
-        width_in=widths[len(known) > _MOST_SINGLE],
-        height_in=2.65,
-        margins_in=(0.5, 0.08, 0.42, 0.62 + 0.15 * len(lines), 0.22, 0.0),
-        sharey=True,
-    )
-    for scheme, ax in zip(known, panels, strict=True):
-        ax.set(title=scheme.title, xlabel=scheme.label)
-        for line in lines:
-            line.draw(ax, scheme)
-        drawing.level_axis(ax, log=scheme.log)
-    panels[0].set(ylim=(0.0, 103.0), ylabel="%")
-    raw = drawing.black_handle("raw (at its edge); bands: 95 % intervals", dashes=":")
-    handles = [*(line.handle for line in lines), raw]
-    return drawing.finish(figure, handles, dataset=run.dataset, what=f"{rule} adding", columns=1)
-
-
-def _headline(run: picked.Results) -> tuple[list[Line], str, list[picked.Scheme]]:
-    """Return its lines, those as shared first, its adding rule, and what is swept under that."""
-    plr = _exposure(run.ours)
-    rows = {"PLR as shared: the descriptor": picked.of_source(plr, AS_SHARED)}
-    attack = run.strongest.get("")
-    if attack is not None:
-        rows[f"PLR after {drawing.short(attack)}"] = picked.of_source(plr, attack)
-    # A walk that was shared twice, or whatever was linked first.
-    for task in sorted(run.tasks, key=lambda one: one.name != "rerelease")[:1]:
-        source = run.link_of(task)
-        label = f"found again ({task.name}, rank 1): {drawing.short(source)}"
-        rows[label] = picked.rank1_rows(task, source)
-    looked = zip(rows.items(), _HEADLINE_LOOKS, strict=False)
-    lines = [Line(label, look, of) for (label, of), look in looked]
-    known = picked.schemes(run.ours)
-    rule = next(iter(picked.rules_of(known)), "")
-    return lines, rule, [one for one in known if rule in one.rules]
-
-
-def _headline_words(run: picked.Results) -> str:
-    lines, rule, known = _headline(run)
-    said = _ends(picked.by_title(known), {line.label: line for line in lines})
-    return f"Lines over the level, {rule} adding. {said}"

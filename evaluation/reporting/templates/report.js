@@ -54,6 +54,14 @@
     setTimeout(() => { button.textContent = label; }, 1500);
   };
 
+  // What a mark is, in words: for who points at it, and for who comes by keyboard.
+  const name = (event) => {
+    const mark = event.target.closest(".planes .mark");
+    if (mark) mark.closest(".planes").querySelector(".named").textContent = mark.textContent;
+  };
+  document.addEventListener("pointerover", name);
+  document.addEventListener("focusin", name);
+
   document.addEventListener("click", (event) => {
     if (event.target.closest("th .sort")) sort(event.target.closest("th"));
     const button = event.target.closest(".copy");

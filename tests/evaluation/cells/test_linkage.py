@@ -382,7 +382,7 @@ class TestCells:
             with_draws += 1
             expected = estimate.replicates.astype(np.float32)
             np.testing.assert_array_equal(found.replicates, expected)
-        assert with_draws == (4 if control else 11) + (task != "rerelease")
+        assert with_draws == (4 if control else 12) + (task != "rerelease")
         assert read.numbers["p_value"] == result.scored.p_value
         assert read.cohorts == result.cohorts
 

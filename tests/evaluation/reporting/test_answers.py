@@ -3,7 +3,6 @@
 import re
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers.finished_runs import (
     STRONGEST,
@@ -11,6 +10,7 @@ from helpers.finished_runs import (
     levels,
     make_run,
     make_summary,
+    with_links,
 )
 
 from evaluation.reporting.answers import answers
@@ -19,25 +19,20 @@ SHARE = re.compile(r"(\d+\.\d) % \[(\d+\.\d), (\d+\.\d)\]")
 PEOPLE = re.compile(r"(\d+) \[(\d+), (\d+)\] of 100")
 
 
-def with_links(run):
-    """A run whose summary holds what its linkers achieve."""
-    of = run.linkability[
-        (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
-    ]
-    of = of.assign(n=55, unit="fraction", family="", adding="")
-    chance = of.assign(metric="chance", value=of["chance"])
-    rows = [run.summary, of.assign(metric="rank1", value=of["rank1"]), chance]
-    joined = pd.concat(rows)[run.summary.columns]
-    about = run.summary.drop_duplicates("mechanism").set_index("mechanism")[["family", "adding"]]
-    known = joined.drop(columns=["family", "adding"]).join(about, on="mechanism")
-    changes = {"summary": known[run.summary.columns], "linkability": run.linkability}
-    return make_run(strongest=run.strongest, flags=run.flags, **changes)
-
-
 def held(run):
     """All shares of a summary with their intervals, as they are written."""
     ends = (100.0 * run.summary[["value", "ci_low", "ci_high"]]).to_numpy()
     return {tuple(f"{one:.1f}" for one in row) for row in ends}
+
+
+def spreads_of(verdict):
+    """By how many of 100 people linkage differs, of all items."""
+    ends = [
+        sorted(abs(100 * one[key]) for key in ("ci_low", "effect", "ci_high"))
+        for one in verdict.get("items", ())
+        if one["section"] == "validity"
+    ]
+    return {(f"{value:.0f}", f"{low:.0f}", f"{high:.0f}") for low, value, high in ends}
 
 
 RUNS = {
@@ -63,6 +58,9 @@ def test_every_number_of_an_answer_is_in_the_tables(name):
     found = SHARE.findall(" ".join(one.sentence for one in said))
     assert set(found) <= held(run)
     assert found or name == "nothing"
+    spreads = PEOPLE.findall(said[3].sentence)
+    assert set(spreads) <= spreads_of(run.verdict)
+    assert len(spreads) == (name not in ("no verdict", "nothing"))
     untested = [one.topic for one in said if one.sentence.startswith("Not tested")]
     expected = {
         "no predictor": ["Robot", "Links", "Level"],

@@ -12,6 +12,11 @@ from evaluation.reporting import page
 from evaluation.reporting.announcements import command
 from isac_track.errors import DataError
 
+FIGURES = [
+    "fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability",
+    "dissociation-rerelease", "false_alarms",
+]  # fmt: skip
+
 
 @pytest.fixture
 def made(page_path):
@@ -26,6 +31,9 @@ class TestTheFile:
         assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in tags.of(
             "meta"
         )
+        text = re.sub(r"<(script|style)>.*?</\1>|<[^>]*>", "", made, flags=re.DOTALL)
+        assert "?" not in text.removeprefix("<!doctype html>")
+        assert re.findall(r"<text[^>]*>missed conflicts \(%\)</text>", made)
         for tag, attributes in tags.found:
             for name in ("href", "src", "xlink:href", "action", "data", "srcset"):
                 assert attributes.get(name, "#").startswith(("#", "data:")), (tag, attributes)
@@ -47,10 +55,12 @@ class TestTheFile:
     def test_figures_are_told_in_numbers_and_heads_of_tables_can_be_pressed(self, made):
         tags = Tags(made)
         svgs, heads = tags.of("svg"), tags.of("th")
-        assert len(svgs) == 10
-        assert all(svg["role"] == "img" and svg["viewbox"] for svg in svgs)
+        assert all(svg["viewbox"] for svg in svgs)
+        named = [svg for svg in svgs if "role" in svg]
+        assert len(named) == len(FIGURES) + 5 + 4 + 12
+        assert all("aria-label" in svg or "aria-labelledby" in svg for svg in named)
         told = re.findall(r"<title id=.*?>(.+?)</title><desc id=.*?>(.*?)</desc>", made)
-        assert len(told) == len(svgs)
+        assert len(told) == len(FIGURES)
         assert all(re.search(r"\d", words) for _, words in told)
         assert all(head["scope"] == "col" for head in heads)
         assert sum(one.get("class") == "sort" for one in tags.of("button")) == len(heads) > 0
@@ -62,18 +72,33 @@ class TestTheFile:
 
 
 class TestWhatItSays:
-    def test_the_answer_comes_first(self, made):
-        places = [made.index(sentence) for sentence in VERDICT["answer"]]
-        assert places == sorted(places)
-        assert places[-1] < made.index('id="fig-headline"') < made.index("<nav")
-        told = ["▲ inflated", "· undecided", "split: too few [red]people[/red]"]
-        assert all(text in made for text in [*told, "18.7 [18.4, 19.1]"])
+    def test_the_questions_come_first_and_words_are_told_where_they_are_first_used(self, made):
+        questions = ["robot lose", "still leaks", "people be linked", "descriptors tell", "choose"]
+        heads = re.findall(r"<h2>(\d .*?)</h2>", made)
+        assert [word in head for word, head in zip(questions, heads, strict=True)] == [True] * 5
+        assert made.index(heads[-1]) < made.index('id="plane-1"') < made.index('class="gallery"')
+        assert made.index('class="gallery"') < made.index('<section id="verdict">')
+        text = made[made.index("<body>") :]
+        for short, long in (
+            ("PLR", "position leakage rate"),
+            ("FID", "Fisher information density"),
+            ("MEL", "maximum exposure length"),
+        ):
+            assert text.index(long) < text.index(short), short
+        told = [
+            "▲ inflated",
+            "· undecided",
+            "split: too few [red]people[/red]",
+            "18.7 [18.4, 19.1]",
+        ]
+        assert all(text in made for text in told)
         for name, title in {name: escape(one) for name, one in page.SECTIONS.items()}.items():
             assert f'<li><a href="#{name}">{title}</a></li>' in made
             assert re.search(rf'<section id="{name}">\s*<h2>{title}</h2>', made)
 
     def test_an_empty_run_still_makes_a_page_and_says_that_it_has_no_verdict(self):
-        text = page.render(make_run(**emptied(make_run()), verdict={}), svgs={})
+        nothing = make_run(**emptied(make_run()), verdict={}, strongest={})
+        text = page.render(nothing, svgs={})
         assert "This run has no verdict" in text
         assert "does not track" not in Tags(text).text
         assert "Nobody links in this run." in text
@@ -91,7 +116,7 @@ class TestWhatItSays:
         run.manifest["dataset"]["simulated"] = True
         text = page.render(run, svgs={})
         notice = text.index("Simulated crowd: says nothing of real people by itself.")
-        assert notice < text.index(VERDICT["answer"][0])
+        assert notice < text.index("What does the robot lose")
         assert "radial_rts (informed) is beaten by radial_rts (blind) at 1 of 47 levels" in text
         assert "+0.3 [+0.1, +0.5]" in text
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 import shutil
 
 import pytest
@@ -14,17 +15,20 @@ ARGUMENTS = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
-FIGURES = [
-    "headline", "fid_threshold", "fixed_error", "operating_points", "after_attack", "linkability",
-    "heat_map-rerelease", "dissociation-rerelease", "false_alarms", "track_gallery",
-]  # fmt: skip
 PHONE, DESK = {"width": 390, "height": 844}, {"width": 1440, "height": 900}
 BOXES = """
-() => [...document.querySelectorAll('svg[role=img]')].map((svg) => {
-  const [own, box] = [svg.getBoundingClientRect(), svg.closest('.scroll').getBoundingClientRect()];
-  return {name: svg.closest('figure').id, width: own.width, height: own.height, left: box.left,
-          right: box.right, ink: svg.querySelectorAll('path, use').length};
+() => [...document.querySelectorAll('svg[role]')].filter((svg) => svg.checkVisibility())
+.map((svg) => {
+  const box = svg.getBoundingClientRect();
+  const type = svg.querySelector('text') ? getComputedStyle(svg.querySelector('text')) : null;
+  const unit = box.width / svg.viewBox.baseVal.width;
+  return {name: svg.ariaLabel ?? svg.closest('figure').id, width: box.width, left: box.left,
+          right: box.right, is_chart: svg.classList.contains('chart'),
+          text_px: type ? unit * parseFloat(type.fontSize) : 0};
 })
+"""
+SIZES = """
+() => [document.documentElement.scrollHeight, document.querySelectorAll('*').length]
 """
 VALUES = "(table) => [...table.tBodies[0].rows].map((row) => row.cells[%d].textContent.trim())"
 SIDEWAYS = "() => document.documentElement.scrollWidth - document.documentElement.clientWidth"
@@ -62,21 +66,44 @@ def opened(browser, page_path):
 
 
 @pytest.mark.parametrize("viewport", [PHONE, DESK], ids=["phone", "desk"])
-def test_the_page_fits_and_the_answer_comes_first(opened, viewport):
+def test_the_page_fits_is_readable_and_the_answers_come_first(opened, viewport):
     tab = opened(viewport)
-    boxes = tab.evaluate(BOXES)
-    assert {box["name"] for box in boxes} == {f"fig-{name}" for name in FIGURES}
-    for box in boxes:
-        assert min(box["width"], box["height"]) > 100, box
-        assert 0 <= box["left"] < box["right"] <= viewport["width"], box
-        assert box["ink"] > 50, box
-    sentences = [one.bounding_box() for one in tab.locator(".answer p:not(.more)").all()]
-    assert len(sentences) == 3
-    assert all(box["y"] + box["height"] < viewport["height"] for box in sentences)
-    assert tab.locator("#fig-headline").bounding_box()["y"] < 0.8 * viewport["height"]
+    height_px, n_elements = tab.evaluate(SIZES)
+    assert n_elements < 15_000
+    assert height_px < 8_000 or viewport is PHONE
+    tops = [one.bounding_box()["y"] for one in tab.locator(".card").all()]
+    level = tab.locator("#level").bounding_box()["y"]
+    assert len(tops) == 6
+    assert max(tops) < level
+    assert viewport is PHONE or tops[4] < viewport["height"]
     assert tab.evaluate(SIDEWAYS) <= 0
+    shown = tab.evaluate(BOXES)
+    assert len(shown) == 5 + 2 + 12  # pictures, the planes of one robot, and walks
+    for box in shown:
+        assert not box["is_chart"] or box["text_px"] > 9, box
     tab.evaluate("() => document.querySelectorAll('details').forEach((d) => d.open = true)")
     assert tab.evaluate(SIDEWAYS) <= 0
+    boxes = tab.evaluate(BOXES)
+    assert len(boxes) > len(shown)
+    for box in boxes:
+        assert box["width"] > 90, box
+        assert 0 <= box["left"] < box["right"] <= viewport["width"], box
+
+
+def test_another_robot_has_another_plane_and_a_mark_says_what_it_is(opened):
+    tab = opened()
+    planes = [tab.locator(f"#plane-{n}") for n in (1, 2)]
+    assert [one.is_visible() for one in planes] == [True, False]
+    tab.get_by_label("Kalman", exact=True).check()
+    assert [one.is_visible() for one in planes] == [False, True]
+    marks, named = planes[1].locator(".mark[tabindex]"), tab.locator(".named")
+    assert marks.count() > 10
+    marks.nth(3).hover()
+    first = named.text_content()
+    assert re.search(r": missed conflicts \d+\.\d % \[.*, PLR after attack \d", first)
+    tab.keyboard.press("Tab")
+    marks.nth(4).focus()
+    assert named.text_content() == marks.nth(4).text_content() != first
 
 
 GROUND = "() => getComputedStyle(document.body).backgroundColor"
@@ -94,23 +121,28 @@ def test_light_and_dark_are_two_pages_and_print_is_light_without_buttons(
 ):
     tab = opened(color_scheme=scheme)
     assert tab.evaluate(GROUND) == ground
-    fill = "() => getComputedStyle(document.querySelector('#fig-headline svg')).fill"
+    fill = "() => getComputedStyle(document.querySelector('#fig-after_attack svg')).fill"
     assert tab.evaluate(fill) == ink
     tab.emulate_media(media="print", color_scheme=scheme)
     assert tab.evaluate(GROUND) == "rgb(255, 255, 255)"
     assert not tab.locator(".copy").first.is_visible()
-    assert tab.locator("#table-paper table").is_visible()
+    assert tab.locator("#plane-1 .chart").first.is_visible()
 
 
 class TestTables:
     PAPER = "#table-paper table"
     OURS = 5
 
+    def unfolded(self, opened, **options):
+        tab = opened(**options)
+        tab.evaluate("() => document.querySelectorAll('details').forEach((d) => d.open = true)")
+        return tab
+
     def values(self, tab, column):
         return tab.locator(self.PAPER).evaluate(VALUES % column)
 
     def test_a_click_sorts_by_number_and_another_the_other_way(self, opened):
-        tab = opened()
+        tab = self.unfolded(opened)
         head = tab.locator(f"{self.PAPER} th").nth(self.OURS)
         before = self.values(tab, self.OURS)
         numbers = sorted(float(text.split()[0]) for text in before)
@@ -126,7 +158,7 @@ class TestTables:
         assert tab.locator(f"{self.PAPER} th[aria-sort]").count() == 1
 
     def test_the_keyboard_does_the_same_and_words_sort_as_words(self, opened):
-        tab = opened()
+        tab = self.unfolded(opened)
         before = self.values(tab, 0)
         assert before != sorted(before)
         tab.locator(f"{self.PAPER} th button").first.focus()
@@ -134,7 +166,7 @@ class TestTables:
         assert self.values(tab, 0) == sorted(before)
 
     def test_what_is_empty_comes_last_either_way(self, opened):
-        tab = opened()
+        tab = self.unfolded(opened)
         head = tab.locator(f"{self.PAPER} th button").nth(2)
         for _ in range(2):
             head.click()
@@ -146,7 +178,7 @@ class TestTables:
     @pytest.mark.parametrize("has_clipboard", [True, False])
     def test_copy_gives_the_table_as_csv_with_or_without_a_clipboard(self, opened, has_clipboard):
         options = {"permissions": ["clipboard-read", "clipboard-write"]} if has_clipboard else {}
-        tab = opened(**options)
+        tab = self.unfolded(opened, **options)
         if not has_clipboard:
             tab.evaluate(
                 "() => { navigator.clipboard.writeText = () => Promise.reject(new Error()) }"

@@ -9,7 +9,6 @@ from helpers.drawn import assert_is_readable, draw, named
 from helpers.finished_runs import (
     levels,
     make_curves,
-    make_gallery,
     make_linkability,
     make_run,
     make_summary,
@@ -136,7 +135,7 @@ class TestLinesOverTheLevel:
         few = {"summary": make_summary(at, attacks=()), "linkability": make_frame()[:0]}
         run = make_run(**few, curves=make_curves()[:0])
         one, two = (draw_all(run, folder=tmp_path / f"{jobs}", jobs=jobs) for jobs in (1, 2))
-        assert {path.stem for path in one} == {"fid_threshold", "headline", "operating_points"}
+        assert {path.stem for path in one} == {"fid_threshold", "operating_points"}
         assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
 
 
@@ -162,10 +161,3 @@ class TestDescriptorAgainstLinkability:
 
 def test_without_curves_there_are_no_misses_over_false_alarms():
     assert draw(make_run(curves=make_curves()[:0]), "false_alarms") is None
-
-
-def test_the_gallery_has_a_panel_for_each_and_says_what_leaks():
-    figure = draw(make_run(gallery=make_gallery()), "track_gallery", whole=True)
-    assert len(figure.axes) == 4 * 3
-    assert figure.axes[0].texts[0].get_text() == "leaks: shared 50 %, rebuilt 75 %"
-    assert draw(make_run(gallery=make_gallery().head(0)), "track_gallery") is None
