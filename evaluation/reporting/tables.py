@@ -33,7 +33,7 @@ from evaluation.reporting import terminal
 from evaluation.reporting.announcements import data_notices, notices
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
-from evaluation.reporting.headline import LAW, headline, headline_table, levels_of
+from evaluation.reporting.headline import LAW, headline, headline_table
 from evaluation.reporting.markup import latex, markdown
 from evaluation.reporting.rows import ENDS, Results, by_level, sources_at, telling
 from evaluation.reporting.table import Cell, Table, amount, built, held, said
@@ -106,10 +106,9 @@ def _everything(run: Results) -> Iterator[Part]:
 def page_tables(run: Results) -> dict[str, Table]:
     """Return the tables of the page by name; none of them is empty."""
     items = run.verdict["items"] if run.verdict else []
-    of = headline_of(run)
-    first = headline_table(of, levels_of(of)[0])
+    title = "The pictures in numbers, at every level; 95 % intervals"
     found = [
-        replace(first, title="The pictures in numbers; 95 % intervals"),
+        replace(headline_table(headline_of(run)), title=title),
         answers.paper_table(run),
         answers.claims_table(run),
         *measured.sweep_tables(run.ours)[:1],
