@@ -154,8 +154,8 @@ def about_data(ready: Plan) -> dict[str, Any]:
         "repairs": [asdict(repair) for repair in dataset.repairs],
     }
     if len(tracks) < FEW_PEOPLE:
-        asked = {"settings": ready.settings.stages, "used": len(tracks)}
-        about["would_help"] = what_would_help(dataset.tracks, **asked)
+        stages, used = ready.settings.stages, len(tracks)
+        about["would_help"] = what_would_help(dataset.tracks, settings=stages, used=used)
     return about
 
 

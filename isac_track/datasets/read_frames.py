@@ -124,9 +124,9 @@ def read_header(*, data: bytes, path: str) -> Header:
             way_out = "convert them to m (x/m), cm (x/cm) or mm (x/mm)"
             raise DataError(f"{path}, line {number}: lengths are in {unit!r}; {way_out}")
     # As many names as the first row has fields: a sentence about the columns names none.
-    line, names = next((one for one in named if len(one[1]) == n_fields), (0, []))
-    places = {name: names.index(name) for name in _USED if line}
-    return Header(fps, next(iter(units), ""), places, line)
+    of_line, names = next((one for one in named if len(one[1]) == n_fields), (0, []))
+    places = {name: names.index(name) for name in _USED if of_line}
+    return Header(fps, next(iter(units), ""), places, of_line)
 
 
 def _frame_rate_in(text: str, *, where: str) -> float | None:
