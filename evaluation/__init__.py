@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from evaluation.experiment.settings import Settings
-    from evaluation.results import Results, load, run
+    from evaluation.reporting.finished import load
+    from evaluation.reporting.rows import Results
+    from evaluation.results import run
 
 __all__ = ["Results", "Settings", "load", "run"]
 
@@ -26,7 +28,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands fo
         raise AttributeError(f"module 'evaluation' has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415 - as above
 
-    home = "experiment.settings" if name == "Settings" else "results"
+    home = {"Settings": "experiment.settings", "run": "results"}.get(name, "reporting.finished")
     return getattr(import_module(f"evaluation.{home}"), name)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from evaluation.reporting.tables import show, write_docs
-from evaluation.results import load
+from evaluation.results import rebuild
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _redraw(options: Namespace) -> int:
-    results = load(options.out, pdf=options.pdf)
+    results = rebuild(options.out, pdf=options.pdf)
     show(results, verbose=options.verbose)
     if options.docs:
         for path in write_docs(results, root=Path.cwd()):

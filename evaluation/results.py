@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from threadpoolctl import threadpool_limits
@@ -19,8 +21,12 @@ from evaluation.analysis.linked_people import read_probes
 from evaluation.analysis.matching import Sweeps, comparisons, matched
 from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import cross_fitted, strongest
+from evaluation.experiment.constants import OTHER_LAW
 from evaluation.experiment.plan import Plan, plan
 from evaluation.experiment.settings import Settings, check_drawing
+from evaluation.reporting.announcements import plan_lines
+from evaluation.reporting.finished import load
+from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
@@ -30,11 +36,12 @@ from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_who
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.runs.workers import ahead, given_back
 from evaluation.verdict import sections as verdict
+from isac_track.errors import SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["Results", "build", "load", "run"]
+__all__ = ["Results", "build", "load", "rebuild", "run"]
 _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: its matrices are small, and others would only spin."""
 
@@ -42,9 +49,10 @@ _one_thread = partial(threadpool_limits, limits=1, user_api="blas")
 def run(
     settings: Settings | None = None,
     *,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: bool | Callable[[int, int, str], None] = True,
     ready: Plan | None = None,
     pictures: bool = True,
+    **options: Any,  # noqa: ANN401 - as many types as options
 ) -> Results:
     """Run the matrix and return its results as data frames.
 
@@ -52,28 +60,41 @@ def run(
     ----------
     settings : Settings, optional
         By default preset `paper`.
-    progress : callable, optional
-        Called with cells finished, cells to do, and what is under way.
+    progress : bool or callable
+        Whether to show the data and how far the run is, on standard error; or what is called with
+        cells finished, cells to do, and what is under way.
     ready : Plan, optional
         A plan of `plan`, instead of settings.
     pictures : bool
         Without them there are neither figures nor `report.html`; `evaluation.report` draws them.
+    **options
+        Of `Settings`, over those given: `evaluation.run(preset="smoke", mechanisms=["raw"])`.
 
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     if ready is None:
-        ready = plan(settings or Settings())
+        ready = plan((settings or Settings()).changed(**options))
+    elif settings is not None or options:
+        raise SettingsError("a plan that is ready has its settings: leave out all others")
+    if progress is True:
+        for line in plan_lines(ready):
+            sys.stderr.write(f"{line}\n")
     if pictures:
         check_drawing()
     folder.check_folder(ready.out)
-    with given_back(), locked(ready.out), _one_thread():
+    shown = progress_bar([]) if progress is True else contextlib.nullcontext(progress or _silent)
+    with given_back(), locked(ready.out), _one_thread(), shown as update:
         with ahead():
-            execute(ready, progress or (lambda _done, _total, _what: None))
+            execute(ready, update)
         return build(ready.out, pictures=pictures, jobs=ready.jobs)
 
 
-def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Results:
-    """Return the results of a run folder, and write its tables, figures and page anew.
+def _silent(_done: int, _total: int, _what: str) -> None:
+    pass
+
+
+def rebuild(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Results:
+    """Write tables, figures and page of a run folder anew, and return its results.
 
     Parameters
     ----------
@@ -97,11 +118,12 @@ def load(out: Path | str, *, pictures: bool = True, pdf: bool = False) -> Result
 def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1) -> Results:
     """Write summary, tables and figures of a run folder, drawn by `jobs` workers, and return them.
 
-    Otherwise as `load`, which locks the folder and checks its cells first.
+    Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
     found, scored, attacked = summary.estimates(out, manifest)
+    other_law = summary.estimates(out, manifest, law=OTHER_LAW)[0]
     predictors = manifest["settings"]["predictors"]
     curves, decided, at_raw_alarms = decisions(scored, manifest, found)
     once = flags.on_first_releases(out, manifest)
@@ -126,7 +148,9 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     results = Results(
         out=out,
         manifest=manifest,
-        summary=summary.to_frame({**found, **linked}, known=known, dataset=dataset),
+        summary=summary.to_frame(
+            {**found, **linked}, other_law=other_law, known=known, dataset=dataset
+        ),
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,

@@ -107,7 +107,9 @@ def _run(
             ready = plan(settings)
             sources = options.out, held.folder_of(options.out, BASE)
             borrow(ready, sources=sources, fresh=options.fresh)
-            run(ready=ready, pictures=False)  # `evaluation.report` draws those that matter
+            run(
+                ready=ready, progress=False, pictures=False
+            )  # `evaluation.report` draws those that matter
         except IsacTrackError as error:
             if variant.name == BASE:  # without it nothing can be said, every other one may fail
                 raise

@@ -91,8 +91,11 @@ def test_verdict_and_design_question_are_answered(finished):
     assert sections == {"validity", "within", "claim", "inflation"}
     assert all(sentence in said for sentence in verdict["answer"])
     found = [one for one in verdict["items"] if one["section"] == "validity"]
-    assert {one["decision"] for one in found} == {"does not track"}
-    assert all(one["against"] == "offset 0.3" and one["effect"] > 0 for one in found)
+    assert {one["decision"] for one in found} == {"not testable"}
+    assert found[0]["sentence"] in " ".join(TEXT.split())
+    offset = [gap for one in found for gap in one["contrasts"] if gap["mechanism"] == "offset"]
+    assert all(gap["evidence"] == "construction" and gap["reading"] == "differs" for gap in offset)
+    assert offset[0]["effect"] == pytest.approx(0.15, abs=0.005)
     answer = "No: above the limits of rank 1: fid, fixed, offset."
     assert f"\n{answer}\n" in said
     assert answer in TEXT

@@ -258,6 +258,12 @@ def _rows(
         name: pairing(first, second, consumer=name)
         for name in dict.fromkeys(key.consumer for key, *_ in pairs)
     }
+    # Plain rank 1 depends on how many candidates there are.
+    of_one_size = {
+        key._replace(metric=SUCCESS)
+        for key, _, a, b in pairs
+        if key.metric == "chance" and a.value == b.value
+    }
     rows = []
     for key_a, key_b, a, b in pairs:
         if math.isnan(a.value) and math.isnan(b.value):
@@ -269,6 +275,8 @@ def _rows(
         found = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
         if not (same and paired):
             found = difference(a, b, paired=paired, metric=metric.name)
+        if metric.name == SUCCESS and key_a not in of_one_size:
+            found = Difference(b.value - a.value)
         where = (math.nan if one is None else one for one in (*key_a.where, *key_b.where))
         rows.append(
             {

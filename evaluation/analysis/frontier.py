@@ -17,7 +17,14 @@ import pandas as pd
 from evaluation.analysis.keys import AS_SHARED, Measure
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.matching import AT_EQUAL_ALARMS, MIN_DEFINED, MISSED, interpolated, places
-from evaluation.analysis.metrics import DESCRIPTORS, EQUAL_ALARMS, EXPOSURE, MISSED_RATE, SUCCESS
+from evaluation.analysis.metrics import (
+    DESCRIPTORS,
+    EQUAL_ALARMS,
+    EXPOSURE,
+    MISSED_RATE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
 from isac_track.intervals import percentile_intervals
 
 if TYPE_CHECKING:
@@ -29,8 +36,6 @@ if TYPE_CHECKING:
 
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)
 """Rises of the missed-conflict rate over raw, fixed beforehand."""
-COMPARED: Final = "rank1_g100"
-"""Success of a linker at a gallery of 100, wherever it is known: it compares over runs."""
 WHITE: Final = "fixed:adding=independent,law=isotropic"
 """What others are held against: white noise, equal in all directions."""
 COLUMNS: Final = [
@@ -64,7 +69,7 @@ def adversaries(strongest: Mapping[str, Source], known: Container[Measure]) -> l
     """
     found = [AS_SHARED.measure(EXPOSURE)]
     for task, one in strongest.items():
-        at_100 = one.measure(COMPARED)
+        at_100 = one.measure(SUCCESS_OF_100)
         usual = one.measure(SUCCESS if task else EXPOSURE)
         found.append(at_100 if task and at_100 in known else usual)
     return found

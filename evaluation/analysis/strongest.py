@@ -15,7 +15,7 @@ a reconstruction is chosen on one half of the people and scored on the other (`c
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT, Family
 from evaluation.analysis.keys import AS_SHARED, ORACLE, Key, Source, Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.experiment.presets import IDENTITY
-from isac_track.intervals import ratio_estimates
 from isac_track.protocols import ADVERSARIES
 from isac_track.rng import stream
 
@@ -34,6 +33,14 @@ if TYPE_CHECKING:
     from isac_track.types import Floats
 
     Levels = dict[Where, dict[Source, float]]
+
+
+class Valued(Protocol):
+    """An estimate, with or without its interval."""
+
+    @property
+    def value(self) -> float:
+        """The estimate."""
 
 
 def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
@@ -52,7 +59,7 @@ def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
     return max(finite, key=finite.__getitem__, default=None)
 
 
-def strongest(found: Mapping[Key, Estimate], known: Mapping[str, Family]) -> dict[str, Source]:
+def strongest(found: Mapping[Key, Valued], known: Mapping[str, Family]) -> dict[str, Source]:
     """Return the strongest linker of a run by task; under "" the strongest reconstruction.
 
     `found` is every estimate of the run, `known` its mechanisms.
@@ -97,6 +104,8 @@ def cross_fitted(
     weights : (B, C)
         From `cluster_weights`.
     """
+    from isac_track.intervals import ratio_estimates  # noqa: PLC0415 - who reads a run needs none
+
     n = weights.shape[1]
     is_first = stream(seed, "strongest", "halves").permutation(n) < n / 2
     families = {known[key.mechanism].family for key in sums}
@@ -126,7 +135,7 @@ def cross_fitted(
     return dict(zip(keys, found, strict=True)), [of_first, of_second]
 
 
-def by_task(found: Mapping[Key, Estimate], *, metric: str) -> dict[str, Levels]:
+def by_task(found: Mapping[Key, Valued], *, metric: str) -> dict[str, Levels]:
     """Return the success of every attack by task, level, and attack."""
     values: dict[str, Levels] = {}
     for key, one in found.items():

@@ -16,6 +16,7 @@ import pandas as pd
 from evaluation.analysis.keys import Key
 from evaluation.analysis.linkability import Cards, dataset_of
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS, RECONSTRUCTION
+from evaluation.experiment.constants import OTHER_LAW
 from evaluation.runs.cell_files import read_rows
 from isac_track.intervals import Estimate, cluster_sums, cluster_weights, ratio_estimates
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from evaluation.analysis.families import Family
-    from isac_track.types import Floats, Ints
+    from isac_track.types import ErrorLaw, Floats, Ints
 
 N_REPLICATES = 1000
 COLUMNS = [
@@ -51,11 +52,12 @@ the scenes' clusters, (S,), and its columns as in `_COLUMNS_OF`."""
 
 
 def estimates(
-    out: Path, manifest: Mapping[str, Any]
+    out: Path, manifest: Mapping[str, Any], *, law: ErrorLaw | None = None
 ) -> tuple[dict[Key, Estimate], tuple[Scored, ...], dict[Key, Floats]]:
     """Return every metric of the scenes with its interval and replicates, and the scores.
 
     The last are the descriptors after each attack, (2, C): numerator and denominator by cluster.
+    All under the run's own error law, or under another one that `law` names.
 
     Raises DataError if a cell cannot be read.
     """
@@ -63,7 +65,11 @@ def estimates(
     found: dict[Key, Estimate] = {}
     scored: list[Scored] = []
     attacked: dict[Key, Floats] = {}
-    entries = [entry for entry in manifest["cells"] if entry["kind"] in _COLUMNS_OF]
+    entries = [
+        entry
+        for entry in manifest["cells"]
+        if entry["kind"] in _COLUMNS_OF and entry.get("law") == law
+    ]
     every = {name for columns in _COLUMNS_OF.values() for name in columns}
     for _, of in groupby(entries, key=itemgetter("files")):
         keys, sums = [], []
@@ -152,20 +158,26 @@ def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
 
 
 def to_frame(
-    found: Mapping[Key, Estimate], *, known: Mapping[str, Family], dataset: str
+    found: Mapping[Key, Estimate],
+    *,
+    other_law: Mapping[Key, Estimate],
+    known: Mapping[str, Family],
+    dataset: str,
 ) -> pd.DataFrame:
     """Return the tidy summary; the first six columns are unique together.
 
-    `known` are the mechanisms of the run, from `families`.
+    `other_law` is what was found under `OTHER_LAW`, whose data set says so; `known` are the
+    mechanisms of the run, from `families`.
     """
     rows = [
         (
-            *(dataset_of(key.consumer, dataset=dataset), key.mechanism),
+            *(dataset_of(key.consumer, dataset=name), key.mechanism),
             *(np.nan if key.level is None else key.level, key.consumer, key.knowledge, key.metric),
             *(one.value, one.ci_low, one.ci_high, one.n, METRICS[key.metric].summary_unit),
             *(known[key.mechanism].family, known[key.mechanism].adding),
         )
-        for key, one in found.items()
+        for name, of in ((dataset, found), (f"{dataset}:law={OTHER_LAW}", other_law))
+        for key, one in of.items()
     ]
     return pd.DataFrame(rows, columns=COLUMNS)
 

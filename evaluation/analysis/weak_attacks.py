@@ -144,7 +144,8 @@ def on_first_releases(out: Path, manifest: Mapping[str, Any]) -> dict[Key, Estim
     for entry in manifest["cells"]:
         # Nobody is held against an attack that is neither simple nor slow.
         counts = entry.get("slow", False) or _base(entry["consumer"]) in SIMPLER
-        if entry["kind"] == "attack" and entry["spec"] in seen and counts:
+        is_own = entry["kind"] == "attack" and not entry.get("law")
+        if is_own and entry["spec"] in seen and counts:
             table = read_rows(out, entry, columns=["scene", "agent", "group", "plr"])
             table = table.filter(np.isin(_names(table), seen[entry["spec"]]))
             plr, cluster = table["plr"].to_numpy(), clusters(table, manifest)
@@ -163,6 +164,7 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
         "simpler": {"order": SIMPLER, "others": "held against all of these", **_ALONE},
         "intervals": _INTERVALS,
         **looked,
+        "columns": COLUMNS,
         "flags": known.where(known.notna(), None).to_dict("records"),
     }
     return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()

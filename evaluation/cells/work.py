@@ -36,7 +36,7 @@ from evaluation.experiment.fingerprint import OURS
 from isac_track.errors import IsacTrackError, PluginError, told
 from isac_track.scenes import Cut, make_scenes
 from isac_track.sensing import sense_scenes
-from isac_track.types import Ints, Knowledge
+from isac_track.types import ErrorLaw, Ints, Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -61,6 +61,8 @@ class Block:
     order: Ints
     """(S, A) rows of the tracks."""
     levels: Levels
+    law: ErrorLaw | None = None
+    """Under which errors are drawn; None: that of the run."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -144,6 +146,8 @@ def _linked(work: LinkWork, *, stages: StageSettings, seed: int) -> Iterator[Ite
 
 
 def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -> Iterator[Item]:
+    if block.law is not None:
+        stages = stages.changed({"sensing.law": block.law})
     scenes = make_scenes(
         tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
-from evaluation.experiment.constants import SHARED, WINDOWS
+from evaluation.experiment.constants import OTHER_LAW, SHARED, WINDOWS
 from evaluation.experiment.presets import PRESETS, UTILITY_PREDICTORS
 from isac_track import plugins
 from isac_track.errors import SettingsError
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
+    from isac_track.types import ErrorLaw
 
 
 MOST_DEFAULT_JOBS: Final = 8
@@ -45,6 +46,8 @@ class Consumer:
     behind: Plugin | None = None
     """Reconstruction that a linkage attack runs behind."""
     control: str = ""
+    law: ErrorLaw | None = None
+    """Under which errors are drawn; None: that of the run."""
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -83,8 +86,14 @@ class Consumer:
 
     @property
     def label(self) -> str:
-        """For people: with the adversary."""
-        return f"{self.spec} ({self.knowledge})" if self.knowledge else self.spec
+        """For people: with the adversary, and the law if it is not the run's."""
+        return consumer_label(self.spec, self.knowledge, self.law)
+
+
+def consumer_label(consumer: str, knowledge: str, law: str | None) -> str:
+    """Return what a consumer is called in the files of a run."""
+    name = f"{consumer} ({knowledge})" if knowledge else consumer
+    return f"{name}, law={law}" if law else name
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +112,8 @@ class Axes:
     """Tasks of the preset that the recording is too small for, and why."""
     utility: frozenset[str] = frozenset()
     """SPECs of the predictors that are read in all scenes, not in the attacked ones alone."""
+    other_law: tuple[Plugin, ...] = ()
+    """Mechanisms of the scenes that are attacked under `OTHER_LAW`, too."""
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
@@ -116,6 +127,11 @@ class Axes:
                 for adversary, granted in grants(plugin.instance).items()
             ),
         )
+
+    @property
+    def other_law_consumers(self) -> tuple[Consumer, ...]:
+        """The same under the other law, short of those who are slow."""
+        return tuple(replace(one, law=OTHER_LAW) for one in self.consumers if not one.is_slow)
 
     @property
     def linked_mechanisms(self) -> tuple[Plugin, ...]:
@@ -179,7 +195,14 @@ def axes(settings: Settings) -> Axes:
     ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
     named = {plugin.spec for plugin in predictors}
     utility = named if settings.predictors is not None else named.intersection(UTILITY_PREDICTORS)
-    return Axes(mechanisms, predictors, attacks, pairs, ceiling, utility=frozenset(utility))
+    # Who names mechanisms, or a law, has asked for these alone.
+    is_usual = settings.mechanisms is None and settings.stages.sensing.law != OTHER_LAW
+    other_law = set(preset.other_law) if is_usual else set()
+    return Axes(
+        *(mechanisms, predictors, attacks, pairs, ceiling),
+        utility=frozenset(utility),
+        other_law=tuple(one for one in mechanisms if one.spec in other_law),
+    )
 
 
 def jobs_of(crossed: Axes, settings: Settings) -> int:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
+    from isac_track.types import ErrorLaw
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,6 +40,11 @@ class Unit:
     """Digest by module, of the code that computes it."""
     consumers: Mapping[str, Consumer]
     """By their keys."""
+
+    @property
+    def law(self) -> ErrorLaw | None:
+        """Under which errors are drawn; None: that of the run. It is the same for all consumers."""
+        return next(iter(self.consumers.values())).law
 
     @property
     def file(self) -> str:
@@ -170,6 +176,7 @@ def _units(
         (crossed.mechanisms, crossed.consumers, attacked),
         (crossed.mechanisms, utility, rest),
         *((crossed.linked_mechanisms, crossed.readers(task), (0,)) for task in crossed.tasks),
+        (crossed.other_law, crossed.other_law_consumers, attacked),
     ):
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:

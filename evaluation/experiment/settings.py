@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
-from typing import TYPE_CHECKING
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
 
 from evaluation.experiment.constants import MOST_SCENES
 from evaluation.experiment.presets import PRESETS
 from isac_track.config import StageSettings
-from isac_track.errors import SettingsError, did_you_mean
+from isac_track.errors import SettingsError, did_you_mean, quoted
 
-if TYPE_CHECKING:
-    from pathlib import Path
+_AXES = ("mechanisms", "predictors", "attacks", "tasks")
+_KINDS: dict[str, tuple[Any, type, str]] = {
+    **dict.fromkeys(("scenes", "seed", "jobs"), (Integral, int, "a whole number, as {}=40")),
+    **dict.fromkeys(("fps", "cell_timeout_s"), (Real, float, "a number, as {}=2.5")),
+    **dict.fromkeys(("preset", "dataset", "format", "executor", "scheduler"), (str, str, "text")),
+    "out": ((str, Path), Path, "the path of a folder"),
+}
+"""What an option must be, what it becomes, and how that is said."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """A whole run. None means: as the preset, the lookup or the default folder says."""
+    """A whole run. None means: as the preset, the lookup or the default folder says.
+
+    Lists, a `Path` as `dataset` and `stages={"privacy.epsilon_m": 0.5}` are taken as well.
+    SettingsError for what the command line refuses, too.
+    """
 
     preset: str = "paper"
     dataset: str | None = None
@@ -53,6 +66,7 @@ class Settings:
     fresh: bool = False
 
     def __post_init__(self) -> None:
+        self._check_types()
         if self.preset not in PRESETS:
             hint = did_you_mean(self.preset, PRESETS, quote="'") or f"; known: {', '.join(PRESETS)}"
             raise SettingsError(f"unknown preset {self.preset!r}{hint}")
@@ -70,6 +84,38 @@ class Settings:
         if self.fps is not None and not self.fps > 0:
             raise SettingsError(f"fps must be positive, got {self.fps:g}")
         self._check_executor()
+
+    def _check_types(self) -> None:
+        """Refuse what only Python lets one write, and take lists and mappings for what they are."""
+        given: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
+        if isinstance(given["dataset"], Path):
+            given["dataset"] = str(self.dataset)
+        if isinstance(given["stages"], Mapping):
+            given["stages"] = StageSettings().changed(given["stages"])
+        for axis in _AXES:
+            some = given[axis]
+            if isinstance(some, str) or not isinstance(some, Iterable | None):
+                raise SettingsError(f"{axis} takes a list: write {axis}=[{quoted(some)}]")
+            given[axis] = None if some is None else tuple(some)
+            if "none" in (given[axis] or ()):
+                raise SettingsError(f"'none' is of the command line: write {axis}=[]")
+        for name, (kind, becomes, what) in _KINDS.items():
+            value = given[name]
+            if value is not None:
+                if not isinstance(value, kind) or isinstance(value, bool):
+                    raise SettingsError(f"{name} must be {what.format(name)}; got {quoted(value)}")
+                given[name] = becomes(value)
+        for name, value in given.items():
+            object.__setattr__(self, name, value)
+
+    def changed(self, **options: Any) -> Settings:  # noqa: ANN401 - as many types as options
+        """Return settings with other options; SettingsError if one is unknown."""
+        known = [one.name for one in fields(self)]
+        for name in options:
+            if name not in known:
+                hint = did_you_mean(name, known, quote="'") or f"; known: {', '.join(known)}"
+                raise SettingsError(f"unknown option {name!r}{hint}")
+        return replace(self, **options)
 
     def _check_executor(self) -> None:
         if self.executor not in ("local", "dask"):

@@ -210,6 +210,7 @@ def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[st
 def _told(item: Mapping[str, Any]) -> dict[str, Any]:
     """Return an item with what it says in one sentence, and what it is about as over a column."""
     why, descriptor, decision = item["why"], item["descriptor"], item["decision"].capitalize()
+    why = "" if why in item["sentence"] else why
     return {
         **item,
         "what it says": item["sentence"] + (f" {decision}: {why.rstrip('.')}." if why else ""),

@@ -20,6 +20,7 @@ from evaluation.reporting import table as make
 from evaluation.reporting.rows import HEADLINE, family_of
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.intervals import Estimate
+from isac_track.linkability import GALLERY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,7 +40,6 @@ LAW: Final = ":law="
 """In a data set's name: the same under another error law."""
 _MISSED, _KNOWN, _FOUND = "missed", "known in 0.3 m", "found again"
 _METRICS = (MISSED_RATE, EXPOSURE, SUCCESS, SUCCESS_OF_100, "chance")
-_GALLERY = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +163,7 @@ def _linked(
     for task in [one for one in TASKS if one in attacks] or [one for one in attacks if one][:3]:
         source = Source(f"{task}/{attacks[task].consumer}", attacks[task].knowledge)
         head = TASKS.get(task, (task,))[0]
-        one = Shown(_FOUND, head, source.measure(SUCCESS_OF_100), 1.0 / _GALLERY, _GALLERY)
+        one = Shown(_FOUND, head, source.measure(SUCCESS_OF_100), 1.0 / GALLERY, GALLERY)
         if one.measure not in values:
             chance, sizes = values.get(source.measure("chance"), math.nan), [math.nan]
             if linkability is not None:

@@ -53,14 +53,15 @@ def _clock(seconds: float) -> str:
 
 @contextlib.contextmanager
 def progress_bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], None]]:
-    """Show how far a run is on standard error: a bar on a terminal, elsewhere a line now and then.
+    """Show how far a run is on standard error: a bar on a terminal or in a notebook.
 
-    Lines that stay are added to `said`.
+    Elsewhere a line now and then. Lines that stay are added to `said`.
     """
     from rich import progress  # noqa: PLC0415 - the user knows sooner what is under way
     from rich.console import Console  # noqa: PLC0415 - as said
 
-    console, clock, marks = Console(stderr=True), Clock(), list(_MARKS)
+    is_notebook = Console().is_jupyter
+    console, clock, marks = Console(stderr=True, force_jupyter=False), Clock(), list(_MARKS)
     columns = "{task.description}", "{task.fields[clock]}"
     with progress.Progress(
         progress.TextColumn(columns[0], markup=False),
@@ -77,6 +78,9 @@ def progress_bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], N
             told = f"{what:<{_WHAT}.{_WHAT}}"
             bar.update(task, completed=done, total=total, description=told, clock=text)
             share = done / total if total else 0.0
+            if is_notebook:  # rich would need widgets there
+                sys.stderr.write(f"\r{told} {'#' * round(_BAR * share):.<{_BAR}} {text:<28}")
+                return
             is_due = marks and share >= marks[0] and (share < 1.0 or what.startswith("report"))
             if is_due and not console.is_terminal:
                 while marks and share >= marks[0]:
@@ -85,3 +89,5 @@ def progress_bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], N
                 sys.stderr.write(f"{said[-1]}\n")
 
         yield update
+        if is_notebook:
+            sys.stderr.write("\n")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -12,14 +13,18 @@ import pandas as pd
 
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, Family, families_in
 from evaluation.analysis.keys import Source, Where, level_text, rows_of
-from evaluation.analysis.linkability import LinkedTask, dataset_of, linked_tasks, remarks
 from evaluation.analysis.metrics import MISSED_RATE
-from evaluation.experiment.presets import DISSOCIATION
+from evaluation.experiment.presets import DISSOCIATION, SHARED
+from evaluation.reporting import frames
 from evaluation.reporting.table import Column, level, said
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from evaluation.analysis.linkability import LinkedTask
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
 """Families that are there to tear a descriptor and linkability apart."""
@@ -36,7 +41,7 @@ ENDS: Final = ["value", "ci_low", "ci_high"]
 """Columns of an estimate."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Results:
     """A finished run as data frames; the columns are those of the files in `out`."""
 
@@ -58,7 +63,60 @@ class Results:
     strongest: Mapping[str, Source] = field(default_factory=dict)
     """Of every linkage task the attack that the verdict is about; under "" the reconstruction."""
     gallery: pd.DataFrame | None = None
-    """Sample tracks, as in `gallery.parquet`."""
+    """Sample tracks, as in `gallery.parquet`; None without, and as `load` reads a run."""
+
+    @property
+    def measured(self) -> frames.Measured:
+        """What frames and plots are made of: all but what holds under other assumptions."""
+        # Another error law, say, has a data set of its own, named after this one.
+        is_other = self.summary["dataset"].str.startswith(f"{self.dataset}:")
+        return frames.Measured(self.summary[~is_other], self.families, self.strongest)
+
+    def __repr__(self) -> str:
+        """Return what run it is, in a line."""
+        identity, what = self.manifest["identity"], self.dataset
+        what += " (simulated people)" * bool(self.manifest["dataset"].get("simulated"))
+        shared = self.ours[self.ours["consumer"] == SHARED]
+        n_levels = len(shared[["mechanism", "level"]].drop_duplicates())
+        failed = f", {len(self.failed)} cells failed" * bool(len(self.failed))
+        told = f"{what}, {identity['scenes']} scenes, seed {identity['seed']}, {n_levels} levels"
+        return f"<Results {self.out}: {told}{failed}>"
+
+    def _repr_html_(self) -> str:
+        said = "".join(f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ()))
+        return f"<p>{escape(repr(self)[1:-1])}</p>{frames.html(self.measured)}<ul>{said}</ul>"
+
+    def frame(
+        self, metric: str, *, after: str = "", task: str = "", robot: str = ""
+    ) -> pd.DataFrame:
+        """Return a metric at every level: family, level, adding, attack, knowledge, value, ci_*.
+
+        Parameters
+        ----------
+        metric : str
+            As in `summary.csv`, in its unit; `missed` and `false_alarm` for short.
+        after : str
+            Of a descriptor: empty as shared, `strongest` after the attack that the verdict is
+            about, or an attack's name, then with every adversary. Of linkage: `strongest` (or
+            empty), or a linker's name.
+        task : str
+            Of linkage; by default the first of the run.
+        robot : str
+            Predictor whose utility it is; by default the first of the run.
+
+        What adds nothing (raw, clean) has level 0. SettingsError for what the run does not have.
+        """
+        return frames.frame(self.measured, metric, after=after, task=task, robot=robot)
+
+    def plot(
+        self, *, x: str, y: str, task: str = "", robot: str = "", ax: Axes | None = None
+    ) -> Axes:
+        """Draw one metric over another, with 95 % intervals, and return the axes.
+
+        `x` and `y` are metrics as in `frame`, or `plr_after`: after the strongest attack; `x` may
+        be `level`. `ax` are the axes to draw on, else new ones.
+        """
+        return frames.plot(self.measured, x=x, y=y, task=task, robot=robot, ax=ax)
 
     @cached_property
     def dataset(self) -> str:
@@ -78,6 +136,8 @@ class Results:
     @cached_property
     def tasks(self) -> list[LinkedTask]:
         """The tasks in which somebody links, of the run's data set or of their own."""
+        from evaluation.analysis.linkability import dataset_of, linked_tasks  # noqa: PLC0415 - see `load`
+
         expected = self.linkability["consumer"].map(partial(dataset_of, dataset=self.dataset))
         return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
 
@@ -141,6 +201,8 @@ def rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
 
     Columns: mechanism, level, value, ci_low, ci_high, chance, and whether it links.
     """
+    from evaluation.analysis.linkability import remarks  # noqa: PLC0415 - see `load`
+
     rows = [
         [mechanism, math.nan if level is None else level]
         + [row[key] for key in ("rank1", "ci_low", "ci_high", "chance")]

@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 _SIGNS = (
     ("✓", "good", ("tracks", "holds", "yes", "not inflated", "equal")),
     ("▼", "good", ("deflated",)),
-    ("~", "middle", ("tracks weakly",)),
     ("✗", "bad", ("does not track", "does not hold", "no", "differs")),
     ("⇄", "bad", ("reversed",)),
     ("▲", "bad", ("inflated",)),
-    ("·", "open", ("undecided", "unclear", "between", "not testable")),
+    ("·", "open", ("undecided", "between", "not testable")),
 )
 SYMBOLS: Final = {text: (sign, tone) for sign, tone, texts in _SIGNS for text in texts}
 """Of a decision: the sign that says the same without colour, and its tone."""

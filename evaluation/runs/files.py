@@ -60,6 +60,14 @@ WRITTEN: Final = (
 """All that a run leaves beside its manifest, its cells, and its figures."""
 
 
+_TEXTS: Final = frozenset(
+    (
+        *("dataset", "mechanism", "family", "adding", "consumer", "knowledge", "metric", "unit"),
+        *("claim", "answer", "evidence", "criterion", "predictor", "robot", "score", "reference"),
+        *("cohort", "outcome", "invalid", "spec", "kind", "why"),
+    )
+)
+"""Columns of text; all others are numbers or truth values."""
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")
 _NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 """A link is an error, and a pipe nothing to wait for."""
@@ -96,6 +104,28 @@ def to_csv(frame: pd.DataFrame) -> bytes:
     lines.writerow(frame.columns)
     lines.writerows(zip(*columns, strict=True))
     return sink.getvalue().encode()
+
+
+def from_csv(content: bytes) -> pd.DataFrame:
+    """Return the table that `to_csv` wrote; ValueError if it is none."""
+    import pandas as pd  # noqa: PLC0415 - writing needs none
+
+    names = content.partition(b"\n")[0].decode().split(",")
+    frame = pd.read_csv(
+        io.BytesIO(content),
+        dtype=dict.fromkeys(_TEXTS.intersection(names), str),
+        keep_default_na=False,
+        na_values=[""],  # a name may be "NA"
+    )
+    for name in _TEXTS.intersection(names):
+        known = frame[name].fillna("").unique()
+        frame[name] = frame[name].fillna("").map({one: _typed(one) for one in known})
+    return frame
+
+
+def _typed(text: str) -> str:
+    """Return a text as it was before `_safe`."""
+    return text[1:] if text.startswith("'") and _safe(text[1:]) == text else text
 
 
 @lru_cache(maxsize=4096)  # the same few names in every row

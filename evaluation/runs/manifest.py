@@ -25,23 +25,21 @@ import numpy as np
 
 import isac_track
 from evaluation.experiment.fingerprint import digest
-from evaluation.runs.cell_files import Index, label_of, read_outcomes
 from evaluation.runs.files import MANIFEST, content_of, write_whole
 from isac_track.errors import DataError
-from isac_track.privacy import mean_interval_s
-from isac_track.scenes import FEW_PEOPLE, what_would_help
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from evaluation.experiment.plan import Plan, Unit
+    from evaluation.runs.cell_files import Index
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 LAYOUT: Final = 3
 """Of the folder and of its manifest: another one wherever readers would miss or mistake a value."""
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
 _OF_LEVEL: Final = ("mechanism", "level", "family", "adding", "spec", "files")
-_OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow")
+_OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "law")
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
@@ -63,7 +61,7 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     for level, entries in groupby(
         manifest["cells"], key=lambda entry: {name: entry[name] for name in _OF_LEVEL}
     ):
-        alike = [{name: entry[name] for name in _OF_CONSUMER} for entry in entries]
+        alike = [{name: entry.get(name) for name in _OF_CONSUMER} for entry in entries]
         if alike not in consumers:
             consumers.append(alike)
         cells.append(level | {"consumers": consumers.index(alike)})
@@ -118,9 +116,13 @@ def others(
     entries: Iterable[dict[str, Any]], *, than: Iterable[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the entries of other consumers at other levels."""
-    key = ("spec", "consumer", "knowledge")
-    known = {tuple(entry[name] for name in key) for entry in than}
-    return [entry for entry in entries if tuple(entry[name] for name in key) not in known]
+    from evaluation.runs.cell_files import label_of  # noqa: PLC0415 - slow to import
+
+    def key(entry: Mapping[str, Any]) -> tuple[str, str]:
+        return entry["spec"], label_of(entry)
+
+    known = set(map(key, than))
+    return [entry for entry in entries if key(entry) not in known]
 
 
 def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -140,6 +142,8 @@ def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def about_data(ready: Plan) -> dict[str, Any]:
     """Return what was read, mended and left out, and what would help if too little is left."""
+    from isac_track.scenes import FEW_PEOPLE, what_would_help  # noqa: PLC0415 - as below
+
     tracks, dataset = ready.tracks, ready.dataset
     about = {
         "path": str(dataset.path),
@@ -161,6 +165,8 @@ def about_data(ready: Plan) -> dict[str, Any]:
 
 def describe(ready: Plan) -> dict[str, Any]:
     """Return what a run is made from: code, settings, data set, what is linked."""
+    from isac_track.privacy import mean_interval_s  # noqa: PLC0415 - a reader needs none
+
     tracks, settings, axes = ready.tracks, ready.settings, ready.axes
     tasks = {}
     for sessions in ready.sessions:
@@ -232,6 +238,8 @@ def losses_of(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
     full as well; over the cells the mean `loss` of rank 1, a fraction, and the `most`, of which
     `consumer` at which mechanism, `spec`, it was. A task whose pairs are all scored is not there.
     """
+    from evaluation.runs.cell_files import label_of, read_outcomes  # noqa: PLC0415 - slow to import
+
     found: dict[str, list[tuple[float, int, str, str]]] = defaultdict(list)
     linked = [entry for entry in entries if entry["kind"] == "linkage"]
     for entry, outcome in zip(linked, read_outcomes(out, linked, drawn=()), strict=True):
@@ -285,6 +293,7 @@ def entries_of(
             "consumer": consumer.spec,
             "knowledge": consumer.knowledge,
             "slow": consumer.is_slow,
+            "law": consumer.law,
             "files": files[mechanism.spec, consumer.label],
         }
         for mechanism, consumer in ready.pairs
@@ -299,6 +308,8 @@ def merged_cells(
     An earlier level that was never finished (interrupted, or a plug-in that failed) is left out:
     `held` has what the files hold that are there.
     """
+    from evaluation.runs.cell_files import label_of  # noqa: PLC0415 - slow to import
+
     finished = [
         entry
         for entry in earlier

@@ -20,6 +20,7 @@ from evaluation.analysis.keys import AS_SHARED, Key, Source, Where
 from evaluation.analysis.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE, SUCCESS
 from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
+from evaluation.experiment.constants import SHARED
 from evaluation.experiment.fingerprint import code_hash
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError, did_you_mean
@@ -90,7 +91,9 @@ class Level:
     mechanism: str
     level: float | None
     scenes: int
-    """That utility and descriptors were measured on."""
+    """That descriptors were measured on, and attacked."""
+    scenes_utility: int
+    """That the robot's predictor was measured on."""
     numbers: Mapping[str, Estimate]
     """By name of `METRIC_OF`."""
     after_attack: Attacked | None
@@ -327,7 +330,12 @@ def _levels(
 
     Without those that the robot, or nobody, was shown; raw needs no predictor.
     """
-    dataset, scenes = manifest["dataset"]["name"], manifest["identity"]["scenes"]
+    dataset, identity = manifest["dataset"]["name"], manifest["identity"]
+    n_files = {one["consumer"]: len(one["files"]) for one in manifest["cells"]}
+    is_in_all = n_files.get(robot.consumer, 0) != n_files.get(SHARED)
+    every = identity.get("scenes_utility", identity["scenes"]) if is_in_all else identity["scenes"]
+    # What holds under other assumptions, another error law say, has a data set of its own.
+    summary = summary[~summary["dataset"].str.startswith(f"{dataset}:")]
     rows = summary[[*Key._fields, "value", *_ENDS]].itertuples(index=False)
     found = {
         Key(name, None if math.isnan(level) else level, *of): Estimate(value, low, high)
@@ -346,7 +354,8 @@ def _levels(
             attacked = best and Attacked(*best, numbers(where, best, DESCRIPTORS))
             known = numbers(where, robot, TARGETS) | numbers(where, AS_SHARED, DESCRIPTORS)
             linked = tuple(_strongest(task, where, dataset) for task in tasks)
-            levels.append(Level(*where, scenes, known, attacked, linked))
+            scenes = identity["scenes"], every
+            levels.append(Level(*where, *scenes, known, attacked, linked))
     return levels
 
 
@@ -394,7 +403,7 @@ def _refuse_missing(choice: Choice, *, is_attacked: bool) -> None:
 def _targets(level: Level, limits: Limits) -> list[Check]:
     """Return the checks that choose a level."""
     return [
-        Check(name, limit, level.numbers[name], level.scenes)
+        Check(name, limit, level.numbers[name], level.scenes_utility)
         for name, limit in limits.of(*TARGETS).items()
     ]
 

@@ -10,19 +10,20 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.analysis.families import ADDING_RULES, FID
+from evaluation.analysis.linked_people import by_cluster
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import decided
-from evaluation.verdict.rules import DOES_NOT, NAME, TRACKS, UNDECIDED, WEAKLY, listed
+from evaluation.verdict.rules import BETWEEN, DOES_NOT, NAME, NOT_TESTABLE, TRACKS, listed
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
 from isac_track.intervals import CONFIDENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from evaluation.analysis.keys import Source
     from evaluation.analysis.linked_people import LinkedProbes
@@ -30,10 +31,11 @@ if TYPE_CHECKING:
 
     Items = Sequence[dict[str, Any]]
 
-_PLURAL: Final = {
+_TOLD: Final = {
     DOES_NOT: ("does not track", "do not track"),
-    WEAKLY: ("tracks weakly", "track weakly"),
     TRACKS: ("tracks", "track"),
+    BETWEEN: ("may track", "may track"),
+    NOT_TESTABLE: ("could not be tested against", "could not be tested against"),
 }
 """From the worst: that is said of a descriptor that fares differently in different tasks."""
 
@@ -61,8 +63,15 @@ def verdict(
         for predictor in manifest["settings"]["predictors"][:1]
         for draft in claim.claims(sweeps, strongest, predictor=predictor)
     )
+    across = validity(
+        by_cluster(levels),
+        families=sweeps.known,
+        preset=manifest["settings"]["preset"],
+        dataset=manifest["dataset"]["name"],
+        seed=seed,
+    )
     items = [
-        *_of_validity([*validity(sweeps, success=success)]),
+        *across["items"],
         *decided(rules.WITHIN, within(levels, sweeps, success=success, seed=seed)),
         *decided(rules.CLAIM, claims),
         *decided(rules.INFLATION, inflation.inflation(sweeps, attacks)),
@@ -72,10 +81,9 @@ def verdict(
             one["scored"] = [source.label for source in scored]
     dataset = manifest["dataset"]
     of = {name: [one for one in items if one["section"] == name] for name in rules.SECTIONS}
-    fid = {sweeps.named(FID, adding=adding) for adding in ADDING_RULES}
     return {
         "answer": [
-            _tracking(of[rules.VALIDITY], dataset=dataset["name"], fid=fid),
+            _tracking(of[rules.VALIDITY], dataset=dataset["name"]),
             claim.answer(of[rules.CLAIM]),
             inflation.answer(of[rules.INFLATION]),
         ],
@@ -86,46 +94,27 @@ def verdict(
         "scenes": manifest["settings"]["scenes"],
         "rules": {
             "confidence": CONFIDENCE,
-            "alpha": rules.ALPHA,
-            "section_alpha": rules.SECTION_ALPHA,
             "band_coverage": rules.BAND_COVERAGE,
             "margins": {
                 "success": rules.SUCCESS_MARGIN,
-                "success_weak": rules.WEAK_MARGIN,
+                "fall": rules.LEAST_FALL,
                 "correlation": rules.LEAST_CORRELATION,
                 "span": rules.LEAST_SPAN,
                 "clusters": rules.FEWEST_EFFECTIVE,
             },
-            "text": "Within, claim and inflation are decided by bands that hold for all items of a "
-            f"section at once in {100 * rules.BAND_COVERAGE:g} % of studies: an item is decided if "
-            "its band lies on one side. Intervals are at 95 %, each by itself.",
+            "text": "Validity: does not track if the lower end of the spread is above 5 of 100 "
+            "people, which errs on 2.5 % of pages; tracks if its upper end is below, which errs in "
+            "2.5 % of items. Within, claim and inflation are decided by bands that hold for all "
+            f"items of a section at once in {100 * rules.BAND_COVERAGE:g} % of studies: an "
+            "item is if its band lies on one side. Intervals are at 95 %, each by itself.",
         },
         "counts": {
             name: dict(Counter(one["decision"] for one in mine)) for name, mine in of.items()
         },
         "items": items,
+        "controls": across["controls"],
+        "on_trial": across["on_trial"],
     }
-
-
-def _of_validity(drafts: Sequence[rules.Draft]) -> Iterator[dict[str, Any]]:
-    about = ("adding", "descriptor", "task", "subject", "criterion")
-    options = rules.decide([draft.options for draft in drafts])
-    for draft, (decision, p_value, p_adjusted) in zip(drafts, options, strict=True):
-        yield {
-            "id": "/".join([rules.VALIDITY, *draft.names]),
-            "section": rules.VALIDITY,
-            **{name: getattr(draft, name) for name in about},
-            "decision": decision,
-            "sign": rules.SIGN[decision],
-            **rules.numbers(draft.effect),
-            "unit": draft.unit,
-            "n": draft.effect.n,
-            "p_value": p_value,
-            "p_adjusted": p_adjusted,
-            "sentence": draft.sentences.get(decision, draft.sentences[UNDECIDED]),
-            "why": draft.why_undecided if decision == UNDECIDED else "",
-            **draft.details,
-        }
 
 
 def to_bytes(said: Mapping[str, Any]) -> bytes:
@@ -134,55 +123,23 @@ def to_bytes(said: Mapping[str, Any]) -> bytes:
     return (text + "\n").encode()
 
 
-def _tracking(items: Items, *, dataset: str, fid: Collection[str]) -> str:
-    """Return what is said of the descriptors; `fid` is FID under either rule, by name."""
+def _tracking(items: Items, *, dataset: str) -> str:
+    """Return what is said of the descriptors, and the item that speaks most against one."""
     if not items:
         return (
             f"Whether PLR, AEL and MEL track linkability in {dataset} was not tested: the run "
             "has no sweep of fixed noise, or nobody links."
         )
-    named: dict[str, list[str]] = {decision: [] for decision in (*_PLURAL, UNDECIDED)}
+    named: dict[str, list[str]] = {decision: [] for decision in _TOLD}
     for descriptor in DESCRIPTORS:
         found = {one["decision"] for one in items if one["descriptor"] == descriptor}
-        worst = next((decision for decision in _PLURAL if decision in found), UNDECIDED)
+        worst = next((decision for decision in _TOLD if decision in found), NOT_TESTABLE)
         named[worst].append(NAME[descriptor])
-    open_ones = named.pop(UNDECIDED)
     parts = [
-        f"{listed(names)} {_PLURAL[decision][len(names) > 1]} how linkable people are"
+        f"{listed(names)} {_TOLD[decision][len(names) > 1]} how linkable people are"
         for decision, names in named.items()
         if names
     ]
-    if open_ones and parts:
-        parts.append(f"for {listed(open_ones)} that is undecided")
-    elif open_ones:
-        parts = [f"whether {listed(open_ones)} track how linkable people are is undecided"]
     against = [one for one in items if one["decision"] == DOES_NOT]
-    why = f": {_evidence(against, fid=fid)}" if against else ""
-    return f"In {dataset}, {'; '.join(parts)}{why}."
-
-
-def _evidence(against: Items, *, fid: Collection[str]) -> str:
-    """Return what speaks most against a descriptor: the largest differences either way."""
-    differing = [
-        {gap["effect"]: gap for gap in reversed(one["contrasts"]) if gap["reading"] == "differs"}
-        for one in against
-    ]
-    furthest = [max(map(abs, effects), default=0.0) for effects in differing]
-    if not any(furthest):
-        return f"they fall with the noise, success in {against[0]['task']} hardly does"
-    place = furthest.index(max(furthest))
-    surest, effects, words = against[place], differing[place], []
-    for effect, word in ((max(effects), "more"), (min(effects), "fewer")):
-        if (effect > 0) == (word == "more"):
-            name, level = effects[effect]["mechanism"], effects[effect]["level"]
-            where = name if level is None else f"{name} {level:g}"
-            words.append(f"{where} lets {100 * abs(effect):.0f} of 100 people {word} be linked")
-    alike = any(
-        gap["mechanism"] in fid and gap["reading"] == "equal" for gap in surest["contrasts"]
-    )
-    margin = f"{100 * rules.SUCCESS_MARGIN:.0f} of 100"
-    return (
-        f"at equal {NAME[surest['descriptor']]}, {listed(words)} than fixed noise "
-        f"({surest['task']}, {surest['adding']} adding"
-        + (f"; FID and fixed noise alone are alike to within {margin})" if alike else ")")
-    )
+    widest = max(against, key=itemgetter("spread_low"), default=None)
+    return f"In {dataset}, {'; '.join(parts)}.{' ' + widest['sentence'] if widest else ''}"

@@ -1,236 +1,353 @@
-"""Section a of the verdict: how successful is the adversary at equal descriptor value.
+"""Section a of the verdict: how often are people linked at equal descriptor value.
 
 Within one mechanism more noise lowers both a descriptor and linkability, so that a rank correlation
 near 1 over the levels comes for free. A descriptor that measures linkability must do so whatever
 the mechanism: at one value of it, fixed noise, FID and the dissociation controls (`correlated`,
-`offset`, `thin`) must let the same attack succeed equally often.
+`offset`, `thin`) must let equally many people be linked. Who is compared is in `panel`, what
+follows in `spread`; here it is put into items and words.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.special import stdtrit
 
-from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW
-from evaluation.analysis.keys import AS_SHARED, Measure, Source
-from evaluation.analysis.matching import MIN_DEFINED, Sweeps, compare, interpolated, places
-from evaluation.analysis.metrics import DESCRIPTORS, SUCCESS
-from evaluation.analysis.strongest import by_task, strongest_of
-from evaluation.verdict import rules
-from evaluation.verdict.rules import NAME, Draft, known, with_interval
-from isac_track.intervals import Estimate, estimate_of
+from evaluation.analysis.families import ADDING_RULES
+from evaluation.analysis.keys import level_text
+from evaluation.analysis.metrics import DESCRIPTORS
+from evaluation.verdict import power, rules, spread
+from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, label, panel
+from evaluation.verdict.prediction_error import Squared, kind_of, prediction_errors
+from evaluation.verdict.rules import BETWEEN, NAME, known
+from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
+from isac_track.intervals import CONFIDENCE
+from isac_track.rng import stream
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping, Sequence
 
-    from evaluation.analysis.strongest import Levels
-    from isac_track.types import Floats
+    from evaluation.analysis.families import Family
+    from evaluation.analysis.linked_people import LinkedTask
+    from isac_track.types import Floats, Ints
 
-_UNADJUSTED: Final = 0.05
-"""For what is told beside a decision."""
-_FEWEST_FOR_TAU: Final = 3
+CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
+"""Kinds of evidence: the task hides what the mechanism changes; more people are linked; fewer are,
+as far as these attacks go."""
+FALLING: Final = ("alignment_error", "posterior_std")
+"""Descriptors that are the larger, the less is left of a track."""
+_N_FOR_ERRORS: Final = 200
+"""Replicates that a prediction error is described with."""
+OTHER_HALF: Final = "rank 1 of the other half of the people"
+"""The positive control: if anything tells how linkable people are, this does."""
+_ONLY: Final = {ONLY_MORE: "more", ONLY_FEWER: "fewer"}
+_WHY_ONE_SIDED: Final = {
+    ONLY_MORE: "has a lower {} than any fixed noise, so that only more could be seen",
+    ONLY_FEWER: "has a higher {} than raw, so that only fewer could be seen",
+    NEITHER: "has a {} of too few people",
+}
+_QUARTILE: Final = dict(zip(spread.QUARTILES, ("low", "middle", "high"), strict=True))
+_LINKED: Final = ("success", "probes")
 
 
-class Contrast(NamedTuple):
-    """Success under another mechanism less that under fixed noise of the same descriptor value."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Tested:
+    """A descriptor in a task under an adding rule, before its section is decided."""
 
-    mechanism: str
-    level: float | None
-    """None for a sweep, the mean over the values that both reach, and where there is no level."""
-    subject: str
-    """The linker: the strongest against this mechanism."""
-    effect: Estimate
-    is_test: bool = True
-    """FID alone is none: it adds the same kind of error as fixed noise does."""
+    of: Panel
+    descriptor: str
+    found: Contrasts
+    people: Ints
+    """(K,) clusters of each contrast, the least over all that it rests on"""
+    beside: tuple[Contrasts, Ints] | None = None
+    """Of mechanisms that the panel has not."""
+    errors: tuple[Squared, Squared] | None = None
 
     @property
-    def label(self) -> str:
-        """As people write a mechanism."""
-        return self.mechanism if self.level is None else f"{self.mechanism} {self.level:g}"
-
-    @property
-    def p_beyond(self) -> float:
-        """How likely it is by chance, if nothing but the margin lies between the two."""
-        return rules.p_beyond(self.effect, rules.SUCCESS_MARGIN)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the contrast for `verdict.json`; its reading is not adjusted."""
-        is_equal = rules.p_within(self.effect, rules.SUCCESS_MARGIN) <= _UNADJUSTED
-        reading = "equal" if is_equal else "unclear"
-        return {
-            **{name: getattr(self, name) for name in ("mechanism", "level", "subject")},
-            **rules.numbers(self.effect),
-            "n": self.effect.n,
-            "reading": "differs" if self.p_beyond <= _UNADJUSTED else reading,
-        }
+    def n(self) -> int:
+        """Clusters, the least over all contrasts."""
+        return int(self.people.min(initial=max(self.people, default=0)))
 
 
-def validity(sweeps: Sweeps, *, success: Mapping[str, Source]) -> Iterator[Draft]:
-    """Yield an item for every adding rule, descriptor and task.
+def validity(
+    tasks: Sequence[LinkedTask],
+    *,
+    families: Mapping[str, Family],
+    preset: str,
+    dataset: str,
+    seed: int,
+) -> dict[str, list[dict[str, Any]]]:
+    """Return the section's `items`, its positive `controls`, and the descriptors `on_trial`.
 
-    `success` is by task its strongest linker; against a control the strongest there counts.
+    `families` are the mechanisms of the run by name.
     """
-    levels, guesses = (by_task(sweeps.found, metric=metric) for metric in (SUCCESS, "chance"))
-    for adding in ADDING_RULES:
-        for descriptor in DESCRIPTORS:
-            for task, linker in success.items():
-                guessed = (of.get(linker, 0.0) for of in guesses.get(task, {}).values())
-                chance = max(guessed, default=0.0)
-                yield from _item(sweeps, levels[task], adding, descriptor, linker, chance)
-
-
-def _item(
-    sweeps: Sweeps, levels: Levels, adding: str, descriptor: str, linker: Source, chance: float
-) -> Iterator[Draft]:
-    """Yield an item, if there is a sweep of fixed noise to compare with."""
-    fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
-    value, success = AS_SHARED.measure(descriptor), linker.measure(SUCCESS)
-    if sweeps.curve(fixed, value) is None or sweeps.curve(fixed, success) is None:
-        return
-    n = sweeps.n(fixed, success)
-    strongest = fixed, sweeps.levels(fixed)[0]
-    (links, links_least), (shows, shows_least) = (
-        [sweeps.drawn(one.at(*where)) for where in ((RAW, None), strongest)]
-        for one in (success, value)
-    )
-    works, drop = estimate_of(links - chance, n=n), estimate_of(links - links_least, n=n)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        span = estimate_of(np.log(shows / shows_least), n=n)
-    contrasts = [
-        *(  # FID over all values of the descriptor that both reach
-            Contrast(fid, None, linker.attack.label, mean, is_test=False)
-            for one in compare(sweeps, (fid, fixed), value, [success])
-            if np.isfinite((mean := estimate_of(one.mean_difference, n=one.n)).value)
-        ),
-        *_of_levels(sweeps, levels, adding, value=value, linker=linker),
-    ]
-    has_test = any(one.is_test for one in contrasts)
-    falls, flat = (test(drop, rules.SUCCESS_MARGIN) for test in (rules.p_above, rules.p_below))
-    links_few = rules.p_above(works, rules.SUCCESS_MARGIN)
-    spans_little = rules.p_above(span, np.log(rules.LEAST_SPAN))
-    condition = max(links_few, spans_little)
-    against = [*(one.p_beyond for one in contrasts), flat]
-
-    def p_equal(margin: float) -> float:
-        equal = (rules.p_within(one.effect, margin) for one in contrasts)
-        return max([condition, falls, *equal]) if has_test else 1.0
-
-    options = {
-        rules.DOES_NOT: max(condition, min(1.0, len(against) * min(against))),
-        rules.TRACKS: p_equal(rules.SUCCESS_MARGIN),
-        rules.WEAKLY: p_equal(rules.WEAK_MARGIN),
-    }
-    worst = min(contrasts, key=lambda one: one.p_beyond, default=None)
-    if worst is not None and flat < worst.p_beyond and options[rules.DOES_NOT] < 1.0:
-        worst = None  # that success does not fall speaks more against it
-    name = NAME[descriptor]
-    reasons = {
-        "too few people, or no interval": not rules.is_known(works),
-        "the strongest attack hardly links anybody even at raw: nothing could be seen": links_few
-        > _UNADJUSTED,
-        f"{name} hardly changes from raw to the strongest fixed error": spans_little > _UNADJUSTED,
-        "no dissociation control reaches a value that fixed noise reaches, too": not has_test,
-        "whether success falls with fixed noise is not sure": falls > _UNADJUSTED,
-        "the intervals reach on both sides of the margin": True,
-    }
-    yield Draft(
-        adding=adding,
-        descriptor=descriptor,
-        task=linker.task,
-        subject=linker.attack.label,
-        effect=drop if worst is None else worst.effect,
-        unit="fraction",
-        options=options,
-        sentences=_sentences(name, task=linker.task, worst=worst, drop=drop),
-        why_undecided=next(why for why, holds in reasons.items() if holds),
-        details={
-            "contrasts": [one.to_json() for one in contrasts],
-            "against": "" if worst is None else worst.label,
-            "success_at_raw": known(float(links[0])),
-            "success_at_strongest_fixed": known(float(links_least[0])),
-            "chance": known(chance),
-            "tau": _taus(sweeps, adding=adding, value=value, success=success),
-        },
-    )
-
-
-def _of_levels(
-    sweeps: Sweeps, levels: Levels, adding: str, *, value: Measure, linker: Source
-) -> Iterator[Contrast]:
-    """Yield every level of other mechanisms against fixed noise of the same descriptor value."""
-    fixed, success = sweeps.named(FIXED, adding=adding), linker.measure(SUCCESS)
-    scale, achieved = sweeps.curve(fixed, value), sweeps.curve(fixed, success)
-    assert scale is not None
-    assert achieved is not None
-    change = scale[:, -1:] - scale
-    span = change[:, 0]
-    for mechanism in sweeps.others(adding):
-        # An adversary takes what works: against other errors that may be another linker.
-        blocks = (block for (name, _), block in levels.items() if name == mechanism)
-        rival = strongest_of(blocks) or linker
-        theirs = rival.measure(SUCCESS)
-        for level in sweeps.levels(mechanism):
-            at, reached = (sweeps.point(mechanism, level, one) for one in (value, theirs))
-            if at is None or reached is None:
+    tested: list[Tested] = []
+    halves: list[Tested] = []
+    on_trial: list[dict[str, Any]] = []
+    for task in tasks:
+        weights = drawn_weights(task, tasks, dataset, seed)
+        names = [
+            name
+            for name in task.levels[0].descriptors
+            if all(name in level.descriptors for level in task.levels)
+        ]
+        drawn = {name: (sums := _sums(task, name), sums.drawn(weights)) for name in names}
+        half = _half(task, seed)
+        for adding in ADDING_RULES:
+            of = panel(task, families, adding=adding, preset=preset)
+            if of is None:
                 continue
-            # A hair beyond an end of the sweep of fixed noise counts as its end.
-            below_raw = scale[:, -1] - at
-            inside = (below_raw >= -rules.REACH * span) & (below_raw <= span + rules.REACH * span)
-            held = np.where(inside, np.clip(below_raw, 0.0, span), np.nan)
-            n_rows = min(reached.size, achieved.shape[0])
-            read = places(held[:n_rows, None], change[:n_rows])
-            gap = reached[:n_rows] - interpolated(read, achieved, log=False)[:, 0]
-            if np.isfinite(gap[1:]).mean() >= MIN_DEFINED and np.isfinite(gap[0]):
-                n = min(sweeps.n(fixed, success), sweeps.n(mechanism, theirs))
-                yield Contrast(mechanism, level, rival.attack.label, estimate_of(gap, n=n))
-
-
-def _taus(
-    sweeps: Sweeps, *, adding: str, value: Measure, success: Measure
-) -> dict[str, float | None]:
-    """Return Kendall's tau over the levels of each sweep: necessary, never sufficient."""
-    taus: dict[str, float | None] = dict.fromkeys((FIXED, FID))
-    for mechanism in sweeps.swept(adding):
-        points = (
-            [sweeps.found.get(one.at(mechanism, level)) for one in (value, success)]
-            for level in sweeps.levels(mechanism)
-        )
-        pairs = [(at.value, got.value) for at, got in points if at and got]
-        if len(pairs) >= _FEWEST_FOR_TAU:
-            taus[sweeps.known[mechanism].name] = known(kendall_tau(np.array(pairs)))
-    return taus
-
-
-def kendall_tau(pairs: Floats) -> float:
-    """Return Kendall's tau-b of N pairs, (N, 2); NaN if either number never varies.
-
-    That of `scipy.stats` takes a second to import.
-    """
-    first, second = pairs.T
-    x, y = (np.sign(one[:, None] - one) for one in (first, second))
-    spread = float(np.sqrt((x * x).sum()) * np.sqrt((y * y).sum()))
-    return float((x * y).sum()) / spread if spread else np.nan
-
-
-def _sentences(name: str, *, task: str, worst: Contrast | None, drop: Estimate) -> dict[str, str]:
-    """Return what each decision says; without a contrast, of what noise alone does."""
-    if worst is None:
-        gap = (
-            f"In {task}, from raw to the strongest fixed error {with_interval(drop, 'share')} "
-            f"fewer of 100 people are linked while {name} falls"
-        )
-        return {rules.DOES_NOT: f"{gap}: {name} does not track.", rules.UNDECIDED: f"{gap}."}
-    where = f"In {task}, at equal {name}"
-    more = "more" if worst.effect.value > 0 else "fewer"
-    gap = f"{worst.label} lets {with_interval(worst.effect, 'share', absolute=True)} {more}"
-    close, far = (f"{100 * one:.0f}" for one in (rules.SUCCESS_MARGIN, rules.WEAK_MARGIN))
-    none = f"{where}, no mechanism lets {{}} of 100 people more or fewer be linked than fixed noise"
+            errors = {name: _errors(of, name, rates) for name, (_, rates) in drawn.items()}
+            on_trial += _on_trial(of, errors)
+            for name in DESCRIPTORS:
+                if name in drawn:
+                    sums, rates = drawn[name]
+                    own = contrasts(sums, rates, of, others=of.others, fid=of.fid)
+                    more = contrasts(sums, rates, of, others=of.beside) if of.beside else None
+                    tested.append(Tested(of, name, *own, more, errors[name]))
+            own = contrasts(half, half.drawn(weights), of, others=of.others, fid=of.fid)
+            halves.append(Tested(of, "", *own))
+    section, apart = (spread.together([one.found for one in of]) for of in (tested, halves))
     return {
-        rules.DOES_NOT: f"{where}, {gap} of 100 people be linked than fixed noise: {name} does not "
-        "track.",
-        rules.TRACKS: f"{none.format(close)}: {name} tracks.",
-        rules.WEAKLY: f"{none.format(far)}, but {close} cannot be ruled out: {name} tracks weakly.",
-        rules.UNDECIDED: f"{where}, the surest difference from fixed noise is that {gap} of 100 "
-        "people be linked.",
+        "items": [_item(one, section) for one in tested],
+        "controls": [_control(one, apart) for one in halves],
+        "on_trial": on_trial,
     }
+
+
+def _sums(task: LinkedTask, name: str) -> Sums:
+    success, probes = (np.array([getattr(one, of) for one in task.levels]) for of in _LINKED)
+    values = np.array([level.descriptors[name] for level in task.levels])
+    return Sums(success, probes, values[:, 0], values[:, 1])
+
+
+def _half(task: LinkedTask, seed: int) -> Sums:
+    """Return one half of the people, whose descriptor is how many of the other half are linked."""
+    success, probes = (np.array([getattr(one, of) for one in task.levels]) for of in _LINKED)
+    order = stream(seed, "halves", task.task).permutation(len(task.clusters))
+    mine = order < len(task.clusters) / 2
+    return Sums(success * mine, probes * mine, success * ~mine, probes * ~mine)
+
+
+def _errors(of: Panel, name: str, rates: tuple[Floats, Floats]) -> tuple[Squared, Squared] | None:
+    """Return the squared prediction error of a descriptor, and that without one."""
+    levels = [*of.fixed, *of.fid[:-1], *of.others]
+    success, shows = (one[: 1 + _N_FOR_ERRORS, levels] for one in rates)
+    kinds = [kind_of(of.families[place]) for place in levels]
+    return prediction_errors(-shows if name in FALLING else shows, success, kinds)
+
+
+def _on_trial(
+    of: Panel, errors: Mapping[str, tuple[Squared, Squared] | None]
+) -> list[dict[str, Any]]:
+    """Return how well each descriptor foretells linkage, and whether one does so surely best."""
+    have = {name: pair[0] for name, pair in errors.items() if pair is not None}
+    return [
+        {
+            "adding": of.adding,
+            "task": of.task.task,
+            "descriptor": name,
+            **_error_numbers(errors[name]),
+            "surely_lowest": len(have) > 1
+            and all(one.less(mine).ends[0] > 0 for rival, one in have.items() if rival != name),
+        }
+        for name, mine in have.items()
+    ]
+
+
+def _error_numbers(pair: tuple[Squared, Squared] | None) -> dict[str, float | None]:
+    keys = ("prediction_error", "prediction_error_low", "prediction_error_high")
+    values = (None, None, None) if pair is None else pair[0].roots
+    null = None if pair is None else pair[1].roots[0]
+    return {**dict(zip(keys, values, strict=True)), "prediction_error_null": null}
+
+
+def _evidence(of: Panel, place: int, gap: float) -> str:
+    """Return which kind of evidence a difference from fixed noise is."""
+    if of.is_hidden(place):
+        return CONSTRUCTION
+    return SHOWN if gap > 0 else ATTACKS
+
+
+def _item(one: Tested, section: Floats) -> dict[str, Any]:
+    """Return an item as in `verdict.json`."""
+    of, found = one.of, one.found
+    wide = spread.widths(found, section)
+    codes, low, high = spread.decided(
+        found, wide, gaps=found.gaps[:1], fall=found.fall[:1], span=found.span[:1]
+    )
+    decision = spread.ANSWERS[codes[0]]
+    compared, beside = _contrasts(of, of.compared, found, one.people, wide), []
+    if one.beside is not None:
+        theirs = spread.widths(one.beside[0], section)
+        beside = _contrasts(of, of.beside, *one.beside, theirs)
+    sure = [gap for gap in compared if gap["reading"] == rules.DIFFERS]
+    is_flat = decision == rules.DOES_NOT and low[0] <= rules.SUCCESS_MARGIN
+    # What is equal, and what a flat descriptor misses, is so as far as these attacks go.
+    kinds = sorted({gap["evidence"] for gap in sure}) if sure and not is_flat else [ATTACKS]
+    answers = power.answers(found, wide, [of.families[place] for place in of.compared])
+    needed = None if is_flat else power.clusters_needed(found, wide, one.n)
+    numbers = spread.shown(found), float(low[0]), float(high[0])
+    keys = ("spread", "spread_low", "spread_high", "effect", "ci_low", "ci_high")
+    said = {
+        "id": f"{rules.VALIDITY}/{of.adding}/{one.descriptor}/{of.task.task}",
+        "section": rules.VALIDITY,
+        "adding": of.adding,
+        "descriptor": one.descriptor,
+        "task": of.task.task,
+        "subject": of.task.levels[of.fixed[-1]].linker.attack.label,
+        "criterion": "",
+        "decision": decision,
+        "sign": rules.SIGN[decision],
+        **dict(zip(keys, numbers * 2, strict=True)),
+        "unit": "fraction",
+        "metric": "rank1" if of.task.gallery is None else "rank1_g100",
+        **_error_numbers(one.errors),
+        "evidence": kinds if decision in (rules.DOES_NOT, rules.TRACKS) else [],
+        "power": power.of_each(answers),
+        "power_if": answers,
+        "n": one.n,
+        "n_needed": needed,
+        "why": _why_not(one, wide) if decision == rules.NOT_TESTABLE else "",
+        "contrasts": compared + beside,
+    }
+    return {**said, "sentence": _sentence(one, said)}
+
+
+def _control(one: Tested, section: Floats) -> dict[str, Any]:
+    """Return the record of a positive control: it must not be said to fail."""
+    wide = spread.widths(one.found, section)
+    # Of linkage itself any span will do.
+    codes, low, high = spread.decided(
+        one.found, wide, gaps=one.found.gaps[:1], fall=one.found.fall[:1], span=np.full(1, np.inf)
+    )
+    return {
+        "adding": one.of.adding,
+        "task": one.of.task.task,
+        "n": one.n,
+        "descriptor": OTHER_HALF,
+        "decision": spread.ANSWERS[codes[0]],
+        "spread": spread.shown(one.found),
+        "spread_low": float(low[0]),
+        "spread_high": float(high[0]),
+    }
+
+
+def _contrasts(
+    of: Panel, places: Sequence[int], found: Contrasts, people: Ints, wide: Widths
+) -> list[dict[str, Any]]:
+    """Return contrasts as in `verdict.json`, each with its own interval, not adjusted."""
+    low, high = (one[0] for one in spread.ends(found, wide, found.gaps[:1]))
+    half = stdtrit(np.maximum(found.degrees, 1.0), 0.5 + CONFIDENCE / 2) * found.errors
+    rows = []
+    for k, (place, gap) in enumerate(zip(places, found.gaps[0].tolist(), strict=True)):
+        level = of.task.levels[place]
+        readings = {
+            rules.NOT_TESTABLE: found.side[k] == NEITHER,
+            rules.DIFFERS: low[k] > rules.SUCCESS_MARGIN,
+            rules.EQUAL: high[k] < rules.SUCCESS_MARGIN,
+        }
+        has_gap = bool(np.isfinite(half[k]))
+        rows.append(
+            {
+                "mechanism": level.mechanism,
+                "level": None if place in of.fid else level.level,
+                "quartile": spread.QUARTILES[k] if place in of.fid else None,
+                "subject": level.linker.attack.label,
+                "effect": gap if has_gap else None,
+                "ci_low": known(gap - half[k]),
+                "ci_high": known(gap + half[k]),
+                "unit": "fraction",
+                "n": int(people[k]),
+                "reading": next((name for name, is_so in readings.items() if is_so), BETWEEN),
+                "evidence": _evidence(of, place, gap),
+                "only": _ONLY.get(int(found.side[k]), ""),
+                "in_panel": place not in of.beside,
+            }
+        )
+    return rows
+
+
+def _named(gap: Mapping[str, Any]) -> str:
+    """Return the mechanism of a contrast as people write it."""
+    if gap["quartile"] is not None:
+        return f"{gap['mechanism']} ({_QUARTILE[gap['quartile']]})"
+    return f"{gap['mechanism']} {level_text(gap['level'])}".strip()
+
+
+def _why_not(one: Tested, wide: Widths) -> str:
+    """Return why it cannot be tested whether a descriptor tracks."""
+    of, found = one.of, one.found
+    raw = of.task.levels[of.fixed[-1]]
+    links, guess = (float(sums.sum() / raw.probes.sum()) for sums in (raw.success, raw.chance))
+    fall, name = float(found.fall[0]), NAME[one.descriptor]
+    odd = [
+        f"{label(of.task.levels[place])} {_WHY_ONE_SIDED[side].format(name)}"
+        for place, side in zip(of.compared, found.side.tolist(), strict=True)
+        if side != BOTH
+    ]
+    low, high = (_points(fall + sign * wide.fall) for sign in (-1, 1))
+    reasons = {
+        f"it rests on {one.n} people or groups, who count as {found.fall_degrees + 1:.0f}: "
+        f"{rules.FEWEST_EFFECTIVE} are needed": found.fall_degrees + 1 < rules.FEWEST_EFFECTIVE,
+        "all people fare alike: that says nothing of others": found.fall_error < spread.NO_SPREAD,
+        f"the strongest attack links {_points(links)} of 100 people even at raw, a guess "
+        f"{_points(guess)}: nothing could be seen": links - guess < rules.SUCCESS_MARGIN,
+        f"linkage falls by {_points(fall)} [{low}, {high}] of 100 people from raw to the strongest "
+        f"fixed error, not surely by {_points(rules.LEAST_FALL, 0)}: anything would track": fall
+        - wide.fall
+        < rules.LEAST_FALL,
+        of.missing: bool(of.missing),
+        "; ".join(dict.fromkeys(odd)): bool(odd),
+    }
+    return next(why for why, holds in reasons.items() if holds)
+
+
+def _sentence(one: Tested, said: Mapping[str, Any]) -> str:
+    """Return what an item says."""
+    found, name, decision = one.found, NAME[one.descriptor], said["decision"]
+    gallery = "" if one.of.task.gallery else " (plain rank 1, galleries of its own)"
+    where = f"In {one.of.task.task}{gallery}, at equal {name}"
+    low, high, needed = said["spread_low"], said["spread_high"], said["n_needed"]
+    people = "of 100 people more or fewer be linked than fixed noise"
+    if decision == rules.NOT_TESTABLE:
+        return f"In {one.of.task.task}, whether {name} tracks cannot be tested: {said['why']}."
+    if decision == rules.TRACKS:
+        return f"{where}, no mechanism lets {_points(high)} {people}: {name} tracks."
+    if decision == BETWEEN:
+        many = (
+            ""
+            if needed is None
+            else f"; if truly equal, about {_round(needed)} people would show it"
+        )
+        return f"{where}, mechanisms let between {_points(low)} and {_points(high)} {people}{many}."
+    if low <= rules.SUCCESS_MARGIN:
+        return (
+            f"In {one.of.task.task}{gallery}, from raw to the strongest fixed error "
+            f"{_points(found.fall[0])} fewer of 100 people are linked while {name} hardly changes "
+            f"({np.exp(found.span[0]):.2f} times): {name} does not track."
+        )
+    sure = [gap for gap in said["contrasts"] if gap["reading"] == rules.DIFFERS]
+    worst = max(
+        (gap for gap in sure if gap["evidence"] != CONSTRUCTION and gap["in_panel"]),
+        key=lambda gap: abs(gap["effect"]),
+    )
+    more = "more" if worst["effect"] > 0 else "fewer"
+    ends = sorted(abs(worst[end]) for end in ("ci_low", "ci_high"))
+    kind = "" if worst["evidence"] == SHOWN else ", as far as these attacks go"
+    return (
+        f"{where}, {_named(worst)} lets {_points(abs(worst['effect']))} [{_points(ends[0])}, "
+        f"{_points(ends[1])}] {more} of 100 people be linked than fixed noise{kind}: {name} does "
+        "not track."
+    )
+
+
+def _points(share: float, digits: int = 1) -> str:
+    return f"{100.0 * share:.{digits}f}"
+
+
+def _round(number: int) -> str:
+    """Return a number to two digits."""
+    return f"{float(f'{number:.2g}'):,.0f}"

@@ -58,7 +58,7 @@ for sentence in results.verdict["answer"]:
     print("-", sentence)
 for item in results.verdict["items"]:
     if item["section"] == "validity":
-        print(f"{item['id']}: {item['decision']}. {item['sentence']} {item['why']}")
+        print(f"{item['id']}: {item['decision']}. {item['sentence']}")
 
 # %% 7. A site: at most 45 % of the conflicts missed, at most 20 % of the people found again
 question = "--max-missed 0.45 --max-rank1 0.2 --adding linear tutorial-run"

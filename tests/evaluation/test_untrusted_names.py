@@ -127,6 +127,7 @@ def test_a_file_name_that_is_no_text_is_read_and_shown(tmp_path, tracks, capsys)
     results = run(odd, tmp_path / "run", attacks=(), tasks=())
     assert results.manifest["dataset"]["name"] == "caf?"
     assert "caf?" in (results.out / "report.html").read_text(encoding="utf-8")
+    capsys.readouterr()
     missing = os.fsdecode(os.fsencode(tmp_path) + b"/\xff.csv")
     arguments = ["--dataset", missing, "--out", str(tmp_path / "other")]
     assert matrix.main(arguments) == 2

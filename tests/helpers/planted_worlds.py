@@ -45,7 +45,8 @@ class World:
             yield from (("fixed", level, f"fixed{rule}") for level in FIXED)
             yield from (("fid", level, f"fid{rule}") for level in FID)
             yield "correlated", 0.75, f"correlated{rule}"
-        yield "offset", 0.4, "offset"
+            yield "thin", 4.0, f"thin:{rule.removeprefix(':')}{',' * bool(rule)}d_sigma=0.75"
+        yield "offset", 0.3, "offset"
         yield "thin", 4.0, "thin"
         yield from (("mine:Ou", level, "mine:Ou") for level in FIXED if self.stranger)
 
@@ -131,13 +132,12 @@ def simulated(world, *, rng):
         for metric in ("missed_conflict_rate", EQUAL_ALARMS):
             missed = rng.random(n) < world.misses(family, level)
             put(Key(mechanism, level, PREDICTOR, metric), missed.astype(float))
-        if family in {"raw", "fixed", "fid", "mine:Ou"}:
-            seen = np.column_stack([plr, plr * np.exp(0.02 * rng.normal(size=n))])
-            descriptors = {name: seen * scale for name, scale in SCALES.items()}
-            levels.append(
-                LinkedProbes(
-                    *(mechanism, level, Source(LINKER, "informed"), hit, hit, np.full(n, CHANCE)),
-                    *(cluster, tuple(map(str, range(n_pairs))), descriptors, nuisance),
-                )
+        seen = np.column_stack([plr, plr * np.exp(0.02 * rng.normal(size=n))])
+        descriptors = {name: seen * scale for name, scale in SCALES.items()}
+        levels.append(
+            LinkedProbes(
+                *(mechanism, level, Source(LINKER, "informed"), hit, hit, np.full(n, CHANCE)),
+                *(cluster, tuple(map(str, range(n_pairs))), descriptors, nuisance),
             )
+        )
     return found, levels

@@ -13,7 +13,11 @@ def entry_of(out, spec, consumer, knowledge=""):
     """The manifest's entry of a consumer at a level."""
     wanted = spec, consumer, knowledge
     cells = read_manifest(out)["cells"]
-    (entry,) = [one for one in cells if (one["spec"], one["consumer"], one["knowledge"]) == wanted]
+    (entry,) = [
+        one
+        for one in cells
+        if (one["spec"], one["consumer"], one["knowledge"]) == wanted and not one["law"]
+    ]
     return entry
 
 

@@ -20,7 +20,8 @@ from helpers.processes import ROOT, wait_for
 from helpers.runs import rows_of
 from helpers.small_runs import write_walks
 
-from evaluation import load, matrix, report
+from evaluation import matrix, report
+from evaluation.results import rebuild
 from evaluation.runs.files import locked
 from evaluation.runs.manifest import read_manifest
 
@@ -357,7 +358,7 @@ class TestDamaged:
         assert_same(out, expected)
         for name in ("summary.csv", "decisions.csv", "verdict.json"):
             (out / name).unlink()
-        load(out, pictures=False)  # it is drawn from the cells alone
+        rebuild(out, pictures=False)  # it is drawn from the cells alone
         assert_same(out, expected)
         words = ["sha256sum", "--check", "--quiet", "SHA256SUMS"]
         checked = subprocess.run(words, cwd=out, capture_output=True, text=True, check=False)

@@ -11,6 +11,7 @@ import pytest
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
+from evaluation.results import rebuild
 from evaluation.runs.files import locked, write_whole
 from isac_track.errors import DataError, SettingsError
 
@@ -48,7 +49,7 @@ def victim(tmp_path):
 def test_a_linked_file_is_not_written_to(run, victim, name):
     (run / name).unlink(missing_ok=True)
     (run / name).symlink_to(victim)
-    evaluation.load(run, pictures=False)
+    rebuild(run, pictures=False)
     assert (run / name).is_symlink() == (name in GUESSED)
 
 
@@ -58,7 +59,7 @@ def test_a_linked_folder_is_refused(run, victim, name):
         shutil.rmtree(run / name)
     (run / name).symlink_to(victim.parent)
     with pytest.raises((DataError, SettingsError), match=re.escape(f"{run / name} is a link")):
-        evaluation.load(run, pictures=False)
+        rebuild(run, pictures=False)
 
 
 @pytest.mark.parametrize("name", [".lock", "SHA256SUMS", "manifest.json", "gallery.parquet"])
@@ -67,7 +68,7 @@ def test_what_is_no_file_of_the_run_is_refused(run, victim, name, planted):
     (run / name).unlink(missing_ok=True)
     (run / name).symlink_to(victim) if planted == "link" else os.mkfifo(run / name)
     with pytest.raises((DataError, SettingsError), match=re.escape(str(run / name))):
-        evaluation.load(run, pictures=False)
+        rebuild(run, pictures=False)
 
 
 def test_a_linked_cell_counts_as_damaged(run, victim):
@@ -76,7 +77,7 @@ def test_a_linked_cell_counts_as_damaged(run, victim):
     cell.unlink()
     cell.symlink_to(victim.parent.parent / "elsewhere")
     with pytest.raises((DataError, SettingsError), match=re.escape(cell.name)):
-        evaluation.load(run, pictures=False)
+        rebuild(run, pictures=False)
 
 
 def test_what_a_killed_run_left_goes(run):

@@ -7,8 +7,9 @@ from helpers.straight_lines import PREDICTORS, run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluation.analysis.frontier import COLUMNS, COMPARED, TARGETS, WHITE, front, frontier
+from evaluation.analysis.frontier import COLUMNS, TARGETS, WHITE, front, frontier
 from evaluation.analysis.keys import Source
+from evaluation.analysis.metrics import SUCCESS_OF_100
 
 STRONGEST = {"": Source("kalman_rts", "blind"), "rerelease": Source("rerelease/shape", "blind")}
 SHARE = st.integers(0, 6).map(float) | st.just(np.nan)
@@ -82,7 +83,9 @@ def test_intervals_white_noise_and_who_is_beaten():
 def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_where_it_is_known():
     found = run()
     found |= {
-        key._replace(metric=COMPARED): one for key, one in found.items() if key.metric == "rank1"
+        key._replace(metric=SUCCESS_OF_100): one
+        for key, one in found.items()
+        if key.metric == "rank1"
     }
     few = {
         key: one
@@ -90,7 +93,7 @@ def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_where_i
         if key.mechanism in ("raw", "fixed") and (key.level or 0.0) < 0.3
     }
     frame = rows(table(few), robot=PREDICTORS[0], criterion="missed")
-    assert set(rows(frame, consumer="rerelease/shape")["metric"]) == {COMPARED}
+    assert set(rows(frame, consumer="rerelease/shape")["metric"]) == {SUCCESS_OF_100}
     for _, one in frame.groupby("consumer"):
         assert one["target"].tolist() == list(TARGETS)
         assert one["level"].notna().tolist() == [True, True, False, False]

@@ -222,7 +222,7 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     specs = ("raw", "fid:1000", "correlated:0.75")
     predictors = ("least_squares", "kalman_cv", "kalman_ca")
     axes = {"mechanisms": specs, "predictors": predictors, "attacks": ("identity",), "tasks": ()}
-    few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
+    few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, other_law=(), **axes)
     monkeypatch.setitem(PRESETS, "paper", few)
     for name in ("experiment.plan", "runs.pieces"):
         monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)
@@ -402,6 +402,32 @@ def test_what_cannot_be_sent_to_a_worker_is_refused_by_name(settings):
     told = r"helpers.bad_plugins:HasALock cannot be sent to a worker \(TypeError: cannot pickle"
     with pytest.raises(PluginError, match=told):
         run(settings, mechanisms=("raw",), predictors=("helpers.bad_plugins:HasALock",))
+
+
+def test_some_levels_are_computed_under_the_other_law_too(csv_recording, tmp_path, monkeypatch):
+    """As a run under that law has them; the run's own are as without them."""
+    axes = {"mechanisms": ("raw", "fid:1", "fixed:0.5"), "tasks": (), "scenes": 4}
+    axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
+    few = replace(PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes)
+    monkeypatch.setitem(PRESETS, "paper", few)
+    settings = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "both")
+    both = run(settings)
+    by_law = {
+        law: run(
+            replace(settings, out=tmp_path / law, mechanisms=few.mechanisms),
+            stages=StageSettings().changed({"sensing.law": law}),
+        ).summary
+        for law in ("radial", "isotropic")
+    }
+    other = by_law["isotropic"][by_law["isotropic"]["mechanism"] != "raw"]
+    other = other.assign(dataset=other["dataset"] + ":law=isotropic")
+    expected = pd.concat([by_law["radial"], other], ignore_index=True)
+    pd.testing.assert_frame_equal(both.summary, expected, check_exact=True)
+    kept = stamps(settings.out)
+    run(settings)
+    assert_kept(kept)
+    told = both.summary["dataset"].unique()
+    assert list(told) == [both.dataset, f"{both.dataset}:law=isotropic"]
 
 
 def test_a_predictor_that_wants_more_than_a_robot_has_is_refused(settings):

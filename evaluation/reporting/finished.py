@@ -1,0 +1,56 @@
+"""A finished run, read from its tables: `evaluation.load`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from evaluation.analysis.keys import Key, rows_of
+from evaluation.analysis.metrics import EXPOSURE, SUCCESS
+from evaluation.analysis.strongest import strongest
+from evaluation.reporting.rows import Results
+from evaluation.runs.files import FRAMES, content_of, from_csv
+from evaluation.runs.manifest import read_manifest
+from isac_track.errors import DataError
+
+
+class _Known(NamedTuple):
+    value: float
+
+
+def load(out: Path | str) -> Results:
+    """Return the results of a finished run as its tables hold them; nothing is made anew.
+
+    The gallery of tracks, which only pictures need, is not read. `evaluation.report` makes the
+    tables anew from the cells.
+
+    Raises DataError if the folder holds no run, or a table is missing or broken, with the way out.
+    """
+    out = Path(out)
+    manifest = read_manifest(out)
+    found: dict[str, Any] = {}
+    for of, name in {**FRAMES, "flags": "flags.json", "verdict": "verdict.json"}.items():
+        again = f"python -m evaluation.report {out} writes it anew"
+        try:
+            content = content_of(out / name)
+            found[of] = from_csv(content) if of in FRAMES else json.loads(content)
+        except FileNotFoundError:
+            raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
+        except (OSError, ValueError) as error:
+            raise DataError(f"{out / name} cannot be read ({error}); {again}") from None
+    found["flags"] = pd.DataFrame(found["flags"]["flags"], columns=found["flags"].get("columns"))
+    results = Results(out=out, manifest=manifest, **found)
+    rows = results.measured.summary
+    ranked = rows_of(rows[rows["metric"].isin([EXPOSURE, SUCCESS]) & (rows["knowledge"] != "")])
+    known = {}
+    for row in ranked:
+        level = None if math.isnan(row["level"]) else row["level"]
+        key = Key(row["mechanism"], level, row["consumer"], row["metric"], row["knowledge"])
+        known[key] = _Known(row["value"])
+    best = strongest(known, results.families)
+    return replace(results, strongest={task: source.attack for task, source in best.items()})

@@ -1,0 +1,101 @@
+"""How well a descriptor foretells who is linked under a kind of noise that it was not fitted to.
+
+Description only: it decides nothing. One kind of mechanism is left out at a time; the others give
+the curve from descriptor to linkage (isotonic, interpolated), which is read at the levels of the
+kind left out. PE^2 is the mean of e^2 - s^2, e the error and s its standard error: what sampling
+alone would give is taken off. Kinds weigh alike, and so do the levels of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from evaluation.analysis.families import FID, FIXED, RAW
+from evaluation.analysis.matching import interpolated, monotone, places
+from isac_track.intervals import percentile_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from isac_track.types import Floats
+
+_WHITE: Final = (RAW, FIXED, FID, "laplace")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Squared:
+    """A squared error; those of one task may be subtracted, since people are drawn alike."""
+
+    drawn: Floats
+    """(1 + B,) estimate and replicates; below 0 where sampling alone explains more"""
+    centre: float
+    """What the replicates are of: nothing is taken off."""
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return the basic bootstrap interval, given the panel."""
+        low, high = percentile_interval(self.drawn[1:] - self.centre)
+        return float(self.drawn[0]) - high, float(self.drawn[0]) - low
+
+    @property
+    def roots(self) -> tuple[float, float, float]:
+        """Return the error and its interval as fractions of people, at least 0."""
+        value, low, high = np.sqrt(np.maximum([self.drawn[0], *self.ends], 0.0)).tolist()
+        return value, low, high
+
+    def less(self, other: Squared) -> Squared:
+        """Return how much smaller the other is."""
+        return Squared(self.drawn - other.drawn, self.centre - other.centre)
+
+
+def kind_of(family: str) -> str:
+    """Return the kind of a family: all white noise is one."""
+    return "white" if family in _WHITE else family
+
+
+def prediction_errors(
+    descriptor: Floats, success: Floats, kinds: Sequence[str]
+) -> tuple[Squared, Squared] | None:
+    """Return the squared error of a descriptor, and that of the mean of the other kinds.
+
+    None if fewer than two kinds have a descriptor.
+
+    Parameters
+    ----------
+    descriptor, success : (1 + B, L)
+        At all levels, raw among them; the descriptor rises with what is left of a track.
+    kinds : (L,)
+    """
+    has_value = np.isfinite(descriptor).all(axis=0) & np.isfinite(success).all(axis=0)
+    told = np.array(kinds)[has_value]
+    names = sorted(set(told.tolist()))
+    if len(names) < 2:  # noqa: PLR2004 - one is left out
+        return None
+    scale, reached = descriptor[:, has_value], success[:, has_value]
+    means = np.stack([reached[:, told == name].mean(axis=1) for name in names])
+    rows: list[list[Floats]] = []
+    for place, name in enumerate(names):
+        out = told == name
+        foretold = _foretold(scale[:, ~out], reached[:, ~out], scale[:, out])
+        null = np.delete(means, place, axis=0).mean(axis=0)[:, None]
+        rows.append([_squares(reached[:, out] - one) for one in (foretold, null)])
+    ours, none = np.mean(rows, axis=0)
+    return Squared(ours[1:], float(ours[0])), Squared(none[1:], float(none[0]))
+
+
+def _foretold(scale: Floats, reached: Floats, at: Floats) -> Floats:
+    """Return what a curve through levels, (R, L), says at others, (R, P); flat beyond its ends."""
+    order = np.argsort(scale, axis=1, kind="stable")
+    scale, reached = (np.take_along_axis(one, order, axis=1) for one in (scale, reached))
+    change = scale[:, -1:] - scale
+    where = places(np.clip(scale[:, -1:] - at, 0.0, change[:, :1]), change)
+    return interpolated(where, monotone(reached, increasing=True), log=False)
+
+
+def _squares(errors: Floats) -> Floats:
+    """Return the mean of e^2 of the estimate, and that of e^2 - s^2 of each row, (2 + B,)."""
+    taken_off = (errors**2 - errors[1:].var(axis=0, ddof=1)).mean(axis=1)
+    return np.append((errors[0] ** 2).mean(), taken_off)
