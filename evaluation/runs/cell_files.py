@@ -26,8 +26,15 @@ from evaluation.cells.link_scores import ABOUT, ASSIGNED, COMPANIONS, DERIVED, E
 from evaluation.cells.link_setup import linkage_weights
 from evaluation.cells.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.cells.tables import ROWS, Tables
-from evaluation.experiment.axes import consumer_label
-from evaluation.runs.files import FOLDER, GALLERY, checked, content_of, write_whole, written_down
+from evaluation.runs.files import (
+    FOLDER,
+    GALLERY,
+    checked,
+    content_of,
+    label_of,
+    write_whole,
+    written_down,
+)
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate, effective_clusters
 from isac_track.linkability.scoring import RANK_METRICS, ProbeRanks
@@ -163,11 +170,6 @@ def places_of(files: Mapping[str, Index]) -> dict[tuple[str, str], str]:
         for name, index in files.items()
         for held in index.consumers.values()
     }
-
-
-def label_of(entry: Mapping[str, Any]) -> str:
-    """Return the label of the consumer of an entry of a manifest."""
-    return consumer_label(entry["consumer"], entry["knowledge"], entry.get("law"))
 
 
 def read_rows(

@@ -17,7 +17,7 @@ import re
 import secrets
 import stat
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pandas.api.types import is_numeric_dtype
 
@@ -29,7 +29,7 @@ except ImportError:  # pragma: no cover - Windows has no flock
     fcntl = None  # type: ignore[assignment]  # a module, where there is one
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     import pandas as pd
@@ -137,6 +137,13 @@ def _safe(text: str) -> str:
     except ValueError:
         return f"'{text}"
     return text  # a number, in a column of names
+
+
+def label_of(entry: Mapping[str, Any]) -> str:
+    """Return the label of the consumer of an entry of a manifest."""
+    from evaluation.experiment.axes import consumer_label  # noqa: PLC0415 - a reader needs none
+
+    return consumer_label(entry["consumer"], entry["knowledge"], entry.get("law"))
 
 
 def is_temporary(name: str) -> bool:

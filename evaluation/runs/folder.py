@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evaluation.experiment.fingerprint import can_be_found, source_digest
-from evaluation.runs.cell_files import Index, label_of, sound_files
+from evaluation.runs.cell_files import Index, sound_files
 from evaluation.runs.files import (
     FOLDER,
     LOCK,
@@ -17,6 +17,7 @@ from evaluation.runs.files import (
     WRITTEN,
     forget_missing,
     is_temporary,
+    label_of,
 )
 from evaluation.runs.manifest import CELL_NAME, parsed, read_manifest, undamaged, write_manifest
 from isac_track.errors import DataError, SettingsError

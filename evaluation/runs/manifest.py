@@ -25,7 +25,7 @@ import numpy as np
 
 import isac_track
 from evaluation.experiment.fingerprint import digest
-from evaluation.runs.files import MANIFEST, content_of, write_whole
+from evaluation.runs.files import MANIFEST, content_of, label_of, write_whole
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
@@ -116,7 +116,6 @@ def others(
     entries: Iterable[dict[str, Any]], *, than: Iterable[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the entries of other consumers at other levels."""
-    from evaluation.runs.cell_files import label_of  # noqa: PLC0415 - slow to import
 
     def key(entry: Mapping[str, Any]) -> tuple[str, str]:
         return entry["spec"], label_of(entry)
@@ -238,7 +237,7 @@ def losses_of(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
     full as well; over the cells the mean `loss` of rank 1, a fraction, and the `most`, of which
     `consumer` at which mechanism, `spec`, it was. A task whose pairs are all scored is not there.
     """
-    from evaluation.runs.cell_files import label_of, read_outcomes  # noqa: PLC0415 - slow to import
+    from evaluation.runs.cell_files import read_outcomes  # noqa: PLC0415 - slow to import
 
     found: dict[str, list[tuple[float, int, str, str]]] = defaultdict(list)
     linked = [entry for entry in entries if entry["kind"] == "linkage"]
@@ -308,8 +307,6 @@ def merged_cells(
     An earlier level that was never finished (interrupted, or a plug-in that failed) is left out:
     `held` has what the files hold that are there.
     """
-    from evaluation.runs.cell_files import label_of  # noqa: PLC0415 - slow to import
-
     finished = [
         entry
         for entry in earlier
