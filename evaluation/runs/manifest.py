@@ -116,7 +116,6 @@ def others(
     entries: Iterable[dict[str, Any]], *, than: Iterable[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the entries of other consumers at other levels."""
-    from evaluation.runs.cell_files import label_of  # noqa: PLC0415 - slow to import
 
     def key(entry: Mapping[str, Any]) -> tuple[str, str]:
         return entry["spec"], label_of(entry)

@@ -69,7 +69,7 @@ def run(tmp_path_factory):
         out = folder / name
         if not out.exists():
             settings = smoke(walks, out, scenes=20, **axes)
-            evaluation.run(replace(settings, **changes[name]), pictures=False)
+            evaluation.run(replace(settings, **changes[name]), progress=False, pictures=False)
         return out
 
     return made
