@@ -32,6 +32,7 @@ Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 _BUILT_IN: dict[Kind, dict[str, str]] = {
     "predictors": {
         "least_squares": "predictors.least_squares:LeastSquares",
+        "constant_position": "predictors.constant_position:ConstantPosition",
         "kalman_cv": "predictors.kalman:KalmanCV",
         "kalman_ca": "predictors.kalman:KalmanCA",
         "kalman_imm": "predictors.kalman:KalmanIMM",
