@@ -18,7 +18,7 @@ from evaluation.analysis.families import families_in
 from evaluation.analysis.frontier import frontier
 from evaluation.analysis.keys import AS_SHARED
 from evaluation.analysis.linked_people import read_probes
-from evaluation.analysis.matching import Sweeps, comparisons, matched
+from evaluation.analysis.matching import Sweeps, matched
 from evaluation.analysis.metrics import ACHIEVED
 from evaluation.analysis.strongest import cross_fitted, strongest
 from evaluation.experiment.constants import OTHER_LAW
@@ -132,8 +132,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     linked = summary.linkage_estimates(read)
     known = families_in(manifest["cells"])
     sweeps = Sweeps({**found, **at_raw_alarms, **linked}, known)
-    compared = tuple(comparisons(sweeps, predictors=predictors))
-    at_equal = matched(compared, known=known, dataset=dataset)
+    at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
     best = strongest(sweeps.found, known)
     probes = read_probes(out, manifest, sweeps, strongest=best)
     crossed, halves = cross_fitted(

@@ -8,7 +8,6 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Final
 
@@ -156,28 +155,8 @@ class Sweeps:
         return min((self.found[key].n for key in keys if key in self.found), default=0)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Comparison:
-    """A mechanism and fixed noise along all points at which they are matched."""
-
-    mechanism: str
-    """Compared with fixed noise."""
-    measure: Measure
-    points: Mapping[str, Floats]
-    """(P,) by column of `matched.csv`, from `at` to `defined`."""
-    mean_difference: Floats
-    """(1 + B,) over the points that have an interval; row 0 is the estimate; NaN without any"""
-    mean_fixed: float
-    """Of fixed noise, over the same points."""
-    n: int
-    """Clusters."""
-    criterion: str = ""
-    adding: str = ""
-    predictor: str = ""
-
-
-def comparisons(sweeps: Sweeps, *, predictors: Sequence[str]) -> Iterator[Comparison]:
-    """Yield every mechanism with levels against fixed noise: every criterion, rule and measure.
+def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.DataFrame:
+    """Return every mechanism with levels against fixed noise: every criterion, rule and measure.
 
     Both curves run from their noisiest level to raw, which is one and the same for both. What is
     matched and what is compared are made monotone over the levels (`joined`) and interpolated,
@@ -189,6 +168,12 @@ def comparisons(sweeps: Sweeps, *, predictors: Sequence[str]) -> Iterator[Compar
     is compared under its own adding rule, one that declares none under both. FID comes first.
     `sweeps` are of every metric of the run, linkage among them; of `predictors` the reference is
     the first.
+
+    The columns are `COLUMNS`. `mechanism` (of `family`) is what stands in the columns `fid`: the
+    paper's mechanism, or another of the run. `at` is the rise of the missed rate over raw, or the
+    PLR as shared; `missed_conflict_rate` is raw's estimate plus the rise. `defined` is the share of
+    replicates that reach the point; where it is below `MIN_DEFINED` there is no interval (NaN),
+    since the replicates that are left would all lie on one side.
     """
     # Descriptors as shared, then the same after each attack, and what each linker achieves.
     known = dict.fromkeys(key.measure for key in sweeps.found)
@@ -208,69 +193,67 @@ def comparisons(sweeps: Sweeps, *, predictors: Sequence[str]) -> Iterator[Compar
     exposure = AS_SHARED.measure(EXPOSURE)
     if exposure in shared:
         criteria.append((PLR, exposure, "", [one for one in measures if one != exposure]))
-    for adding in ADDING_RULES:
-        fixed = sweeps.named(FIXED, adding=adding)
-        for mechanism in sweeps.swept(adding):
-            for criterion, by, predictor, wanted in criteria if mechanism != fixed else ():
-                for one in compare(sweeps, (mechanism, fixed), by, wanted):
-                    yield replace(one, criterion=criterion, adding=adding, predictor=predictor)
+    parts = [
+        {
+            "dataset": dataset_of(measure.consumer, dataset=dataset),
+            "criterion": criterion,
+            "adding": adding,
+            "predictor": predictor,
+            **measure._asdict(),
+            **points,
+            "n": min(sweeps.n(arm, measure) for arm in (mechanism, fixed)),
+            "mechanism": mechanism,
+            "family": sweeps.known[mechanism].family,
+        }
+        for adding in ADDING_RULES
+        for fixed in [sweeps.named(FIXED, adding=adding)]
+        for mechanism in sweeps.swept(adding)
+        for criterion, by, predictor, wanted in (criteria if mechanism != fixed else ())
+        for measure, points in _compared(sweeps, (mechanism, fixed), by, wanted)
+    ]
+    n_points = [part["at"].size for part in parts]
+    return pd.DataFrame(
+        {
+            name: np.concatenate([part[name] for part in parts])
+            if name in _POINTS and parts
+            else np.repeat(np.array([part[name] for part in parts], dtype=object), n_points)
+            for name in COLUMNS
+        }
+    ).infer_objects()
 
 
-def matched(
-    compared: Iterable[Comparison], *, known: Mapping[str, Family], dataset: str
-) -> pd.DataFrame:
-    """Return the comparisons as rows; the columns are `COLUMNS`.
-
-    `mechanism` (of `family`) is what stands in the columns `fid`: the paper's mechanism, or
-    another of the run. `at` is the rise of the missed rate over raw, or the PLR as shared;
-    `missed_conflict_rate` is raw's estimate plus the rise. `defined` is the share of replicates
-    that reach the point; where it is below `MIN_DEFINED` there is no interval (NaN), since the
-    replicates that are left would all lie on one side. `known` are the mechanisms of the run, from
-    `families`.
-    """
-    compared = list(compared)
-    about = pd.DataFrame(
-        [
-            {
-                "dataset": dataset_of(one.measure.consumer, dataset=dataset),
-                **{name: getattr(one, name) for name in ("criterion", "adding", "predictor")},
-                **one.measure._asdict(),
-                "n": one.n,
-                "mechanism": one.mechanism,
-                "family": known[one.mechanism].family,
-                "points": one.points["at"].size,
-            }
-            for one in compared
-        ],
-        columns=[*(name for name in COLUMNS if name not in _POINTS), "points"],
-    )
-    rows = about.loc[about.index.repeat(about.pop("points").astype(int))].reset_index(drop=True)
-    for name in _POINTS if compared else ():
-        rows[name] = np.concatenate([one.points[name] for one in compared])
-    return rows.reindex(columns=COLUMNS)
-
-
-def compare(
+def _compared(
     sweeps: Sweeps, arms: tuple[str, str], by: Measure, measures: Sequence[Measure]
-) -> Iterator[Comparison]:
+) -> Iterator[tuple[Measure, dict[str, Floats]]]:
     """Yield measures of two mechanisms where `by` has changed from raw by as much in both.
 
-    `arms` are the names of the mechanism that is compared and of fixed noise.
+    `arms` are the names of the mechanism that is compared and of fixed noise. With each come the
+    columns of `matched.csv`, (P,), from `at` to `defined`.
     """
     scales = sweeps.curves(*arms, by)
-    if scales is None:
+    reach = min(np.abs(one[0] - one[0, -1]).max() for one in scales) if scales else 0.0
+    if scales is None or not reach > 0:
         return
-    reach = min(np.abs(scale[0] - scale[0, -1]).max() for scale in scales)
-    if not reach > 0:
-        return
-    raw = float(scales[0][0, -1])
-    is_plr = by.source == AS_SHARED
+    raw, is_plr = float(scales[0][0, -1]), by.source == AS_SHARED
     for n_points, are_shared in ((N_POINTS, True), (N_ATTACK_POINTS, False)):
         # No change is raw itself, the end of both curves: nothing is compared there.
         at = np.linspace(0.0, reach, n_points + 1)[1:]
         at = at[::-1] if is_plr else at  # at ascends, in PLR as well
         of = [one for one in measures if (one.consumer == SHARED) == are_shared]
-        yield from _compared(sweeps, arms, by, of, at=at, raw=raw)
+        for measure, compared, fixed in at_changes(sweeps, arms, by, of, at=at):
+            defined = np.isfinite(compared[1:] - fixed[1:]).mean(axis=0)
+            points = {
+                "at": raw - at if is_plr else at,
+                "missed_conflict_rate": np.full(n_points, np.nan) if is_plr else raw + at,
+                "defined": defined,
+            }
+            drawn = np.concatenate([compared, fixed, compared - fixed], axis=1).T.copy()
+            has_ends = np.isfinite(drawn[:, 1:]).all(axis=1) | np.tile(defined >= MIN_DEFINED, 3)
+            ends = np.where(has_ends, percentile_intervals(drawn[:, 1:]), np.nan)
+            read = np.stack([drawn[:, 0], *ends]).reshape(3, 3, n_points)
+            for names, values in zip(_INTERVALS, read.swapaxes(0, 1), strict=True):
+                points |= zip(names, values, strict=True)
+            yield measure, points
 
 
 def at_changes(
@@ -293,46 +276,6 @@ def at_changes(
             )
             n_rows = min(len(first), len(second))
             yield measure, first[:n_rows], second[:n_rows]
-
-
-def _compared(
-    sweeps: Sweeps,
-    arms: tuple[str, str],
-    by: Measure,
-    measures: Sequence[Measure],
-    *,
-    at: Floats,
-    raw: float,
-) -> Iterator[Comparison]:
-    n_points, is_plr = at.size, by.source == AS_SHARED
-    for measure, compared, fixed in at_changes(sweeps, arms, by, measures, at=at):
-        difference = compared - fixed
-        defined = np.isfinite(difference[1:]).mean(axis=0)
-        counts = (defined >= MIN_DEFINED) & np.isfinite(difference[0])
-        points = {
-            "at": raw - at if is_plr else at,
-            "missed_conflict_rate": np.full(n_points, np.nan) if is_plr else raw + at,
-            "defined": defined,
-        }
-        drawn = np.concatenate([compared, fixed, difference], axis=1).T.copy()
-        has_ends = np.isfinite(drawn[:, 1:]).all(axis=1) | np.tile(defined >= MIN_DEFINED, 3)
-        ends = np.where(has_ends, percentile_intervals(drawn[:, 1:]), np.nan)
-        read = np.stack([drawn[:, 0], *ends]).reshape(3, 3, n_points)
-        for names, values in zip(_INTERVALS, read.swapaxes(0, 1), strict=True):
-            points |= zip(names, values, strict=True)
-        # Of each row over what is known; NaN where nothing is.
-        is_known = counts & ~np.isnan(difference)
-        with np.errstate(invalid="ignore"):
-            total = np.where(is_known, difference, 0.0).sum(axis=1)
-            mean_difference = total / is_known.sum(axis=1)
-        yield Comparison(
-            mechanism=arms[0],
-            measure=measure,
-            points=points,
-            mean_difference=mean_difference,
-            mean_fixed=float(fixed[0, counts].mean()) if counts.any() else np.nan,
-            n=min(sweeps.n(arm, measure) for arm in arms),
-        )
 
 
 def monotone(values: Floats, *, increasing: bool) -> Floats:

@@ -38,6 +38,8 @@ class Settings:
     """Name of a known data set, or a path."""
     format: str | None = None
     fps: float | None = None
+    unit: str | None = None
+    """Of lengths in a file of one's own: m, cm or mm."""
     scenes: int | None = None
     """Attacked ones, and all."""
     seed: int = 0

@@ -194,9 +194,22 @@ def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
             make.said("about", "subject"),
             make.counted("people", "", "n", digits=0),
         ]
+        if all("power" in one for one in of):
+            ends = ("prediction_error", "prediction_error_low", "prediction_error_high")
+            columns += [
+                make.counted("people that show an equal", "", "n_needed", digits=0),
+                make.said("evidence", lambda row: ", ".join(row["evidence"])),
+                make.said("power", _power),
+                make.counted("prediction error", "points", *ends, scale=100.0),
+            ]
         records = map(_told, of)
         found[section] = make.built(f"verdict-{section}", section.capitalize(), records, columns)
     return found
+
+
+def _power(item: Mapping[str, Any]) -> str:
+    """Return how probable each decision was."""
+    return ", ".join(f"{what} {100 * one:.0f} %" for what, one in item["power"].items())
 
 
 def _by_section(items: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:

@@ -19,6 +19,7 @@ from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.table import Table, printable, shortened
 from evaluation.reporting.terminal import aligned
 from evaluation.runs.files import PAGE
+from evaluation.verdict.rules import DOES_NOT
 from isac_track.linkability import LEVEL
 
 if TYPE_CHECKING:
@@ -98,6 +99,8 @@ def _doubts(run: Results) -> Iterator[str]:
     tests = [one for task in run.tasks for of in control_tests(task).values() for one in of]
     if tests:
         yield f"{sum(tests)} of {len(tests)} controls link ({LEVEL * len(tests):.0f} expected)"
+    if n := sum(one["decision"] == DOES_NOT for one in (run.verdict or {}).get("controls", ())):
+        yield f"{n} positive controls of the descriptors FAIL"
     linkage = run.manifest.get("linkage") or {}
     tasks = linkage.get("tasks", {}).values()
     if n := max((one.get("frozen", 0) for one in tasks), default=0):

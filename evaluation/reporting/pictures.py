@@ -40,7 +40,7 @@ def pictures(of: Headline) -> list[Picture | None]:
     found = {one.measure.source.task: one for one in of.linked}
     return [
         _levels(of, "Conflicts that a robot misses", missed, _MISSED),
-        _levels(of, "Positions known to 0.3 m", known, "positions known (%)"),
+        _levels(of, "Positions known to 0.3 m", known, "positions known (%)", of.attacked),
         _levels(of, "People found again by the strongest attack", found, "found again (rank 1, %)"),
         _telling(of),
         _chosen(of),
@@ -63,14 +63,22 @@ def planes(of: Headline) -> dict[str, list[Picture]]:
     return found
 
 
-def _levels(of: Headline, title: str, shown: Mapping[str, Shown], x_label: str) -> Picture | None:
+def _levels(
+    of: Headline,
+    title: str,
+    shown: Mapping[str, Shown],
+    x_label: str,
+    other_law: Shown | None = None,
+) -> Picture | None:
     """Return the levels of the first table as rows, a mark for each number."""
-    levels = [
-        where for where in levels_of(of)[0] if any(of.at(where, one) for one in shown.values())
-    ]
+    every, _ = levels_of(of)
+    levels = [where for where in every if any(of.at(where, one) for one in shown.values())]
+    found = {name: [of.at(where, one) for where in levels] for name, one in shown.items()}
+    if other_law and of.other_law:
+        isotropic = [of.at(where, other_law, other_law=True) for where in levels]
+        found["the same, isotropic error"] = isotropic
     series = {
-        name: (look, [of.at(where, one) for where in levels])
-        for (name, one), look in zip(shown.items(), _SERIES, strict=False)
+        name: (look, values) for (name, values), look in zip(found.items(), _SERIES, strict=False)
     }
     rows = [of.name(where) for where in levels]
     if not rows:

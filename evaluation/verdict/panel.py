@@ -21,6 +21,7 @@ from evaluation.experiment.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.spread import NEITHER, Contrasts
 from isac_track import plugins
+from isac_track.intervals import effective_clusters, without_each
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -51,9 +52,9 @@ class Sums:
     @property
     def sizes(self) -> tuple[Floats, Ints]:
         """Return the effective clusters of each level and how many they are, (L,) each."""
-        both = self.probes, self.windows
-        counts = [(one > 0).sum(axis=1) for one in both]
-        return np.minimum(*map(spread.effective, both)), np.minimum(*counts)
+        both = np.stack([self.probes, self.windows])
+        effective = np.apply_along_axis(effective_clusters, 2, both)
+        return effective.min(axis=0), (both > 0).sum(axis=2).min(axis=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -155,7 +156,8 @@ def drawn_weights(task: LinkedTask, every: Sequence[LinkedTask], dataset: str, s
     counts = rng.multinomial(len(people), np.full(len(people), 1.0 / len(people)), N_REPLICATES)
     n = len(task.clusters)
     mine = counts[:, [place[name] for name in task.clusters]]
-    return np.concatenate([np.ones((1, n)), mine, 1.0 - np.eye(n)])
+    whole, left_out = np.split(without_each(n), [1])
+    return np.concatenate([whole, mine, left_out])
 
 
 def contrasts(

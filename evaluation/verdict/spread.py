@@ -97,13 +97,6 @@ def ratios(sums: Floats, counts: Floats, weights: Floats) -> Floats:
     return found
 
 
-def effective(counts: Floats) -> Floats:
-    """Return the effective number of clusters, n^2 / sum m^2, of each row of their sizes, (L,)."""
-    total, squares = counts.sum(axis=1), (counts**2).sum(axis=1)
-    found: Floats = np.divide(total**2, squares, out=np.zeros(len(counts)), where=squares > 0)
-    return found
-
-
 def standard_error(drawn: Floats, left_out: Floats) -> Floats:
     """Return the standard error of each column: of the jackknife, or of the bootstrap if larger.
 

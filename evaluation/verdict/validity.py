@@ -21,9 +21,9 @@ from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import power, rules, spread
 from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, label, panel
 from evaluation.verdict.prediction_error import Squared, kind_of, prediction_errors
-from evaluation.verdict.rules import BETWEEN, NAME, known
+from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
 from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
-from isac_track.intervals import CONFIDENCE
+from isac_track.intervals import CONFIDENCE, Estimate
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -174,23 +174,19 @@ def _evidence(of: Panel, place: int, gap: float) -> str:
 def _item(one: Tested, section: Floats) -> dict[str, Any]:
     """Return an item as in `verdict.json`."""
     of, found = one.of, one.found
-    wide = spread.widths(found, section)
-    codes, low, high = spread.decided(
-        found, wide, gaps=found.gaps[:1], fall=found.fall[:1], span=found.span[:1]
-    )
-    decision = spread.ANSWERS[codes[0]]
+    wide, answer = _answer(one, section, span=found.span[:1])
+    decision, low, high = (answer[name] for name in ("decision", "spread_low", "spread_high"))
     compared, beside = _contrasts(of, of.compared, found, one.people, wide), []
     if one.beside is not None:
         theirs = spread.widths(one.beside[0], section)
         beside = _contrasts(of, of.beside, *one.beside, theirs)
     sure = [gap for gap in compared if gap["reading"] == rules.DIFFERS]
-    is_flat = decision == rules.DOES_NOT and low[0] <= rules.SUCCESS_MARGIN
+    is_flat = decision == rules.DOES_NOT and low <= rules.SUCCESS_MARGIN
     # What is equal, and what a flat descriptor misses, is so as far as these attacks go.
     kinds = sorted({gap["evidence"] for gap in sure}) if sure and not is_flat else [ATTACKS]
     answers = power.answers(found, wide, [of.families[place] for place in of.compared])
     needed = None if is_flat else power.clusters_needed(found, wide, one.n)
-    numbers = spread.shown(found), float(low[0]), float(high[0])
-    keys = ("spread", "spread_low", "spread_high", "effect", "ci_low", "ci_high")
+    why = f"between {_points(low)} and {_points(high)} of 100 people" * (decision == BETWEEN)
     said = {
         "id": f"{rules.VALIDITY}/{of.adding}/{one.descriptor}/{of.task.task}",
         "section": rules.VALIDITY,
@@ -199,9 +195,11 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
         "task": of.task.task,
         "subject": of.task.levels[of.fixed[-1]].linker.attack.label,
         "criterion": "",
-        "decision": decision,
+        **answer,
         "sign": rules.SIGN[decision],
-        **dict(zip(keys, numbers * 2, strict=True)),
+        "effect": answer["spread"],
+        "ci_low": low,
+        "ci_high": high,
         "unit": "fraction",
         "metric": "rank1" if of.task.gallery is None else "rank1_g100",
         **_error_numbers(one.errors),
@@ -210,7 +208,7 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
         "power_if": answers,
         "n": one.n,
         "n_needed": needed,
-        "why": _why_not(one, wide) if decision == rules.NOT_TESTABLE else "",
+        "why": _why_not(one, wide) if decision == rules.NOT_TESTABLE else why,
         "contrasts": compared + beside,
     }
     return {**said, "sentence": _sentence(one, said)}
@@ -218,18 +216,21 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
 
 def _control(one: Tested, section: Floats) -> dict[str, Any]:
     """Return the record of a positive control: it must not be said to fail."""
-    wide = spread.widths(one.found, section)
     # Of linkage itself any span will do.
+    _, answer = _answer(one, section, span=np.full(1, np.inf))
+    about = {"adding": one.of.adding, "task": one.of.task.task, "descriptor": OTHER_HALF}
+    return {**about, **answer, "n": one.n}
+
+
+def _answer(one: Tested, section: Floats, *, span: Floats) -> tuple[Widths, dict[str, Any]]:
+    """Return how far the ends lie from the estimates, and decision and spread."""
+    wide, found = spread.widths(one.found, section), one.found
     codes, low, high = spread.decided(
-        one.found, wide, gaps=one.found.gaps[:1], fall=one.found.fall[:1], span=np.full(1, np.inf)
+        found, wide, gaps=found.gaps[:1], fall=found.fall[:1], span=span
     )
-    return {
-        "adding": one.of.adding,
-        "task": one.of.task.task,
-        "n": one.n,
-        "descriptor": OTHER_HALF,
+    return wide, {
         "decision": spread.ANSWERS[codes[0]],
-        "spread": spread.shown(one.found),
+        "spread": spread.shown(found),
         "spread_low": float(low[0]),
         "spread_high": float(high[0]),
     }
@@ -307,47 +308,38 @@ def _why_not(one: Tested, wide: Widths) -> str:
 
 def _sentence(one: Tested, said: Mapping[str, Any]) -> str:
     """Return what an item says."""
-    found, name, decision = one.found, NAME[one.descriptor], said["decision"]
-    gallery = "" if one.of.task.gallery else " (plain rank 1, galleries of its own)"
-    where = f"In {one.of.task.task}{gallery}, at equal {name}"
-    low, high, needed = said["spread_low"], said["spread_high"], said["n_needed"]
-    people = "of 100 people more or fewer be linked than fixed noise"
+    name, decision, low = NAME[one.descriptor], said["decision"], said["spread_low"]
+    task = one.of.task.task
+    where = f"In {task}{'' if one.of.task.gallery else ' (plain rank 1, galleries of its own)'}"
+    equal = f"{where}, at equal {name}"
+    either = "more or fewer be linked than fixed noise"
+    fails = f"{name} does not track."
     if decision == rules.NOT_TESTABLE:
-        return f"In {one.of.task.task}, whether {name} tracks cannot be tested: {said['why']}."
+        return f"In {task}, whether {name} tracks cannot be tested: {said['why']}."
     if decision == rules.TRACKS:
-        return f"{where}, no mechanism lets {_points(high)} {people}: {name} tracks."
+        high = _points(said["spread_high"])
+        return f"{equal}, no mechanism lets {high} of 100 people {either}: {name} tracks."
     if decision == BETWEEN:
-        many = (
-            ""
-            if needed is None
-            else f"; if truly equal, about {_round(needed)} people would show it"
-        )
-        return f"{where}, mechanisms let between {_points(low)} and {_points(high)} {people}{many}."
+        many = float(f"{said['n_needed'] or 0:.2g}")
+        would = f"; if truly equal, about {many:,.0f} people would show it" if many else ""
+        return f"{equal}, mechanisms let {said['why']} {either}{would}."
     if low <= rules.SUCCESS_MARGIN:
+        fall, span = _points(one.found.fall[0]), np.exp(one.found.span[0])
         return (
-            f"In {one.of.task.task}{gallery}, from raw to the strongest fixed error "
-            f"{_points(found.fall[0])} fewer of 100 people are linked while {name} hardly changes "
-            f"({np.exp(found.span[0]):.2f} times): {name} does not track."
+            f"{where}, from raw to the strongest fixed error {fall} fewer of 100 people are linked "
+            f"while {name} hardly changes ({span:.2f} times): {fails}"
         )
-    sure = [gap for gap in said["contrasts"] if gap["reading"] == rules.DIFFERS]
     worst = max(
-        (gap for gap in sure if gap["evidence"] != CONSTRUCTION and gap["in_panel"]),
-        key=lambda gap: abs(gap["effect"]),
+        (gap for gap in said["contrasts"] if gap["reading"] == rules.DIFFERS and gap["in_panel"]),
+        key=lambda gap: (gap["evidence"] != CONSTRUCTION, abs(gap["effect"])),
     )
-    more = "more" if worst["effect"] > 0 else "fewer"
-    ends = sorted(abs(worst[end]) for end in ("ci_low", "ci_high"))
-    kind = "" if worst["evidence"] == SHOWN else ", as far as these attacks go"
+    gap = Estimate(*(worst[key] for key in ("effect", "ci_low", "ci_high")))
+    more, held = ("more", "") if gap.value > 0 else ("fewer", ", as far as these attacks go")
     return (
-        f"{where}, {_named(worst)} lets {_points(abs(worst['effect']))} [{_points(ends[0])}, "
-        f"{_points(ends[1])}] {more} of 100 people be linked than fixed noise{kind}: {name} does "
-        "not track."
+        f"{equal}, {_named(worst)} lets {with_interval(gap, 'share', absolute=True)} {more} of 100 "
+        f"people be linked than fixed noise{held}: {fails}"
     )
 
 
 def _points(share: float, digits: int = 1) -> str:
     return f"{100.0 * share:.{digits}f}"
-
-
-def _round(number: int) -> str:
-    """Return a number to two digits."""
-    return f"{float(f'{number:.2g}'):,.0f}"

@@ -125,7 +125,7 @@ def simulated(world, *, rng):
             noisy = scale * plr * np.exp(0.05 * rng.normal(size=n))
             put(Key(mechanism, level, SHARED, metric), noisy, share=False)
             rebuilt = noisy * (1.0 if world.kind == "empty" else 1.5)
-            after = rebuilt * np.exp(0.05 * rng.normal(size=n))
+            after = rebuilt * np.exp(0.05 * rng.normal(size=n) - 0.05**2 / 2)
             put(Key(mechanism, level, SMOOTHER, metric, "informed"), after, share=False)
         put(Key(mechanism, level, LINKER, "rank1", "informed"), hit)
         put(Key(mechanism, level, LINKER, "chance", "informed"), np.full(n, CHANCE), share=False)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.mechanisms import RULE, families_of, sweeps_of
+from helpers.mechanisms import RULE, sweeps_of
 from helpers.straight_lines import FID, FIXED, PREDICTORS, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,7 +19,7 @@ from evaluation.analysis.matching import (
     N_ATTACK_POINTS,
     N_POINTS,
     PLR,
-    comparisons,
+    at_changes,
     interpolated,
     joined,
     matched,
@@ -115,8 +115,7 @@ def test_a_curve_ends_at_raw_and_without_it_or_with_one_level_there_is_none():
 
 
 def frame(found):
-    compared = comparisons(sweeps_of(found), predictors=PREDICTORS)
-    return matched(compared, known=families_of(found), dataset="students03")
+    return matched(sweeps_of(found), predictors=PREDICTORS, dataset="students03")
 
 
 @pytest.fixture(scope="module")
@@ -196,14 +195,16 @@ def test_a_point_that_few_replicates_reach_has_no_interval():
     assert np.isfinite(last[["fixed_low", "fixed_high"]]).all(axis=None)
 
 
-def test_the_mean_difference_is_over_points_with_an_interval_and_paired():
-    for one in comparisons(sweeps_of(run(advantage=0.1)), predictors=PREDICTORS):
-        known = np.isfinite(one.points["ci_low"])
-        assert one.mean_difference[0] == pytest.approx(one.points["difference"][known].mean())
-        # Replicates of rank 1 are 100 of 200: paired with the first, or there would be a spread.
-        if one.measure.metric == "rank1":
-            assert one.mean_difference.size == 101
-            assert one.mean_difference[1:].std() < 1e-3
+LINKED = Measure("rerelease/shape", "rank1", "blind")
+
+
+def test_unequal_numbers_of_replicates_are_paired_with_the_first():
+    sweeps = sweeps_of(run(advantage=0.1))
+    by, rank1 = Measure(PREDICTORS[0], "missed_conflict_rate"), LINKED
+    ((_, ours, theirs),) = at_changes(sweeps, ("fid", "fixed"), by, [rank1], at=np.array([0.05]))
+    # Replicates of rank 1 are 100 of 200: paired with the others there would be a spread.
+    assert ours.shape == theirs.shape == (101, 1)
+    assert (ours - theirs)[1:].std() < 1e-3
 
 
 def test_each_replicate_is_read_at_its_own_raw_rate():
@@ -230,7 +231,7 @@ def test_without_fid_raw_or_the_predictor_nothing_is_matched():
     for left_out in ("raw", "fid"):
         some = {key: one for key, one in found.items() if not key.mechanism.startswith(left_out)}
         assert frame(some).empty
-    assert not list(comparisons(sweeps_of({}), predictors=["another"]))
+    assert matched(sweeps_of({}), predictors=["another"], dataset="students03").empty
 
 
 def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_rules(better):

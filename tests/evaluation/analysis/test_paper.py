@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.mechanisms import families_of, sweeps_of
+from helpers.mechanisms import sweeps_of
 
 from evaluation.analysis import matching, paper
 from evaluation.analysis.keys import Key
@@ -20,8 +20,7 @@ ERRORS = (0.1, 0.2, 0.5, 1.0)
 
 def matched(found, *, dataset, predictors):
     """Return the matched points at equal missed rate, descriptors as shared."""
-    compared = matching.comparisons(sweeps_of(found), predictors=predictors)
-    table = matching.matched(compared, known=families_of(found), dataset=dataset)
+    table = matching.matched(sweeps_of(found), predictors=predictors, dataset=dataset)
     return table[(table["criterion"] == matching.MISSED) & (table["consumer"] == "shared")]
 
 

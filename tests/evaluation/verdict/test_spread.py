@@ -45,10 +45,6 @@ def decision(one, section=None):
 
 
 class TestParts:
-    def test_effective_clusters_are_their_number_if_equal_and_fewer_if_not(self):
-        counts = np.array([[2.0, 2, 2, 0], [5, 1, 1, 1], [0, 0, 0, 0]])
-        assert spread.effective(counts) == pytest.approx([3, 64 / 28, 0])
-
     def test_the_jackknife_of_a_mean_is_its_standard_error(self):
         x = np.random.default_rng(0).normal(size=12)
         left_out = (x.sum() - x)[:, None] / 11

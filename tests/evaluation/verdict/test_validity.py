@@ -77,7 +77,7 @@ def test_every_item_carries_what_it_promises(worlds, equal):
         assert 0 <= one["spread_low"] <= one["spread"] <= one["spread_high"] <= 1
         assert one["decision"] == rules.BETWEEN
         assert one["evidence"] == []
-        assert one["why"] == ""
+        assert one["why"] in one["sentence"]
         assert one["n_needed"] > one["n"] == min(gap["n"] for gap in one["contrasts"])
         assert set(one["power"]) == {rules.TRACKS, rules.DOES_NOT}
         assert f"about {one['n_needed'] / 1000:,.1f}"[:7] in one["sentence"]
