@@ -53,6 +53,7 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "dataset": (str, "NAME|PATH", _DATA),
     "format": (str, "NAME", "format of your own file; see docs/data.md"),
     "fps": (float, "N", "frames per second of your own file"),
+    "unit": (str, "m|cm|mm", "of lengths in your own file (default: as its header says, else m)"),
     "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
     "seed": (int, "N", "base seed of every random stream (default: 0)"),
     "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES}"),
@@ -113,7 +114,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
         if not equals:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
         stage_values[name.strip()] = value.strip()
-    for key in ("fps", "format"):
+    for key in ("fps", "format", "unit"):
         if key in values and "dataset" not in values:
             raise SettingsError(f"--{key} describes your own file: name it with --dataset PATH")
     for key in _AXES:

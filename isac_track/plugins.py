@@ -32,6 +32,7 @@ Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 _BUILT_IN: dict[Kind, dict[str, str]] = {
     "predictors": {
         "least_squares": "predictors.least_squares:LeastSquares",
+        "constant_position": "predictors.constant_position:ConstantPosition",
         "kalman_cv": "predictors.kalman:KalmanCV",
         "kalman_ca": "predictors.kalman:KalmanCA",
         "kalman_imm": "predictors.kalman:KalmanIMM",
@@ -79,6 +80,8 @@ class Plugin:
     """Its name without parameters."""
     adding: str = ""
     """Adding rule that a mechanism declares; empty if it has none."""
+    digest: str = ""
+    """Of what was given as an object: what its cells depend on beside its SPEC."""
 
 
 def names(kind: Kind) -> dict[str, str]:
@@ -140,7 +143,7 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
             if ".." in value:
                 levels = _sweep(value, is_log=getattr(cls, "sweep", "linear") == "log")
             changes = [{first: _read(level, hints[first], first), **given} for level in levels]
-        return tuple(_plugin(kind, name, cls, origin, change) for change in changes)
+        return tuple(configured(kind, name, cls, origin, change) for change in changes)
 
 
 def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
@@ -307,7 +310,7 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
     return [f"{level:.12g}" for level in levels]
 
 
-def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
+def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
     """Return the plug-in of a class and its parameters, checked, with the names that it has."""
     instance = _made(name, cls, origin, changes)
     adding = check_declared(kind, instance, origin)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from isac_track.config import ConflictSettings, StageSettings
 
 _FEW_REDRAWS = 16
+FEW_PEOPLE = 20
+"""With fewer nothing is decided."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,7 +51,7 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     try:
         sampled = resample(recorded, settings=settings.resample, seed=seed)
     except ValueError as error:
-        raise DataError(f"{error}; lower resample.min_duration_s or use longer tracks") from None
+        raise DataError(f"{error}; {what_would_help(recorded, settings=settings)}") from None
     whole_of = dict(zip(recorded.source, recorded, strict=True))
     conflict = settings.conflict
     parts: list[tuple[Floats, Floats]] = []
@@ -71,8 +73,8 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     if len(kept) < settings.scenes.agents:
         raise DataError(
             f"{len(kept)} of {len(recorded)} tracks last {settings.resample.min_duration_s:g} s "
-            f"and cover the horizon, but a scene needs {settings.scenes.agents}; lower "
-            "resample.min_duration_s or use longer tracks"
+            f"and cover the horizon, but a scene needs {settings.scenes.agents}; "
+            f"{what_would_help(recorded, settings=settings)}"
         )
     samples, offsets = stretches(sampled.offsets[kept], np.array(sizes))
     t_future_parts, xy_future_parts = zip(*parts, strict=True)
@@ -87,6 +89,25 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
         too_short=len(recorded) - len(sampled),
         no_future=len(sampled) - len(kept),
     )
+
+
+def what_would_help(recorded: Tracks, *, settings: StageSettings, used: int = 0) -> str:
+    """Return how a recording could be used of which so few tracks, `used`, are long enough.
+
+    Enough are `FEW_PEOPLE` tracks, or else as many as a scene has agents. None may be so short
+    that its last part, at the slowest rate of sampling, does not cover the horizon.
+    """
+    durations = np.sort(recorded.t[recorded.offsets[1:] - 1] - recorded.t[recorded.offsets[:-1]])
+    horizon_s = (settings.conflict.horizon_steps - 1) / settings.resample.rate_min_hz
+    least_s = max(horizon_s / (1.0 - settings.scenes.history_ratio), 0.1)
+    shown = ", ".join(f"{one:.1f}" for one in durations[::-1][:4])
+    longest = f"the longest last {shown} s"
+    wanted = [people for people in (FEW_PEOPLE, settings.scenes.agents) if people > used]
+    for people in wanted:
+        if len(durations) >= people and durations[-people] >= least_s:
+            value = np.floor(10.0 * durations[-people]) / 10.0
+            return f"{longest}; --set resample.min_duration_s={value:g} takes {people} or more"
+    return f"{longest}; record longer: {wanted[-1]} tracks of {least_s:.1f} s or more are needed"
 
 
 def history_samples(*, n_samples: int, ratio: float) -> int:

@@ -46,7 +46,7 @@ _VERDICT = "verdict.json"
 """Compares over galleries of any size."""
 _MOST_NAMED = 4
 _MOST_LEVELS = 5
-_ABOUT_DATA = frozenset({"dataset", "sha256", "format", "fps", "tracks", "tracks_used"})
+_ABOUT_DATA = frozenset({"dataset", "sha256", "format", "fps", "unit", "tracks", "tracks_used"})
 _ABOUT_CODE = ("code version", "isac_track", "git_commit", "python", "machine")
 _KEEP_DRAWS = (
     *("dataset", "privacy.", "sensing."),

@@ -96,7 +96,9 @@ def plan(settings: Settings) -> Plan:
     Raises IsacTrackError for anything that a user can mend.
     """
     crossed = axes(settings)
-    dataset = datasets.load(settings.dataset, format=settings.format, fps=settings.fps)
+    dataset = datasets.load(
+        settings.dataset, format=settings.format, fps=settings.fps, unit=settings.unit
+    )
     tracks = cut(dataset.tracks, settings=settings.stages, seed=settings.seed)
     # One task always uses the bundled crowd.
     bundled = b"".join(crowd.bundled_path(session).read_bytes() for session in crowd.FILES)
@@ -110,6 +112,8 @@ def plan(settings: Settings) -> Plan:
         "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
+    if settings.unit is not None:
+        identity["unit"] = settings.unit
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
     sessions, skipped = [], {}
@@ -183,7 +187,12 @@ def _units(
             )
             by_stage.setdefault(consumer.task or of_block, {})[key] = consumer
         for mechanism in mechanisms:
-            about = (BLOCK_SCENES, mechanism.spec, mechanism.origin)
+            about = (
+                BLOCK_SCENES,
+                mechanism.spec,
+                mechanism.origin,
+                *filter(None, [mechanism.digest]),
+            )
             for stage, of_stage in by_stage.items():
                 made_by = code(stage, mechanism)
                 for block in blocks:

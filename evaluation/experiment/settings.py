@@ -38,11 +38,13 @@ class Settings:
     """Name of a known data set, or a path."""
     format: str | None = None
     fps: float | None = None
+    unit: str | None = None
+    """Of lengths in a file of one's own: m, cm or mm."""
     scenes: int | None = None
     """Attacked ones, and all."""
     seed: int = 0
     mechanisms: tuple[str, ...] | None = None
-    """SPECs; they replace the preset's."""
+    """SPECs, or objects of plug-ins; they replace the preset's."""
     predictors: tuple[str, ...] | None = None
     """SPECs; they replace the preset's. Empty: no predictor."""
     attacks: tuple[str, ...] | None = None

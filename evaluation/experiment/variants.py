@@ -176,11 +176,11 @@ def settings_of(
 
     ran = manifest["settings"]
     stages = StageSettings().changed(ran["stages"]).changed(variant.stages)
-    name, own = manifest["dataset"]["name"], dict[str, Any](format=None, fps=None)
+    name, own = manifest["dataset"]["name"], dict[str, Any]()
     source = variant.recording or name
     if not variant.recording and name not in KNOWN:
         source = manifest["dataset"]["path"]
-        own = {"format": manifest["dataset"]["format"], "fps": manifest["identity"]["fps"]}
+        own = {name: manifest["identity"].get(name) for name in ("format", "fps", "unit")}
     # Nobody waits for a network here: a data set that is missing fails with how to get it.
     data = datasets.load(source, download=False, **own)
     if not variant.recording and data.sha256 != manifest["dataset"]["sha256"]:

@@ -27,6 +27,17 @@ WIDTH: Final = 80
 CONSUMERS: Final = ("predictor", "attack", "task")
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _MOST_SECONDS = 120
+_MENDED: Final = {
+    "gap": "gaps bridged",
+    "split": "tracks split at a long gap",
+    "one-point": "single samples dropped",
+    "duplicate": "rows twice, dropped",
+    "unsorted": "rows sorted",
+    "fast-step": "steps over 12 m/s kept",
+    "ignored-column": "columns not used",
+}
+"""What is told of repairs, by kind."""
+_TOLD_WHOLE: Final = ("header", "unit", "frame-clock")
 _LARGE_GALLERY = 3000
 """People, above which it is proposed to score some alone."""
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
@@ -103,7 +114,9 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
     from evaluation.runs.files import CHECKSUMS  # noqa: PLC0415 - names alone need none
     from evaluation.runs.folder import check_folder, usable  # noqa: PLC0415 - names alone need none
+    from evaluation.runs.manifest import about_data  # noqa: PLC0415 - names alone need none
     from evaluation.runs.pieces import n_finished  # noqa: PLC0415 - names alone need none
+    from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - names alone need none
 
     # Reading all of them would take seconds here; the run does, and says which are damaged.
     check_folder(ready.out)
@@ -117,6 +130,8 @@ def plan_lines(ready: Plan) -> Iterator[str]:
     )
     if ready.dataset.notice:
         yield f"notice: {ready.dataset.notice}"
+    if ready.dataset.name not in KNOWN:  # of the others docs/data.md tells
+        yield from (f"notice: {one}" for one in data_notices(about_data(ready)))
     for why in ready.axes.skipped.values():
         yield f"notice: left out: {why}"
     yield from _large_galleries(ready)
@@ -152,6 +167,25 @@ def _large_galleries(ready: Plan) -> Iterator[str]:
             "time and memory grow with the square; --set linkage.candidates=100 scores the "
             "likeliest 100 alone and says what that loses"
         )
+
+
+def data_notices(dataset: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what was made of a recording: read, mended and left out, in numbers.
+
+    `dataset` is that part of a manifest.
+    """
+    if helps := dataset.get("would_help"):
+        yield f"{dataset['tracks_used']} tracks in scenes are too few to decide by; {helps}"
+    counts: Counter[str] = Counter()
+    for one in dataset["repairs"]:
+        counts[one["kind"]] += one["count"]
+        if one["kind"] in _TOLD_WHOLE:
+            yield one["detail"]
+    mended = [f"{counts[kind]:,} {words}" for kind, words in _MENDED.items() if counts[kind]]
+    left_out = dataset["too_short"] + dataset["no_future"]
+    mended += [f"{left_out:,} tracks too short for a scene"] if left_out else []
+    if mended:
+        yield f"{dataset['name']}: {', '.join(mended)}"
 
 
 def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
@@ -221,8 +255,9 @@ def same_run(manifest: Mapping[str, Any], *, axes: Sequence[str] = CONSUMERS) ->
     words += ["--dataset", dataset["name"] if known else dataset["path"]]
     if not known and dataset["format"]:
         words += ["--format", dataset["format"]]
-    if not known and identity.get("fps") is not None:
-        words += ["--fps", str(identity["fps"])]
+    for option in ("fps", "unit"):
+        if not known and identity.get(option) is not None:
+            words += [f"--{option}", str(identity[option])]
     every = identity.get("scenes_utility", identity["scenes"])
     if (identity["scenes"], every) != (usual.scenes, usual.utility_scenes):
         words += ["--scenes", str(identity["scenes"])]

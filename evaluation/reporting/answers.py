@@ -29,8 +29,14 @@ _UNTESTED: Final = "not tested: "
 _EVIDENCE: Final = {
     "attacks": _HELD,
     "shown": "shown by linking more",
-    "construction": "by construction",
 }
+_LEADS: Final = {
+    rules.DOES_NOT: "no",
+    rules.TRACKS: "yes",
+    rules.BETWEEN: "not shown either way",
+    rules.NOT_TESTABLE: "not testable",
+}
+"""What an item's decision answers: the first that any item has."""
 _PLURAL: Final = {rules.TRACKS: "track", rules.DOES_NOT: "do not track"}
 
 
@@ -137,26 +143,27 @@ def _told(items: Sequence[Mapping[str, Any]]) -> str:
         return f"{_UNTESTED}that takes levels of fixed noise, and somebody who links."
     counts = Counter(one["decision"] for one in mine)
     count = ", ".join(f"{n} {_PLURAL.get(one, one)}" for one, n in counts.items())
-    of = f"of {len(mine)} items {count}"
-    against = [one for one in mine if one["decision"] == rules.DOES_NOT]
-    if not against:
-        return f"{'as far as tested' if counts[rules.TRACKS] else 'not shown either way'}: {of}."
-    widest = max(against, key=lambda one: _spread(one)[1])
-    gap = "{:.0f} [{:.0f}, {:.0f}]".format(*(100.0 * one for one in _spread(widest)))
-    heads = ", ".join(dict.fromkeys(rules.NAME[one["descriptor"]] for one in against))
-    head, where = rules.NAME[widest["descriptor"]], f"{widest['task']}, {widest['adding']}"
-    kinds = widest.get("evidence") or ["attacks" if widest["effect"] < 0 else "shown"]
-    rests = " and ".join(_EVIDENCE[one] for one in kinds)
-    differs = f"at equal {head} linkage differs by {gap} of 100 people ({where})"
-    return f"no ({heads}): {differs}, {rests}; {of}."
-
-
-def _spread(item: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return by how much of all people linkage differs at an equal descriptor, with its ends."""
-    names = ("effect", "ci_low", "ci_high")
-    names = ("spread", "spread_low", "spread_high") if "spread" in item else names
-    value, *ends = (abs(item[name] or 0.0) for name in names)
-    return value, min(ends), max(ends)
+    decision = next(one for one in _LEADS if counts[one])
+    of = [one for one in mine if one["decision"] == decision]
+    widest = max(of, key=lambda one: one["spread_low"] or 0.0)
+    ends = ("spread", "spread_low", "spread_high")
+    spread, low, high = (f"{100.0 * (widest[name] or 0.0):.0f}" for name in ends)
+    heads = ", ".join(dict.fromkeys(rules.NAME[one["descriptor"]] for one in of))
+    head, needed = rules.NAME[widest["descriptor"]], widest["n_needed"]
+    equal, where = f"at equal {head} linkage differs by", f"{widest['task']}, {widest['adding']}"
+    if decision == rules.DOES_NOT:
+        said = f"{equal} {spread} of 100 people, at least {low} ({where})"
+        if widest["spread_low"] <= rules.SUCCESS_MARGIN:
+            said = f"linkage falls where {head} hardly changes ({where})"
+    elif decision == rules.NOT_TESTABLE:
+        said = f"{where}: {widest['why']}"
+    else:
+        said = f"{equal} {low} to {high} of 100 people ({where})"
+        if needed and decision == rules.BETWEEN:
+            said += f"; were it equal, about {needed:.0f} people would show it"
+    # What is so by construction decides nothing by itself.
+    rests = "".join(f", {_EVIDENCE[one]}" for one in widest["evidence"] if one in _EVIDENCE)
+    return f"{_LEADS[decision]} ({heads}): {said}{rests}; of {len(mine)} items {count}."
 
 
 def _chosen(of: Headline) -> str:

@@ -72,11 +72,6 @@ class Headline:
     """All levels of the run: the ceiling comes last."""
 
     @property
-    def levels(self) -> list[Where]:
-        """The levels that have a row where there is room."""
-        return levels_of(self)[0]
-
-    @property
     def columns(self) -> list[Shown]:
         """All that is shown, in order."""
         return [*self.robots, self.shared, *filter(None, [self.attacked]), *self.linked]

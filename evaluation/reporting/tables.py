@@ -30,7 +30,7 @@ from evaluation.analysis.metrics import (
 from evaluation.reporting import answer_tables as answers
 from evaluation.reporting import result_tables as measured
 from evaluation.reporting import terminal
-from evaluation.reporting.announcements import notices
+from evaluation.reporting.announcements import data_notices, notices
 from evaluation.reporting.answers import headline_of
 from evaluation.reporting.first_screen import TABLES, data_line, first_screen
 from evaluation.reporting.headline import LAW, headline, headline_table
@@ -77,7 +77,8 @@ def write_text(run: Results) -> None:
 
 def _everything(run: Results) -> Iterator[Part]:
     yield data_line(run.manifest), "bold"
-    for notice in filter(None, [run.manifest["dataset"].get("notice"), *notices(run.manifest)]):
+    data = run.manifest["dataset"]
+    for notice in filter(None, [data.get("notice"), *data_notices(data), *notices(run.manifest)]):
         yield f"NOTICE: {notice}", "yellow"
     yield from measured.sweep_tables(run.ours)
     yield measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest))

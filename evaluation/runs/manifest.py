@@ -139,11 +139,34 @@ def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
+def about_data(ready: Plan) -> dict[str, Any]:
+    """Return what was read, mended and left out, and what would help if too little is left."""
+    from isac_track.scenes import FEW_PEOPLE, what_would_help  # noqa: PLC0415 - as below
+
+    tracks, dataset = ready.tracks, ready.dataset
+    about = {
+        "path": str(dataset.path),
+        **{
+            name: getattr(dataset, name)
+            for name in ("name", "sha256", "format", "simulated", "notice")
+        },
+        "tracks": len(dataset.tracks),
+        "tracks_used": len(tracks),
+        "too_short": tracks.too_short,
+        "no_future": tracks.no_future,
+        "repairs": [asdict(repair) for repair in dataset.repairs],
+    }
+    if len(tracks) < FEW_PEOPLE:
+        stages, used = ready.settings.stages, len(tracks)
+        about["would_help"] = what_would_help(dataset.tracks, settings=stages, used=used)
+    return about
+
+
 def describe(ready: Plan) -> dict[str, Any]:
     """Return what a run is made from: code, settings, data set, what is linked."""
     from isac_track.privacy import mean_interval_s  # noqa: PLC0415 - a reader needs none
 
-    tracks, dataset, settings, axes = ready.tracks, ready.dataset, ready.settings, ready.axes
+    tracks, settings, axes = ready.tracks, ready.settings, ready.axes
     tasks = {}
     for sessions in ready.sessions:
         galleries = np.bincount(sessions.gallery.search, minlength=len(sessions.searches))
@@ -197,18 +220,7 @@ def describe(ready: Plan) -> dict[str, Any]:
                 if not plugin.adding and getattr(plugin.instance, "adds_error", True)
             }
         ),
-        "dataset": {
-            "path": str(dataset.path),
-            **{
-                name: getattr(dataset, name)
-                for name in ("name", "sha256", "format", "simulated", "notice")
-            },
-            "tracks": len(dataset.tracks),
-            "tracks_used": len(tracks),
-            "too_short": tracks.too_short,
-            "no_future": tracks.no_future,
-            "repairs": [asdict(repair) for repair in dataset.repairs],
-        },
+        "dataset": about_data(ready),
         "history": {
             "points": float(np.diff(tracks.offsets).mean()),
             "interval_s": float(mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets import crowd, read_frames, read_table, registry
+from isac_track.datasets import crowd, read_frames, read_table, recording, registry
 from isac_track.datasets.recording import Repair, Rows, checked_fps, steps_within
 from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, MAIN_FILE, shown
 from isac_track.datasets.repair import to_tracks
@@ -78,6 +78,7 @@ def load(
     *,
     format: str | None = None,  # noqa: A002 - the name of the option
     fps: float | None = None,
+    unit: str | None = None,
     download: bool = True,
 ) -> Dataset:
     """Load a known data set, a file, or the best data set that is on this machine.
@@ -88,9 +89,12 @@ def load(
         A known name, or else the path of a file. Without it: students03 if it is here,
         otherwise the bundled crowd plaza, with a notice; never a download.
     format : str, optional
-        Format of a file; ``.csv``, ``.parquet`` and ``.ndjson`` (trajnet) name theirs.
+        Format of a file; ``.csv``, ``.parquet`` and ``.ndjson`` (trajnet) name theirs, and so does
+        a header as PeTrack and PedPy write it, which names the columns.
     fps : float, optional
-        Frames per second, for a format that counts frames.
+        Frames per second, for a format that counts frames, unless the file says so.
+    unit : str, optional
+        Of the lengths in a file: m (the default), cm or mm, unless the file says so.
     download : bool
         Whether a known data set that was named may be downloaded if it is not here.
 
@@ -112,10 +116,10 @@ def load(
             source = KNOWN[DEFAULT if registry.locate(KNOWN[DEFAULT])[0] else FALLBACK]
         else:
             source = registry.known(str(name))
-        if format is not None or fps is not None:
+        if (format, fps, unit) != (None, None, None):
             raise DataError(
                 f"{'the default data set' if name is None else source.name} is known by name: "
-                "leave --format and --fps out (they describe a file of your own)"
+                "leave --format, --fps and --unit out (they describe a file of your own)"
             )
         if source.session is None:
             files = registry.files_of(source, download=download and name is not None)
@@ -133,14 +137,15 @@ def load(
         where, format_name = f"isac_track/datasets/{path.name}", "npz"
         tracks = crowd.read_npz(path)
     else:
-        where, format_name = shown(path), _format_of(path, source.format)
+        where, (format_name, found) = shown(path), _format_of(path, source.format, data=data)
         groups = []
         if GROUPS_FILE in files:
             lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
             groups = [(member, line.split()[0]) for line in lines for member in line.split()]
         tracks, repairs = read(
-            data=data, path=where, format=format_name, fps=source.fps, groups=groups
+            data=data, path=where, format=format_name, fps=source.fps, unit=unit, groups=groups
         )
+        repairs = (*found, *repairs)
     return Dataset(
         name=source.name,
         tracks=tracks,
@@ -155,18 +160,30 @@ def load(
     )
 
 
-def _format_of(path: Path, name: str) -> str:
-    """Return the format that was named, or else the one that the extension names."""
+def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair, ...]]:
+    """Return the format that was named, or else the one that extension or header name.
+
+    What was taken from a header is noted. The number of columns says nothing: id and frame swap.
+    """
     name = name or _EXTENSIONS.get(path.suffix.lower(), "")
     known = ", ".join(FORMATS)
     if not name:
+        where = shown(path)
+        recording.check_text(data=data, path=where)
+        header = read_frames.read_header(data=data, path=where)
+        if header.columns:
+            rate = "" if header.fps is None else f", {header.fps:g} frames a second"
+            order = sorted(header.columns, key=lambda column: header.columns[column])
+            detail = f"{where}: line {header.line} names the columns: {' '.join(order)}{rate}"
+            return "pedpy", (Repair("header", 1, detail),)
         raise DataError(
-            f"{shown(path)}: the format is not known from the name; give --format ({known})"
+            f"{where}: the format is not known from the name, and no header names id, frame, x and "
+            f"y; give --format ({known})"
         )
     if name not in FORMATS:
         hint = did_you_mean(name, FORMATS)
         raise DataError(f"unknown format {name!r}{hint} (known: {known})")
-    return name
+    return name, ()
 
 
 def read(
@@ -175,13 +192,15 @@ def read(
     path: str,
     format: str,  # noqa: A002 - the name of the option
     fps: float | None = None,
+    unit: str | None = None,
     groups: Iterable[tuple[str, str]] = (),
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks in the bytes of one file, and what was mended or left out.
 
     `path` is its name, for messages, and `format` one of `FORMATS`; `fps`, frames a second, is for
-    those that count frames. `groups` are (id, label) pairs of who walks together, if that is in
-    another file. DataError names file and line for anything that cannot be read as tracks.
+    those that count frames; `unit`, of lengths, is m if neither it nor the file says. `groups` are
+    (id, label) pairs of who walks together, if that is in another file. DataError names file and
+    line for anything that cannot be read as tracks.
     """
     if fps is not None:
         checked_fps(fps, where="--fps")
@@ -191,7 +210,10 @@ def read(
             )
     clock = {} if format in _WITH_CLOCK else {"fps": fps}
     # The rows have no name here: they are let go as soon as they are sorted.
-    return to_tracks(FORMATS[format](data=data, path=path, **clock), groups=groups)
+    return to_tracks(
+        recording.in_metres(FORMATS[format](data=data, path=path, **clock), unit=unit),
+        groups=groups,
+    )
 
 
 def _is_path(name: str | Path) -> bool:

@@ -48,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     show.add_argument("name", metavar="NAME|PATH", help="a known name, or a file of your own")
     show.add_argument("--format", help="format of a file: see docs/data.md")
     show.add_argument("--fps", type=float, help="frames per second, if the format counts frames")
+    show.add_argument("--unit", help="of its lengths: m (default), cm or mm")
     fetch = commands.add_parser("fetch", help="download known data sets into the cache")
     fetch.add_argument("name", metavar="NAME", nargs="+", help=f"one of {', '.join(KNOWN)}")
     return parser
@@ -110,7 +111,8 @@ def _list(_: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    found = datasets.load(arguments.name, format=arguments.format, fps=arguments.fps)
+    own = {name: getattr(arguments, name) for name in ("format", "fps", "unit")}
+    found = datasets.load(arguments.name, **own)
     tracks, summary = found.tracks, datasets.summarise(found.tracks)
     frozen = [tracks.source[row] for row in np.flatnonzero(summary.frozen)]
     lasting = (f"{datasets.n_lasting(summary, one_s)} of at least {one_s:g} s" for one_s in _LONG_S)

@@ -6,7 +6,7 @@ import json
 import re
 import warnings
 from array import array
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from isac_track.datasets import recording
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from isac_track.datasets.recording import Repair, Rows
 
@@ -24,16 +24,37 @@ COLUMNS = {
     "obsmat": ("frame", "id", "x", "z", "y", "vx", "vz", "vy"),
     # Of Social-GAN and its successors.
     "social-gan": ("frame", "id", "x", "y"),
-    # Of PedPy and JuPedSim: `# framerate: 25` and `x/m` or `x/cm` before the first row; there may
-    # be more columns.
+    # Of PeTrack, PedPy and JuPedSim; there may be more columns. Comments before the first row may
+    # give the `framerate: 25`, the unit (`x/m`, `x/cm`, `x/mm`) and the columns in another order.
     "pedpy": ("id", "frame", "x", "y"),
 }
 """Of each format with a row of numbers a line."""
 _HEADER_CHARACTERS = 1000
-_METRES = {"m": 1.0, "cm": 0.01}
+_CALLED = {
+    **dict.fromkeys(("id", "persid", "personid", "trackid", "ped"), "id"),
+    **dict.fromkeys(("frame", "fr", "frameid", "framenr"), "frame"),
+    "x": "x",
+    "y": "y",
+}
+"""What headers call the columns that are used, in small letters and without their unit."""
+_FRAME_RATE = r"(?:frame\s*rate|\bfps\s*[:=])[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)"
+_USED = ("frame", "id", "x", "y")
 _TRACK_FIELDS = ("f", "p", "x", "y")
 _LONGEST_LINE = 10_000
 """Characters: what a line holds beyond its row is not used, and takes memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What the comments before the first row of a file say."""
+
+    fps: float | None
+    unit: str
+    """Of `recording.METRES`; empty if none is named."""
+    columns: Mapping[str, int]
+    """Places of frame, id, x and y; empty if no line names all the columns of the first row."""
+    line: int
+    """That names them."""
 
 
 def read_columns(format_name: str, *, data: bytes, path: str, fps: float | None) -> Rows:
@@ -43,17 +64,16 @@ def read_columns(format_name: str, *, data: bytes, path: str, fps: float | None)
     """
     recording.check_text(data=data, path=path)
     has_header = format_name == "pedpy"
-    declared, metres = _header(data=data, path=path) if has_header else (None, 1.0)
-    rate = declared if fps is None else fps
+    header = read_header(data=data, path=path) if has_header else Header(None, "", {}, 0)
+    rate = header.fps if fps is None else fps
     if rate is None:
-        header = " and the file's header has no framerate" if has_header else ""
+        said = " and the file's header has no framerate" if has_header else ""
         raise DataError(
-            f"{path}: format {format_name} counts frames{header}; "
+            f"{path}: format {format_name} counts frames{said}; "
             "give frames per second with --fps (25 for UCY)"
         )
-    if declared not in {None, rate}:
-        raise DataError(f"{path}: --fps {rate:g} contradicts the file's framerate {declared:g}")
-    columns = COLUMNS[format_name]
+    if header.fps not in {None, rate}:
+        raise DataError(f"{path}: --fps {rate:g} contradicts the file's framerate {header.fps:g}")
     fault: Exception | None = None
     try:
         with warnings.catch_warnings():
@@ -71,42 +91,55 @@ def read_columns(format_name: str, *, data: bytes, path: str, fps: float | None)
             n_first = len(fields)
         raise DataError(f"{path}: cannot be read as {format_name}: {fault}")
     place = recording.Place(path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64))
-    used = ("frame", "id", "x", "y")
-    rows = recording.framed({name: table[:, columns.index(name)] for name in used}, place)
-    if metres == 1.0:
-        return replace(rows, t=rows.t / rate)
-    detail = f"{path}: positions in cm, as the header says; converted to m"
-    notes = (recording.Repair("unit", rows.t.size, detail),)
-    return replace(rows, t=rows.t / rate, xy=rows.xy * metres, notes=notes)
+    columns = header.columns or {name: COLUMNS[format_name].index(name) for name in _USED}
+    rows = recording.framed({name: table[:, columns[name]] for name in _USED}, place)
+    return replace(rows, t=rows.t / rate, unit=header.unit)
 
 
-def _header(*, data: bytes, path: str) -> tuple[float | None, float]:
-    """Return the declared frame rate and the metres per unit of length."""
+def read_header(*, data: bytes, path: str) -> Header:
+    """Return what the comments before the first row say; DataError if it cannot be so."""
     fps: float | None = None
     units: dict[str, int] = {}
+    named: list[tuple[int, list[str]]] = []
+    n_fields = 0
     for number, line in enumerate(recording.lines_of(data), start=1):
         text = line.strip()[:_HEADER_CHARACTERS]  # the search is quadratic in the worst case
         if text and not text.startswith("#"):
+            n_fields = len(text.split("#", 1)[0].split())
             break
-        found = re.search(r"frame\s*rate[^\d.+-]*([-+]?[\d.]+(?:e[-+]?\d+)?)", text, re.IGNORECASE)
-        if found and fps is None:
-            where = f"{path}, line {number}"
-            try:
-                fps = recording.checked_fps(float(found[1]), where=where)
-            except ValueError:
-                reason = f"the framerate {found[1][:40]!r} is not a number"
-                raise DataError(f"{where}: {reason}") from None
-        for unit in re.findall(r"\bx\s*[/\[(]\s*([a-z]+)|\bin\s+(c?m)\b", text.lower()):
+        if fps is None:
+            fps = _frame_rate_in(text, where=f"{path}, line {number}")
+        for unit in re.findall(r"\b[xy]\s*[/\[(]\s*([a-z]+)|\bin\s+([cm]?m)\b", text.lower()):
             units.setdefault((unit[0] or unit[1])[:40], number)
+        bare = re.sub(r"\s*[/\[(]\s*[a-z]+[\])]?", "", text.lower()[1:])
+        names = [_CALLED.get(word, "") for word in re.split(r"[\s,;]+", bare.strip())]
+        if all(names.count(name) == 1 for name in _USED):
+            named.append((number, names))
     if len(units) > 1:
         raise DataError(
             f"{path}: the header names two units of length: {recording.listed(list(units))}"
         )
     for unit, number in units.items():
-        if unit not in _METRES:
-            way_out = "convert them to m (x/m) or cm (x/cm)"
+        if unit not in recording.METRES:
+            way_out = "convert them to m (x/m), cm (x/cm) or mm (x/mm)"
             raise DataError(f"{path}, line {number}: lengths are in {unit!r}; {way_out}")
-    return fps, _METRES[next(iter(units), "m")]
+    # As many names as the first row has fields: a sentence about the columns names none.
+    of_line, names = next((one for one in named if len(one[1]) == n_fields), (0, []))
+    places = {name: names.index(name) for name in _USED if of_line}
+    return Header(fps, next(iter(units), ""), places, of_line)
+
+
+def _frame_rate_in(text: str, *, where: str) -> float | None:
+    """Return the frame rate that a comment gives, if any."""
+    found = re.search(_FRAME_RATE, text, re.IGNORECASE)
+    if not found:
+        return None
+    try:
+        rate = float(found[1])
+    except ValueError:
+        reason = f"the framerate {found[1][:40]!r} is not a number"
+        raise DataError(f"{where}: {reason}") from None
+    return recording.checked_fps(rate, where=where)
 
 
 def _split(data: bytes) -> Iterator[tuple[int, list[str]]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,8 @@ _LIMITS = {
     "x": 1e9,
     "y": 1e9,
 }
+METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""By unit of length."""
 FPS_LIMITS = (1e-3, 1e6)
 """Frames per second outside are a mistake, and would overflow the clock."""
 _SHOWN = 5
@@ -77,18 +79,39 @@ class Rows:
     t: Floats
     """(M,) s, on the file's own clock"""
     xy: Floats
-    """(M, 2) m"""
+    """(M, 2) in the file's unit of length"""
     place: Place
     groups: tuple[tuple[str, str], ...] = ()
     """(id, label of a walking group) pairs"""
     notes: tuple[Repair, ...] = ()
     """What the reader itself mended or left out."""
+    unit: str = ""
+    """Of `METRES`, that the file says its lengths are in; empty if it says nothing."""
+
+
+def in_metres(rows: Rows, *, unit: str | None) -> Rows:
+    """Return rows in m; `unit` is what their reader is told of the lengths, if anything.
+
+    It is a DataError if the file says otherwise. A conversion is noted.
+    """
+    told, path = unit or rows.unit or "m", rows.place.path
+    if told not in METRES:
+        hint = f"must be one of {', '.join(METRES)}, got {told[:40]!r}"
+        raise DataError(f"{path}: --unit {hint}")
+    if rows.unit and told != rows.unit:
+        raise DataError(f"{path}: --unit {told} contradicts the file's header: {rows.unit}")
+    if told == "m":
+        return rows
+    by = "the header" if rows.unit else "--unit"
+    detail = f"{path}: positions in {told}, as {by} says; converted to m"
+    notes = (*rows.notes, Repair("unit", rows.t.size, detail))
+    return replace(rows, xy=rows.xy * METRES[told], unit="m", notes=notes)
 
 
 def framed(columns: Mapping[str, Floats], place: Place) -> Rows:
     """Return rows whose `t` still counts frames, from the first one.
 
-    `columns` are frame, id, x in m and y in m, (M,) each, as the format calls them. The DataError
+    `columns` are frame, id, x and y, (M,) each, as the format calls them. The DataError
     of the first number that cannot be one of a recording names its line.
     """
     check_numbers(columns, place)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets.recording import Repair, Rows, listed, steps_within
+from isac_track.datasets.recording import METRES, Repair, Rows, listed, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Bools, Ints, Tracks
 
@@ -28,6 +28,8 @@ SPLIT_STEPS = 3.0
 """Slow recordings may have longer gaps: this many median steps."""
 SPEED_LIMITS_MPS = (0.01, 5.0)
 """Bounds on the median speed of all steps that move: beyond them the units are wrong."""
+_WALKING_MPS = (0.2, 2.5)
+"""A median in another unit that lies here is proposed, never taken."""
 FAST_STEP_MPS = 12.0
 """Faster than a sprinter: a jump of the tracker, counted and kept."""
 
@@ -177,8 +179,15 @@ def _check_speeds(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
         speeds /= duration[moving]
     speed = float(np.median(speeds, overwrite_input=True))
     if not low <= speed <= high:
+        units = [] if rows.unit else [one for one in METRES if one != "m"]
+        hints = [
+            f" (--unit {one} makes it {speed * METRES[one]:.2g} m/s)"
+            for one in units
+            if _WALKING_MPS[0] <= speed * METRES[one] <= _WALKING_MPS[1]
+        ]
         guess = (
-            "pixels or centimetres for metres, a wrong --fps, or frame and id swapped"
+            f"pixels or centimetres for metres{''.join(hints)}, a wrong --fps, or frame and id "
+            "swapped"
             if speed > high
             else "milliseconds for seconds, kilometres for metres, or a wrong --fps"
         )

@@ -56,7 +56,8 @@ BAD = {
         (b"# framerate: 16\n1 0 0 0\n", "contradicts the file's framerate 16"),
         # Took 6 s for 45 kB, and four times as long for twice as much.
         (b"# " + b"framerate" * 100_000 + b"\n1 0 0 0\n", "no framerate", None),
-        (b"# id frame x/mm y/mm\n1 0 0 0\n", "f, line 1: lengths are in 'mm'"),
+        (b"# id frame x/ft y/ft\n1 0 0 0\n", "f, line 1: lengths are in 'ft'; convert them"),
+        (b"# frame id x y\n0 1.5 0 0\n", "f, line 2: id 1.5 is not a whole number"),
         (b"# x/m\n# x/cm\n1 0 0 0\n", "f: the header names two units of length"),
         (SWAPPED, "frame and id swapped?"),
     ],

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from helpers.finished_runs import (
+    ITEM,
     STRONGEST,
     emptied,
     levels,
@@ -16,7 +17,7 @@ from helpers.finished_runs import (
 from evaluation.reporting.answers import answers
 
 SHARE = re.compile(r"(\d+\.\d) % \[(\d+\.\d), (\d+\.\d)\]")
-PEOPLE = re.compile(r"(\d+) \[(\d+), (\d+)\] of 100")
+PEOPLE = re.compile(r"(\d+) of 100 people, at least (\d+)")
 
 
 def held(run):
@@ -28,11 +29,11 @@ def held(run):
 def spreads_of(verdict):
     """By how many of 100 people linkage differs, of all items."""
     ends = [
-        sorted(abs(100 * one[key]) for key in ("ci_low", "effect", "ci_high"))
+        [100 * one[key] for key in ("spread", "spread_low")]
         for one in verdict.get("items", ())
         if one["section"] == "validity"
     ]
-    return {(f"{value:.0f}", f"{low:.0f}", f"{high:.0f}") for low, value, high in ends}
+    return {(f"{value:.0f}", f"{low:.0f}") for value, low in ends}
 
 
 RUNS = {
@@ -71,3 +72,33 @@ def test_every_number_of_an_answer_is_in_the_tables(name):
         "nothing": ["Robot", "Leak", "Links", "Tells", "Level"],
     }
     assert untested == expected.get(name, [])
+
+
+SPREAD = {"spread": 0.12, "spread_low": 0.08, "spread_high": 0.21, "n_needed": 412.0}
+AT, SO_FAR = "at equal PLR linkage differs by", "as far as these attacks go"
+
+
+@pytest.mark.parametrize(
+    ("decision", "evidence", "low", "said"),
+    [
+        ("does not track", ["attacks"], 0.08, f"No (PLR): {AT} 12 of {{}}, {SO_FAR}"),
+        ("does not track", ["construction", "shown"], 0.08, f"No (PLR): {AT} 12 of {{}}, shown by"),
+        ("does not track", ["attacks"], 0.0, "No (PLR): linkage falls where PLR hardly changes ("),
+        ("tracks", ["attacks"], 0.0, f"Yes (PLR): {AT} 0 to 21 of {{}}, {SO_FAR}"),
+        ("between", [], 0.02, f"Not shown either way (PLR): {AT} 2 to 21 of {{}}; were it equal, "),
+        (
+            "not testable",
+            [],
+            0.0,
+            "Not testable (PLR): rerelease, linear: nobody links; of 2 items",
+        ),
+    ],
+)
+def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, evidence, low, said):
+    item = ITEM | SPREAD | {"decision": decision, "evidence": evidence, "spread_low": low}
+    item |= {"why": "nobody links"}
+    other = item | {"decision": "not testable", "evidence": [], "spread_low": -1.0, "why": "x"}
+    people = f"100 people{', at least 8' * (decision == 'does not track')} (rerelease, linear)"
+    sentence = answers(make_run(verdict={"items": [item, other]}))[3].sentence
+    assert sentence.startswith(said.format(people))
+    assert sentence.endswith("1 not testable.") or decision == "not testable"

@@ -109,7 +109,7 @@ def test_what_is_neither_a_name_nor_a_file(empty_machine, name, message, tmp_pat
 
 def test_a_known_data_set_takes_no_format_and_is_only_downloaded_if_it_may_be(mirror):
     for name in (None, "plaza", "students03"):
-        with pytest.raises(DataError, match=r"leave --format and --fps out"):
+        with pytest.raises(DataError, match=r"leave --format, --fps and --unit out"):
             load(name, fps=25)
     with pytest.raises(DataError, match=r"zara01: obsmat.txt not found .*fetch zara01"):
         load("zara01", download=False)

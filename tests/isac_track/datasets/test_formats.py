@@ -8,7 +8,7 @@ from helpers.recordings import TEXT, THREE, TWELVE, WALK, T, kinds, packed, read
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from isac_track.datasets import FORMATS, load
+from isac_track.datasets import FORMATS, load, read
 from isac_track.errors import DataError
 
 
@@ -149,6 +149,66 @@ def test_the_extension_names_some_formats(tmp_path, name, format_name):
     # Rows of another recording must never pass for those of a known one.
     path = path.rename(tmp_path / f"students03{path.suffix}")
     assert load(path, fps=recordings.fps_of(format_name)).name == path.name
+
+
+# The walks of `WALK` at 25 frames a second: id, frame, x, y in m.
+ROWS = [(int(person), round(25 * t), x, y) for t, person, x, y in WALK]
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "unit"),
+    [
+        ("# framerate: 25 fps\n# id frame x/m y/m z/m markerID", "{i} {f} {x} {y} 1.7 761", None),
+        ("# framerate: 25.00\n#ID\tFR\tX\tY\tZ\tANGLE", "{i}\t{f}\t{x}\t{y}\t0\t0", None),
+        ("# fps = 25\n# PersID Frame X [m] Y [m]", "{i} {f} {x} {y}", None),
+        ("# frame rate: 25\n# frame id y/m x/m", "{f} {i} {y} {x}", None),
+        ("# framerate: 25\n# id frame x/cm y/cm", "{i} {f} {x}e2 {y}e2", "cm"),
+        ("# framerate: 25\n# id frame x/mm y/mm", "{i} {f} {x}e3 {y}e3", "mm"),
+        ("# framerate: 25\n# id frame x y\n# lengths in mm", "{i} {f} {x}e3 {y}e3", "mm"),
+    ],
+)
+def test_a_header_names_columns_unit_and_frame_rate(tmp_path, header, row, unit):
+    path = tmp_path / "walk.txt"
+    rows = [row.format(i=i, f=f, x=x, y=y) for i, f, x, y in ROWS]
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    found = load(path)
+    assert (found.format, found.tracks.source) == ("pedpy", ("3", "12"))
+    np.testing.assert_allclose(found.tracks.xy, THREE + TWELVE, atol=1e-12)
+    np.testing.assert_allclose(found.tracks.t, T + T, atol=1e-12)
+    told = {repair.kind: repair.detail for repair in found.repairs}
+    assert told.keys() == {"header"} | ({"unit"} if unit else set())
+    assert "25 frames a second" in told["header"]
+    assert unit is None or f"positions in {unit}, as the header says" in told["unit"]
+
+
+def test_a_sentence_about_columns_names_none(tmp_path):
+    path = tmp_path / "walk.txt"
+    path.write_text("# framerate: 25\n# first the id and frame, then x and y\n3 0 0 0\n3 1 0 0\n")
+    with pytest.raises(DataError, match="no header names id, frame, x and y; give --format"):
+        load(path)
+
+
+@pytest.mark.parametrize(("unit", "by"), [("m", 1), ("cm", 100), ("mm", 1000)])
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_lengths_are_in_the_unit_that_is_told(format_name, unit, by):
+    rows = [(t, person, by * x, by * y) for t, person, x, y in WALK]
+    data = written(rows, format_name).replace(b"/m", f"/{unit}".encode())
+    rate = recordings.fps_of(format_name)
+    tracks, repairs = read(data=data, path="f", format=format_name, fps=rate, unit=unit)
+    np.testing.assert_allclose(tracks.xy, THREE + TWELVE, rtol=1e-12)
+    assert kinds(repairs) == ({} if unit == "m" else {"unit": len(rows)})
+
+
+def test_another_unit_is_proposed_and_never_taken_and_a_contradiction_is_told():
+    rows = [(t, person, 1000 * x, 1000 * y) for t, person, x, y in WALK]
+    with pytest.raises(DataError, match=r"\(--unit mm makes it 0\.75 m/s\)"):
+        read_walk(written(rows, "csv"), "csv")
+    for unit, told in (
+        ("cm", "--unit cm contradicts the file's header: m"),
+        ("ft", "one of m, cm"),
+    ):
+        with pytest.raises(DataError, match=told):
+            read(data=written(WALK, "pedpy"), path="f", format="pedpy", unit=unit)
 
 
 def test_no_format_is_guessed_from_the_content(tmp_path):
