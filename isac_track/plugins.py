@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, Union
 
 from isac_track import errors
@@ -32,6 +33,7 @@ Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 _BUILT_IN: dict[Kind, dict[str, str]] = {
     "predictors": {
         "least_squares": "predictors.least_squares:LeastSquares",
+        "constant_position": "predictors.constant_position:ConstantPosition",
         "kalman_cv": "predictors.kalman:KalmanCV",
         "kalman_ca": "predictors.kalman:KalmanCA",
         "kalman_imm": "predictors.kalman:KalmanIMM",
@@ -79,6 +81,8 @@ class Plugin:
     """Its name without parameters."""
     adding: str = ""
     """Adding rule that a mechanism declares; empty if it has none."""
+    digest: str = ""
+    """Of what was given as an object: what its cells depend on beside its SPEC."""
 
 
 def names(kind: Kind) -> dict[str, str]:
@@ -140,7 +144,7 @@ def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
             if ".." in value:
                 levels = _sweep(value, is_log=getattr(cls, "sweep", "linear") == "log")
             changes = [{first: _read(level, hints[first], first), **given} for level in levels]
-        return tuple(_plugin(kind, name, cls, origin, change) for change in changes)
+        return tuple(configured(kind, name, cls, origin, change) for change in changes)
 
 
 def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
@@ -166,7 +170,7 @@ def _naming(spec: str) -> Iterator[None]:
 
 def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
     """Return name, VALUE and parameters of a SPEC, as text."""
-    name, _, rest = spec.strip().partition(":")
+    name, _, rest = _from_path(spec.strip()).partition(":")
     attribute = rest.partition(":")[0]
     may_be_module = name.isidentifier() and attribute.isidentifier() and name not in names(kind)
     value: str | None = None
@@ -190,6 +194,25 @@ def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
             else:
                 raise SettingsError(f"{errors.quoted(part)} is not key=value")
     return name, value, options
+
+
+def _from_path(spec: str) -> str:
+    """Return a SPEC that begins with a path below this folder as `package.module:Class[...]`.
+
+    ``./my_attack`` is the folder that ``python -m attacks new my_attack`` wrote, ``./my_attack.py``
+    a file; the class is called after it.
+    """
+    path, colon, rest = spec.partition(":")
+    if not path.startswith("./"):
+        return spec
+    parts = PurePosixPath(path.removesuffix(".py")).parts
+    if not parts or not all(part.isidentifier() for part in parts):
+        raise SettingsError(
+            f"{errors.quoted(spec)}: ./ is followed by a Python file, or its folder"
+        )
+    class_name = "".join(part.capitalize() for part in parts[-1].split("_"))
+    module = ".".join(parts if path.endswith(".py") else (*parts, parts[-1]))
+    return f"{module}:{class_name}{colon}{rest}"
 
 
 def _load(kind: Kind, name: str) -> tuple[type, str]:
@@ -307,7 +330,7 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
     return [f"{level:.12g}" for level in levels]
 
 
-def _plugin(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
+def configured(kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]) -> Plugin:
     """Return the plug-in of a class and its parameters, checked, with the names that it has."""
     instance = _made(name, cls, origin, changes)
     adding = check_declared(kind, instance, origin)

@@ -23,7 +23,7 @@ PRIOR_STD = (100.0, 10.0)
 """m around the first sample and m/s around rest: far more than any walk."""
 _RADIAL_BELOW = -1 / 3
 """Third cumulant of log distances to a smoothed walk; Gaussian errors have -zeta(3) / 4 = -0.30,
-radial ones -2.10 about the walk itself, -0.36 to -0.59 about what a smoother makes of it."""
+radial ones -2.10 about the walk itself, -0.40 to -0.59 about what a smoother makes of it."""
 _LEAST_M = 1e-9
 
 
@@ -59,8 +59,8 @@ class RadialRTS:
     """m^2/s^3; None: learnt from the training set, or `DEFAULT_Q` without one."""
     passes: int | None = None
     """Smoothers; None: learnt from the training set, 1, `USUAL_PASSES` or twice as many; without
-    one `USUAL_PASSES` if the errors look radial, else 1. Twice as many gain 1.4 to 2 points of PLR
-    where error is added linearly, and lose 1 to 1.5 where it is independent."""
+    one `USUAL_PASSES` if the errors look radial, else 1. Twice as many gain 1.3 to 2.3 points of
+    PLR where much error is added linearly, and lose about as much where it is independent."""
     anneal: float = 0.15
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()

@@ -5,19 +5,19 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
 from evaluation.experiment.constants import OTHER_LAW, SHARED, WINDOWS
 from evaluation.experiment.presets import PRESETS, UTILITY_PREDICTORS
-from isac_track import plugins
+from isac_track import plugin_objects, plugins
 from isac_track.errors import SettingsError
 from isac_track.protocols import grants, kind_of
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from evaluation.experiment.settings import Settings
     from isac_track.plugins import Plugin
@@ -186,8 +186,8 @@ def axes(settings: Settings) -> Axes:
         for axis in ("mechanisms", "predictors", "attacks", "tasks")
     }
     attacks, links = _attacks(names["attacks"])
-    mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
-    predictors = plugins.parse_all("predictors", names["predictors"])
+    mechanisms = plugin_objects.all_of("mechanisms", names["mechanisms"])
+    predictors = plugin_objects.all_of("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
     pairs = _linked(settings, links=links, tasks=tasks)
     if not mechanisms:
@@ -217,15 +217,16 @@ def jobs_of(crossed: Axes, settings: Settings) -> int:
     return min(cores or 1, MOST_DEFAULT_JOBS)
 
 
-def _attacks(specs: tuple[str, ...]) -> tuple[tuple[Plugin, ...], tuple[Consumer, ...]]:
+def _attacks(specs: Iterable[Any]) -> tuple[tuple[Plugin, ...], tuple[Consumer, ...]]:
     """Return reconstruction attacks and linkage attacks, each once, in the order given."""
     attacks: dict[str, Plugin] = {}
     links: dict[str, Consumer] = {}
     for spec in specs:
-        name, at, behind_spec = spec.partition("@")
+        # Who links behind a reconstruction is two plug-ins, and named by SPECs.
+        name, at, behind_spec = spec.partition("@") if isinstance(spec, str) else (spec, "", "")
         if at and not (name.strip() and behind_spec.strip()):
             raise SettingsError(f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts")
-        for plugin in plugins.parse("attacks", name):
+        for plugin in plugin_objects.plugins_of("attacks", name):
             links_people = kind_of(plugin.instance) == "linkage"
             if not at and not links_people:
                 attacks[plugin.spec] = plugin

@@ -80,7 +80,7 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
     return digest(
         [
             consumer.spec,
-            [[one.spec, one.origin] for one in consumer.plugins],
+            [[one.spec, one.origin, *filter(None, [one.digest])] for one in consumer.plugins],
             consumer.knowledge,
             sorted(one.name for one in consumer.granted),
             *code,

@@ -187,7 +187,12 @@ def _units(
             )
             by_stage.setdefault(consumer.task or of_block, {})[key] = consumer
         for mechanism in mechanisms:
-            about = (BLOCK_SCENES, mechanism.spec, mechanism.origin)
+            about = (
+                BLOCK_SCENES,
+                mechanism.spec,
+                mechanism.origin,
+                *filter(None, [mechanism.digest]),
+            )
             for stage, of_stage in by_stage.items():
                 made_by = code(stage, mechanism)
                 for block in blocks:

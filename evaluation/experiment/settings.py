@@ -44,7 +44,7 @@ class Settings:
     """Attacked ones, and all."""
     seed: int = 0
     mechanisms: tuple[str, ...] | None = None
-    """SPECs; they replace the preset's."""
+    """SPECs, or objects of plug-ins; they replace the preset's."""
     predictors: tuple[str, ...] | None = None
     """SPECs; they replace the preset's. Empty: no predictor."""
     attacks: tuple[str, ...] | None = None
