@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
-from evaluation.reporting.announcements import command, data_notices
+from evaluation.reporting.announcements import command, data_notices, scenes_text
 from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.drawing import figures_of
@@ -140,6 +140,7 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
         flag_lines=[one.removeprefix("flag: ").removesuffix(": flags.json") for one in flags],
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
+        scenes=scenes_text(run.manifest["identity"]),
         data_notices=list(data_notices(run.manifest["dataset"])),
         figure_css=style_css(styles),
         dark_css=DARK_CSS,
