@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, Union
 
 from isac_track import errors
@@ -169,7 +170,7 @@ def _naming(spec: str) -> Iterator[None]:
 
 def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
     """Return name, VALUE and parameters of a SPEC, as text."""
-    name, _, rest = spec.strip().partition(":")
+    name, _, rest = _from_path(spec.strip()).partition(":")
     attribute = rest.partition(":")[0]
     may_be_module = name.isidentifier() and attribute.isidentifier() and name not in names(kind)
     value: str | None = None
@@ -193,6 +194,25 @@ def _split(kind: Kind, spec: str) -> tuple[str, str | None, dict[str, str]]:
             else:
                 raise SettingsError(f"{errors.quoted(part)} is not key=value")
     return name, value, options
+
+
+def _from_path(spec: str) -> str:
+    """Return a SPEC that begins with a path below this folder as `package.module:Class[...]`.
+
+    ``./my_attack`` is the folder that ``python -m attacks new my_attack`` wrote, ``./my_attack.py``
+    a file; the class is called after it.
+    """
+    path, colon, rest = spec.partition(":")
+    if not path.startswith("./"):
+        return spec
+    parts = PurePosixPath(path.removesuffix(".py")).parts
+    if not parts or not all(part.isidentifier() for part in parts):
+        raise SettingsError(
+            f"{errors.quoted(spec)}: ./ is followed by a Python file, or its folder"
+        )
+    class_name = "".join(part.capitalize() for part in parts[-1].split("_"))
+    module = ".".join(parts if path.endswith(".py") else (*parts, parts[-1]))
+    return f"{module}:{class_name}{colon}{rest}"
 
 
 def _load(kind: Kind, name: str) -> tuple[type, str]:

@@ -263,3 +263,41 @@ def test_an_installed_third_party_plugin_is_found_by_name(tmp_path, monkeypatch)
         plugins._entry_points.cache_clear()
     assert wrong.keys() == {"torn"}
     assert "Nothing" in wrong["torn"]
+
+
+MECHANISM = """
+from dataclasses import dataclass
+from isac_track.sharing import perturb
+
+@dataclass(frozen=True)
+class MyNoise:
+    d_sigma: float = 1.0
+
+    def share(self, sensed, rng):
+        return perturb(sensed, self.d_sigma, rng)
+"""
+
+
+@pytest.mark.parametrize(
+    ("file", "spec", "origin"),
+    [
+        ("my_noise.py", "./my_noise.py:0.5", "my_noise:MyNoise"),
+        ("my_noise/my_noise.py", "./my_noise:0.5", "my_noise.my_noise:MyNoise"),
+        ("some/my_noise/my_noise.py", "./some/my_noise:0.5", "some.my_noise.my_noise:MyNoise"),
+    ],
+)
+def test_a_path_names_a_file_of_ones_own(tmp_path, monkeypatch, file, spec, origin):
+    path = tmp_path / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(MECHANISM, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    (found,) = plugins.parse("mechanisms", spec)
+    assert (found.origin, found.level) == (origin, 0.5)
+    for name in [name for name in sys.modules if name.partition(".")[0] in ("my_noise", "some")]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("spec", ["./", "./my-noise", "./../elsewhere", "./my_noise.py.py"])
+def test_a_path_that_python_cannot_import_is_refused(spec):
+    with pytest.raises(SettingsError, match="followed by a Python file"):
+        plugins.parse("mechanisms", spec)
