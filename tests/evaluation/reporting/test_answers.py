@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from helpers.finished_runs import (
     ITEM,
@@ -14,7 +15,8 @@ from helpers.finished_runs import (
     with_links,
 )
 
-from evaluation.reporting.answers import answers
+from evaluation.reporting.answers import answers, headline_of
+from evaluation.reporting.headline import headline_table
 
 SHARE = re.compile(r"(\d+\.\d) % \[(\d+\.\d), (\d+\.\d)\]")
 PEOPLE = re.compile(r"(\d+) of 100 people, at least (\d+)")
@@ -102,3 +104,16 @@ def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(decision, ev
     sentence = answers(make_run(verdict={"items": [item, other]}))[3].sentence
     assert sentence.startswith(said.format(people))
     assert sentence.endswith("1 not testable.") or decision == "not testable"
+
+
+def test_what_leaks_is_told_under_both_error_laws_and_tabled():
+    run = make_run()
+    other = run.summary.assign(dataset="students03:law=isotropic")
+    is_attack = other["consumer"] == STRONGEST[""].consumer
+    other = other[is_attack].assign(value=0.123, ci_low=0.11, ci_high=0.14)
+    both = make_run(summary=pd.concat([run.summary, other]))
+    assert " (12.3 % [11.0, 14.0] if errors are isotropic) after " in answers(both)[1].sentence
+    heads = [column.name for column in headline_table(headline_of(both)).columns]
+    own = [column.name for column in headline_table(headline_of(run)).columns]
+    assert set(heads) - set(own) == {"known in 0.3 m, attack, isotropic error"}
+    assert answers(run)[0] == answers(both)[0]
