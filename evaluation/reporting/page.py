@@ -49,9 +49,9 @@ SECTIONS: Final = {
 GLOSSARY: Final = {
     "FID": "Fisher information density: how well a point of the ground can be located, in "
     "1/(m² s). The mechanism fid adds the more noise, the more it exceeds a threshold η.",
-    "PLR": "Position leakage rate: share of positions that are closer to the truth than ε.",
-    "AEL, MEL": "Average and maximum exposure length: how many seconds positions leak without a "
-    "break, on average and at most.",
+    "PLR": "Privacy leakage ratio: share of positions that are closer to the truth than ε.",
+    "AEL, MEL": "Average and mean maximum exposure length: how many seconds positions leak "
+    "without a break, on average and at most.",
     "raw, clean": "What was sensed with nothing added; and without any error at all.",
     "linear, independent": "How added noise joins that of sensing: standard deviations add up, or "
     "variances do.",
