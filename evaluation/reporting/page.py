@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis import weak_attacks
-from evaluation.reporting.announcements import command, data_notices
+from evaluation.reporting.announcements import command, data_notices, scenes_text
 from evaluation.reporting.answer_tables import SECTIONS as QUESTIONS
 from evaluation.reporting.answers import answers, headline_of
 from evaluation.reporting.figures.drawing import figures_of
@@ -49,9 +49,9 @@ SECTIONS: Final = {
 GLOSSARY: Final = {
     "FID": "Fisher information density: how well a point of the ground can be located, in "
     "1/(m² s). The mechanism fid adds the more noise, the more it exceeds a threshold η.",
-    "PLR": "Position leakage rate: share of positions that are closer to the truth than ε.",
-    "AEL, MEL": "Average and maximum exposure length: how many seconds positions leak without a "
-    "break, on average and at most.",
+    "PLR": "Privacy leakage ratio: share of positions that are closer to the truth than ε.",
+    "AEL, MEL": "Average and mean maximum exposure length: how many seconds positions leak "
+    "without a break, on average and at most.",
     "raw, clean": "What was sensed with nothing added; and without any error at all.",
     "linear, independent": "How added noise joins that of sensing: standard deviations add up, or "
     "variances do.",
@@ -140,6 +140,7 @@ def render(run: Results, *, svgs: Mapping[str, bytes]) -> str:
         flag_lines=[one.removeprefix("flag: ").removesuffix(": flags.json") for one in flags],
         failed_lines=failed_lines(run.failed),
         command=command(run.manifest),
+        scenes=scenes_text(run.manifest["identity"]),
         data_notices=list(data_notices(run.manifest["dataset"])),
         figure_css=style_css(styles),
         dark_css=DARK_CSS,

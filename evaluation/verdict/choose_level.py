@@ -12,8 +12,6 @@ import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-import pandas as pd
-
 from evaluation.analysis import linkability
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family, families_in
 from evaluation.analysis.keys import AS_SHARED, Key, Source, Where
@@ -22,6 +20,7 @@ from evaluation.analysis.strongest import by_task, strongest_of
 from evaluation.analysis.summary import COLUMNS
 from evaluation.experiment.constants import SHARED
 from evaluation.experiment.fingerprint import code_hash
+from evaluation.runs.files import content_of, from_csv
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError, SettingsError, did_you_mean
 from isac_track.intervals import Estimate
@@ -29,6 +28,8 @@ from isac_track.intervals import Estimate
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
+
+    import pandas as pd
 
 TARGETS: Final = ("missed", "false_alarm")
 """What chooses a level."""
@@ -44,7 +45,6 @@ UNKNOWN: Final = Estimate(math.nan)
 WEAK: Final = "attack too weak"
 _SWEEPS: Final = {FID: "fid:1..1000/10", FIXED: "fixed:0.1..1/10"}
 _ENDS = ("ci_low", "ci_high")
-_NUMBERS = frozenset(("level", "value", "rank1", "chance", *_ENDS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,21 +301,13 @@ def choose(
 
 
 def _table(out: Path, name: str, columns: Sequence[str]) -> pd.DataFrame:
-    """Return a table of a run; its numbers are those that are asked for here."""
+    """Return some columns of a table of a run."""
     again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
-    numbers = _NUMBERS.intersection(columns)
     try:
-        # A name may be "NA": only an empty number is unknown.
-        return pd.read_csv(
-            out / name,
-            usecols=list(columns),
-            dtype={column: float if column in numbers else str for column in columns},
-            keep_default_na=False,
-            na_values={column: [""] for column in numbers},
-        )
+        return from_csv(content_of(out / name))[list(columns)]
     except FileNotFoundError:
         raise DataError(f"{out / name} is missing; {again} if the run has finished") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, KeyError) as error:
         reason = str(error).splitlines()[0]
         raise DataError(f"{out / name} cannot be read ({reason}); {again}") from None
 

@@ -80,7 +80,7 @@ class TestWhatItSays:
         assert made.index('class="gallery"') < made.index('<section id="verdict">')
         text = made[made.index("<body>") :]
         for short, long in (
-            ("PLR", "position leakage rate"),
+            ("PLR", "privacy leakage ratio"),
             ("FID", "Fisher information density"),
             ("MEL", "maximum exposure length"),
         ):
