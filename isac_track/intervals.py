@@ -24,6 +24,8 @@ FEW_CLUSTERS: Final = 40.0
 intervals hold shares of 10 and 85 % in 87 to 94 of 100 studies, the jackknife's in 94 to 98."""
 LEAST_CLUSTERS: Final = 15.0
 """Effective clusters below which there is no interval, but an exact one of a count."""
+FEWEST_EFFECTIVE: Final = 20
+"""Effective clusters below which nothing is decided."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

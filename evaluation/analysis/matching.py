@@ -190,9 +190,8 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
         for place, predictor in enumerate(predictors)
         for criterion, metric in ((MISSED, MISSED_RATE), (AT_EQUAL_ALARMS, EQUAL_ALARMS))
     ]
-    exposure = AS_SHARED.measure(EXPOSURE)
-    if exposure in shared:
-        criteria.append((PLR, exposure, "", [one for one in measures if one != exposure]))
+    if _SHOWN in shared:
+        criteria.append((PLR, _SHOWN, "", [one for one in measures if one != _SHOWN]))
     parts = [
         {
             "dataset": dataset_of(measure.consumer, dataset=dataset),

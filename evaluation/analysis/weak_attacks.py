@@ -31,11 +31,10 @@ import pandas as pd
 from evaluation.analysis.families import CLEAN, RAW
 from evaluation.analysis.keys import AS_SHARED, Key, Source, Where, where_text
 from evaluation.analysis.metrics import EXPOSURE
-from evaluation.analysis.paper import MIN_CLUSTERS
 from evaluation.analysis.summary import clusters, estimate, key_of, weights_of
 from evaluation.experiment.presets import IDENTITY
 from evaluation.runs.cell_files import read_rows
-from isac_track.intervals import Estimate, difference
+from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
@@ -105,7 +104,7 @@ def flags(
         *_beaten_pairs(levels, found, slow=slow, once=once or {}, left_out=left_out),
         *_falling_pairs(levels, found, left_out=left_out),
     ]
-    enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= MIN_CLUSTERS]
+    enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE]
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
     compared = Counter((pair.kind, pair.attack, pair.by) for pair in enough)

@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri, stdtrit
 from evaluation.analysis.matching import MIN_DEFINED
 from evaluation.verdict import rules
 from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
-from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
+from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -73,8 +73,8 @@ class Draft:
             return self.untestable or "there is no number"
         if np.isfinite(self.effect.replicates).mean() < MIN_DEFINED:
             return "too few draws of the people have this number"
-        if effective < rules.FEWEST_EFFECTIVE:
-            fewest = f"a decision takes {rules.FEWEST_EFFECTIVE}"
+        if effective < FEWEST_EFFECTIVE:
+            fewest = f"a decision takes {FEWEST_EFFECTIVE}"
             return f"it rests on {effective:.0f} effective clusters of people, {fewest}"
         return "" if error > rules.NO_SPREAD else "the people of the run do not differ: no spread"
 

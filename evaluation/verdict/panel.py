@@ -21,7 +21,12 @@ from evaluation.experiment.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.spread import NEITHER, Contrasts
 from isac_track import plugins
-from isac_track.intervals import LEAST_CLUSTERS, cluster_weights, effective_clusters
+from isac_track.intervals import (
+    FEWEST_EFFECTIVE,
+    LEAST_CLUSTERS,
+    cluster_weights,
+    effective_clusters,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -193,7 +198,7 @@ def contrasts(
     # All people alike: replicates have no spread, and say nothing of others.
     is_still = (errors < rules.NO_SPREAD) & (discordant[2] >= rules.FEWEST_DISCORDANT)
     is_shown = is_known & (degrees + 1.0 >= LEAST_CLUSTERS) & ~is_still
-    is_known = is_shown & (degrees + 1.0 >= rules.FEWEST_EFFECTIVE)
+    is_known = is_shown & (degrees + 1.0 >= FEWEST_EFFECTIVE)
     least, raw = fixed[0], fixed[-1]
     floor = np.maximum(spread.LEAST_SHARE * np.nan_to_num(shows[0, raw]), rules.NO_SPREAD)
     ratio = np.log(np.maximum(shows[:, raw], floor) / np.maximum(shows[:, least], floor))

@@ -44,8 +44,6 @@ LEAST_FALL: Final = 0.20
 """Of linkage, from raw to the strongest fixed error: where it falls less, anything would track."""
 FEWEST_DISCORDANT: Final = 10
 """People linked under one of two mechanisms only: with fewer the interval is that of counts."""
-FEWEST_EFFECTIVE: Final = 20
-"""Effective clusters, n^2 / sum m^2, for a decision."""
 NO_SPREAD: Final = 1e-9
 """Standard error below which replicates say nothing."""
 REACH: Final = 0.02

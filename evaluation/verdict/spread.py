@@ -18,7 +18,7 @@ from scipy.special import betaincinv, ndtr, stdtrit
 
 from evaluation.analysis.matching import interpolated, monotone, nearest_places
 from evaluation.verdict import rules
-from isac_track.intervals import CONFIDENCE
+from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -236,7 +236,7 @@ def decided(
     lower = low[:, one.decides].max(axis=1, initial=0.0)
     # Two shares differ by no more than all people.
     upper = np.minimum(high.max(axis=1, initial=0.0), 1.0)
-    if one.fall_degrees + 1.0 < rules.FEWEST_EFFECTIVE or not one.fall_error > rules.NO_SPREAD:
+    if one.fall_degrees + 1.0 < FEWEST_EFFECTIVE or not one.fall_error > rules.NO_SPREAD:
         return np.zeros(len(gaps), dtype=np.int64), lower, upper
     falls = fall - wide.fall
     is_flat = np.abs(span) + wide.span < np.log(rules.LEAST_SPAN)

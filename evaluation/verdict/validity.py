@@ -23,7 +23,7 @@ from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, pane
 from evaluation.verdict.prediction_error import Squared, kind_of, prediction_errors
 from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
 from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
-from isac_track.intervals import CONFIDENCE, Estimate
+from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, Estimate
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -88,11 +88,7 @@ def validity(
     on_trial: list[dict[str, Any]] = []
     for task in tasks:
         weights = drawn_weights(task, tasks, dataset, seed)
-        names = [
-            name
-            for name in task.levels[0].descriptors
-            if all(name in level.descriptors for level in task.levels)
-        ]
+        names = task.levels[0].descriptors
         drawn = {name: (sums := _sums(task, name), sums.drawn(weights)) for name in names}
         half = _half(task, seed)
         for adding in ADDING_RULES:
@@ -293,7 +289,7 @@ def _why_not(one: Tested, wide: Widths) -> str:
     low, high = (_points(fall + sign * wide.fall) for sign in (-1, 1))
     reasons = {
         f"it rests on {one.n} people or groups, who count as {found.fall_degrees + 1:.0f}: "
-        f"{rules.FEWEST_EFFECTIVE} are needed": found.fall_degrees + 1 < rules.FEWEST_EFFECTIVE,
+        f"{FEWEST_EFFECTIVE} are needed": found.fall_degrees + 1 < FEWEST_EFFECTIVE,
         "all people fare alike: that says nothing of others": found.fall_error < rules.NO_SPREAD,
         f"the strongest attack links {_points(links)} of 100 people even at raw, a guess "
         f"{_points(guess)}: nothing could be seen": links - guess < rules.SUCCESS_MARGIN,
