@@ -535,7 +535,7 @@ class TestRuns:
     def test_a_presets_task_without_people_is_left_out_and_said(
         self, csv_recording, tmp_path, capsys
     ):
-        words = ["--preset", "smoke", "--dataset", csv_recording, "--scenes", 8, "--jobs", 1]
+        words = ["--verbose", "--preset", "smoke", "--dataset", csv_recording, "--scenes", 8, "--jobs", 1]
         words += ["--mechanism", "raw", "--predictor", "none", "--attack", "histogram"]
         words += ["--set", "linkage.most_people=30", "--out", tmp_path / "run"]
         assert matrix.main([str(word) for word in words]) == 0
