@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from evaluation.reporting.headline import headline
+from evaluation.reporting.headline import headline, levels_of
 from isac_track.command_line import DONE, Parser, exit_code
 
 if TYPE_CHECKING:
@@ -33,7 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _show(outs: Sequence[Path]) -> int:
     runs = [headline(pd.read_csv(out / "summary.csv")) for out in outs]
     first = runs[0]
-    for where in dict.fromkeys(at for one in first.levels for at in (one, first.twin(one))):
+    levels, _ = levels_of(first)
+    for where in dict.fromkeys(at for one in levels for at in (one, first.twin(one))):
         for number, column in enumerate(first.columns):
             values = [run.at(where, run.columns[number]) for run in runs]
             found = [100 * one.value for one in values if one is not None]
