@@ -26,7 +26,6 @@ TEMPLATES = {
 }
 _ATTACK: dict[str, str] = {
     "noun": "attack",
-    "a_noun": "an attack",
     "one_check": "null_stays_at_chance",
     "against": "every sharing mechanism of the preset",
     "known": "python -m attacks list",
@@ -34,19 +33,14 @@ _ATTACK: dict[str, str] = {
 }
 _OTHER = _ATTACK | {"known": "python -m evaluation.matrix --list"}
 KINDS: dict[str, dict[str, str]] = {
-    "reconstruction": _ATTACK
-    | {"is": "reconstruction attack", "idea": "smooth", "parameter": "tau_s", "another": "0.1"},
-    "linkage": _ATTACK
-    | {"is": "linkage attack", "idea": "describe", "parameter": "bin_s", "another": "0.5"},
+    "reconstruction": _ATTACK | {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
+    "linkage": _ATTACK | {"idea": "describe", "parameter": "bin_s", "another": "0.5"},
     "mechanism": _OTHER
-    | {"noun": "mechanism", "a_noun": "a mechanism", "is": "sharing mechanism"}
-    | {"idea": "how_much", "parameter": "d_sigma", "another": "0.2"}
-    | {"one_check": "sigma_is_that_of_the_error", "against": "raw sharing"}
-    | {"beside": "--mechanism raw "},
+    | {"noun": "mechanism", "idea": "how_much", "parameter": "d_sigma", "another": "0.2"}
+    | {"one_check": "sigma_is_declared", "against": "raw sharing", "beside": "--mechanism raw "},
     "predictor": _OTHER
-    | {"noun": "predictor", "a_noun": "a predictor", "is": "predictor"}
-    | {"idea": "ahead", "parameter": "window_s", "another": "0.5"}
-    | {"one_check": "one_track_is_predicted_as_among_others"},
+    | {"noun": "predictor", "idea": "ahead", "parameter": "window_s", "another": "0.5"}
+    | {"one_check": "odd_tracks_are_predicted"},
 }
 """What the packages of the kinds differ in, beside the template of the module."""
 _IMPORTED = {"ClassVar", "Knowledge", "Literal", "Prediction", "Reconstruction"}
@@ -169,7 +163,8 @@ def _new(name: str, *, kind: str, into: Path) -> int:
         "pytest": f"pytest {shown.removeprefix('./')}",
         "matrix": f"python -m evaluation.matrix --preset smoke {words['beside']}--{noun} {name}",
     }
-    words = words | commands | {"name": name, "class_name": class_name}
+    of_what = f"{kind} attack" if noun == "attack" else noun
+    words = words | commands | {"is": of_what, "name": name, "class_name": class_name}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for target, source in {"{name}.py": f"{kind}.py.tmpl", **TEMPLATES}.items():
@@ -178,7 +173,8 @@ def _new(name: str, *, kind: str, into: Path) -> int:
             (folder / target.format(name=name)).write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
-    print(f"wrote {folder}: {words['a_noun']} that works; edit {folder / name}.py, then:")
+    works = f"a{'n' * (noun == 'attack')} {noun} that works"
+    print(f"wrote {folder}: {works}; edit {folder / name}.py, then:")
     for line in commands.values():
         print(f"  {line}")
     return DONE

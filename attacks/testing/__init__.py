@@ -140,9 +140,9 @@ def noun_of(subject: object) -> Literal["attack", "mechanism", "predictor"]:
     """Return what somebody's object is, by its method; an attack if nothing says otherwise."""
     if hasattr(subject, "fit"):
         return "attack"
-    if isinstance(subject, Mechanism):
+    if hasattr(subject, "share"):
         return "mechanism"
-    return "predictor" if isinstance(subject, Predictor) else "attack"
+    return "predictor" if hasattr(subject, "predict") else "attack"
 
 
 def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's

@@ -73,7 +73,9 @@ def _called(plugin: Any, method: str, expected: type, *arguments: object) -> Any
     return result
 
 
-def _expect_unchanged(plugin: object, method: str, before: tuple[object, ...], *more: object) -> None:
+def _expect_unchanged(
+    plugin: object, method: str, before: tuple[object, ...], *more: object
+) -> None:
     given = made.copied(before)
     _called(plugin, method, object, *given, *more)
     after = made.arrays_of(given)
