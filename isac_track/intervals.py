@@ -24,6 +24,8 @@ FEW_CLUSTERS: Final = 40.0
 intervals hold shares of 10 and 85 % in 87 to 94 of 100 studies, the jackknife's in 94 to 98."""
 LEAST_CLUSTERS: Final = 15.0
 """Effective clusters below which there is no interval, but an exact one of a count."""
+FEWEST_EFFECTIVE: Final = 20
+"""Effective clusters below which nothing is decided."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -103,55 +105,34 @@ def exact_binomial(*, hits: int, n: int) -> tuple[float, float]:
     return low, high
 
 
-def without_each(n_clusters: int) -> Floats:
-    """Return weights of clusters, (1 + C, C): all of them, then all but each in turn."""
-    return np.concatenate([np.ones((1, n_clusters)), 1.0 - np.eye(n_clusters)])
+def jackknife_interval(values: Floats, *, effective: float) -> tuple[float, float]:
+    """Return the interval of a share by the delete-one-cluster jackknife.
 
+    Of its logit, with Student's t of one degree of freedom less than `effective` clusters; a share
+    of exactly 0 or 1 has Wilson's interval of so many. `values`, (1 + C,), are the share of all
+    clusters, and without each in turn: what is no sum over clusters, such as the gallery, stays.
 
-def jackknife_estimate(values: Floats, *, sizes: Floats, is_share: bool = False) -> Estimate:
-    """Return an estimate with the interval of the delete-one-cluster jackknife.
-
-    Its error times Student's t with one degree of freedom less than effective clusters; of a share
-    that error is of the logit. A share of exactly 0 or 1 has Wilson's interval of so many. There is
-    none below `LEAST_CLUSTERS`.
-
-    Parameters
-    ----------
-    values : (1 + C,)
-        The number at the weights of `without_each`: any function of sums over clusters. What is
-        no part of the sums, such as the gallery, stays as it is.
-    sizes : (C,)
-        What each cluster contributes; those of 0 do not count.
-    is_share : bool
-        Whether it is a single share of trials, 0..1, and no difference of two.
-
-    References
-    ----------
     Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11; Kish, Survey Sampling,
     1965 (the effective number).
     """
-    value, each = float(values[0]), values[1:][sizes > 0]
-    n, effective = each.size, effective_clusters(sizes)
-    error = float(np.sqrt((n - 1.0) / n * ((each - value) ** 2).sum())) if n > 1 else np.nan
-    if effective < LEAST_CLUSTERS or not np.isfinite(value):
-        ends = np.nan, np.nan
-    elif is_share and value in (0.0, 1.0):
-        ends = wilson(hits=value * effective, n=effective)
-    else:
-        half = float(stdtrit(effective - 1.0, 0.5 + CONFIDENCE / 2.0)) * error
-        ends = value - half, value + half
-        if is_share:
-            centre, half = float(logit(value)), half / (value * (1.0 - value))
-            ends = float(expit(centre - half)), float(expit(centre + half))
-    return Estimate(value, *ends, n, closed_error=error, effective=effective)
+    value, n = float(values[0]), values.size - 1
+    if value in (0.0, 1.0):
+        return wilson(hits=value * effective, n=effective)
+    error = float(np.sqrt((n - 1.0) / n * ((values[1:] - value) ** 2).sum()))
+    half = float(stdtrit(effective - 1.0, 0.5 + CONFIDENCE / 2.0)) * error
+    centre, half = float(logit(value)), half / (value * (1.0 - value))
+    return float(expit(centre - half)), float(expit(centre + half))
 
 
-def cluster_weights(*, n_clusters: int, n_replicates: int, seed: int) -> Floats:
+def cluster_weights(
+    *, n_clusters: int, n_replicates: int, seed: int, of: Sequence[str] = ()
+) -> Floats:
     """Return how often each cluster is drawn in each bootstrap replicate, (B, C).
 
-    One matrix serves every metric and mechanism of a run, so that all comparisons are paired.
+    One matrix serves every metric and mechanism of a run, so that all comparisons are paired;
+    `of` names what has draws of its own.
     """
-    rng = stream(seed, "bootstrap")
+    rng = stream(seed, "bootstrap", *of)
     counts = rng.multinomial(n_clusters, np.full(n_clusters, 1.0 / n_clusters), n_replicates)
     return counts.astype(np.float64)
 
@@ -168,41 +149,25 @@ def effective_clusters(sizes: Floats) -> float:
     return float(sizes.sum()) ** 2 / squares if squares > 0 else 0.0
 
 
-def ratio_estimate(
-    *, numerator: Floats, denominator: Floats, weights: Floats, is_share: bool = False
-) -> Estimate:
-    """Return sum(numerator) / sum(denominator) with its clustered percentile interval.
-
-    Whole clusters are drawn with replacement (Davison and Hinkley, 1997, ch. 3.8). A share
-    of exactly 0 or 1 has no spread to resample; its interval is Wilson's with the clusters
-    as the sample size. With fewer than two clusters there is no interval (NaN).
-
-    Parameters
-    ----------
-    numerator, denominator : (C,)
-        Sums within each cluster: hits and trials, or a sum and a count.
-    weights : (B, C)
-        From `cluster_weights`.
-    is_share : bool
-        Whether the ratio is a share of trials, 0..1.
-
-    Returns
-    -------
-    Estimate
-        All NaN where the denominator is 0 over all clusters.
-    """
-    return ratio_estimates(
-        numerator=numerator[None],
-        denominator=denominator[None],
-        weights=weights,
-        is_share=(is_share,),
-    )[0]
-
-
 def ratio_estimates(
     *, numerator: Floats, denominator: Floats, weights: Floats, is_share: Sequence[bool]
 ) -> list[Estimate]:
-    """Return `ratio_estimate` of each row of sums, (K, C); `is_share` is one a row."""
+    """Return sum(numerator) / sum(denominator) of each row with its clustered percentile interval.
+
+    Whole clusters are drawn with replacement (Davison and Hinkley, 1997, ch. 3.8). A share
+    of exactly 0 or 1 has no spread to resample; its interval is Wilson's with the clusters
+    as the sample size. With fewer than two clusters there is no interval (NaN), and where the
+    denominator is 0 over all clusters no number either.
+
+    Parameters
+    ----------
+    numerator, denominator : (K, C)
+        Sums within each cluster: hits and trials, or a sum and a count.
+    weights : (B, C)
+        From `cluster_weights`.
+    is_share : (K,)
+        Whether the ratio is a share of trials, 0..1.
+    """
     # Rows in succession often have one denominator.
     is_new = np.append([True], (denominator[1:] != denominator[:-1]).any(axis=1))
     drawn = np.concatenate([numerator, denominator[is_new]]) @ weights.T
@@ -224,28 +189,25 @@ def ratio_estimates(
 
 
 def of_few(
-    estimates: Sequence[Estimate],
-    *,
-    numerator: Floats,
-    denominator: Floats,
-    is_share: Sequence[bool],
+    *, numerator: Floats, denominator: Floats, weights: Floats, is_share: Sequence[bool]
 ) -> list[Estimate]:
     """Return `ratio_estimates` with other intervals for shares of fewer than `FEW_CLUSTERS`.
 
-    They are those of `jackknife_estimate`; below `LEAST_CLUSTERS`, if every cluster has as many
-    trials and one outcome of them, the exact one of their count. Numbers and replicates stay.
+    They are those of the jackknife; below `LEAST_CLUSTERS`, if every cluster has as many trials and
+    one outcome of them, the exact one of their count. Numbers and replicates stay.
     """
-    found = [*estimates]
-    for row, one in enumerate(estimates):
+    found = ratio_estimates(
+        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
+    )
+    for row, one in enumerate(found):
         if not is_share[row] or one.effective >= FEW_CLUSTERS:
             continue
         there = denominator[row] > 0
         hits, trials = numerator[row][there], denominator[row][there]
         ends = np.nan, np.nan
         if one.effective >= LEAST_CLUSTERS:
-            over, under = (one.sum() - np.append(0.0, one) for one in (hits, trials))
-            jackknife = jackknife_estimate(over / under, sizes=trials, is_share=True)
-            ends = jackknife.ci_low, jackknife.ci_high
+            over, under = (sums.sum() - np.append(0.0, sums) for sums in (hits, trials))
+            ends = jackknife_interval(over / under, effective=one.effective)
         elif trials.size and (trials == trials[0]).all() and np.isin(hits, (0.0, trials[0])).all():
             ends = exact_binomial(hits=int((hits > 0).sum()), n=hits.size)
         found[row] = replace(one, ci_low=ends[0], ci_high=ends[1])

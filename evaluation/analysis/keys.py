@@ -95,6 +95,11 @@ def level_text(level: float | None) -> str:
     return f"{level:.0f}" if "e+" in short and abs(level) < _MOST_WRITTEN_OUT else short
 
 
+def where_text(mechanism: str, level: float | None) -> str:
+    """Return a mechanism and its level as people write it."""
+    return f"{mechanism} {level_text(level)}".rstrip()
+
+
 def rows_of(frame: pd.DataFrame) -> list[dict[str, Any]]:
     """Return the rows of a table as dictionaries, as `to_dict` does in ten times as long."""
     names = list(frame.columns)

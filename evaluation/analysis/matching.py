@@ -86,16 +86,16 @@ class Sweeps:
         found = {(one.family, one.adding, one.parameters): name for name, one in self.known.items()}
         return found.get(wanted, "")
 
-    def others(self, adding: str) -> list[str]:
-        """Return the mechanisms beside FID and fixed noise that are judged under an adding rule."""
-        plain = {self.named(family, adding=adding) for family in (FID, FIXED)}
-        rules = {name: self.known[name].rules for name in self._levels}
-        return [name for name in rules if name not in plain and adding in rules[name]]
-
     def swept(self, adding: str) -> list[str]:
         """Return what is a curve under an adding rule: FID, fixed noise, and others with levels."""
         plain = [self.named(family, adding=adding) for family in (FID, FIXED)]
-        more = [name for name in self.others(adding) if len(self.levels(name)) >= FEWEST_LEVELS]
+        more = [
+            name
+            for name in self._levels
+            if name not in plain
+            and adding in self.known[name].rules
+            and len(self.levels(name)) >= FEWEST_LEVELS
+        ]
         return [name for name in plain if name] + more
 
     def drawn(self, key: Key) -> Floats:
@@ -190,9 +190,8 @@ def matched(sweeps: Sweeps, *, predictors: Sequence[str], dataset: str) -> pd.Da
         for place, predictor in enumerate(predictors)
         for criterion, metric in ((MISSED, MISSED_RATE), (AT_EQUAL_ALARMS, EQUAL_ALARMS))
     ]
-    exposure = AS_SHARED.measure(EXPOSURE)
-    if exposure in shared:
-        criteria.append((PLR, exposure, "", [one for one in measures if one != exposure]))
+    if _SHOWN in shared:
+        criteria.append((PLR, _SHOWN, "", [one for one in measures if one != _SHOWN]))
     parts = [
         {
             "dataset": dataset_of(measure.consumer, dataset=dataset),
@@ -346,6 +345,12 @@ def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:
     share = np.zeros_like(low)
     np.divide(wanted - low, high - low, out=share, where=high > low)
     return right, np.where(in_reach, np.clip(share, 0.0, 1.0), np.nan)
+
+
+def nearest_places(at: Floats, scale: Floats) -> tuple[Ints, Floats]:
+    """Return `places` of values, (R, P), on a scale that rises to raw; beyond its ends at these."""
+    change = scale[:, -1:] - scale
+    return places(np.clip(scale[:, -1:] - at, 0.0, change[:, :1]), change)
 
 
 def interpolated(where: tuple[Ints, Floats], values: Floats, *, log: bool) -> Floats:

@@ -13,7 +13,7 @@ from evaluation.analysis.keys import Measure
 from evaluation.analysis.matching import MIN_DEFINED, MISSED, Sweeps
 from evaluation.analysis.metrics import METRICS, MISSED_RATE
 from evaluation.experiment.presets import SHARED
-from isac_track.intervals import difference
+from isac_track.intervals import FEWEST_EFFECTIVE, difference
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -55,8 +55,6 @@ PAPER_COLUMNS = ["mechanism", "level", "metric", "paper", "ours", "ci_low", "ci_
 CLAIM_COLUMNS = ["adding", "claim", "answer", "effect", "ci_low", "ci_high", "unit", "evidence"]
 
 _NORMAL_975 = 1.959964
-MIN_CLUSTERS = 20
-"""With fewer people a bootstrap decides nothing."""
 CLOSE_TO_RAW = 0.04
 """Margin of 'close to raw': the tolerance on a missed-conflict rate, set beforehand."""
 
@@ -264,7 +262,7 @@ def _better_at_every_rate(matched: pd.DataFrame, *, n: int) -> Iterator[tuple[ob
 
 
 def _answer(*, holds: bool, fails: bool, n: int) -> str:
-    if n < MIN_CLUSTERS:
+    if n < FEWEST_EFFECTIVE:
         return "undecided"
     if fails:
         return "does not hold"

@@ -29,13 +29,12 @@ import numpy as np
 import pandas as pd
 
 from evaluation.analysis.families import CLEAN, RAW
-from evaluation.analysis.keys import AS_SHARED, Key, Source, Where, level_text
+from evaluation.analysis.keys import AS_SHARED, Key, Source, Where, where_text
 from evaluation.analysis.metrics import EXPOSURE
-from evaluation.analysis.paper import MIN_CLUSTERS
 from evaluation.analysis.summary import clusters, estimate, key_of, weights_of
 from evaluation.experiment.presets import IDENTITY
 from evaluation.runs.cell_files import read_rows
-from isac_track.intervals import Estimate, difference
+from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
@@ -105,7 +104,7 @@ def flags(
         *_beaten_pairs(levels, found, slow=slow, once=once or {}, left_out=left_out),
         *_falling_pairs(levels, found, left_out=left_out),
     ]
-    enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= MIN_CLUSTERS]
+    enough = [pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE]
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
     compared = Counter((pair.kind, pair.attack, pair.by) for pair in enough)
@@ -209,7 +208,7 @@ def _beaten_pairs(
             if nothing_to_gain:
                 left_out["all that is shared leaks already"] += 1
             else:
-                said = f"is beaten by {by.label} at {_place(where)}: PLR "
+                said = f"is beaten by {by.label} at {where_text(*where)}: PLR "
                 said += f"{100 * minus.value:.1f} % against {100 * plus.value:.1f} %"
                 yield _Pair(BEATEN, where, attack, by, minus, plus, said)
 
@@ -241,7 +240,7 @@ def _falling_pairs(levels: Levels, found: Found, *, left_out: Counter[str]) -> I
             for attack in attacks:
                 minus, plus = levels[least][attack], levels[most][attack]
                 said = f"does not fall with the noise: PLR {100 * minus.value:.1f} % at "
-                said += f"{_place(least)}, {100 * plus.value:.1f} % at {_place(most)}"
+                said += f"{where_text(*least)}, {100 * plus.value:.1f} % at {where_text(*most)}"
                 yield _Pair(DOES_NOT_FALL, most, attack, Source(""), minus, plus, said)
 
 
@@ -267,10 +266,6 @@ def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:
     digits = 1 if min(abs(low), abs(high)) >= 0.001 else 2  # noqa: PLR2004 - a tenth of a point
     shown = [f"{100 * one:{sign}.{digits}f}" for one in (value, low, high)]
     return f"{shown[0]} [{shown[1]}, {shown[2]}]"
-
-
-def _place(where: Where) -> str:
-    return f"{where[0]} {level_text(where[1])}".rstrip()
 
 
 def _names(table: Any) -> Any:  # noqa: ANN401 - pyarrow has no types

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
-from isac_track.intervals import Estimate, cluster_sums, of_few, ratio_estimates
+from isac_track.intervals import Estimate, cluster_sums, of_few
 from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_of
 from isac_track.linkability.significance import People, people_of
 from isac_track.rng import stream
@@ -198,12 +198,8 @@ def _cohorts(
         ).reshape(shape)
         for one in (hit, np.ones_like(hit))
     ]
-    over, under, shares = *sums, [True] * len(among)
     found = of_few(
-        ratio_estimates(numerator=over, denominator=under, weights=weights, is_share=shares),
-        numerator=over,
-        denominator=under,
-        is_share=shares,
+        numerator=sums[0], denominator=sums[1], weights=weights, is_share=[True] * len(among)
     )
     return [
         {

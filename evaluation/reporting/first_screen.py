@@ -79,7 +79,8 @@ def _grid(table: Table) -> list[str]:
     for name, of in groupby(
         zip(table.columns[1:], widths[1:], strict=True), key=lambda one: one[0].above
     ):
-        above += name.rjust(sum(width + 2 for _, width in of))
+        room = sum(width + 2 for _, width in of)
+        above += shortened(name, room=room - 2).rjust(room)
     return [above, *lines]
 
 

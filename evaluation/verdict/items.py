@@ -18,12 +18,11 @@ from scipy.special import ndtr, ndtri, stdtrit
 from evaluation.analysis.matching import MIN_DEFINED
 from evaluation.verdict import rules
 from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
-from isac_track.intervals import CONFIDENCE, Estimate
+from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-_NO_SPREAD: Final = 1e-9
 _FAR: Final = 0.99
 """Quantile of a deviation that tells how heavy its tails are."""
 _NORMAL: Final = float(ndtri(0.5 + CONFIDENCE / 2))
@@ -74,10 +73,10 @@ class Draft:
             return self.untestable or "there is no number"
         if np.isfinite(self.effect.replicates).mean() < MIN_DEFINED:
             return "too few draws of the people have this number"
-        if effective < rules.FEWEST_EFFECTIVE:
-            fewest = f"a decision takes {rules.FEWEST_EFFECTIVE}"
+        if effective < FEWEST_EFFECTIVE:
+            fewest = f"a decision takes {FEWEST_EFFECTIVE}"
             return f"it rests on {effective:.0f} effective clusters of people, {fewest}"
-        return "" if error > _NO_SPREAD else "the people of the run do not differ: no spread"
+        return "" if error > rules.NO_SPREAD else "the people of the run do not differ: no spread"
 
 
 def decided(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
@@ -123,7 +122,7 @@ def around(effect: Estimate, half: float, q: float) -> tuple[float, float]:
 
 def _item(section: str, draft: Draft, q: float) -> dict[str, Any]:
     effect, why = draft.effect, draft.why_not
-    is_ratio, is_shown = draft.unit == "ratio", effect.n_effective >= rules.FEWEST_SHOWN
+    is_ratio, is_shown = draft.unit == "ratio", effect.n_effective >= LEAST_CLUSTERS
     error, nothing = effect.standard_error, (np.nan, np.nan)
     low, high = around(effect, error, _NORMAL) if is_shown else nothing
     band_low, band_high = nothing if why else around(effect, scale(effect), q)

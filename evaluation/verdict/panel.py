@@ -14,20 +14,24 @@ import numpy as np
 
 from attacks.tasks.task_list import TASKS
 from evaluation.analysis.families import FID, FIXED, RAW, Family
-from evaluation.analysis.keys import level_text
+from evaluation.analysis.keys import where_text
 from evaluation.analysis.linkability import dataset_of
 from evaluation.analysis.matching import FEWEST_LEVELS, MIN_DEFINED
 from evaluation.experiment.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.spread import NEITHER, Contrasts
 from isac_track import plugins
-from isac_track.intervals import effective_clusters, without_each
-from isac_track.rng import stream
+from isac_track.intervals import (
+    FEWEST_EFFECTIVE,
+    LEAST_CLUSTERS,
+    cluster_weights,
+    effective_clusters,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from evaluation.analysis.linked_people import LinkedLevel, LinkedTask
+    from evaluation.analysis.linked_people import LinkedTask
     from isac_track.types import Floats, Ints
 
 N_REPLICATES: Final = 1000
@@ -87,11 +91,6 @@ class Panel:
         return self.fid[:1] * len(spread.QUARTILES) + self.others
 
 
-def label(level: LinkedLevel) -> str:
-    """Return a level as people write it."""
-    return f"{level.mechanism} {level_text(level.level)}".strip()
-
-
 def panel(
     task: LinkedTask, known: Mapping[str, Family], *, adding: str, preset: str
 ) -> Panel | None:
@@ -122,7 +121,7 @@ def panel(
     where = [(level.mechanism, level.level) for level in task.levels]
     others = [place for place in judged if where[place] in wanted]
     controls = [
-        f"{name} {level_text(level)}".strip()
+        where_text(name, level)
         for (name, level), one in wanted.items()
         if one.is_added
         and adding in one.rules
@@ -152,12 +151,12 @@ def drawn_weights(task: LinkedTask, every: Sequence[LinkedTask], dataset: str, s
     alike = [one for one in every if dataset_of(one.task, dataset=dataset) == own]
     people = sorted({name for one in alike for name in one.clusters})
     place = {name: column for column, name in enumerate(people)}
-    rng = stream(seed, "bootstrap", "linked", own)
-    counts = rng.multinomial(len(people), np.full(len(people), 1.0 / len(people)), N_REPLICATES)
+    counts = cluster_weights(
+        n_clusters=len(people), n_replicates=N_REPLICATES, seed=seed, of=("linked", own)
+    )
     n = len(task.clusters)
     mine = counts[:, [place[name] for name in task.clusters]]
-    whole, left_out = np.split(without_each(n), [1])
-    return np.concatenate([whole, mine, left_out])
+    return np.concatenate([np.ones((1, n)), mine, 1.0 - np.eye(n)])
 
 
 def contrasts(
@@ -197,11 +196,11 @@ def contrasts(
     more, fewer = np.maximum(apart, 0.0) @ mass, np.maximum(-apart, 0.0) @ mass
     discordant = np.array([more, fewer, np.abs(apart).sum(axis=1)])
     # All people alike: replicates have no spread, and say nothing of others.
-    is_still = (errors < spread.NO_SPREAD) & (discordant[2] >= rules.FEWEST_DISCORDANT)
-    is_shown = is_known & (degrees + 1.0 >= rules.FEWEST_SHOWN) & ~is_still
-    is_known = is_shown & (degrees + 1.0 >= rules.FEWEST_EFFECTIVE)
+    is_still = (errors < rules.NO_SPREAD) & (discordant[2] >= rules.FEWEST_DISCORDANT)
+    is_shown = is_known & (degrees + 1.0 >= LEAST_CLUSTERS) & ~is_still
+    is_known = is_shown & (degrees + 1.0 >= FEWEST_EFFECTIVE)
     least, raw = fixed[0], fixed[-1]
-    floor = np.maximum(spread.LEAST_SHARE * np.nan_to_num(shows[0, raw]), spread.NO_SPREAD)
+    floor = np.maximum(spread.LEAST_SHARE * np.nan_to_num(shows[0, raw]), rules.NO_SPREAD)
     ratio = np.log(np.maximum(shows[:, raw], floor) / np.maximum(shows[:, least], floor))
     whole_range = _filled(np.column_stack([success[:, raw] - success[:, least], ratio]))
     fall_error, span_error = spread.standard_error(whole_range[1:n_drawn], whole_range[n_drawn:])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from evaluation.analysis.families import FID, FIXED, RAW
-from evaluation.analysis.matching import interpolated, monotone, places
+from evaluation.analysis.matching import interpolated, monotone, nearest_places
 from isac_track.intervals import percentile_interval
 
 if TYPE_CHECKING:
@@ -90,8 +90,7 @@ def _foretold(scale: Floats, reached: Floats, at: Floats) -> Floats:
     """Return what a curve through levels, (R, L), says at others, (R, P); flat beyond its ends."""
     order = np.argsort(scale, axis=1, kind="stable")
     scale, reached = (np.take_along_axis(one, order, axis=1) for one in (scale, reached))
-    change = scale[:, -1:] - scale
-    where = places(np.clip(scale[:, -1:] - at, 0.0, change[:, :1]), change)
+    where = nearest_places(at, scale)
     return interpolated(where, monotone(reached, increasing=True), log=False)
 
 

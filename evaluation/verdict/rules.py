@@ -44,8 +44,8 @@ LEAST_FALL: Final = 0.20
 """Of linkage, from raw to the strongest fixed error: where it falls less, anything would track."""
 FEWEST_DISCORDANT: Final = 10
 """People linked under one of two mechanisms only: with fewer the interval is that of counts."""
-FEWEST_SHOWN, FEWEST_EFFECTIVE = 15, 20
-"""Effective clusters, n^2 / sum m^2: for an interval, and for a decision."""
+NO_SPREAD: Final = 1e-9
+"""Standard error below which replicates say nothing."""
 REACH: Final = 0.02
 """Share of a descriptor's span by which a point may lie beyond the end of the fixed sweep."""
 

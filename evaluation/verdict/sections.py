@@ -20,7 +20,7 @@ from evaluation.verdict.items import decided
 from evaluation.verdict.rules import BETWEEN, DOES_NOT, NAME, NOT_TESTABLE, TRACKS, listed
 from evaluation.verdict.validity import validity
 from evaluation.verdict.within_level import within
-from isac_track.intervals import CONFIDENCE
+from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -100,7 +100,7 @@ def verdict(
                 "fall": rules.LEAST_FALL,
                 "correlation": rules.LEAST_CORRELATION,
                 "span": rules.LEAST_SPAN,
-                "clusters": rules.FEWEST_EFFECTIVE,
+                "clusters": FEWEST_EFFECTIVE,
             },
             "text": "Validity: does not track if the lower end of the spread is above 5 of 100 "
             "people, which errs on 2.5 % of pages; tracks if its upper end is below, which errs in "

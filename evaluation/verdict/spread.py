@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import betaincinv, ndtr, stdtrit
 
-from evaluation.analysis.matching import interpolated, monotone, places
+from evaluation.analysis.matching import interpolated, monotone, nearest_places
 from evaluation.verdict import rules
-from isac_track.intervals import CONFIDENCE
+from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,8 +34,6 @@ ANSWERS: Final = (rules.NOT_TESTABLE, rules.DOES_NOT, rules.TRACKS, rules.BETWEE
 _TAIL: Final = 0.5 + CONFIDENCE / 2
 LEAST_SHARE: Final = 0.01
 """Of the descriptor at raw: logarithms are taken of no less."""
-NO_SPREAD: Final = 1e-9
-"""Standard error below which replicates say nothing."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -134,8 +132,7 @@ def at_quartiles(
     least = max(scale[0, 0], monotone(fixed[:1], increasing=True)[0, 0], LEAST_SHARE * raw[0, 0])
     common = least / raw[0, 0] if raw[0, 0] > 0 else 1.0
     at = raw * common ** (1.0 - np.array(QUARTILES))
-    change = raw - scale
-    where = places(np.clip(raw - at, 0.0, change[:, :1]), change)
+    where = nearest_places(at, scale)
     return at, interpolated(where, monotone(success, increasing=True), log=False), where
 
 
@@ -155,12 +152,11 @@ def beside_fixed(
         Descriptor and success of fixed noise from the noisiest level to raw.
     """
     scale, achieved = (monotone(one, increasing=True) for one in fixed)
-    change = scale[:, -1:] - scale
-    span, below = change[:, :1], scale[:, -1:] - descriptor
-    hair = rules.REACH * span[0, 0]
-    side = np.where(below[0] > span[0, 0] + hair, ONLY_MORE, BOTH)
-    side = np.where(below[0] < -hair, ONLY_FEWER, side)
-    where = places(np.clip(below, 0.0, span), change)
+    span, below = scale[0, -1] - scale[0, 0], scale[0, -1] - descriptor[0]
+    hair = rules.REACH * span
+    side = np.where(below > span + hair, ONLY_MORE, BOTH)
+    side = np.where(below < -hair, ONLY_FEWER, side)
+    where = nearest_places(descriptor, scale)
     return success - interpolated(where, achieved, log=False), side, where
 
 
@@ -181,7 +177,7 @@ def exact_ends(more: Floats, fewer: Floats, n: Floats, tail: float) -> tuple[Flo
     """
 
     def lowest(hits: Floats) -> Floats:
-        found = betaincinv(np.maximum(hits, NO_SPREAD), n - hits + 1.0, tail / 2)
+        found = betaincinv(np.maximum(hits, rules.NO_SPREAD), n - hits + 1.0, tail / 2)
         return np.where(hits > 0, found, 0.0)
 
     low = [lowest(share * n) for share in (more, fewer)]
@@ -240,7 +236,7 @@ def decided(
     lower = low[:, one.decides].max(axis=1, initial=0.0)
     # Two shares differ by no more than all people.
     upper = np.minimum(high.max(axis=1, initial=0.0), 1.0)
-    if one.fall_degrees + 1.0 < rules.FEWEST_EFFECTIVE or not one.fall_error > NO_SPREAD:
+    if one.fall_degrees + 1.0 < FEWEST_EFFECTIVE or not one.fall_error > rules.NO_SPREAD:
         return np.zeros(len(gaps), dtype=np.int64), lower, upper
     falls = fall - wide.fall
     is_flat = np.abs(span) + wide.span < np.log(rules.LEAST_SPAN)

@@ -16,14 +16,14 @@ import numpy as np
 from scipy.special import stdtrit
 
 from evaluation.analysis.families import ADDING_RULES
-from evaluation.analysis.keys import level_text
+from evaluation.analysis.keys import where_text
 from evaluation.analysis.metrics import DESCRIPTORS
 from evaluation.verdict import power, rules, spread
-from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, label, panel
+from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, panel
 from evaluation.verdict.prediction_error import Squared, kind_of, prediction_errors
 from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
 from evaluation.verdict.spread import BOTH, NEITHER, ONLY_FEWER, ONLY_MORE, Contrasts, Widths
-from isac_track.intervals import CONFIDENCE, Estimate
+from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, Estimate
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
@@ -88,11 +88,7 @@ def validity(
     on_trial: list[dict[str, Any]] = []
     for task in tasks:
         weights = drawn_weights(task, tasks, dataset, seed)
-        names = [
-            name
-            for name in task.levels[0].descriptors
-            if all(name in level.descriptors for level in task.levels)
-        ]
+        names = task.levels[0].descriptors
         drawn = {name: (sums := _sums(task, name), sums.drawn(weights)) for name in names}
         half = _half(task, seed)
         for adding in ADDING_RULES:
@@ -275,7 +271,7 @@ def _named(gap: Mapping[str, Any]) -> str:
     """Return the mechanism of a contrast as people write it."""
     if gap["quartile"] is not None:
         return f"{gap['mechanism']} ({_QUARTILE[gap['quartile']]})"
-    return f"{gap['mechanism']} {level_text(gap['level'])}".strip()
+    return where_text(gap["mechanism"], gap["level"])
 
 
 def _why_not(one: Tested, wide: Widths) -> str:
@@ -285,15 +281,16 @@ def _why_not(one: Tested, wide: Widths) -> str:
     links, guess = (float(sums.sum() / raw.probes.sum()) for sums in (raw.success, raw.chance))
     fall, name = float(found.fall[0]), NAME[one.descriptor]
     odd = [
-        f"{label(of.task.levels[place])} {_WHY_ONE_SIDED[side].format(name)}"
+        f"{where_text(level.mechanism, level.level)} {_WHY_ONE_SIDED[side].format(name)}"
         for place, side in zip(of.compared, found.side.tolist(), strict=True)
+        for level in [of.task.levels[place]]
         if side != BOTH
     ]
     low, high = (_points(fall + sign * wide.fall) for sign in (-1, 1))
     reasons = {
         f"it rests on {one.n} people or groups, who count as {found.fall_degrees + 1:.0f}: "
-        f"{rules.FEWEST_EFFECTIVE} are needed": found.fall_degrees + 1 < rules.FEWEST_EFFECTIVE,
-        "all people fare alike: that says nothing of others": found.fall_error < spread.NO_SPREAD,
+        f"{FEWEST_EFFECTIVE} are needed": found.fall_degrees + 1 < FEWEST_EFFECTIVE,
+        "all people fare alike: that says nothing of others": found.fall_error < rules.NO_SPREAD,
         f"the strongest attack links {_points(links)} of 100 people even at raw, a guess "
         f"{_points(guess)}: nothing could be seen": links - guess < rules.SUCCESS_MARGIN,
         f"linkage falls by {_points(fall)} [{low}, {high}] of 100 people from raw to the strongest "

@@ -24,7 +24,6 @@ from isac_track.intervals import (
     of_few,
     percentile_interval,
     percentile_intervals,
-    ratio_estimates,
     wilson,
 )
 from isac_track.linkability.ranks import (
@@ -189,7 +188,7 @@ def scorecard(
     Rank metrics pool the probes of all searches. Score metrics pool the scores within a scale, a
     non-mated pair being of one search; over scales they are averaged, weighted by mated probes.
 
-    Intervals resample clusters. For rank metrics the galleries stay as they are (`ratio_estimate`).
+    Intervals resample clusters. Galleries of rank metrics stay as they are (`ratio_estimates`).
     A mated score weighs w, how often its probe's cluster is drawn, a non-mated score the product of
     its two clusters' w. Two people of one cluster who are no mates weigh w, not w^2: the pair is
     drawn as often as the cluster, and a pair of a cluster with its own copy is not one that any
@@ -410,10 +409,7 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     sums = probes.sums(weights.shape[1])
     numerator, denominator = np.stack([*sums.values()], axis=1)
     is_share = [name != "chance" for name in sums]
-    found = ratio_estimates(
-        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
-    )
-    found = of_few(found, numerator=numerator, denominator=denominator, is_share=is_share)
+    found = of_few(numerator=numerator, denominator=denominator, weights=weights, is_share=is_share)
     estimates = dict(zip(sums, found, strict=True))
     estimates["residual_risk"] = _residual_risk_estimate(
         *(estimates[name] for name in ("rank1", "chance")),

@@ -9,6 +9,7 @@ and leave success as it is, *flat* if nothing lowers success, *empty* if nothing
 from dataclasses import dataclass
 
 import numpy as np
+from helpers.estimates import ratio_estimate
 from helpers.mechanisms import RULE, sweeps_of
 from scipy.stats import norm
 
@@ -18,7 +19,6 @@ from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.analysis.strongest import strongest
 from evaluation.experiment.presets import SHARED
 from evaluation.verdict.sections import verdict
-from isac_track.intervals import ratio_estimate
 
 KINDS = ("valid", "fooled", "flat", "empty")
 RULES = ("", RULE)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.estimates import ratio_estimate
 from scipy.stats import binomtest, t
 
 from isac_track.intervals import (
@@ -16,14 +17,12 @@ from isac_track.intervals import (
     effective_clusters,
     estimate_of,
     exact_binomial,
-    jackknife_estimate,
+    jackknife_interval,
     of_few,
     percentile_interval,
     percentile_intervals,
-    ratio_estimate,
     ratio_estimates,
     wilson,
-    without_each,
 )
 from isac_track.rng import stream
 
@@ -180,22 +179,18 @@ def test_effective_clusters_are_as_many_as_there_are_if_all_are_alike():
         assert effective_clusters(np.array(sizes)) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("is_share", [False, True])
-def test_the_jackknife_of_a_mean_is_students_interval(is_share):
+def without_each(values):
+    """The sum of values, (C,), and that without each in turn."""
+    return values.sum() - np.append(0.0, values)
+
+
+def test_the_jackknife_of_a_mean_is_students_interval():
     values = stream(3, "test", "mean").random(30)
-    weights = without_each(30)
-    found = jackknife_estimate(
-        weights @ values / weights.sum(axis=1), sizes=np.ones(30), is_share=is_share
-    )
+    found = jackknife_interval(without_each(values) / without_each(np.ones(30)), effective=30.0)
     mean, error = values.mean(), values.std(ddof=1) / np.sqrt(30)
-    assert (found.value, found.standard_error, found.n) == pytest.approx((mean, error, 30))
-    law = t(29)
-    if is_share:  # on the scale of the logit, whose slope is 1 / p (1 - p)
-        half = law.ppf(0.975) * error / (mean * (1 - mean))
-        ends = 1 / (1 + (1 / mean - 1) * np.exp([half, -half]))
-    else:
-        ends = mean + error * law.ppf([0.025, 0.975])
-    assert (found.ci_low, found.ci_high) == pytest.approx(tuple(ends))
+    # On the scale of the logit, whose slope is 1 / p (1 - p).
+    half = t(29).ppf(0.975) * error / (mean * (1 - mean))
+    assert found == pytest.approx(tuple(1 / (1 + (1 / mean - 1) * np.exp([half, -half]))))
 
 
 @pytest.mark.parametrize(
@@ -214,7 +209,7 @@ def test_very_few_people_have_the_interval_of_their_count_or_none(hits, trials, 
         :, : trials.size
     ]
     sums = {"numerator": hits[None] * 1.0, "denominator": trials[None], "is_share": [True]}
-    (one,) = of_few(ratio_estimates(**sums, weights=weights), **sums)
+    (one,) = of_few(**sums, weights=weights)
     assert (one.ci_low, one.ci_high) == pytest.approx(ends, nan_ok=True)
     assert one.replicates.size == 9
 
@@ -224,8 +219,10 @@ def test_of_many_clusters_and_of_what_is_no_share_nothing_changes():
     hits = stream(4, "test", "many").random((2, 40))
     sums = {"numerator": hits, "denominator": np.ones((2, 40)), "is_share": [True, False]}
     sums["denominator"][1, 20:] = 0.0
-    found = ratio_estimates(**sums, weights=weights)
-    assert all(a is b for a, b in zip(of_few(found, **sums), found, strict=True))
+    for one, usual in zip(
+        *(of(**sums, weights=weights) for of in (of_few, ratio_estimates)), strict=True
+    ):
+        assert (one.ci_low, one.ci_high) == (usual.ci_low, usual.ci_high)
 
 
 def beta_binomial(rng, chances, sizes, within=0.4):
@@ -238,18 +235,16 @@ def beta_binomial(rng, chances, sizes, within=0.4):
 @pytest.mark.parametrize("chance", [0.2, 0.5, 0.85])
 def test_intervals_of_fifteen_to_twenty_clusters_cover(n_clusters, chance):
     rng = stream(5, "test", "coverage", n_clusters, str(chance))
-    weights, held = without_each(n_clusters), []
+    held = []
     for _ in range(1000):
         sizes = 2.0 * np.ones(n_clusters)
         sizes[: n_clusters - 15] += 2.0  # at least 15 in effect
         hits = beta_binomial(rng, np.array(chance), sizes)
-        other = beta_binomial(rng, np.array(0.4), sizes) + hits * 0.5  # goes with the first
-        rate = jackknife_estimate(weights @ hits / (weights @ sizes), sizes=sizes, is_share=True)
-        gap = jackknife_estimate(weights @ (hits - other) / (weights @ sizes), sizes=sizes)
-        truth = (chance, rate), (chance / 2 - 0.4, gap)
-        held.append([one.ci_low <= value <= one.ci_high for value, one in truth])
-    assert effective_clusters(sizes) >= LEAST_CLUSTERS
-    rate_held, gap_held = np.mean(held, axis=0)
-    # Hits are counts: a share's interval holds it rather too often, never much less.
-    assert 0.93 <= rate_held <= 0.99
-    assert 0.93 <= gap_held <= 0.97
+        effective = effective_clusters(sizes)
+        low, high = jackknife_interval(
+            without_each(hits) / without_each(sizes), effective=effective
+        )
+        held.append(low <= chance <= high)
+    assert effective >= LEAST_CLUSTERS
+    # Hits are counts: it holds the share rather too often, never much less.
+    assert 0.93 <= np.mean(held) <= 0.99

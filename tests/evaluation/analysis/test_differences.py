@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.estimates import ratio_estimate
 from scipy.stats import norm, ttest_rel
 
 from evaluation.analysis.differences import difference
-from isac_track.intervals import Estimate, cluster_weights, ratio_estimate, wilson
+from isac_track.intervals import Estimate, cluster_weights, wilson
 
 WEIGHTS = cluster_weights(n_clusters=40, n_replicates=1000, seed=3)
 

@@ -537,7 +537,7 @@ class TestRuns:
     ):
         words = ["--preset", "smoke", "--dataset", csv_recording, "--scenes", 8, "--jobs", 1]
         words += ["--mechanism", "raw", "--predictor", "none", "--attack", "histogram"]
-        words += ["--set", "linkage.most_people=30", "--out", tmp_path / "run"]
+        words += ["--verbose", "--set", "linkage.most_people=30", "--out", tmp_path / "run"]
         assert matrix.main([str(word) for word in words]) == 0
         shown = capsys.readouterr().err
         assert "task rerelease: 12 of 12 tracks last 12 s, but it takes 24" in shown
