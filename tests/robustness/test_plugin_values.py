@@ -174,7 +174,7 @@ class Hangs(KalmanCV):
         time.sleep(100)
 
 
-class Nothing(Fixed):
+class Nothing(Shared):
     def share(self, sensed, rng):
         return None
 
