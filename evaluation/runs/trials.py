@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from evaluation.cells.adversary import declared
 from evaluation.cells.trial import Fault, Trial, attempted, defined_at
-from evaluation.experiment.fingerprint import is_strange
+from evaluation.experiment.fingerprint import has_strangers, is_strange
 from evaluation.runs.files import PLUGIN_ERROR, write_whole
 from evaluation.runs.folder import usable
 from evaluation.runs.pieces import unfinished
@@ -34,15 +34,16 @@ def try_plugins(ready: Plan) -> list[str]:
     Raises PluginError if one fails, or takes longer than a cell may.
     """
     with usable(ready.out):
-        (ready.out / PLUGIN_ERROR).unlink(missing_ok=True)
+        if (ready.out / PLUGIN_ERROR).exists():
+            (ready.out / PLUGIN_ERROR).unlink()
+        if not has_strangers(ready.axes):
+            return []
         missing = ready.units if ready.settings.fresh else unfinished(ready)
     given_up = []
     allowed_s = ready.settings.cell_timeout_s
     limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)
     call = partial(attempted, stages=ready.settings.stages)
     works = deque(_trials(missing))
-    if not works:
-        return []
     for trial, found in spread(call, works, jobs=1, limit_s=limit_s, apart=True, alone=True):
         for one in found:
             if isinstance(one, Fault):
