@@ -1,4 +1,4 @@
-"""``python -m attacks``: list the attacks, check one, or begin one of your own."""
+"""``python -m attacks``: list the attacks, check a plug-in, or begin one of your own."""
 
 from __future__ import annotations
 
@@ -20,16 +20,30 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 TEMPLATES = {
-    "test_{name}.py": "test_attack.py.tmpl",
+    "test_{name}.py": "test_plugin.py.tmpl",
     "pyproject.toml": "pyproject.toml.tmpl",
     "README.md": "README.md.tmpl",
 }
-KINDS = {
-    "reconstruction": {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
-    "linkage": {"idea": "describe", "parameter": "bin_s", "another": "0.5"},
+_ATTACK: dict[str, str] = {
+    "noun": "attack",
+    "one_check": "null_stays_at_chance",
+    "against": "every sharing mechanism of the preset",
+    "known": "python -m attacks list",
+    "beside": "",
 }
-"""What the packages of the two kinds differ in, beside the template of the attack."""
-_IMPORTED = {"ClassVar", "Knowledge", "Reconstruction"}
+_OTHER = _ATTACK | {"known": "python -m evaluation.matrix --list"}
+KINDS: dict[str, dict[str, str]] = {
+    "reconstruction": _ATTACK | {"idea": "smooth", "parameter": "tau_s", "another": "0.1"},
+    "linkage": _ATTACK | {"idea": "describe", "parameter": "bin_s", "another": "0.5"},
+    "mechanism": _OTHER
+    | {"noun": "mechanism", "idea": "how_much", "parameter": "d_sigma", "another": "0.2"}
+    | {"one_check": "sigma_is_declared", "against": "raw sharing", "beside": "--mechanism raw "},
+    "predictor": _OTHER
+    | {"noun": "predictor", "idea": "ahead", "parameter": "window_s", "another": "0.5"}
+    | {"one_check": "odd_tracks_are_predicted"},
+}
+"""What the packages of the kinds differ in, beside the template of the module."""
+_IMPORTED = {"ClassVar", "Knowledge", "Literal", "Prediction", "Reconstruction"}
 """Classes that the generated file imports; its own must be called otherwise."""
 _EPILOG = """\
 exit codes: 0 done, 1 a check failed, 2 wrong usage, 130 interrupted
@@ -40,6 +54,7 @@ examples:
   python -m attacks check my_package.my_module:MyAttack
   python -m attacks new my_attack
   python -m attacks new my_linker --kind linkage
+  python -m attacks new my_noise --kind mechanism
 """
 
 
@@ -58,22 +73,24 @@ def parser() -> argparse.ArgumentParser:
     """Return the command line."""
     command = Parser(
         prog="python -m attacks",
-        description="List the attacks, check one against the attack kit, or begin your own.",
+        description="List the attacks; check an attack, mechanism or predictor against its kit, "
+        "or begin your own.",
         epilog=_EPILOG,
     )
     commands = command.add_subparsers(dest="command", title="commands", required=True)
     commands.add_parser("list", help="what is built in or installed, and which adversaries run it")
-    check = commands.add_parser("check", help="run the attack kit on one attack")
+    check = commands.add_parser("check", help="run its kit on one plug-in")
     check.add_argument(
         "spec", metavar="SPEC", help="name[:VALUE][,key=value...] or package.module:Class[:...]"
     )
-    new = commands.add_parser("new", help="write a package with an attack that works, to edit")
+    new = commands.add_parser("new", help="write a package with a plug-in that works, to edit")
     new.add_argument("name", metavar="NAME", help="a lower-case Python identifier: my_attack")
     new.add_argument(
         "--kind",
         choices=KINDS,
         default="reconstruction",
-        help="where people were, or whose release it is (default: reconstruction)",
+        help="an attack that asks where people were (default) or whose release it is, or how "
+        "positions are shared or predicted",
     )
     new.add_argument(
         "--into", type=Path, default=Path(), metavar="DIR", help="where (default: this folder)"
@@ -116,16 +133,17 @@ def _check(spec: str) -> int:
             f"{spec!r} is two attacks, one on what the other makes of a release; check the two "
             f"parts apart: {linker or 'LINKER'}, then {reconstruction or 'RECONSTRUCTION'}"
         )
-    from attacks.testing import adversaries_of, checks_for  # noqa: PLC0415 - `--help` stays quick
+    from attacks.testing import adversaries_of, checks_for, noun_of  # noqa: PLC0415 - `--help` stays quick
     from isac_track import plugins  # noqa: PLC0415 - as above
     from isac_track.testing import engine  # noqa: PLC0415 - as above
 
     words = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
     passed = True
-    for plugin in plugins.parse("attacks", spec):
-        checks = checks_for(plugin.instance)
+    for plugin in plugins.parse(plugins.kind_named(spec), spec):
+        checks, noun = checks_for(plugin.instance), noun_of(plugin.instance)
         width = max(map(len, checks))
-        print(f"{plugin.spec} as {', '.join(adversaries_of(plugin.instance))}:")
+        who = ", ".join(adversaries_of(plugin.instance)) if noun == "attack" else f"a {noun}"
+        print(f"{plugin.spec} as {who}:")
         passed &= engine.report(
             engine.outcomes(checks.values(), plugin.instance),
             line=lambda one: f"  {words[one.status]}  {one.name:<{width}}  {one.message}",  # noqa: B023 - called at once
@@ -136,14 +154,17 @@ def _check(spec: str) -> int:
 def _new(name: str, *, kind: str, into: Path) -> int:
     class_name = "".join(part.capitalize() for part in name.split("_"))
     folder = into / name
-    _reject_taken(name, class_name=class_name, folder=folder)
+    words = KINDS[kind]
+    noun = words["noun"]
+    _reject_taken(name, class_name=class_name, folder=folder, noun=noun)
     shown = f"./{name}" if into == Path() else shlex.quote(str(folder))
     commands = {
         "install": f"pip install -e {shown}",
         "pytest": f"pytest {shown.removeprefix('./')}",
-        "matrix": f"python -m evaluation.matrix --preset smoke --attack {name}",
+        "matrix": f"python -m evaluation.matrix --preset smoke {words['beside']}--{noun} {name}",
     }
-    words = KINDS[kind] | commands | {"kind": kind, "name": name, "class_name": class_name}
+    of_what = f"{kind} attack" if noun == "attack" else noun
+    words = words | commands | {"is": of_what, "name": name, "class_name": class_name}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for target, source in {"{name}.py": f"{kind}.py.tmpl", **TEMPLATES}.items():
@@ -152,15 +173,18 @@ def _new(name: str, *, kind: str, into: Path) -> int:
             (folder / target.format(name=name)).write_text(text, encoding="utf-8")
     except OSError as error:
         raise SettingsError(f"cannot write {error.filename}: {error.strerror}") from error
-    print(f"wrote {folder}: an attack that works; edit {folder / name}.py, then:")
+    works = f"a{'n' * (noun == 'attack')} {noun} that works"
+    print(f"wrote {folder}: {works}; edit {folder / name}.py, then:")
     for line in commands.values():
         print(f"  {line}")
     return DONE
 
 
-def _reject_taken(name: str, *, class_name: str, folder: Path) -> None:
+def _reject_taken(name: str, *, class_name: str, folder: Path, noun: str) -> None:
     """Raise SettingsError for a name that would clash with something or cannot be imported."""
-    from isac_track.plugins import names  # noqa: PLC0415 - `--help` stays quick
+    from isac_track import plugins  # noqa: PLC0415 - `--help` stays quick
+
+    kinds: dict[str, plugins.Kind] = {"mechanism": "mechanisms", "predictor": "predictors"}
 
     wrong, way_out = "", "take another name"
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
@@ -174,8 +198,8 @@ def _reject_taken(name: str, *, class_name: str, folder: Path) -> None:
         wrong = f"would call its class {class_name}, which is taken"
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SettingsError(f"{folder} is there already; take another name, or --into DIR")
-    elif name in names("attacks"):
-        wrong = "is the name of an attack already"
+    elif name in plugins.names(kinds.get(noun, "attacks")):
+        wrong = f"is the name of a{'n' * (noun == 'attack')} {noun} already"
     # A folder without a module, such as an empty one of that name, is in nobody's way.
     elif name in sys.stdlib_module_names or getattr(find_spec(name), "origin", None) is not None:
         wrong = "is the name of a Python module already"

@@ -153,6 +153,19 @@ def parse_all(kind: Kind, specs: tuple[str, ...]) -> tuple[Plugin, ...]:
     return tuple(unique.values())
 
 
+def kind_named(spec: str) -> Kind:
+    """Return which kind of plug-in a SPEC names: by its name, or the method of its class.
+
+    Where nothing tells, an attack: what is wrong with it, `parse` says.
+    """
+    kinds: tuple[Kind, ...] = ("attacks", "mechanisms", "predictors")
+    for kind in kinds:
+        with contextlib.suppress(PluginError, SettingsError):
+            _load(kind, _split(kind, spec)[0])
+            return kind
+    return "attacks"
+
+
 def is_own_class(kind: Kind, spec: str) -> bool:
     """Whether a SPEC names a class by its module, ``package.module:Class``; imports nothing."""
     return ":" in _split(kind, spec)[0]

@@ -1,4 +1,4 @@
-"""The attack kit: what every attack must do, as named checks for either kind.
+"""The kits: what every attack, mechanism or predictor must do, as named checks.
 
 With pytest, every check of every attack becomes a test of its own::
 
@@ -11,9 +11,11 @@ so that ``pytest -k null_stays_at_chance`` runs one of them. From the command li
     python -m attacks check my_module:MyAttack
 
 `CHECKS` are those of reconstruction attacks, `LINKAGE_CHECKS` those of linkage attacks; which of
-them an attack gets goes by its kind (`isac_track.protocols.kind_of`). Every check runs once for
-each adversary that grants the attack something else (`isac_track.protocols.grants`). All draws
-are seeded: a check never flickers.
+them an attack gets goes by its kind (`isac_track.protocols.kind_of`). Every check of an attack runs
+once for each adversary that grants it something else (`isac_track.protocols.grants`).
+`MECHANISM_CHECKS` and `PREDICTOR_CHECKS` are for the two others, with
+`parametrize_mechanism_checks` and `parametrize_predictor_checks` for pytest. All draws are seeded:
+a check never flickers.
 """
 
 from __future__ import annotations
@@ -21,15 +23,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal, TypeAlias
 from unittest import SkipTest
 
-from attacks.testing import _linkage_checks, _reconstruction_checks
+from attacks.testing import _linkage_checks, _plugin_checks, _reconstruction_checks
 from attacks.testing._checks import Attack, Row
 from attacks.testing._releases import copied
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import ADVERSARIES, grants, kind_of
+from isac_track.protocols import ADVERSARIES, Mechanism, Predictor, grants, kind_of
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
@@ -38,12 +40,18 @@ from isac_track.types import Knowledge
 __all__ = [
     "CHECKS",
     "LINKAGE_CHECKS",
+    "MECHANISM_CHECKS",
+    "PREDICTOR_CHECKS",
     "CheckResult",
     "adversaries_of",
     "checks_for",
     "parametrize_attack_checks",
+    "parametrize_mechanism_checks",
+    "parametrize_predictor_checks",
     "run_checks",
 ]
+
+Subject: TypeAlias = "Attack | Mechanism | Predictor"
 
 
 def _in_every_row(body: Callable[[Row], None], attack: Attack) -> None:
@@ -117,16 +125,43 @@ LINKAGE_CHECKS = _kit(_linkage_checks.ALL)
 """All checks of linkage attacks by name, in the order in which they run."""
 
 
-def checks_for(attack: Attack) -> dict[str, Check]:
-    """Return the checks of an attack of this kind by name, in the order in which they run.
+def _plain(bodies: Iterable[Callable[[Any], None]]) -> dict[str, Check]:
+    return {one.__name__: Check(one.__name__, engine.statement_of(one), one) for one in bodies}
+
+
+MECHANISM_CHECKS = _plain(_plugin_checks.MECHANISM)
+"""All checks of mechanisms by name, in the order in which they run."""
+
+PREDICTOR_CHECKS = _plain(_plugin_checks.PREDICTOR)
+"""All checks of predictors by name, in the order in which they run."""
+
+
+def noun_of(subject: object) -> Literal["attack", "mechanism", "predictor"]:
+    """Return what somebody's object is, by its method; an attack if nothing says otherwise."""
+    if hasattr(subject, "fit"):
+        return "attack"
+    if hasattr(subject, "share"):
+        return "mechanism"
+    return "predictor" if hasattr(subject, "predict") else "attack"
+
+
+def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
+    """Return the checks of a plug-in of this kind by name, in the order in which they run.
 
     Raises
     ------
     PluginError
-        If it is no attack at all, with what to write instead.
+        If it is no plug-in at all, with what to write instead.
     """
-    _granted(attack)
-    return dict(LINKAGE_CHECKS if kind_of(attack) == "linkage" else CHECKS)
+    noun = noun_of(subject)
+    if noun == "attack" or isinstance(subject, type):
+        _granted(subject)
+        return dict(LINKAGE_CHECKS if kind_of(subject) == "linkage" else CHECKS)
+    kind: plugins.Kind = "mechanisms" if noun == "mechanism" else "predictors"
+    name = f"{noun} {type(subject).__name__}"
+    plugins.check_class(kind, type(subject), name)
+    plugins.check_declared(kind, subject, name)
+    return dict(MECHANISM_CHECKS if noun == "mechanism" else PREDICTOR_CHECKS)
 
 
 def adversaries_of(attack: Attack) -> tuple[str, ...]:
@@ -139,14 +174,15 @@ def adversaries_of(attack: Attack) -> tuple[str, ...]:
     return tuple(adversary for adversary in ADVERSARIES if adversary in named)
 
 
-def run_checks(attack: Attack, *, names: Sequence[str] | None = None) -> tuple[CheckResult, ...]:
-    """Run all checks on an attack, or those called `names`; one that fails ends nothing.
+def run_checks(subject: Subject, *, names: Sequence[str] | None = None) -> tuple[CheckResult, ...]:
+    """Run all checks on a plug-in, or those called `names`; one that fails ends nothing.
 
     Raises as `checks_for`, and SettingsError for a check that does not exist.
     """
-    checks = checks_for(attack)
-    kit, known = f" of a {kind_of(attack)} attack", f"known: {', '.join(checks)}"
-    return tuple(engine.outcomes(engine.select(checks, names, kit=kit, known=known), attack))
+    checks, noun = checks_for(subject), noun_of(subject)
+    kit = f" of a {kind_of(subject)} attack" if noun == "attack" else f" of a {noun}"
+    known = f"known: {', '.join(checks)}"
+    return tuple(engine.outcomes(engine.select(checks, names, kit=kit, known=known), subject))
 
 
 def parametrize_attack_checks(attacks: Iterable[Attack]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
@@ -157,26 +193,41 @@ def parametrize_attack_checks(attacks: Iterable[Attack]) -> Any:  # noqa: ANN401
     several times, with different parameters. Raises as `checks_for`, and SettingsError without
     any attack.
     """
-    if not isinstance(attacks, Iterable):
+    return _parametrized("attack", attacks)
+
+
+def parametrize_mechanism_checks(mechanisms: Iterable[Mechanism]) -> Any:  # noqa: ANN401 - as above
+    """Return the same for mechanisms; the test takes `mechanism` and `check`."""
+    return _parametrized("mechanism", mechanisms)
+
+
+def parametrize_predictor_checks(predictors: Iterable[Predictor]) -> Any:  # noqa: ANN401 - as above
+    """Return the same for predictors; the test takes `predictor` and `check`."""
+    return _parametrized("predictor", predictors)
+
+
+def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - as above
+    if not isinstance(subjects, Iterable):
         raise PluginError(
-            f"expected a list of attacks, got {attacks!r}: write parametrize_attack_checks([...])"
+            f"expected a list of {noun}s, got {subjects!r}: write parametrize_{noun}_checks([...])"
         )
-    cases = [
-        (f"{_label(attack)}-{name}", (attack, check))
-        for attack in attacks
-        for name, check in checks_for(attack).items()
-    ]
+    cases = []
+    for subject in subjects:
+        checks = checks_for(subject)
+        if noun_of(subject) != noun:
+            raise PluginError(f"{_label(subject)} is no {noun}, but a {noun_of(subject)}")
+        cases += [(f"{_label(subject)}-{name}", (subject, checks[name])) for name in checks]
     if not cases:
-        raise SettingsError("no attack to check: the list is empty")
-    return engine.parametrize("attack,check", cases)
+        raise SettingsError(f"no {noun} to check: the list is empty")
+    return engine.parametrize(f"{noun},check", cases)
 
 
-def _label(attack: Any) -> str:  # noqa: ANN401 - a frozen dataclass
+def _label(subject: Any) -> str:  # noqa: ANN401 - a frozen dataclass
     """Return the class, with the parameters that differ from their defaults."""
     changed = [
-        f"{item.name}={getattr(attack, item.name)}"
-        for item in dataclasses.fields(attack)
-        if item.init and repr(getattr(attack, item.name)) != repr(item.default)
+        f"{item.name}={getattr(subject, item.name)}"
+        for item in dataclasses.fields(subject)
+        if item.init and repr(getattr(subject, item.name)) != repr(item.default)
     ]
-    name = type(attack).__name__
+    name = type(subject).__name__
     return f"{name}({','.join(changed)})" if changed else name

@@ -109,7 +109,7 @@ class Row:
             doing, hint = "the function from fit", _which_kind(fitted, first)
             return [fitted(*(getattr(case, name) for name in case.asked)) for case in cases]
         except (Exception, SystemExit) as error:
-            where = _place(error, self.attack)
+            where = place(error, self.attack)
             wrong = f"{self}, {first.about}: {doing} raised {told(error)}{where}{hint}"
             raise AssertionError(wrong) from error
 
@@ -153,8 +153,8 @@ def _which_kind(fitted: Any, case: Case) -> str:  # noqa: ANN401 - whatever came
     return ""
 
 
-def _place(error: BaseException, attack: object) -> str:
-    """Return the last line of the attack's own file on the way to an error."""
+def place(error: BaseException, attack: object) -> str:
+    """Return the last line of the plug-in's own file on the way to an error."""
     file = getattr(sys.modules.get(type(attack).__module__), "__file__", None)
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if frame.filename == file] or frames[1:]

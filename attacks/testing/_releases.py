@@ -11,8 +11,8 @@ from scipy.integrate import cumulative_trapezoid
 
 from isac_track.protocols import LinkageTrainingSet, TrainingSet
 from isac_track.rng import stream
-from isac_track.sensing import unit_errors
-from isac_track.types import Floats, Release, Sensed
+from isac_track.sensing import fisher_information_density, unit_errors
+from isac_track.types import ErrorLaw, Floats, Release, Sensed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -81,21 +81,28 @@ def person(speed_mps: float, rng: np.random.Generator) -> Person:
 
 def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fixed) -> Release:
     """Return walks as the mechanism shares them, under new pseudonyms."""
+    return mechanism.share(sensed(walks, name, law=mechanism.law), draws("share", *name))
+
+
+def sensed(
+    walks: Sequence[Walk], name: tuple[str | int, ...], *, law: ErrorLaw | None = None
+) -> Sensed:
+    """Return walks as the network senses them, with errors of `RAW_SIGMA_M`."""
     t, xy = (np.concatenate(arrays) for arrays in zip(*walks, strict=True))
-    law = mechanism.law or "radial"
+    law = law or "radial"
     unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
-    nothing = np.zeros(t.size)
-    sensed = Sensed(
+    offsets = np.cumsum([0, *(times.size for times, _ in walks)])
+    information = np.full(t.size, RAW_SIGMA_M**-2)
+    return Sensed(
         t=t,
         xy=xy + RAW_SIGMA_M * unit,
         unit_error=unit,
         sigma_raw=np.full(t.size, RAW_SIGMA_M),
-        information=nothing,  # Fixed looks at neither
-        fid=nothing,
-        offsets=np.cumsum([0, *(times.size for times, _ in walks)]),
+        information=information,
+        fid=fisher_information_density(information=information, t=t, offsets=offsets),
+        offsets=offsets,
         law=law,
     )
-    return mechanism.share(sensed, draws("share", *name))
 
 
 def turned(xy: Floats, frame: Frame) -> Floats:

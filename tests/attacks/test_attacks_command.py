@@ -8,11 +8,12 @@ from importlib.metadata import EntryPoint
 import pytest
 from helpers.processes import ROOT, run_python
 
-from attacks.__main__ import main
-from attacks.testing import CHECKS, LINKAGE_CHECKS
+from attacks.__main__ import KINDS, main
+from attacks.testing import CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS
 from isac_track import plugins
 
 GUIDE = (ROOT / "docs" / "attacks.md").read_text(encoding="utf-8")
+RAW = {"mechanism": "--mechanism raw "}
 MINE, LINKERS = "helpers.broken_attacks", "helpers.broken_linkers"
 
 
@@ -20,9 +21,9 @@ MINE, LINKERS = "helpers.broken_attacks", "helpers.broken_linkers"
 def installed(monkeypatch):
     """Pretend that somebody has installed these attacks."""
 
-    def install(**points):
-        found = tuple(EntryPoint(*point, group="isac_track.attacks") for point in points.items())
-        monkeypatch.setattr(plugins, "_entry_points", {"attacks": found}.get)
+    def install(kind="attacks", **points):
+        found = tuple(EntryPoint(*point, group=f"isac_track.{kind}") for point in points.items())
+        monkeypatch.setattr(plugins, "_entry_points", lambda asked: found * (asked == kind))
 
     return install
 
@@ -83,8 +84,23 @@ class TestCheck:
         assert shown.endswith(f"{len(CHECKS) - 1} passed, 0 failed, 1 skipped\n")
 
     @pytest.mark.parametrize(
+        ("spec", "head", "checks"),
+        [
+            ("fid:100,adding=independent", "as a mechanism:", MECHANISM_CHECKS),
+            ("predictors.kalman:KalmanCV", "as a predictor:", PREDICTOR_CHECKS),
+        ],
+    )
+    def test_other_kinds_are_found_by_name_or_method(self, spec, head, checks, capsys):
+        assert main(["check", spec]) == 0
+        first, *lines, _ = capsys.readouterr().out.splitlines()
+        assert first == f"{spec} {head}"
+        assert lines == [f"  pass  {name}" for name in checks]
+
+    @pytest.mark.parametrize(
         ("spec", "message"),
         [
+            ("fixed", "fixed needs a value for d_sigma"),
+            ("no_such.module:Noise", "cannot be loaded from no_such.module:Noise"),
             ("kalman_rst", "unknown attack 'kalman_rst'; did you mean 'kalman_rts'?"),
             (f"{MINE}:Nobody", f"cannot be loaded from {MINE}:Nobody"),
             ("kalman_rts:-1", "q must be positive"),
@@ -114,31 +130,34 @@ class TestNew:
         [
             ("my_attack", "reconstruction", CHECKS, "tau_s"),
             ("my_linker", "linkage", LINKAGE_CHECKS, "bin_s"),
+            ("my_noise", "mechanism", MECHANISM_CHECKS, "d_sigma"),
+            ("my_tracker", "predictor", PREDICTOR_CHECKS, "window_s"),
         ],
     )
     def test_it_works_as_it_is(
         self, name, kind, checks, parameter, capsys, installed, monkeypatch, pytester
     ):
         folder, class_name = pytester.path / name, name.title().replace("_", "")
+        noun = kind if kind in ("mechanism", "predictor") else "attack"
         folder.mkdir()  # an empty folder is taken
         assert main(["new", name, "--kind", kind]) == 0
         texts = {path.name: path.read_text("utf-8") for path in folder.iterdir()}
         assert texts.keys() == {f"{name}.py", f"test_{name}.py", "pyproject.toml", "README.md"}
         assert not any("$" in text for text in texts.values())
         for file in ("README.md", "pyproject.toml"):
-            assert f"A {kind} attack for isac-track" in texts[file]
+            assert re.search(f"A .*{kind}( attack)? for isac-track", texts[file])
         lines = (
             f"pip install -e ./{name}",
             f"pytest {name}",
-            f"python -m evaluation.matrix --preset smoke --attack {name}",
+            f"python -m evaluation.matrix --preset smoke {RAW.get(noun, '')}--{noun} {name}",
         )
         shown = capsys.readouterr().out.splitlines()[-3:]
         assert shown == [f"  {line}" for line in lines]
         assert all(f"\n{line}\n" in texts["README.md"] for line in lines)
-        for line in ("python -m attacks new my_attack", *lines):
+        for line in ("python -m attacks new my_attack", *lines) * (noun == "attack"):
             assert f"\n{line.replace(name, 'my_attack')}\n" in GUIDE
         project = tomllib.loads(texts["pyproject.toml"])["project"]
-        entry_points = project["entry-points"]["isac_track.attacks"]
+        entry_points = project["entry-points"][f"isac_track.{noun}s"]
         assert (project["name"], entry_points) == (name, {name: f"{name}:{class_name}"})
         # Its own tests, from where it was made.
         done = pytester.runpytest_inprocess("-W", "error", "-p", "no:cacheprovider", name)
@@ -146,18 +165,19 @@ class TestNew:
         capsys.readouterr()
         # By name, once installed.
         monkeypatch.syspath_prepend(folder)
-        installed(**entry_points)
+        installed(f"{noun}s", **entry_points)
         try:
             assert main(["list"]) == 0
             listed = capsys.readouterr().out
-            assert re.search(rf"^{name} +{kind} +blind, informed ", listed, re.MULTILINE)
+            row = re.search(rf"^{name} +{kind} +blind, informed ", listed, re.MULTILINE)
+            assert bool(row) == (noun == "attack")
             assert main(["check", f"{name}:0"]) == 2
             assert f"{parameter} must be positive, got 0" in capsys.readouterr().err
         finally:
             sys.modules.pop(name, None)
 
     def test_ruff_and_its_formatter_have_nothing_to_say(self, here):
-        for kind in ("reconstruction", "linkage"):
+        for kind in KINDS:
             for name in (kind[0], f"{kind[:3]}_with_quite_a_long_name"):
                 assert main(["new", name, "--kind", kind]) == 0
         for words in (["check"], ["format", "--check"]):
@@ -186,6 +206,12 @@ class TestNew:
         assert captured.out == ""
         assert re.search(re.escape(message).replace(r"\.\*", ".*"), captured.err)
         assert list(here.iterdir()) == []
+
+    def test_a_name_is_taken_by_its_own_kind_alone(self, here, capsys):
+        assert main(["new", "fid", "--kind", "mechanism"]) == 2
+        assert "'fid' is the name of a mechanism already" in capsys.readouterr().err
+        assert main(["new", "fid", "--kind", "predictor"]) == 0
+        assert [path.name for path in here.iterdir()] == ["fid"]
 
     def test_nothing_is_overwritten(self, here, capsys):
         mine = here / "my_attack" / "my_attack.py"

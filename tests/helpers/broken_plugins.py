@@ -1,0 +1,153 @@
+"""Plausible mistakes in mechanisms and predictors, each of which exactly one check must catch."""
+
+from dataclasses import dataclass, replace
+from itertools import count
+
+import numpy as np
+
+from isac_track.sharing import perturb
+from isac_track.types import Prediction
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Honest: independent errors, drawn from rng."""
+
+    d_sigma: float = 0.4
+    adding = "independent"
+
+    def share(self, sensed, rng):
+        return perturb(sensed, self.d_sigma, rng, adding="independent")
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Honest: nobody moves on."""
+
+    requires = frozenset()
+
+    def predict(self, release, t_future):
+        last = release.xy[release.offsets[1:] - 1]
+        return Prediction(np.repeat(last[:, None], t_future.shape[1], axis=1))
+
+
+NOISE, STAND, CALLS = Noise(), Stand(), count()
+
+
+def plugin(function):
+    """A mechanism if the function takes `sensed`, else a predictor, with this for its method."""
+    base, method = (
+        (Noise, "share") if "sensed" in function.__code__.co_varnames else (Stand, "predict")
+    )
+    return type(function.__name__, (base,), {method: lambda _, *given: function(*given)})()
+
+
+def retimed(sensed, rng):
+    release = NOISE.share(sensed, rng)
+    return replace(release, t=release.t + 0.01)
+
+
+def undeclared(sensed, rng):
+    return NOISE.share(sensed, rng).without_sigma()
+
+
+def declares_raw(sensed, rng):
+    return replace(NOISE.share(sensed, rng), sigma=sensed.sigma_raw)
+
+
+def declares_d_sigma(sensed, rng):
+    release = perturb(sensed, 0.1, rng, adding="independent")
+    return replace(release, sigma=np.full_like(release.sigma, 0.1))
+
+
+def writes(sensed, rng):
+    sensed.xy.flags.writeable = True
+    sensed.xy[:] += 1.0
+    release = NOISE.share(sensed, rng)
+    return replace(release, xy=release.xy - 1.0)
+
+
+def own_dice(sensed, rng):
+    release, again = NOISE.share(sensed, rng), NOISE.share(sensed, np.random.default_rng())
+    return replace(release, xy=again.xy)
+
+
+def a_seed_for_a_place(sensed, rng):
+    xy = []
+    for track in sensed:
+        mine = np.random.default_rng(abs(int(1e6 * track.xy[0, 0])))
+        xy.append(NOISE.share(track, mine).xy)
+    return replace(NOISE.share(sensed, rng), xy=np.concatenate(xy))
+
+
+def numbered(sensed, rng):
+    release = NOISE.share(sensed, rng)
+    return replace(release, pseudonym=tuple(map(str, range(len(release)))))
+
+
+def needs_two(sensed, rng):
+    for track in sensed:
+        np.diff(track.t).min()
+    return NOISE.share(sensed, rng)
+
+
+def by_number(sensed, rng):
+    number = np.repeat(np.arange(len(sensed)), np.diff(sensed.offsets))
+    return perturb(sensed, 0.1 * number, rng, adding="independent")
+
+
+def needs_a_grid(release, t_future):
+    assert (np.diff(t_future)[:, 0] > 0).all()
+    return STAND.predict(release, t_future)
+
+
+def takes_sigma(release, t_future):
+    return Prediction(STAND.predict(release, t_future).mean + release.sigma.mean())
+
+
+def centres(release, t_future):
+    found = STAND.predict(release, t_future)
+    release.xy.flags.writeable = True
+    release.xy[:] -= release.xy.mean(axis=0)
+    return found
+
+
+def counts(release, t_future):
+    return Prediction(STAND.predict(release, t_future).mean + 1e-9 * next(CALLS))
+
+
+def with_the_crowd(release, t_future):
+    mean = STAND.predict(release, t_future).mean
+    return Prediction(0.9 * mean + 0.1 * mean.mean(axis=0))
+
+
+def last_step(release, t_future):
+    for track in release:
+        track.xy[-1] - track.xy[-2]
+    return STAND.predict(release, t_future)
+
+
+def skewed(release, t_future):
+    mean = STAND.predict(release, t_future).mean
+    return Prediction(mean, np.broadcast_to([[1.0, 2.0], [0.0, 1.0]], (*mean.shape, 2)))
+
+
+BROKEN = [
+    (retimed, "result_is_a_release", "in track 0 nothing was sensed at"),
+    (undeclared, "sigma_is_declared", "sigma is None"),
+    (declares_raw, "sigma_is_that_of_the_error", "times what is declared"),
+    (declares_d_sigma, "sigma_is_that_of_the_error", r"is 1\..*adds_error = False"),
+    (writes, "sensed_is_not_mutated", r"changed its input \[0\].xy"),
+    (own_dice, "same_rng_same_release", "draw from it alone"),
+    (a_seed_for_a_place, "another_rng_another_draw", "two rng give one error"),
+    (numbered, "pseudonyms_are_fresh", "'0' comes again under another rng"),
+    (needs_two, "odd_tracks_are_shared", r"ValueError: .* \(broken_plugins.py, line "),
+    (by_number, "order_of_sensed_tracks_does_not_matter", "in another order xy|sigma differs"),
+    (needs_a_grid, "result_is_a_prediction", "predict raised IndexError"),
+    (takes_sigma, "only_required_knowledge_is_touched", "unless `requires` has Knowledge.SIGMA"),
+    (centres, "release_is_not_mutated", r"changed its input \[0\].xy"),
+    (counts, "same_release_same_prediction", "two calls differ"),
+    (with_the_crowd, "one_track_is_predicted_as_among_others", "track 0 alone .* mean by"),
+    (last_step, "odd_tracks_are_predicted", r"IndexError: .* \(broken_plugins.py, line "),
+]
+"""(function, the one check that it fails, what the message says)"""
