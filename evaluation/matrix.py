@@ -188,7 +188,8 @@ def _n_workers(settings: Settings) -> int:
     crossed = axes(settings)
     jobs = jobs_of(crossed, settings)
     needed = jobs > 1 or has_strangers(crossed) or settings.cell_timeout_s is not None
-    return jobs if needed and settings.scheduler is None else 0
+    # One more tries what strangers wrote, and computes nothing else.
+    return jobs + has_strangers(crossed) if needed and settings.scheduler is None else 0
 
 
 def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace:

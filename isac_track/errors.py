@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from difflib import get_close_matches
+from pathlib import Path
+from traceback import walk_tb
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -10,6 +12,10 @@ if TYPE_CHECKING:
 
 _MOST_TOLD = 300
 """Characters of a stranger's message."""
+_NOT_STRANGE = frozenset(
+    ("isac_track", "predictors", "attacks", "evaluation", "numpy", "scipy", "numba", "dataclasses")
+)
+"""Packages that a plug-in's own source is not in."""
 _MOST_REPEATED = 100
 """Characters of what a user typed."""
 
@@ -47,6 +53,20 @@ def told(error: BaseException) -> str:
         one if one.isprintable() else one.encode("unicode_escape").decode() for one in words
     )
     return line if len(line) <= _MOST_TOLD else f"{line[:_MOST_TOLD]}..."
+
+
+def raised_at(error: BaseException) -> str:
+    """Return where a stranger's code failed, as ` (file.py, line 3)`; empty if it had no part.
+
+    It is the innermost line in the file that the stranger's code was entered by.
+    """
+    file, line = "", 0
+    for frame, number in walk_tb(error.__traceback__):
+        name = frame.f_code.co_filename
+        is_ours = str(frame.f_globals.get("__name__", "")).partition(".")[0] in _NOT_STRANGE
+        if name == file or not (file or is_ours):
+            file, line = name, number
+    return f" ({Path(file).name}, line {line})" if file else ""
 
 
 def quoted(value: object) -> str:

@@ -8,6 +8,7 @@ person's linkability is compared with.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -335,24 +336,31 @@ def _fitted(
     )
     attack = sharing.guarded(who, lambda: plugin.instance.fit(context))
 
-    def score(probe: Release, gallery: Release) -> Floats:
-        shown = [sharing.handed(one, plugin) for one in (probe, gallery)]
-        found = sharing.guarded(who, lambda: attack(*shown))
-        if np.ma.isMaskedArray(found):
-            raise PluginError(f"{who} must return a score for every pair, got a masked array")
-        scores = np.asarray(found)
-        expected = (len(probe), len(gallery))
-        if scores.shape != expected or scores.dtype.kind not in "fiu":
-            raise PluginError(
-                f"{who} must return scores {expected}, got {scores.shape} of {scores.dtype}"
-            )
-        with np.errstate(over="ignore"):
-            single = scores.astype(np.float32)
-        if not np.isfinite(single).all():
-            raise PluginError(f"{who} returned a score that is not finite")
-        return single.astype(np.float64)
+    return partial(scores_of, attack, plugin=plugin, who=who)
 
-    return score
+
+def scores_of(
+    attack: Callable[..., object], probe: Release, gallery: Release, *, plugin: Plugin, who: str
+) -> Floats:
+    """Return what a fitted linker makes of two releases: (p, g), in float32.
+
+    Raises PluginError if it raises or returns anything else; the message names it.
+    """
+    shown = [sharing.handed(one, plugin) for one in (probe, gallery)]
+    found = sharing.guarded(who, lambda: attack(*shown))
+    if np.ma.isMaskedArray(found):
+        raise PluginError(f"{who} must return a score for every pair, got a masked array")
+    scores = np.asarray(found)
+    expected = (len(probe), len(gallery))
+    if scores.shape != expected or scores.dtype.kind not in "fiu":
+        raise PluginError(
+            f"{who} must return scores {expected}, got {scores.shape} of {scores.dtype}"
+        )
+    with np.errstate(over="ignore"):
+        single = scores.astype(np.float32)
+    if not np.isfinite(single).all():
+        raise PluginError(f"{who} returned a score that is not finite")
+    return single.astype(np.float64)
 
 
 def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:

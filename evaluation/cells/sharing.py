@@ -13,7 +13,7 @@ import numpy as np
 
 from attacks.tasks.sessions import Windows
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
-from isac_track.errors import PluginError, told
+from isac_track.errors import PluginError, raised_at, told
 from isac_track.rng import stream
 from isac_track.sharing import names_of
 from isac_track.types import (
@@ -54,7 +54,7 @@ class Samples(NamedTuple):
 def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns
     """Return what a plug-in's function returns.
 
-    Raises PluginError for whatever it raises, with who it was, but for the user's Ctrl-C.
+    Raises PluginError for whatever it raises, with who it was and where, but for the user's Ctrl-C.
     """
     try:
         return call()
@@ -62,7 +62,7 @@ def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whateve
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
         check_interrupt()  # it may have caught the user's and raised something else
-        raise PluginError(f"{who} failed: {told(error)}") from error
+        raise PluginError(f"{who} failed: {told(error)}{raised_at(error)}") from error
 
 
 def handed(batch: _Batch, to: Plugin) -> _Batch:

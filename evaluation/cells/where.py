@@ -22,6 +22,8 @@ class Failed:
     why: str
     died: bool = False
     """The worker did, and what it was at with it: another try may go well."""
+    is_late: bool = False
+    """It was ended for the time that it took."""
 
 
 class _Here(threading.local):

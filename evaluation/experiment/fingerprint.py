@@ -68,7 +68,12 @@ def has_strangers(crossed: Axes) -> bool:
     """Return whether not all plug-ins are ours: others may end their process, or spoil it."""
     consumers = (*crossed.consumers, *(link for _, link in crossed.links))
     plugins = [*crossed.mechanisms, *(one for who in consumers for one in who.plugins)]
-    return not all(one.origin.partition(":")[0].partition(".")[0] in OURS for one in plugins)
+    return any(map(is_strange, plugins))
+
+
+def is_strange(plugin: Plugin) -> bool:
+    """Return whether a plug-in is none of the project's own."""
+    return plugin.origin.partition(":")[0].partition(".")[0] not in OURS
 
 
 def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:

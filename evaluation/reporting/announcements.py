@@ -195,6 +195,8 @@ def notices(manifest: Mapping[str, Any]) -> Iterator[str]:
     for family in manifest.get("without_rule", ()):
         told = "does not say by `adding` how it adds its error: it is judged under both rules"
         yield f"{family} {told}"
+    for spec in manifest.get("untried_plugins", ()):
+        yield f"{spec} took more than a minute for a few made-up people: its cells may take long"
     if dropped := manifest.get("dropped_cells"):
         yield f"{dropped} cells of another code version were dropped"
     if damaged := manifest.get("damaged_cells"):

@@ -37,6 +37,7 @@ from evaluation.runs.pieces import (
     pieces_of,
     place_of,
 )
+from evaluation.runs.trials import try_plugins
 from evaluation.runs.whole_files import Gathered, WholeFile, files_to_come, in_files
 from evaluation.runs.workers import spread
 from isac_track.command_line import check_interrupt
@@ -64,12 +65,14 @@ def execute(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     started, out = time.monotonic(), ready.out
+    given_up = try_plugins(ready)
     manifest, held, damaged = open_run(out, identity=ready.identity, fresh=ready.settings.fresh)
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = places_of(held)
     missing = missing_of(ready, places)
     manifest |= describe(ready)
     manifest["damaged_cells"] = damaged
+    manifest["untried_plugins"] = given_up
     # What failed when other axes were run, whose finished levels stay in the tables.
     failures = manifest.get("failed", []) if manifest["cells"] else []
     ours = entries_of(ready, places, missing)

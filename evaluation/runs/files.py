@@ -53,6 +53,8 @@ FRAMES: Final = {
     "failed": "failed.csv",
 }
 """By the names of `Results`."""
+PLUGIN_ERROR: Final = "plugin-error.txt"
+"""Why a plug-in failed before a run, with its traceback; there is no run yet then."""
 WRITTEN: Final = (
     *(*FRAMES.values(), "flags.json", "verdict.json", "tables.txt", PAGE, GALLERY, CHECKSUMS),
     *(f"tables/{name}.tex" for name in ("sweep", "attacks", "paper", "linkability", "verdict")),

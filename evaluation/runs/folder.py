@@ -13,6 +13,7 @@ from evaluation.runs.files import (
     LOCK,
     MANIFEST,
     PAGE,
+    PLUGIN_ERROR,
     SUBFOLDERS,
     WRITTEN,
     forget_missing,
@@ -58,7 +59,11 @@ def check_folder(out: Path) -> None:
             return
         for path in out.iterdir():  # a run that is killed before its manifest is there leaves some
             is_empty = path.name == FOLDER and path.is_dir() and not any(path.iterdir())
-            if not is_empty and path.name != LOCK and not is_temporary(path.name):
+            if (
+                not is_empty
+                and path.name not in {LOCK, PLUGIN_ERROR}
+                and not is_temporary(path.name)
+            ):
                 raise SettingsError(f"{out} is not empty and holds no run; choose another --out")
 
 

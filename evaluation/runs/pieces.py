@@ -56,13 +56,18 @@ def missing_of(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Unit]
 
 
 def n_finished(ready: Plan) -> int:
-    """Return how many cells of a run are finished by the checksums of its folder.
+    """Return how many cells of a run are finished, as `unfinished` looks at its folder."""
+    return ready.n_cells - sum(len(one.consumers) for one in unfinished(ready))
+
+
+def unfinished(ready: Plan) -> list[Unit]:
+    """Return what a run lacks by the checksums of its folder, which nothing is changed in.
 
     Raises DataError if these cannot be read, and OSError if the folder of the cells cannot.
     """
     indices = {name: index_of(ready.out / FOLDER / name) for name in written_down(ready.out)}
     places = places_of({name: one for name, one in indices.items() if one is not None})
-    return ready.n_cells - sum(len(one.consumers) for one in missing_of(ready, places))
+    return missing_of(ready, places)
 
 
 def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:

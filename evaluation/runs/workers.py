@@ -71,6 +71,7 @@ def spread(
     apart: bool = False,
     loops: Sequence[str] = (),
     keeps: bool = False,
+    alone: bool = False,
 ) -> Generator[tuple[W, Iterable[R | Failed]]]:
     """Yield each work with what the function makes of it, again and again as it comes.
 
@@ -81,7 +82,8 @@ def spread(
     may be what kills its process.
 
     Modules of compiled `loops` are imported by one worker before the others begin: each would
-    compile them for itself. Workers that are kept wait for other work until `ahead` ends.
+    compile them for itself. Workers that are kept wait for other work until `ahead` ends,
+    and so do those that nobody took if this goes on `alone`, before other work.
 
     Raises what the function raises.
     """
@@ -97,7 +99,7 @@ def spread(
         for lane in lanes:  # to begin takes a worker 1 to 2 s: all at once
             ends.callback(lane.stop, keeps=keeps)
             lane.begin()
-        _dismiss()  # there is no work for more
+        _dismiss(len(_waiting) if alone else 0)  # there is no work for more
         if loops:
             lanes[0].load(loops)
         while works or any(lane.is_busy for lane in lanes):
@@ -126,8 +128,8 @@ def ahead(n_workers: int = 0) -> Iterator[None]:
         _dismiss()
 
 
-def _dismiss() -> None:
-    while _waiting:
+def _dismiss(but: int = 0) -> None:
+    while len(_waiting) > but:
         _waiting.pop().end()
 
 
@@ -272,7 +274,7 @@ class _Lane(Generic[W, R]):
             self.stop()
             self.is_busy = False
             why = self._overdue or "its worker died (killed, crashed or out of memory)"
-            return [Failed(self._at, why, died=not self._overdue)]
+            return [Failed(self._at, why, died=not self._overdue, is_late=bool(self._overdue))]
         is_late = self._limit_s is not None and time.monotonic() - self._since_s > self._limit_s
         if self.is_busy and self._at and is_late and not self._overdue:
             self._overdue = f"it ran for longer than {self._limit_s:g} s"

@@ -17,9 +17,21 @@ class Raises:
 
 
 @dataclass(frozen=True)
+class RaisesThen(Fixed):
+    """Not with a dozen people, as before a run."""
+
+    d_sigma: float = 0.5
+
+    def share(self, sensed, rng):
+        if len(sensed) > 12:
+            raise RuntimeError("no luck")
+        return super().share(sensed, rng)
+
+
+@dataclass(frozen=True)
 class NotAt3(Fixed):
     def share(self, sensed, rng):
-        if self.d_sigma == 0.3 and "MENDED" not in os.environ:
+        if self.d_sigma == 0.3 and len(sensed) > 12 and "MENDED" not in os.environ:
             raise RuntimeError("not at 0.3")
         return super().share(sensed, rng)
 

@@ -50,6 +50,11 @@ def hold_on():
     re.match("(a+)+$", 64 * "a" + "b")
 
 
+def is_trial(batch):
+    """Whether these are the people that a plug-in is called with before the run."""
+    return len(batch) == 12
+
+
 def is_first(name):
     try:
         (FOLDER / name).touch(exist_ok=False)
@@ -61,17 +66,23 @@ def is_first(name):
 @dataclass(frozen=True)
 class ShareHangs(Fixed):
     def share(self, sensed, rng):
+        if is_trial(sensed):
+            return super().share(sensed, rng)
         time.sleep(3600)
 
 
 class ShareHolds(Fixed):
     def share(self, sensed, rng):
+        if is_trial(sensed):
+            return super().share(sensed, rng)
         is_first("held")
         hold_on()
 
 
 class DiesWhenIdle(LeastSquares):
     def predict(self, release, t_future):
+        if is_trial(release):
+            return super().predict(release, t_future)
         if is_first("idle"):
             threading.Timer(0.5, os._exit, (1,)).start()
         else:
@@ -81,16 +92,22 @@ class DiesWhenIdle(LeastSquares):
 
 class Raises(LeastSquares):
     def predict(self, release, t_future):
+        if is_trial(release):
+            return super().predict(release, t_future)
         raise KeyError("no idea")
 
 
 class Dies(LeastSquares):
     def predict(self, release, t_future):
+        if is_trial(release):
+            return super().predict(release, t_future)
         os.kill(os.getpid(), signal.SIGKILL)
 
 
 class DiesOnce(LeastSquares):
     def predict(self, release, t_future):
+        if is_trial(release):
+            return super().predict(release, t_future)
         if is_first("died"):
             os._exit(1)
         return super().predict(release, t_future)
@@ -98,6 +115,8 @@ class DiesOnce(LeastSquares):
 
 class Holds(LeastSquares):
     def predict(self, release, t_future):
+        if is_trial(release):
+            return super().predict(release, t_future)
         hold_on()
 
 
@@ -105,7 +124,8 @@ class LinkExits(Shape):
     uses = frozenset()
 
     def fit(self, context):
-        os._exit(9)
+        usual = super().fit(context)
+        return lambda *both: usual(*both) if is_trial(both[0]) else os._exit(9)
 
 '''
 USUAL = ("raw", "fixed:0.7")
@@ -422,7 +442,7 @@ def faulty(place):
 @pytest.mark.slow
 class TestPlugins:
     def test_each_fails_alone_and_by_name(self, faulty):
-        out, code, shown, errors = faulty
+        out, code, _, errors = faulty
         assert code == 3, errors
         failed = pd.read_csv(out / "failed.csv", keep_default_na=False)
         by_mechanism = failed[failed["spec"] == MECHANISM]
@@ -434,7 +454,8 @@ class TestPlugins:
         }
         assert why.keys() == {f"faulty:{name}" for name in BAD}
         page = (out / "report.html").read_text(encoding="utf-8")
-        for said in (" ".join(one.split()) for one in (shown + errors, page)):
+        told = (out / "tables.txt").read_text(encoding="utf-8")
+        for said in (" ".join(one.split()) for one in (told, page)):
             assert "left out everywhere" in said
             assert [name for name in BAD if f"faulty:{name}" not in said] == []
         for name, reason in BAD.items():

@@ -29,6 +29,11 @@ from isac_track.types import ESTIMATE_LIMIT_M, Prediction, Reconstruction
 from predictors.kalman import KalmanCV
 
 
+def is_trial(batch):
+    """Whether these are the people that a plug-in is called with before the run."""
+    return len(batch) == 12
+
+
 @dataclass(frozen=True)
 class Shared(Fixed):
     """As fixed noise, with every position moved and every sigma replaced."""
@@ -39,6 +44,8 @@ class Shared(Fixed):
 
     def share(self, sensed, rng):
         release = super().share(sensed, rng)
+        if is_trial(sensed):
+            return release
         xy = release.xy + np.array([self.east_m, 0.0])
         sigma = release.sigma if self.sigma_m is None else np.full_like(xy[:, 0], self.sigma_m)
         return replace(release, xy=xy, sigma=sigma)
@@ -51,6 +58,8 @@ class Wrong(Shared):
     what: str = "nothing"
 
     def share(self, sensed, rng):
+        if is_trial(sensed):
+            return super().share(sensed, rng)
         if self.what == "mutates":
             sensed.xy[0] = 0
         release = super().share(sensed, rng)
@@ -77,7 +86,10 @@ class Predicted(KalmanCV):
     east_m: float = 0.0
 
     def predict(self, release, t_future):
-        mean = super().predict(release, t_future).mean + np.array([self.east_m, 0.0])
+        usual = super().predict(release, t_future)
+        if is_trial(release):
+            return usual
+        mean = usual.mean + np.array([self.east_m, 0.0])
         return Prediction(mean, np.broadcast_to(np.diag([self.xx, self.yy]), (*mean.shape, 2)))
 
 
@@ -94,6 +106,8 @@ class Fails(KalmanCV):
     what: str = "torn"
 
     def predict(self, release, t_future):
+        if is_trial(release):
+            return super().predict(release, t_future)
         if self.what == "shapeless":
             return Prediction(np.zeros((1, 1, 2)))
         if self.what == "peeks":
@@ -124,7 +138,7 @@ class Spoils(KalmanCV):
     what: str = "leaves"
 
     def predict(self, release, t_future):
-        if self.what == "leaves":
+        if self.what == "leaves" and not is_trial(release):
             os._exit(0)
         os.chdir("/") if self.what == "wanders" else sys.setrecursionlimit(90)
         return super().predict(release, t_future)
@@ -132,8 +146,51 @@ class Spoils(KalmanCV):
 
 class Distant(MovingAverage):
     def fit(self, context):
-        return lambda release: Reconstruction(release.xy + 2 * ESTIMATE_LIMIT_M)
+        usual = super().fit(context)
+        far = lambda release: Reconstruction(release.xy + 2 * ESTIMATE_LIMIT_M)
+        # Half of the people are attacked at once.
+        return lambda release: usual(release) if len(release) <= 6 else far(release)
+
+
+class AtOnce(KalmanCV):
+    def predict(self, release, t_future):
+        return ERRORS["torn"].missing
+
+
+class Counts(KalmanCV):
+    def predict(self, release, t_future):
+        with open(os.path.join(os.path.dirname(__file__), "calls"), "a") as file:
+            print(len(release), file=file)
+        return super().predict(release, t_future)
+
+
+class Dies(KalmanCV):
+    def predict(self, release, t_future):
+        os._exit(0)
+
+
+class Hangs(KalmanCV):
+    def predict(self, release, t_future):
+        time.sleep(100)
+
+
+class Nothing(Shared):
+    def share(self, sensed, rng):
+        return None
+
+
+class Learns(MovingAverage):
+    def fit(self, context):
+        return np.linalg.inv(np.zeros((2, 2)))
 '''
+AT_ONCE = {
+    # Axis and class: what is told of it before the run, and the words of its line.
+    "predictor AtOnce": ("failed: AttributeError: ", 'ERRORS["torn"].missing'),
+    "predictor Dies": ("its worker died", "class Dies"),
+    "predictor Hangs": ("it ran for longer than 15 s", "class Hangs"),
+    "mechanism Nothing": ("must return a Release, got NoneType", "class Nothing"),
+    "attack Learns": ("failed: LinAlgError: Singular matrix", "np.linalg.inv"),
+}
 MECHANISMS = {
     # SPEC without the module: why it is left out
     "Shared:0.5,sigma_m=100000000000": "declared a sigma above 1e+10 m, the limit",
@@ -288,3 +345,41 @@ def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, arguments, capsy
     assert matrix.main(arguments(*options, *named(mechanism=["Shared:east_m=1e250"]))) == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("error: mechanism 'odd:Shared:0.5,east_m=1e+250' shared a position")
+
+
+@pytest.mark.parametrize("name", AT_ONCE)
+def test_what_fails_with_anybody_fails_before_the_run(tmp_path, arguments, capsys, name):
+    axis, plugin = name.split()
+    says, words = AT_ONCE[name]
+    out = tmp_path / "run"
+    few = [*("--mechanism", "raw", "--task", "none", "--jobs", 1), "--out", out]
+    named_too = [word for one in {"predictor", "attack"} - {axis} for word in (f"--{one}", "none")]
+    bad = named(**{axis: [plugin]}) + (["--cell-timeout", 15] if plugin == "Hangs" else [])
+    assert matrix.main(arguments(*few, *named_too, *bad)) == 2
+    (line,) = [one for one in capsys.readouterr().err.splitlines() if "error: " in one]
+    assert f"odd:{plugin}" in line
+    assert says in line
+    lines = PLUGINS.splitlines()
+    at = next(number for number, one in enumerate(lines, start=1) if words in one)
+    assert f"(odd.py, line {at + words.startswith('class')})" in line
+    assert [one.name for one in out.iterdir()] == ["plugin-error.txt"]
+    trace = (out / "plugin-error.txt").read_text()
+    assert ("Traceback" in trace) == (plugin not in {"Dies", "Hangs"})
+    # It is in nobody's way: not in that of another run in this folder, nor of one that is there.
+    good = arguments(*few, "--attack", "none", "--predictor", "least_squares")
+    assert matrix.main(good) == 0
+    before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    assert out / "plugin-error.txt" not in before
+    assert matrix.main(arguments(*few, *named_too, *bad, "--fresh")) == 2
+    (out / "plugin-error.txt").unlink()
+    assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
+
+
+def test_what_is_finished_is_not_tried_again(tmp_path, arguments):
+    words = arguments("--out", tmp_path / "run", "--mechanism", "raw", *ALONE)
+    words += named(predictor=["Counts"])
+    assert matrix.main(words) == 0
+    calls = (tmp_path / "calls").read_text()
+    assert calls.split() == ["12", "32"]
+    assert matrix.main(words) == 0
+    assert (tmp_path / "calls").read_text() == calls

@@ -175,7 +175,7 @@ class TestResults:
         wait_for(lambda: cluster.count(n_tasks) == 0, most_s=5)
 
     def test_leave_out_a_plugin_that_fails(self, settings, cluster):
-        spec = "helpers.bad_plugins:Raises"
+        spec = "helpers.bad_plugins:RaisesThen:0.5"
         changed = sent(settings, cluster, mechanisms=("raw", spec))
         with pytest.warns(FailedCellsWarning, match=f"{spec!r} failed: .*no luck"):
             results = evaluation.run(changed, pictures=False)

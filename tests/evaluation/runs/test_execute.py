@@ -350,14 +350,19 @@ def test_nothing_dropped_goes_uncounted(settings, tmp_path):
 
 
 def test_a_failed_plugin_leaves_the_folder_usable(settings):
-    with pytest.raises(PluginError, match="bad_plugins:Raises' failed: RuntimeError: no luck"):
-        run(settings, mechanisms=("helpers.bad_plugins:Raises",))  # nothing at all is left
+    told = "bad_plugins:Raises.*' failed: RuntimeError: no luck"
+    with pytest.raises(PluginError, match=told):  # before the run
+        run(settings, mechanisms=("helpers.bad_plugins:Raises",))
+    assert [one.name for one in settings.out.iterdir()] == ["plugin-error.txt"]
+    spec = "helpers.bad_plugins:RaisesThen:0.5"
+    with pytest.raises(PluginError, match=told):
+        run(settings, mechanisms=(spec,))  # nothing at all is left
     assert json.loads((settings.out / "manifest.json").read_text())["state"] == "failed"
     assert not (settings.out / "summary.csv").exists()
     with pytest.warns(FailedCellsWarning, match="2 cells failed and are left out: .*no luck"):
-        found = run(settings, mechanisms=("raw", "helpers.bad_plugins:Raises"))
+        found = run(settings, mechanisms=("raw", spec))
     assert set(found.summary["mechanism"]) == {"raw"}
-    assert set(found.failed["spec"]) == {"helpers.bad_plugins:Raises"}
+    assert set(found.failed["spec"]) == {spec}
     results = run(settings, mechanisms=("fixed:0.7",))
     assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
 

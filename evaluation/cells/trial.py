@@ -1,0 +1,157 @@
+"""One call of a stranger's plug-in on made-up people, before a run: what is broken fails at once.
+
+All of it has streams of its own: a run comes out the same with it as without.
+"""
+
+from __future__ import annotations
+
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evaluation.cells import sharing
+from evaluation.cells.adversary import declared, showing
+from evaluation.cells.forecasts import sharing_rows
+from evaluation.cells.linkage import scores_of
+from evaluation.cells.reconstruction import attack_rows, attacked_block, attacked_level
+from evaluation.cells.where import note
+from isac_track import plugins
+from isac_track.errors import PluginError, raised_at
+from isac_track.protocols import AttackContext, LinkageTrainingSet
+from isac_track.rng import stream
+from isac_track.scenes import cut, make_scenes, track_order
+from isac_track.sensing import sense_scenes
+from isac_track.types import Knowledge, Tracks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from evaluation.experiment.axes import Consumer
+    from isac_track.config import StageSettings
+    from isac_track.plugins import Plugin
+    from isac_track.types import Release
+
+N_PEOPLE = 12
+"""At least so many: a plug-in may need some to hide among, or to learn from."""
+_SEED = 0
+_MECHANISM = "fixed:0.5"
+"""Whose release a predictor or an attack is called with: it declares a sigma."""
+_GRID_S = 0.1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trial:
+    """What is called once: a mechanism, or what reads a release."""
+
+    plugin: Plugin
+    consumer: Consumer | None = None
+    """None: the plug-in is a mechanism."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What a plug-in did wrong, and its traceback."""
+
+    why: str
+    trace: str
+
+
+def attempted(trial: Trial, *, stages: StageSettings) -> Iterator[Fault]:
+    """Yield the fault of a plug-in, if a call shows one.
+
+    What fails in our own code, or for the settings, is left to the run, which tells it.
+    """
+    note(trial.plugin.spec)
+    try:
+        _call(trial, stages)
+    except PluginError as error:
+        is_told = error.__cause__ is not None and raised_at(error.__cause__)
+        why = str(error) if is_told else f"{error}{defined_at(trial.plugin.instance)}"
+        yield Fault(why, "".join(traceback.format_exception(error)))
+    except Exception:  # noqa: BLE001 - no fault of the plug-in's by its contract
+        return
+
+
+def defined_at(instance: Any) -> str:  # noqa: ANN401 - a stranger's
+    """Return file and line of what a plug-in is called by, as ` (file.py, line 3)`, if known."""
+    for name in ("share", "predict", "fit"):
+        code = getattr(getattr(type(instance), name, None), "__code__", None)
+        if code is not None:
+            return f" ({Path(code.co_filename).name}, line {code.co_firstlineno})"
+    return ""
+
+
+def _call(trial: Trial, stages: StageSettings) -> None:
+    tracks = cut(_people(stages), settings=stages, seed=_SEED)
+    agents = stages.scenes.agents
+    order = track_order(
+        n_tracks=len(tracks), n_scenes=-(-N_PEOPLE // agents), agents=agents, seed=_SEED
+    )
+    scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=_SEED)
+    sensed = sense_scenes(scenes, settings=stages.sensing, seed=_SEED)
+    consumer = trial.consumer
+    if consumer is None:
+        sharing.share(trial.plugin, sensed, "trial", seed=_SEED)
+        return
+    mechanism = plugins.parse("mechanisms", _MECHANISM)[0]
+    release = sharing.share(mechanism, sensed, "trial", seed=_SEED)
+    if consumer.kind == "linkage":
+        again = sharing.share(mechanism, sensed, "trial", "again", seed=_SEED)
+        _link(consumer, trial.plugin, (release, again), mechanism=mechanism, stages=stages)
+    elif consumer.kind == "attack":
+        block = attacked_block(
+            scenes=scenes,
+            sensed=sensed,
+            tracks=tracks,
+            repeats=Knowledge.REPEATS in consumer.granted,
+            stages=stages,
+            seed=_SEED,
+        )
+        attack_rows(consumer, attacked_level(mechanism, release, block, [consumer]))
+    else:
+        sharing_rows(consumer, release, scenes, stages=stages)
+
+
+def _link(
+    consumer: Consumer,
+    plugin: Plugin,
+    releases: tuple[Release, Release],
+    *,
+    mechanism: Plugin,
+    stages: StageSettings,
+) -> None:
+    """Let a linker link people who all come again, after it has learnt on them if it learns."""
+    granted, who = consumer.granted & declared(plugin), f"attack {consumer.label}"
+    probe, gallery = (showing(one, granted) for one in releases)
+    train = None
+    if Knowledge.TRAIN in granted:
+        own = sharing.copied(probe), sharing.copied(gallery)
+        train = LinkageTrainingSet(*own, np.arange(len(probe)))
+    context = AttackContext(
+        rng=stream(_SEED, "attacks", "trial"),
+        epsilon_m=stages.privacy.epsilon_m,
+        granted=granted,
+        mechanism=mechanism.instance,
+        train=train,
+    )
+    attack = sharing.guarded(who, lambda: plugin.instance.fit(context))
+    scores_of(attack, probe, gallery, plugin=plugin, who=who)
+
+
+def _people(stages: StageSettings) -> Tracks:
+    """Return people who walk in bows, long enough for their history and their future."""
+    scenes, conflict, resample = stages.scenes, stages.conflict, stages.resample
+    ahead_s = (conflict.horizon_steps + 2) / resample.rate_min_hz
+    duration_s = 1.1 * max(resample.min_duration_s, ahead_s / (1.0 - scenes.history_ratio))
+    t = np.linspace(0.0, duration_s, 2 + int(duration_s / _GRID_S))
+    n = max(N_PEOPLE, scenes.agents)
+    rng = stream(_SEED, "trial", "people")
+    speed_mps, turn_radps = rng.uniform(0.8, 1.6, n), rng.uniform(0.05, 0.3, n)
+    phase = turn_radps[:, None] * t + rng.uniform(0.0, 2.0 * np.pi, n)[:, None]
+    radius_m = (speed_mps / turn_radps)[:, None]
+    xy = np.stack([radius_m * np.cos(phase), radius_m * np.sin(phase)], axis=2)
+    names = tuple(f"person-{number}" for number in range(n))
+    return Tracks(np.tile(t, n), xy.reshape(-1, 2), np.arange(n + 1) * t.size, names, names)

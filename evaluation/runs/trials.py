@@ -1,0 +1,82 @@
+"""The trial call of every stranger's plug-in that a run is to compute with, before it begins."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from evaluation.cells.adversary import declared
+from evaluation.cells.trial import Fault, Trial, attempted, defined_at
+from evaluation.experiment.fingerprint import has_strangers, is_strange
+from evaluation.runs.files import PLUGIN_ERROR, write_whole
+from evaluation.runs.folder import usable
+from evaluation.runs.pieces import unfinished
+from evaluation.runs.workers import spread
+from isac_track.errors import PluginError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from evaluation.experiment.plan import Plan, Unit
+
+MOST_S: Final = 60.0
+"""A call that takes longer is given up, and says nothing about the plug-in."""
+
+
+def try_plugins(ready: Plan) -> list[str]:
+    """Call every stranger's plug-in of which something is missing; return those given up.
+
+    Each is called in a worker that computes nothing of the run. A folder that holds a run stays as
+    it is but for the file with the traceback, which goes as soon as there is none.
+
+    Raises PluginError if one fails, or takes longer than a cell may.
+    """
+    with usable(ready.out):
+        if (ready.out / PLUGIN_ERROR).exists():
+            (ready.out / PLUGIN_ERROR).unlink()
+        if not has_strangers(ready.axes):
+            return []
+        missing = ready.units if ready.settings.fresh else unfinished(ready)
+    given_up = []
+    allowed_s = ready.settings.cell_timeout_s
+    limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)
+    call = partial(attempted, stages=ready.settings.stages)
+    works = deque(_trials(missing))
+    for trial, found in spread(call, works, jobs=1, limit_s=limit_s, apart=True, alone=True):
+        for one in found:
+            if isinstance(one, Fault):
+                raise _failed(ready, one.why, one.trace)
+            if one.is_late and limit_s != allowed_s:
+                given_up.append(trial.plugin.spec)
+            else:
+                why = f"plug-in {trial.plugin.spec!r}: {one.why}{defined_at(trial.plugin.instance)}"
+                raise _failed(ready, why, "its process left no traceback")
+    return given_up
+
+
+def _failed(ready: Plan, why: str, trace: str) -> PluginError:
+    """Keep a traceback in the folder of a run; return what is told."""
+    path = ready.out / PLUGIN_ERROR
+    write_whole(path, f"{why}\n\n{trace}\n".encode(errors="backslashreplace"))
+    return PluginError(f"{why}; found by a call before the run, whose traceback is in {path}")
+
+
+def _trials(missing: Iterable[Unit]) -> list[Trial]:
+    """Return what to call: each plug-in once, an attack as the adversary who is granted most."""
+    found: dict[tuple[str, str], Trial] = {}
+    for unit in missing:
+        if is_strange(unit.mechanism):
+            found["mechanism", unit.mechanism.spec] = Trial(unit.mechanism)
+        for consumer in unit.consumers.values():
+            for plugin in filter(is_strange, consumer.plugins):
+                who = consumer
+                if plugin is consumer.behind:
+                    granted = consumer.granted & declared(plugin)
+                    who = replace(
+                        consumer, kind="attack", plugin=plugin, behind=None, granted=granted
+                    )
+                # Blind comes before informed, and that before oracle.
+                found[who.kind, plugin.spec] = Trial(plugin, who)
+    return list(found.values())
