@@ -73,14 +73,15 @@ def _grid(table: Table) -> list[str]:
         [shortened(row[0].text, room=_LABEL), *(one.text or "-" for one in row[1:])]
         for row in table.rows
     ]
-    lines = aligned([[_CORNER, *heads[1:]], *rows], left={0})
     widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
     above = " " * max(widths[0], len(_CORNER))
-    for name, of in groupby(
-        zip(table.columns[1:], widths[1:], strict=True), key=lambda one: one[0].above
-    ):
-        room = sum(width + 2 for _, width in of)
-        above += shortened(name, room=room - 2).rjust(room)
+    for name, of in groupby(range(1, len(heads)), key=lambda place: table.columns[place].above):
+        places = list(of)
+        room = sum(widths[place] + 2 for place in places)
+        # A heading wider than its columns makes the first of them wider.
+        heads[places[0]] = heads[places[0]].rjust(widths[places[0]] + len(name) + 2 - room)
+        above += name.rjust(max(room, len(name) + 2))
+    lines = aligned([[_CORNER, *heads[1:]], *rows], left={0})
     return [above, *lines]
 
 

@@ -287,7 +287,10 @@ class TestRun:
             assert cells.items() <= run.items()
         assert cells_of(folder_of(tried, "epsilon=1")).keys().isdisjoint(run)
 
-    def test_the_same_command_computes_nothing_again_and_what_was_run_stays(self, tried, capsys):
+    def test_the_same_command_computes_nothing_again_and_what_was_run_stays(
+        self, tried, capsys, monkeypatch
+    ):
+        monkeypatch.setenv("COLUMNS", "200")  # all sections beside each other
         cells = folder_of(tried, "epsilon=1") / "cells"
         before = {path.name: path.stat().st_mtime_ns for path in cells.iterdir()}
         table = (tried / "sensitivity.csv").read_bytes()
