@@ -159,14 +159,8 @@ def ratio_estimates(
     as the sample size. With fewer than two clusters there is no interval (NaN), and where the
     denominator is 0 over all clusters no number either.
 
-    Parameters
-    ----------
-    numerator, denominator : (K, C)
-        Sums within each cluster: hits and trials, or a sum and a count.
-    weights : (B, C)
-        From `cluster_weights`.
-    is_share : (K,)
-        Whether the ratio is a share of trials, 0..1.
+    `numerator` and `denominator`, (K, C), are sums within each cluster: hits and trials (then the
+    ratio `is_share`, 0..1), or a sum and a count; `weights`, (B, C), are from `cluster_weights`.
     """
     # Rows in succession often have one denominator.
     is_new = np.append([True], (denominator[1:] != denominator[:-1]).any(axis=1))
@@ -221,14 +215,10 @@ def percentile_interval(replicates: Floats) -> tuple[float, float]:
 
 
 def percentile_intervals(replicates: Floats) -> Floats:
-    """Return the ends of the percentile interval of each row of replicates, (2, K).
+    """Return the ends of the percentile interval of each row of replicates, (K, B) -> (2, K).
 
     The quantiles are numpy's, which takes several times as long for so few numbers. NaN, which
     sorts last, is left out; a row without a number has no interval.
-
-    Parameters
-    ----------
-    replicates : (K, B)
     """
     if not replicates.size:
         return np.full((2, len(replicates)), np.nan)

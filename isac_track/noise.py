@@ -24,18 +24,8 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     r (1 + (1 + b)^2 + b^2), with b the ratio of the two steps; the mean of their squares over the
     track, so scaled, estimates r. A filter's own innovations would mix in its process noise and,
     behind a gate, shrink with what the gate cuts off; at ten samples a second a walk of
-    1 m/s^2 adds but a centimetre to these.
-
-    Parameters
-    ----------
-    t : (M,) s
-    xy : (M, 2) m
-    offsets : (N + 1,) int
-
-    Raises
-    ------
-    ValueError
-        If shapes disagree, a number is not finite or times do not increase.
+    1 m/s^2 adds but a centimetre to these. ValueError if the shapes of `t`, (M,) s, `xy`, (M, 2) m,
+    and `offsets`, (N + 1,), disagree, a number is not finite or times do not increase.
     """
     if offsets.dtype.kind not in "iu":
         raise ValueError("offsets must be integers")

@@ -44,13 +44,8 @@ def fisher_information_density(*, information: Floats, t: Floats, offsets: Ints)
 
     ``J(t) = I(k) / (t_k - t_(k-1))``. The first sample of a track has no interval before it
     and takes the one after it; a track of a single sample has none at all, its density is
-    unbounded (inf), so that a mechanism protects it in full.
-
-    Parameters
-    ----------
-    information : (M,) 1/m^2
-    t : (M,) s
-    offsets : (N + 1,) int
+    unbounded (inf), so that a mechanism protects it in full. `information` is (M,) 1/m^2, `t`
+    (M,) s, `offsets` (N + 1,).
     """
     interval_s = intervals_before(t=t, offsets=offsets)
     density: Floats = np.full_like(information, np.inf)
@@ -146,12 +141,8 @@ def unit_errors(
     reading that fits the paper's PLR. `isotropic`: N(0, 1) per axis. `fixed_direction`: as
     `radial` with the direction of the track's first sample throughout, so that a track's errors
     lie on a line through the truth; it needs the (N + 1,) offsets of the tracks. All use the same
-    draws, sample by sample, so that a shorter batch is a prefix of a longer one.
-
-    Raises
-    ------
-    ValueError
-        For an unknown law, or `fixed_direction` without the tracks.
+    draws, sample by sample, so that a shorter batch is a prefix of a longer one. ValueError for an
+    unknown law, or `fixed_direction` without the tracks.
     """
     draws = rng.standard_normal((n_samples, 3))
     if law == "isotropic":
@@ -184,14 +175,8 @@ def draw_channel(
     """Draw the random part of the link for batches of tracks.
 
     Every batch and quantity draws from a stream of its own, so that another number of paths, say,
-    leaves all other draws as they are.
-
-    Parameters
-    ----------
-    n_samples : (K, A) int
-        Samples of the A tracks of each of K batches (a scene, or one track).
-    keys : list of K names
-        Name of each batch's stream under ``("sensing",)``.
+    leaves all other draws as they are. `n_samples`, (K, A), are those of the A tracks of each of K
+    batches (a scene, or one track), `keys` the names of the batches' streams.
     """
     # In hashable form, and remembered: a process works on several pieces of one task in turn.
     return _drawn(tuple(map(tuple, n_samples.tolist())), tuple(keys), settings, seed)
@@ -231,17 +216,8 @@ def sense(
 ) -> Sensed:
     """Return what the network holds about N walks: raw estimates with their uncertainty.
 
-    Parameters
-    ----------
-    t : (M,) s
-    xy : (M, 2) m
-        True positions in the frame of the base station.
-    offsets : (N + 1,) int
-
-    Raises
-    ------
-    ValueError
-        If a pedestrian stands on the base station (no distance, no path loss).
+    At the times `t`, (M,) s, they truly are at `xy`, (M, 2) m in the frame of the base station;
+    `offsets` are (N + 1,). ValueError for who stands on it (no distance, no path loss).
     """
     distance_m: Floats = np.hypot(xy[:, 0] - settings.bs_x_m, xy[:, 1] - settings.bs_y_m)
     if not (distance_m > 0).all():

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
 
 Smoothness: TypeAlias = Literal["matern32", "matern52"]
-Engine: TypeAlias = Literal["state_space", "sklearn"]
 
 TREND_STD = (100.0, 10.0)
 """m and m/s: of the line that the process varies about, far more than any walk needs."""
@@ -30,10 +29,9 @@ class GaussianProcess:
 
     The line starts at the first shared position plus an offset, and has a slope; both have vague
     Gaussian priors (`TREND_STD`) and are estimated along with the process, so that neither
-    place nor speed of a walk is pulled to a mean. The engine `state_space` writes line and
-    process as one linear stochastic differential equation and runs a Kalman filter and a
-    Rauch-Tung-Striebel smoother over all tracks at once; `sklearn` solves the same dense system
-    track by track, in cubic time, for comparison.
+    place nor speed of a walk is pulled to a mean. Line and process are written as one linear
+    stochastic differential equation, and a Kalman filter and a Rauch-Tung-Striebel smoother run
+    over all tracks at once.
 
     References
     ----------
@@ -47,7 +45,6 @@ class GaussianProcess:
     scale_m: float | None = None
     """m, standard deviation of the process about the line."""
     smoothness: Smoothness = "matern32"
-    engine: Engine = "state_space"
 
     slow: ClassVar[bool] = True
     seconds_per_sample: ClassVar[float] = 3.2e-6
@@ -59,23 +56,17 @@ class GaussianProcess:
         if (self.length_s is None) != (self.scale_m is None):
             raise ValueError("give both length_s and scale_m, or neither to have them learnt")
         positive(length_s=self.length_s, scale_m=self.scale_m)
-        for name, known in (("smoothness", Smoothness), ("engine", Engine)):
-            if getattr(self, name) not in get_args(known):
-                raise ValueError(
-                    f"{name} must be one of {get_args(known)}, got {getattr(self, name)!r}"
-                )
+        if self.smoothness not in (known := get_args(Smoothness)):
+            raise ValueError(f"smoothness must be one of {known}, got {self.smoothness!r}")
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the regression of releases like those in the training set."""
-        by_filter = partial(smooth, smoothness=self.smoothness)
-        by_sklearn = partial(solve_sklearn, smoothness=self.smoothness)
         length_s, scale_m = self.length_s, self.scale_m
         return smoother(
             context,
-            by_filter if self.engine == "state_space" else by_sklearn,
+            partial(smooth, smoothness=self.smoothness),
             given=None if length_s is None or scale_m is None else (length_s, scale_m),
             candidates=[(self.DEFAULT[0], one) for one in around(self.DEFAULT[1], factor=2.0)],
-            tried=by_filter,  # the engines agree, and the candidates are many
         )
 
 
@@ -125,31 +116,6 @@ def smooth(
     place, std = origin.copy(), np.empty(rows.size)
     place[rows] += mean @ measured
     std[rows] = np.sqrt(np.maximum((cov @ measured) @ measured, 0.0))
-    return Reconstruction(place, std)
-
-
-def solve_sklearn(
-    release: Release, variance: Floats, kernel: tuple[float, float], *, smoothness: Smoothness
-) -> Reconstruction:
-    """Return what `smooth` does, track by track with scikit-learn's regressor."""
-    from sklearn import gaussian_process as gp  # noqa: PLC0415 - seldom asked for, and a second
-
-    kernels = gp.kernels
-    length_s, scale_m = kernel
-    offset, slope = (kernels.ConstantKernel(std**2, "fixed") for std in TREND_STD)
-    curve = kernels.Matern(length_s, "fixed", nu=1.5 if smoothness == "matern32" else 2.5)
-    line = offset + slope * kernels.DotProduct(0.0, "fixed")
-    covariance = line + kernels.ConstantKernel(scale_m**2) * curve
-    place, std = np.empty_like(release.xy), np.empty(release.t.size)
-    for lo, hi in pairwise(release.offsets):
-        clock = (release.t[lo:hi] - release.t[lo])[:, None]
-        regressor = gp.GaussianProcessRegressor(
-            kernel=covariance, alpha=variance[lo:hi], optimizer=None
-        )
-        regressor.fit(clock, release.xy[lo:hi] - release.xy[lo])
-        mean, spread = regressor.predict(clock, return_std=True)
-        place[lo:hi] = mean + release.xy[lo]
-        std[lo:hi] = spread[:, 0]
     return Reconstruction(place, std)
 
 

@@ -89,14 +89,13 @@ def smoother(
     given: _Choice | None,
     candidates: Sequence[_Choice],
     then: Callable[[_Choice], Sequence[_Choice]] | None = None,
-    tried: Callable[[Release, Floats, _Choice], Reconstruction] | None = None,
 ) -> Reconstructor:
     """Return what smooths releases like those in the training set, by the noise of each sample.
 
     `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice: the one that was
     given or, if that is None, the candidate that reconstructs the training set best (of equals the
     first), or without one the middle one, as from `around`. `then` makes further candidates of that
-    one. Where they are compared `tried` is used instead, if there is one.
+    one.
     """
     variance = learn_variance(context)
     choice = given
@@ -104,7 +103,7 @@ def smoother(
 
         @cache
         def reconstruct(one: _Choice, release: Release) -> Floats:
-            return (tried or smooth)(release, variance(release), one).xy
+            return smooth(release, variance(release), one).xy
 
         middle = candidates[len(candidates) // 2]
         choice = choose(context, default=middle, candidates=candidates, reconstruct=reconstruct)

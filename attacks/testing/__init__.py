@@ -88,13 +88,7 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
 
     What a linkage attack is granted depends on the task: some show the scene to everyone, the
     others to nobody, and none gives REPEATS. It makes the rows of both sorts, each once.
-    PluginError says of what is no attack what to write instead.
     """
-    if isinstance(attack, type):
-        raise PluginError(f"expected an attack, got its class: write {attack.__name__}()")
-    name = f"attack {type(attack).__name__}"
-    plugins.check_class("attacks", type(attack), name)
-    plugins.check_declared("attacks", attack, name)
     tasks = [grants(attack)]
     if kind_of(attack) == "linkage":
         scene, repeats = frozenset({Knowledge.SCENE}), frozenset({Knowledge.REPEATS})
@@ -104,36 +98,28 @@ def _granted(attack: Attack) -> dict[frozenset[Knowledge], str]:
     for rows in tasks:
         made |= {granted: who for who, granted in rows.items() if granted not in made}
     if not made:
-        why = "the repeats of a walk would be linked already"
-        raise PluginError(f"{name} requires REPEATS, which nobody who links is granted: {why}")
+        name, why = type(attack).__name__, "the repeats of a walk would be linked already"
+        raise PluginError(
+            f"attack {name} requires REPEATS, which nobody who links is granted: {why}"
+        )
     return made
 
 
-def _kit(bodies: Iterable[Callable[[Row], None]]) -> dict[str, Check]:
+def _kit(bodies: Iterable[Callable[[Any], None]], *, by_row: bool = False) -> dict[str, Check]:
     return {
-        body.__name__: Check(
-            body.__name__, engine.statement_of(body), body=partial(_in_every_row, body)
+        one.__name__: Check(
+            one.__name__, engine.statement_of(one), partial(_in_every_row, one) if by_row else one
         )
-        for body in bodies
+        for one in bodies
     }
 
 
-CHECKS = _kit(_reconstruction_checks.ALL)
-"""All checks of reconstruction attacks by name, in the order in which they run."""
+# All checks of each kind by name, in the order in which they run
 
-LINKAGE_CHECKS = _kit(_linkage_checks.ALL)
-"""All checks of linkage attacks by name, in the order in which they run."""
-
-
-def _plain(bodies: Iterable[Callable[[Any], None]]) -> dict[str, Check]:
-    return {one.__name__: Check(one.__name__, engine.statement_of(one), one) for one in bodies}
-
-
-MECHANISM_CHECKS = _plain(_plugin_checks.MECHANISM)
-"""All checks of mechanisms by name, in the order in which they run."""
-
-PREDICTOR_CHECKS = _plain(_plugin_checks.PREDICTOR)
-"""All checks of predictors by name, in the order in which they run."""
+CHECKS = _kit(_reconstruction_checks.ALL, by_row=True)
+LINKAGE_CHECKS = _kit(_linkage_checks.ALL, by_row=True)
+MECHANISM_CHECKS = _kit(_plugin_checks.MECHANISM)
+PREDICTOR_CHECKS = _kit(_plugin_checks.PREDICTOR)
 
 
 def noun_of(subject: object) -> Literal["attack", "mechanism", "predictor"]:
@@ -148,20 +134,19 @@ def noun_of(subject: object) -> Literal["attack", "mechanism", "predictor"]:
 def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
     """Return the checks of a plug-in of this kind by name, in the order in which they run.
 
-    Raises
-    ------
-    PluginError
-        If it is no plug-in at all, with what to write instead.
+    It is a PluginError, with what to write instead, if it is no plug-in at all.
     """
     noun = noun_of(subject)
-    if noun == "attack" or isinstance(subject, type):
-        _granted(subject)
-        return dict(LINKAGE_CHECKS if kind_of(subject) == "linkage" else CHECKS)
-    kind: plugins.Kind = "mechanisms" if noun == "mechanism" else "predictors"
-    name = f"{noun} {type(subject).__name__}"
+    if isinstance(subject, type):
+        raise PluginError(f"expected an object, got its class: write {subject.__name__}()")
+    kinds: dict[str, plugins.Kind] = {"mechanism": "mechanisms", "predictor": "predictors"}
+    kind, name = kinds.get(noun, "attacks"), f"{noun} {type(subject).__name__}"
     plugins.check_class(kind, type(subject), name)
     plugins.check_declared(kind, subject, name)
-    return dict(MECHANISM_CHECKS if noun == "mechanism" else PREDICTOR_CHECKS)
+    if noun != "attack":
+        return dict(MECHANISM_CHECKS if noun == "mechanism" else PREDICTOR_CHECKS)
+    _granted(subject)
+    return dict(LINKAGE_CHECKS if kind_of(subject) == "linkage" else CHECKS)
 
 
 def adversaries_of(attack: Attack) -> tuple[str, ...]:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import inspect
-import sys
-import traceback
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 from unittest import SkipTest
 
@@ -15,7 +12,7 @@ import numpy as np
 from scipy.special import bdtrc
 
 from attacks.testing._releases import EPSILON_M, arrays_of, copied, of_each, renamed
-from isac_track.errors import told
+from isac_track.errors import raised_at, told
 from isac_track.protocols import AttackContext, LinkageAttack, ReconstructionAttack
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Knowledge, Release
@@ -109,9 +106,8 @@ class Row:
             doing, hint = "the function from fit", _which_kind(fitted, first)
             return [fitted(*(getattr(case, name) for name in case.asked)) for case in cases]
         except (Exception, SystemExit) as error:
-            where = place(error, self.attack)
-            wrong = f"{self}, {first.about}: {doing} raised {told(error)}{where}{hint}"
-            raise AssertionError(wrong) from error
+            what = f"{doing} raised {told(error)}{raised_at(error)}{hint}"
+            raise AssertionError(f"{self}, {first.about}: {what}") from error
 
     def expect_same(
         self, got: Floats, expected: Floats, *, what: str, hint: str, tolerance: float = SAME
@@ -151,14 +147,6 @@ def _which_kind(fitted: Any, case: Case) -> str:  # noqa: ANN401 - whatever came
         except TypeError:
             return f"; it takes a function {case.gives}: which `kind` is the attack?"
     return ""
-
-
-def place(error: BaseException, attack: object) -> str:
-    """Return the last line of the plug-in's own file on the way to an error."""
-    file = getattr(sys.modules.get(type(attack).__module__), "__file__", None)
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if frame.filename == file] or frames[1:]
-    return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
 
 
 # The checks; each is held against every row that an attack makes

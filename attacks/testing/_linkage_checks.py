@@ -34,7 +34,8 @@ EASY_SURPRISE = 1e-3
 """Chance alone would succeed as often with a smaller probability."""
 SIGMAS_M = (0.1, 10.0)
 """Averaged over 128 samples, 10 m come to 0.9 m: of a walk of some 15 m little is left."""
-SHORT = (
+ODD = (
+    *(((128,) * probes, (128,) * gallery, OTHERS) for probes, gallery in ((1, 1), (4, 1), (1, 4))),
     ((1, 1, 1), (1, 1, 1, 1), (40,) * 8),
     ((1, 2, 3, 128), (3, 2, 128, 1, 2), (40,) * 8),
     ((128, 128, 2), (128, 3, 1, 128), (1, 2, 3, 1, 2, 3, 40, 40, 40, 40)),
@@ -248,22 +249,12 @@ def frames_and_clocks_do_not_matter(row: common.Row) -> None:
     )
 
 
-def one_candidate_is_handled(row: common.Row) -> None:
-    """With one probe or one gallery track or one of either, scores are finite and (P, G)."""
-    for n_probes, n_gallery in ((1, 1), (4, 1), (1, 4)):
-        row.answer(sized(n_probes, n_gallery, scene=row.scene))
-
-
-def short_tracks_are_handled(row: common.Row) -> None:
-    """Tracks of one, two or three samples, alone or among others, get finite scores."""
-    for sizes in SHORT:
+def odd_tracks_are_handled(row: common.Row) -> None:
+    """Of one probe or candidate, tracks of 1 to 3 samples, steps of 1 ms to 30 s: finite scores."""
+    for sizes in ODD:
         probes, candidates, _ = (", ".join(map(str, of_side)) for of_side in sizes)
         about = f"probes of {probes} samples against {candidates}"
         row.answer(made_up("short", about=about, sizes=sizes, scene=row.scene))
-
-
-def irregular_sampling_is_handled(row: common.Row) -> None:
-    """With steps from 1 ms to 30 s scores are finite."""
     about, sizes = "steps from 1 ms to 30 s", ((60,) * 6, (60,) * 8, (60,) * 12)
     steps_s = made.IRREGULAR_S
     row.answer(made_up("irregular", about=about, sizes=sizes, scene=row.scene, steps_s=steps_s))
@@ -355,9 +346,7 @@ ALL = (
     *common.FIRST,
     frames_and_clocks_do_not_matter,
     common.pseudonyms_do_not_matter,
-    one_candidate_is_handled,
-    short_tracks_are_handled,
-    irregular_sampling_is_handled,
+    odd_tracks_are_handled,
     training_without_mates_is_handled,
     common.calls_do_not_remember,
     null_stays_at_chance,

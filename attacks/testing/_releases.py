@@ -15,7 +15,7 @@ from isac_track.sensing import fisher_information_density, unit_errors
 from isac_track.types import ErrorLaw, Floats, Release, Sensed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -77,6 +77,17 @@ def person(speed_mps: float, rng: np.random.Generator) -> Person:
         return placed
 
     return positions
+
+
+def walks(*name: str, sizes: Iterable[int], steps_s: tuple[float, float]) -> list[Walk]:
+    """Return walks of so many samples each, on clocks of their own."""
+    found = []
+    for row, size in enumerate(sizes):
+        rng = draws(*name, row)
+        t = instants(rng, size, steps_s)
+        xy = person(rng.uniform(*SPEEDS_MPS), rng)(t)
+        found.append((t + rng.uniform(0.0, 60.0), xy))
+    return found
 
 
 def shared(walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fixed) -> Release:

@@ -42,12 +42,9 @@ drop outliers, it may not lose a track."""
 class Batch:
     """N tracks of M noisy positions in all, and how little is known before the first of each.
 
-    That times increase and positions are finite is checked by the release that they come from.
-
-    Raises
-    ------
-    ValueError
-        If shapes disagree, a track is empty, or a variance or standard deviation is not positive.
+    That times increase and positions are finite is checked by the release that they come from; it
+    is a ValueError if shapes disagree, a track is empty, or a variance or standard deviation is not
+    positive.
     """
 
     t: Floats
@@ -110,22 +107,13 @@ class LastState:
 def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     """Return the state of every track after its last sample.
 
-    Parameters
-    ----------
-    batch : Batch
-        With a prior of two states the model is constant velocity, of three constant acceleration.
-    q : float
-        Spectral density of the driving white noise, positive: of the acceleration (m^2/s^3) or,
-        for constant acceleration, of the jerk (m^2/s^5).
-    gate : float, optional
-        A sample whose normalised innovation squared exceeds it is not used, unless
-        `MAX_REJECTIONS` samples before it were not. Chi-square with 2 degrees of freedom: 13.8
-        keeps all but one sample in a thousand. Default: all are used.
+    With a prior of two states the model is constant velocity, of three constant acceleration. `q`
+    is the spectral density of the driving white noise, positive: of the acceleration (m^2/s^3) or,
+    for constant acceleration, of the jerk (m^2/s^5). A sample whose normalised innovation squared
+    exceeds the `gate` is not used, unless `MAX_REJECTIONS` samples before it were not. Chi-square
+    with 2 degrees of freedom: 13.8 keeps all but one sample in a thousand.
 
-    Raises
-    ------
-    ValueError
-        If q or the gate is not positive, or for a prior of another number of states.
+    ValueError if q or the gate is not positive, or for a prior of another number of states.
     """
     arrays, d = batch.arrays(2, 3), len(batch.prior_std)
     out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
@@ -152,21 +140,9 @@ def smooth_positions(
     the position itself is known (P is its variance per axis), and the first passes are nearly those
     of Gaussian errors, lest the walk be drawn to samples that only happen to lie where it starts.
 
-    Parameters
-    ----------
-    batch : Batch
-        With a prior of two states; sigma^2 is twice the variance per axis.
-    q : float
-        Spectral density of the acceleration, m^2/s^3, positive.
-    passes : int, optional
-        Smoothers, at least 1; the first is that of Gaussian errors.
-    anneal : float, optional
-        In [0, 1).
-
-    Raises
-    ------
-    ValueError
-        If a number is out of range, or for a prior of another number of states.
+    The `batch` has a prior of two states, and sigma^2 is twice its variance per axis; `q` is the
+    spectral density of the acceleration, m^2/s^3, positive. Of the `passes`, at least 1, the first
+    is that of Gaussian errors; `anneal` is in [0, 1). Anything else is a ValueError.
 
     References
     ----------
@@ -187,10 +163,7 @@ def smooth_positions(
 class Moods:
     """Two modes of a walk that take turns: walking on, and stopping or turning.
 
-    Raises
-    ------
-    ValueError
-        If a number is not positive and finite.
+    ValueError if a number is not positive and finite.
     """
 
     q: tuple[float, float]
@@ -244,19 +217,10 @@ class ImmStates:
 def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
     """Return the states of every track after its last sample.
 
-    Parameters
-    ----------
-    batch : Batch
-        With a prior of two states, which holds under either mode.
-    moods : Moods
-    gate : float, optional
-        A sample is not used if its normalised innovation squared exceeds this under every mode,
-        unless `MAX_REJECTIONS` samples before it were not. Default: all are used.
-
-    Raises
-    ------
-    ValueError
-        If the gate is not positive, or for a prior of another number of states.
+    The `batch` has a prior of two states, which holds under either mode. A sample is not used if
+    its normalised innovation squared exceeds the `gate` under every mode, unless `MAX_REJECTIONS`
+    samples before it were not. ValueError if the gate is not positive, or for a prior of another
+    number of states.
     """
     n = len(batch)
     out = ImmStates(np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2)), np.empty(n))

@@ -1,7 +1,8 @@
 """Where the mate stands among the gallery: rank metrics, and the assignment of all at once.
 
 Ties carry no information: rank metrics are expectations under a random order of equal scores, and
-assignments are made in a random order of the columns.
+assignments are made in a random order of the columns. `scores`, (P, G), and `mate`, (P,), are as in
+`Search`, which says what is a ValueError.
 
 References
 ----------
@@ -86,17 +87,6 @@ def rank1(*, scores: Floats, mate: Ints) -> Floats:
     """Return the expected hit of each probe, (P,): 1 / t if its mate is among t at the top.
 
     NaN for a probe without a mate.
-
-    Parameters
-    ----------
-    scores : (P, G)
-    mate : (P,)
-        As in `Search`.
-
-    Raises
-    ------
-    ValueError
-        As `Search`.
     """
     _check_scores(scores, mate)
     hit = expected_hit(*standing(scores, mate))
@@ -109,14 +99,8 @@ def rank1_among(*, above: Ints, tied: Ints, candidates: Ints, gallery: int = GAL
 
     Exact over all galleries that hold the mate and gallery - 1 of the N - 1 others:
     C(N - 1 - m, gallery - 1) / C(N - 1, gallery - 1) with m others at or above the mate, the mean
-    over the places that a tie leaves it. NaN where there are fewer candidates than that.
-
-    Parameters
-    ----------
-    above, tied, candidates : (P,)
-        Candidates that score above the mate, as high (the mate included), and in all.
-    gallery : int, optional
-        At least 1.
+    over the places that a tie leaves it. NaN where there are fewer candidates than that. Of each
+    probe are told the candidates `above` the mate, as high (the mate included), and in all, (P,).
     """
     first: Floats = np.full(above.shape, np.nan)
     for n in np.unique(candidates[candidates >= gallery]).tolist():
@@ -135,10 +119,7 @@ def _sums_passed_over(n: int, gallery: int) -> Floats:
 
 
 def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
-    """Return the expected 1 / rank of each probe's mate, (P,); NaN for one without.
-
-    Parameters and errors are those of `rank1`.
-    """
+    """Return the expected 1 / rank of each probe's mate, (P,); NaN for one without."""
     _check_scores(scores, mate)
     expected = expected_reciprocal(*standing(scores, mate), scores.shape[1])
     expected[mate < 0] = np.nan
@@ -151,8 +132,6 @@ def log_rank(*, scores: Floats, mate: Ints) -> Floats:
     Zero at the bottom, log G at the top: every halving of the rank counts the same, in galleries of
     any size. The expectation is over a random order of ties, as in all rank metrics here; the
     logarithm of a mid-rank would rate a tie above what it is worth.
-
-    Parameters and errors are those of `rank1`.
     """
     _check_scores(scores, mate)
     (above, tied), n_gallery = standing(scores, mate), scores.shape[1]
@@ -195,21 +174,9 @@ def assign(
     """Return the column assigned to each probe, (P,), at most one probe a column; -1 for none.
 
     The sum of the assigned scores is the largest there is. The columns are put in a random order
-    first, so that ties cannot tell the mate by its place.
-
-    Parameters
-    ----------
-    scores : (P, G)
-    rng : Generator
-        One permutation of G is drawn.
-    no_match_score : float, optional
-        What leaving a probe unassigned scores; a pair must score more. Default: every probe is
-        assigned, as far as the gallery reaches.
-
-    Raises
-    ------
-    ValueError
-        If the scores have no shape (P, G) or are not finite.
+    first, one permutation from `rng`, so that ties cannot tell the mate by its place. A pair must
+    score more than `no_match_score`, which is what leaving a probe unassigned scores; without it
+    every probe is assigned, as far as the gallery reaches.
     """
     _check_finite(scores)
     return assign_in(rng.permutation(scores.shape[1]), scores, no_match_score)

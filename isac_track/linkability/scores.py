@@ -1,5 +1,8 @@
 """How well one threshold, or the score as evidence, tells mated from non-mated pairs.
 
+`mated`, (M,), and `non_mated`, (N,), are the scores of either class; it is a ValueError if a class
+is empty or a score is not finite.
+
 References
 ----------
 Likelihood ratios: Bruemmer and du Preez, Computer Speech and Language 20, 2006 (Cllr). Hull:
@@ -40,26 +43,12 @@ class Calibration:
 
 
 def auc(*, mated: Floats, non_mated: Floats) -> float:
-    """Return the share of pairs in which the mated score is higher; ties count half.
-
-    Parameters
-    ----------
-    mated, non_mated : (M,), (N,)
-        Scores of either class.
-
-    Raises
-    ------
-    ValueError
-        If a class is empty or a score is not finite.
-    """
+    """Return the share of pairs in which the mated score is higher; ties count half."""
     return float(_read(mated, non_mated)[0])
 
 
 def roc_hull(*, mated: Floats, non_mated: Floats) -> tuple[Floats, Floats]:
-    """Return FPR and TPR, (H,) each, on the convex hull of the ROC, from (0, 0) to (1, 1).
-
-    Parameters and errors are those of `auc`.
-    """
+    """Return FPR and TPR, (H,) each, on the convex hull of the ROC, from (0, 0) to (1, 1)."""
     from scipy.optimize import isotonic_regression  # noqa: PLC0415 - heavy, and used here alone
 
     true, false = (mass[:, 0] / mass.sum() for mass in _counts(mated, non_mated))
@@ -76,8 +65,6 @@ def eer(*, mated: Floats, non_mated: Floats) -> float:
     """Return the equal error rate on the ROC's convex hull, 0..0.5: there 1 - TPR = FPR.
 
     The hull is what an attacker attains who may toss a coin between two thresholds.
-
-    Parameters and errors are those of `auc`.
     """
     return float(_read(mated, non_mated)[1])
 
@@ -85,23 +72,9 @@ def eer(*, mated: Floats, non_mated: Floats) -> float:
 def tpr_at_fpr(*, mated: Floats, non_mated: Floats, alpha: float) -> tuple[float, float]:
     """Return the largest TPR of a threshold with FPR <= alpha, and the FPR of that threshold.
 
-    Of the thresholds with that TPR it is the highest: the lowest mated score that it accepts.
-
-    Parameters
-    ----------
-    mated, non_mated : (M,), (N,)
-    alpha : float
-        In (0, 1).
-
-    Returns
-    -------
-    (float, float)
-        NaN twice for fewer than 30 / alpha non-mated scores (`MIN_EXPECTED`).
-
-    Raises
-    ------
-    ValueError
-        As `auc`, and for alpha out of range.
+    Of the thresholds with that TPR it is the highest: the lowest mated score that it accepts. NaN
+    twice for fewer than 30 / alpha non-mated scores (`MIN_EXPECTED`). ValueError for an alpha that
+    is not in (0, 1), too.
     """
     _check_classes(mated, non_mated)
     if not 0 < alpha < 1:
@@ -117,17 +90,8 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
 
     Both classes weigh the same in all, which is prior odds of 1. A score that speaks against the
     same person gets the slope 0, and so does one that is constant: then every LLR is 0, which is no
-    evidence. Classes that do not overlap get a steep, finite slope (`SLOPE_PENALTY`).
-
-    Parameters
-    ----------
-    mated, non_mated : (M,), (N,)
-        Of people other than those whom the calibration is to judge.
-
-    Raises
-    ------
-    ValueError
-        As `auc`.
+    evidence. Classes that do not overlap get a steep, finite slope (`SLOPE_PENALTY`). The scores
+    are of people other than those whom the calibration is to judge.
     """
     _check_classes(mated, non_mated)
     scores = np.concatenate([mated, non_mated])
@@ -182,8 +146,6 @@ def cllr(*, llr_mated: Floats, llr_non_mated: Floats) -> float:
     """Return the cost of log-likelihood ratios (nats in) as evidence, in bits.
 
     0 for a perfect attack, 1 for one that says nothing (every LLR 0), more for one that misleads.
-
-    Errors are those of `auc`.
     """
     _check_classes(llr_mated, llr_non_mated)
     cost = np.logaddexp(0.0, -llr_mated).mean() + np.logaddexp(0.0, llr_non_mated).mean()
@@ -191,10 +153,7 @@ def cllr(*, llr_mated: Floats, llr_non_mated: Floats) -> float:
 
 
 def cllr_min(*, mated: Floats, non_mated: Floats) -> float:
-    """Return `cllr` after the best monotone calibration of these very scores, 0..1 bits.
-
-    Parameters and errors are those of `auc`. It is optimistic: the calibration has seen the answer.
-    """
+    """Return the least `cllr` that a monotone calibration of these very scores has, 0..1 bits."""
     return float(_read(mated, non_mated)[2])
 
 
@@ -208,8 +167,6 @@ def d_sys(*, mated: Floats, non_mated: Floats) -> tuple[float, int]:
     D_sys lies between TV / 2 and TV, the total variation of the two histograms: p D is
     (p - q) p / (p + q), and p / (p + q) lies between 1/2 and 1 where p > q. It ignores direction,
     and is biased upwards where scores are few.
-
-    Parameters and errors are those of `auc`.
     """
     (share, _), n_bins = _link_shares(mated, non_mated)
     return share, n_bins
@@ -221,8 +178,6 @@ def d_sys_published(*, mated: Floats, non_mated: Floats) -> float:
     It has the bins of `d_sys`, but takes the integral by trapezia between their centres. So it
     leaves out half of what lies in the first and in the last bin, up to 0.5 where the mated scores
     are there, and is 0 with a single bin.
-
-    Parameters and errors are those of `auc`.
     """
     return _link_shares(mated, non_mated)[0][1]
 

@@ -209,26 +209,14 @@ def scorecard(
     rank metrics have the jackknife's interval (`intervals.of_few`), of fewer than 15 nothing has
     any, but a share of people with one outcome each.
 
-    Parameters
-    ----------
-    searches : sequence of Search
-        At least one.
-    weights : (B, C)
-        From `cluster_weights`; the clusters of `searches` are its columns.
-    calibration : mapping of scale to Calibration, or None
-        Fitted on other people. Without it `cllr` is NaN.
-    no_match_score : sequence of float, or None
-        As in `assign`, one a search. Without it every probe is assigned.
-    rng : Generator
-        Draws, search by search, the order of columns for `assign`, then what `permutation_p` does.
-    n_shuffles : int, optional
-        At least 999; for `p_value`, `p_value_low` and `d_sys_corrected`.
+    The clusters of `searches` are the columns of `weights`, (B, C) from `cluster_weights`. The
+    `calibration` of each scale is fitted on other people; without it `cllr` is NaN. The
+    `no_match_score` of each search is as in `assign`; without it every probe is assigned. `rng`
+    draws, search by search, the order of columns for `assign`, then what `permutation_p` does:
+    `n_shuffles`, at least 999, are for `p_value`, `p_value_low` and `d_sys_corrected`.
 
-    Raises
-    ------
-    ValueError
-        Without a search, for too few shuffles, for clusters beyond `weights`, if `calibration`
-        lacks a scale, or if `no_match_score` is not as long as `searches`.
+    ValueError without a search, for too few shuffles, for clusters beyond `weights`, if
+    `calibration` lacks a scale, or if `no_match_score` is not as long as `searches`.
     """
     check_searches(searches, n_shuffles)
     scales = {search.scale for search in searches}

@@ -80,19 +80,8 @@ def permutation_p(
     is asked of the resemblance within a cluster. Rare sizes cost power, not validity. Searches are
     shuffled independently of each other: no two may be of the same two releases.
 
-    Parameters
-    ----------
-    searches : sequence of Search
-    rng : Generator
-        Search by search, a shuffle draws one uniform number for each mated probe, less one for
-        each size of a cluster.
-    n_shuffles : int, optional
-        At least 999.
-
-    Raises
-    ------
-    ValueError
-        Without a search or for too few shuffles.
+    Search by search, a shuffle draws one uniform number for each mated probe, less one for each
+    size of a cluster. ValueError without a search or for fewer than 999 shuffles.
 
     References
     ----------
@@ -125,17 +114,8 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
     Exact for independent probes: binomial where all have one chance, else Poisson-binomial. A
     fraction of a hit, left by ties, does not count: the sum is rounded down. 1 without a probe.
 
-    Parameters
-    ----------
-    hits : (N,)
-        From `rank1`, mated probes only.
-    chance : (N,)
-        Chance of each, 1 / G.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ, or a hit or a chance lies outside of 0..1.
+    `hits`, (N,), are from `rank1`, mated probes only, and `chance`, (N,), is that of each, 1 / G.
+    ValueError if shapes differ, or a hit or a chance lies outside of 0..1.
     """
     if hits.shape != chance.shape or hits.ndim != 1:
         raise ValueError(
@@ -169,19 +149,8 @@ def _chance_of(n_hits: int, chance: bytes) -> float:
 def minimum_detectable_rank1(*, n: int, chance: float) -> float:
     """Return the smallest rank-1 rate that the exact binomial test at `LEVEL` finds in 80 %.
 
-    Infinity where no rate does: not even n hits of n are significant.
-
-    Parameters
-    ----------
-    n : int
-        Mated probes, taken as independent.
-    chance : float
-        Rank-1 rate of guessing, 0..1.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of range.
+    Of `n` mated probes, taken as independent, whose rate of guessing is `chance`. Infinity where no
+    rate does: not even n hits of n are significant. ValueError if a number is out of range.
     """
     if n < 0 or not 0 <= chance <= 1:
         raise ValueError(f"need n >= 0 and chance in 0..1, got {n} and {chance}")
@@ -196,12 +165,8 @@ def minimum_detectable_rank1(*, n: int, chance: float) -> float:
 def outcome(*, p_value: float, ceiling_p_value: float) -> Outcome:
     """Return what a test at `LEVEL` says, given the same attack's p-value on unperturbed tracks.
 
-    An attack that cannot link even those says nothing of a mechanism by failing.
-
-    Raises
-    ------
-    ValueError
-        If a p-value is not in 0..1.
+    An attack that cannot link even those says nothing of a mechanism by failing. ValueError if a
+    p-value is not in 0..1.
     """
     for p in (p_value, ceiling_p_value):
         if not 0 <= p <= 1:

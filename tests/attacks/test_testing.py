@@ -84,7 +84,7 @@ def hopes(context):
     assert context.repeats
 
 
-NULL, SHORT = "null_stays_at_chance", "short_tracks_are_handled"
+NULL, SHORT = "null_stays_at_chance", "odd_tracks_are_handled"
 ORDER, MATRIX = "order_of_tracks_does_not_matter", "result_is_a_score_matrix"
 MUTATED, GRANTED = "inputs_are_not_mutated", "only_granted_knowledge_is_touched"
 FRAME = "frame_and_clock_do_not_matter"
@@ -120,13 +120,13 @@ class TestMistakesWithoutEnd:
             (fitted(lambda release: release.xy * np.nan), NULL, "3096 of 3096 positions are not f"),
             (fitted(lambda release: [["a", "b"]] * len(release.t)), SHORT, "struction, got list"),
             (fitted(3), NULL, "fit must return a function from a release to a rec"),
-            (attack(lambda release: release.xy.fill(0.0)), MUTATED, "read-only (test_testing.py, "),
+            (attack(lambda release: release.xy.fill(0.0)), MUTATED, "read-only (broken_attac"),
             (linker(lambda probe, gallery: BASE.link(probe, gallery).T), MATRIX, "(turned round?)"),
             (linker(lambda _probe, _gallery: None), ORDER, "(P, G) = (7, 9), got NoneType"),
             (linker(lambda _probe, _gallery: np.full((7, 9), 1j)), ORDER, "array of complex128"),
             (linker(lambda _context: sys.exit("no")), NULL, "fit(context) raised SystemExit: no"),
             (linker(hopes), GRANTED, "REPEATS was not granted"),
-            (attack(fails), GRANTED, "RuntimeError: of its own (test_testing.py, line "),
+            (attack(fails), GRANTED, "RuntimeError: of its own (broken_attacks.py, "),
             (
                 type("Other", (broken_attacks.Base,), {"kind": "linkage"}),
                 NULL,

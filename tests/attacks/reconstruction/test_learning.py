@@ -123,7 +123,6 @@ REFUSED = [
     (GaussianProcess, {"length_s": 0.0, "scale_m": 1.0}, "length_s must be positive"),
     (GaussianProcess, {"length_s": 1.0, "scale_m": np.nan}, "scale_m must be positive"),
     (GaussianProcess, {"smoothness": "rbf"}, "smoothness must be one of"),
-    (GaussianProcess, {"engine": "gpy"}, "engine must be one of"),
 ]
 
 
