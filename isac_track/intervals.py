@@ -5,7 +5,7 @@ Of few clusters the bootstrap's are too narrow: there a jackknife takes its plac
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 CONFIDENCE = 0.95
 FEW_CLUSTERS: Final = 40.0
-"""Effective clusters below which a share has the jackknife's interval. Of 16 to 33, percentile
+"""Effective clusters below which an interval is the jackknife's. Of 16 to 33, percentile
 intervals hold shares of 10 and 85 % in 87 to 94 of 100 studies, the jackknife's in 94 to 98."""
 LEAST_CLUSTERS: Final = 15.0
 """Effective clusters below which there is no interval, but an exact one of a count."""
@@ -61,10 +61,13 @@ class Estimate:
 def estimate_of(values: Floats, *, n: int, effective: float = np.nan) -> Estimate:
     """Return the estimate that a number and its replicates, (1 + B,), of `n` clusters make.
 
-    Replicates that are not finite are left out of the interval.
+    Replicates that are not finite are left out of the interval; of fewer than `LEAST_CLUSTERS`
+    effective clusters, where they are known, there is none.
     """
     drawn = values[1:]
-    ends = percentile_interval(drawn[np.isfinite(drawn)])
+    ends = np.nan, np.nan
+    if not effective < LEAST_CLUSTERS:
+        ends = percentile_interval(drawn[np.isfinite(drawn)])
     return Estimate(float(values[0]), *ends, n, drawn, effective=effective)
 
 
@@ -105,21 +108,26 @@ def exact_binomial(*, hits: int, n: int) -> tuple[float, float]:
     return low, high
 
 
-def jackknife_interval(values: Floats, *, effective: float) -> tuple[float, float]:
-    """Return the interval of a share by the delete-one-cluster jackknife.
+def jackknife_interval(
+    values: Floats, *, effective: float, is_share: bool = True
+) -> tuple[float, float]:
+    """Return the interval of a number by the delete-one-cluster jackknife.
 
-    Of its logit, with Student's t of one degree of freedom less than `effective` clusters; a share
-    of exactly 0 or 1 has Wilson's interval of so many. `values`, (1 + C,), are the share of all
-    clusters, and without each in turn: what is no sum over clusters, such as the gallery, stays.
+    With Student's t of one degree of freedom less than `effective` clusters; that of a share is one
+    of its logit, and of exactly 0 or 1 Wilson's of so many. `values`, (1 + C,), are the number of
+    all clusters, and without each in turn: what is no sum over clusters, such as the gallery of a
+    rank, stays.
 
     Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11; Kish, Survey Sampling,
     1965 (the effective number).
     """
     value, n = float(values[0]), values.size - 1
-    if value in (0.0, 1.0):
+    if is_share and value in (0.0, 1.0):
         return wilson(hits=value * effective, n=effective)
     error = float(np.sqrt((n - 1.0) / n * ((values[1:] - value) ** 2).sum()))
     half = float(stdtrit(effective - 1.0, 0.5 + CONFIDENCE / 2.0)) * error
+    if not is_share:
+        return value - half, value + half
     centre, half = float(logit(value)), half / (value * (1.0 - value))
     return float(expit(centre - half)), float(expit(centre + half))
 
@@ -152,12 +160,14 @@ def effective_clusters(sizes: Floats) -> float:
 def ratio_estimates(
     *, numerator: Floats, denominator: Floats, weights: Floats, is_share: Sequence[bool]
 ) -> list[Estimate]:
-    """Return sum(numerator) / sum(denominator) of each row with its clustered percentile interval.
+    """Return sum(numerator) / sum(denominator) of each row with its clustered interval.
 
-    Whole clusters are drawn with replacement (Davison and Hinkley, 1997, ch. 3.8). A share
-    of exactly 0 or 1 has no spread to resample; its interval is Wilson's with the clusters
-    as the sample size. With fewer than two clusters there is no interval (NaN), and where the
-    denominator is 0 over all clusters no number either.
+    It is the percentile interval of whole clusters drawn with replacement (Davison and Hinkley,
+    1997, ch. 3.8). A share of exactly 0 or 1 has no spread to resample; its interval is Wilson's
+    with the clusters as the sample size. Of fewer than `FEW_CLUSTERS` effective clusters it is the
+    jackknife's, and not below 0 where no numerator is; below `LEAST_CLUSTERS` there is none (NaN),
+    but the exact one of a count: a share of which every cluster has as many trials and one outcome
+    of them. Where the denominator is 0 over all clusters there is no number either.
 
     `numerator` and `denominator`, (K, C), are sums within each cluster: hits and trials (then the
     ratio `is_share`, 0..1), or a sum and a count; `weights`, (B, C), are from `cluster_weights`.
@@ -169,42 +179,25 @@ def ratio_estimates(
     replicates: Floats = np.full(over.shape, np.nan)
     np.divide(over, under, out=replicates, where=under > 0)
     found = []
-    for row, (low, high) in enumerate(percentile_intervals(replicates).T.tolist()):
-        n = int((denominator[row] > 0).sum())
-        value = float(numerator[row].sum()) / float(denominator[row].sum()) if n else np.nan
-        ends = low, high
-        if n < 2:  # noqa: PLR2004 - nothing to resample
-            ends = np.nan, np.nan
-        elif is_share[row] and value in (0.0, 1.0):
-            ends = wilson(hits=value * n, n=n)
-        effective = effective_clusters(denominator[row])
-        found.append(Estimate(value, *ends, n, replicates[row], effective=effective))
-    return found
-
-
-def of_few(
-    *, numerator: Floats, denominator: Floats, weights: Floats, is_share: Sequence[bool]
-) -> list[Estimate]:
-    """Return `ratio_estimates` with other intervals for shares of fewer than `FEW_CLUSTERS`.
-
-    They are those of the jackknife; below `LEAST_CLUSTERS`, if every cluster has as many trials and
-    one outcome of them, the exact one of their count. Numbers and replicates stay.
-    """
-    found = ratio_estimates(
-        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
-    )
-    for row, one in enumerate(found):
-        if not is_share[row] or one.effective >= FEW_CLUSTERS:
-            continue
+    for row, ends in enumerate(percentile_intervals(replicates).T.tolist()):
         there = denominator[row] > 0
         hits, trials = numerator[row][there], denominator[row][there]
-        ends = np.nan, np.nan
-        if one.effective >= LEAST_CLUSTERS:
+        n, effective = hits.size, effective_clusters(denominator[row])
+        value = float(numerator[row].sum()) / float(denominator[row].sum()) if n else np.nan
+        low, high = ends
+        if effective < LEAST_CLUSTERS:
+            low, high = np.nan, np.nan
+            is_count = n and (trials == trials[0]).all() and np.isin(hits, (0.0, trials[0])).all()
+            if is_share[row] and is_count:
+                low, high = exact_binomial(hits=int((hits > 0).sum()), n=n)
+        elif effective < FEW_CLUSTERS:
             over, under = (sums.sum() - np.append(0.0, sums) for sums in (hits, trials))
-            ends = jackknife_interval(over / under, effective=one.effective)
-        elif trials.size and (trials == trials[0]).all() and np.isin(hits, (0.0, trials[0])).all():
-            ends = exact_binomial(hits=int((hits > 0).sum()), n=hits.size)
-        found[row] = replace(one, ci_low=ends[0], ci_high=ends[1])
+            rest = over / under
+            low, high = jackknife_interval(rest, effective=effective, is_share=is_share[row])
+            low = low if hits.min() < 0.0 else max(0.0, low)
+        elif is_share[row] and value in (0.0, 1.0):
+            low, high = wilson(hits=value * n, n=n)
+        found.append(Estimate(value, low, high, n, replicates[row], effective=effective))
     return found
 
 

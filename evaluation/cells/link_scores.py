@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from evaluation.cells.tables import ROWS, Tables, names_column
 from isac_track import linkability
-from isac_track.intervals import Estimate, cluster_sums, of_few
+from isac_track.intervals import Estimate, cluster_sums, ratio_estimates
 from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_of
 from isac_track.linkability.significance import People, people_of
 from isac_track.rng import stream
@@ -198,7 +198,7 @@ def _cohorts(
         ).reshape(shape)
         for one in (hit, np.ones_like(hit))
     ]
-    found = of_few(
+    found = ratio_estimates(
         numerator=sums[0], denominator=sums[1], weights=weights, is_share=[True] * len(among)
     )
     return [

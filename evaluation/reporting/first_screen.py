@@ -124,7 +124,8 @@ def _next(run: Results, of: Headline) -> list[str]:
     """Return the command that asks the next question."""
     out = shlex.quote(str(near(run.out)))
     raw = of.at((RAW, None), of.robots[0]) if of.robots else None
-    if raw is None or of.attacked is None or not any(name == "fid" for name in of.known):
+    is_judged = raw and of.attacked and any(name == "fid" for name in of.known)
+    if raw is None or not is_judged or not math.isfinite(raw.ci_high):
         return [f"Next: python -m evaluation.report --verbose {out}"]
     missed = min(1.0, math.ceil(20.0 * (raw.ci_high + _SLACK)) / 20.0)
     asked = f"--max-missed {missed:.2f} --max-plr {LIMIT:.2f}"

@@ -144,12 +144,17 @@ def score_scale(
     cut: Cells,
     weights: Floats,
     calibration: Calibration | None,
+    *,
+    without: tuple[int, ...] = (),
 ) -> Scale:
-    """Return the score metrics of one scale: of searches, with the cell of every score, (P, G)."""
+    """Return the score metrics of one scale: of searches, with the cell of every score, (P, G).
+
+    After the data and the replicates come those of the data without each of some clusters.
+    """
     searches = tuple(people for _, people in trials)
     # The next attack on the same people has the same weights.
     kept = _weighed.__wrapped__ if weights.flags.writeable else _weighed
-    people = kept(searches, _Same(weights))
+    people = kept(searches, _Same(weights), without)
     loops, counts = import_loops(), cut.counts
     is_occupied = counts.any(axis=1)
     masses = np.empty((2, int(is_occupied.sum()), people.table.shape[1]))
@@ -189,13 +194,14 @@ def score_scale(
 
 
 @lru_cache(maxsize=8)
-def _weighed(searches: tuple[People, ...], same: _Same) -> _Weighed:
+def _weighed(searches: tuple[People, ...], same: _Same, without: tuple[int, ...]) -> _Weighed:
     arrays = [[np.frombuffer(each, dtype=np.int64) for each in search] for search in searches]
     mate = np.concatenate([each for each, *_ in arrays])
     shapes = np.array([[one.size, two.size] for _, one, two in arrays])
     clusters = np.unique(np.concatenate([each for _, *both in arrays for each in both]))
-    rows = np.ones((clusters.size, 1 + len(same.weights[:SCORE_REPLICATES])))
-    rows[:, 1:] = same.weights[:SCORE_REPLICATES, clusters].T
+    drawn = same.weights[:SCORE_REPLICATES, clusters].T
+    others = clusters[:, None] != np.array(without)
+    rows = np.column_stack([np.ones(clusters.size), drawn, others])
     table = np.zeros((len(rows) + 1, -(-rows.shape[1] // _LANES) * _LANES), dtype=np.float32)
     table[:-1, : rows.shape[1]], table[-1] = rows, 1.0  # counts, exact in 32 bits
     places = [[np.searchsorted(clusters, each) for each in both] for _, *both in arrays]

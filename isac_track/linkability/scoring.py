@@ -21,9 +21,11 @@ from isac_track.intervals import (
     Estimate,
     cluster_sums,
     effective_clusters,
-    of_few,
+    estimate_of,
+    jackknife_interval,
     percentile_interval,
     percentile_intervals,
+    ratio_estimates,
     wilson,
 )
 from isac_track.linkability.ranks import (
@@ -206,7 +208,7 @@ def scorecard(
     A metric that is bounded by 0 and 1 and does not vary over replicates (a perfect AUC) has
     Wilson's interval, with the clusters as the sample size: of all variables in 0..1 a mean of 0 or
     1 says least about a coin. Of fewer than 40 effective clusters (n^2 / sum m^2 of m probes each)
-    rank metrics have the jackknife's interval (`intervals.of_few`), of fewer than 15 nothing has
+    intervals are the jackknife's, as in `intervals.ratio_estimates`; of fewer than 15 nothing has
     any, but a share of people with one outcome each.
 
     The clusters of `searches` are the columns of `weights`, (B, C) from `cluster_weights`. The
@@ -291,17 +293,22 @@ def scorecard_of(
         places[search.scale].append(ranked.cell)
         standings.append(ranked.standing)
         assignments.append(np.where(columns < 0, -1, columns == search.mate))
+    of_ranks = _of_ranks(searches, standings, assignments, observed, null)
+    probes = of_ranks["probes"]
+    sizes = np.bincount(probes.cluster[probes.above >= 0]).astype(np.float64)
+    is_few = LEAST_CLUSTERS <= effective_clusters(sizes) < FEW_CLUSTERS
+    without = tuple(np.flatnonzero(sizes).tolist()) if is_few else ()
     results = [
         score_scale(
             *(by_scale[scale], places[scale], cut, weights),
             calibration[scale] if calibration is not None else None,
+            without=without,
         )
         for scale, cut in cells.items()
     ]
-    of_ranks = _of_ranks(searches, standings, assignments, observed, null)
     values = over_scales(results, n_searches=len(searches))
-    estimates = _rank_estimates(of_ranks["probes"], weights)
-    estimates |= _score_estimates(results, values, of_ranks["probes"])
+    estimates = _rank_estimates(probes, weights)
+    estimates |= _score_estimates(results, values, sizes, n_without=len(without))
     return Scorecard(
         estimates=estimates,
         **of_ranks,
@@ -397,8 +404,13 @@ def _rank_estimates(probes: ProbeRanks, weights: Floats) -> dict[str, Estimate]:
     sums = probes.sums(weights.shape[1])
     numerator, denominator = np.stack([*sums.values()], axis=1)
     is_share = [name != "chance" for name in sums]
-    found = of_few(numerator=numerator, denominator=denominator, weights=weights, is_share=is_share)
+    found = ratio_estimates(
+        numerator=numerator, denominator=denominator, weights=weights, is_share=is_share
+    )
     estimates = dict(zip(sums, found, strict=True))
+    known = estimates["chance"]
+    if known.n > 1:  # however few they are
+        estimates["chance"] = estimate_of(np.append(known.value, known.replicates), n=known.n)
     estimates["residual_risk"] = _residual_risk_estimate(
         *(estimates[name] for name in ("rank1", "chance")),
         is_few=estimates["rank1"].effective < FEW_CLUSTERS,
@@ -424,17 +436,24 @@ def _residual_risk_estimate(success: Estimate, control: Estimate, *, is_few: boo
 
 
 def _score_estimates(
-    results: Sequence[Scale], values: dict[str, Floats], probes: ProbeRanks
+    results: Sequence[Scale], values: dict[str, Floats], sizes: Floats, *, n_without: int
 ) -> dict[str, Estimate]:
-    """Return the estimates of score metrics; of very few clusters they have no interval."""
-    sizes = np.bincount(probes.cluster[probes.above >= 0]).astype(np.float64)
+    """Return the estimates of score metrics; of very few clusters they have no interval.
+
+    `sizes`, (C,), are of the clusters; the last `n_without` values are those without each of them.
+    """
     n, effective = int((sizes > 0).sum()), effective_clusters(sizes)
-    drawn = np.stack([values[name][1:] for name in METRICS])
-    estimates = {}
-    for name, replicates, ends in zip(METRICS, drawn, percentile_intervals(drawn).T, strict=True):
-        value, low, high = float(values[name][0]), math.nan, math.nan
+    every = np.stack([values[name] for name in METRICS])
+    drawn, without_each = np.split(every[:, 1:], [every.shape[1] - 1 - n_without], axis=1)
+    ends, estimates = percentile_intervals(drawn).T.tolist(), {}
+    for place, (name, replicates) in enumerate(zip(METRICS, drawn, strict=True)):
+        value, low, high = float(every[place, 0]), math.nan, math.nan
+        if n_without:
+            left = np.append(value, without_each[place])
+            is_share = name != "cllr"
+            ends[place] = jackknife_interval(left, effective=effective, is_share=is_share)
         if effective >= LEAST_CLUSTERS and not math.isnan(value):
-            low, high = _interval(name, value, replicates, ends.tolist(), n)
+            low, high = _interval(name, value, replicates, ends[place], n, is_few=n_without > 0)
         estimates[name] = Estimate(value, low, high, n, replicates)
 
     linked = estimates["d_sys"]
@@ -452,15 +471,21 @@ def _score_estimates(
 
 
 def _interval(
-    name: str, value: float, replicates: Floats, ends: Sequence[float], n: int
+    name: str, value: float, replicates: Floats, ends: Sequence[float], n: int, *, is_few: bool
 ) -> tuple[float, float]:
-    """Return the ends of a score metric's interval, given those of its percentile interval."""
+    """Return the ends of a score metric's interval.
+
+    Given those of its percentile interval or, of few clusters, of the jackknife's.
+    """
     is_constant = not (np.abs(replicates - value) > _NO_SPREAD).any()
     is_extreme = name in LEVELS and value in {0.0, 1.0}
+    most = _FITTED.get(name, 1.0)
     low, high = ends
     if name != "cllr" and (is_constant or is_extreme):
         low, high = wilson(hits=min(max(value, 0.0), 1.0) * n, n=n)
-        high = min(high, _FITTED.get(name, 1.0))
+        high = min(high, most)
     elif name in _FITTED:
-        low, high = max(0.0, 2 * value - high), min(_FITTED[name], 2 * value - low)
+        bias = float(np.nanmean(replicates)) - value if is_few else 0.0
+        low, high = (low - bias, high - bias) if is_few else (2 * value - high, 2 * value - low)
+        low, high = max(0.0, low), min(most, high)
     return low, high

@@ -18,7 +18,6 @@ from isac_track.intervals import (
     estimate_of,
     exact_binomial,
     jackknife_interval,
-    of_few,
     percentile_interval,
     percentile_intervals,
     ratio_estimates,
@@ -209,20 +208,24 @@ def test_very_few_people_have_the_interval_of_their_count_or_none(hits, trials, 
         :, : trials.size
     ]
     sums = {"numerator": hits[None] * 1.0, "denominator": trials[None], "is_share": [True]}
-    (one,) = of_few(**sums, weights=weights)
+    (one,) = ratio_estimates(**sums, weights=weights)
     assert (one.ci_low, one.ci_high) == pytest.approx(ends, nan_ok=True)
     assert one.replicates.size == 9
 
 
-def test_of_many_clusters_and_of_what_is_no_share_nothing_changes():
+def test_what_is_no_share_has_students_interval_of_few_and_the_percentiles_of_many():
     weights = cluster_weights(n_clusters=40, n_replicates=50, seed=0)
-    hits = stream(4, "test", "many").random((2, 40))
-    sums = {"numerator": hits, "denominator": np.ones((2, 40)), "is_share": [True, False]}
-    sums["denominator"][1, 20:] = 0.0
-    for one, usual in zip(
-        *(of(**sums, weights=weights) for of in (of_few, ratio_estimates)), strict=True
-    ):
-        assert (one.ci_low, one.ci_high) == (usual.ci_low, usual.ci_high)
+    times = stream(4, "test", "many").random((2, 40))
+    trials = np.ones((2, 40))
+    trials[1, 20:] = times[1, 20:] = 0.0
+    many, few = ratio_estimates(
+        numerator=times, denominator=trials, weights=weights, is_share=(True, False)
+    )
+    assert (many.ci_low, many.ci_high) == percentile_interval(many.replicates)
+    own = times[1, :20]
+    expected = own.mean() + own.std(ddof=1) / np.sqrt(20) * t(19).ppf([0.025, 0.975])
+    assert (few.ci_low, few.ci_high) == pytest.approx(expected)
+    assert np.isnan(estimate_of(np.arange(9.0), n=9, effective=14.0).ci_low)
 
 
 def beta_binomial(rng, chances, sizes, within=0.4):

@@ -9,12 +9,13 @@ from helpers import linkability_oracles as oracles
 from helpers.searches import CALIBRATION, card, gaussian, random_searches, search
 from scipy.stats import hypergeom, norm
 
-from isac_track.intervals import cluster_weights, exact_binomial, wilson
+from isac_track.intervals import cluster_weights, exact_binomial, jackknife_interval, wilson
 from isac_track.linkability import (
     SCORE_REPLICATES,
     Calibration,
     Search,
     assign,
+    auc,
     cllr,
     cllr_min,
     d_sys,
@@ -304,6 +305,24 @@ def test_one_candidate_one_cluster_and_nobody_with_a_mate_say_little():
         assert name.startswith(("tpr", "rank1_g")) or math.isfinite(one.value), name
         assert np.isnan([one.ci_low, one.ci_high]).all(), name
         assert one.n == 1
+
+
+def test_of_few_clusters_score_metrics_have_the_jackknife_of_what_is_left_without_each():
+    rng = stream(16, "test", "few")
+    group = np.arange(40) // 2
+    scores = rng.standard_normal((40, 40)) + np.diag(1.5 + rng.standard_normal(40))
+    found = card([search(scores, cluster=group)], n_clusters=20, n_replicates=30).estimates
+
+    def without(left_out):
+        there = group != left_out
+        left = scores[np.ix_(there, there)]
+        return auc(mated=left.diagonal(), non_mated=left[~np.eye(len(left), dtype=bool)])
+
+    values = np.array([without(one) for one in (-1, *range(20))])
+    low, high = jackknife_interval(values, effective=20.0)
+    assert (found["auc"].ci_low, found["auc"].ci_high) == pytest.approx((low, high), abs=1e-6)
+    assert found["auc"].replicates.size == 30
+    assert found["eer"].ci_low < found["eer"].value < found["eer"].ci_high <= 0.5
 
 
 def people(rng, n_groups):
