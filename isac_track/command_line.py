@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 DONE: Final = 0
 LIMIT_NOT_MET: Final = 1
-WRONG: Final = 2
-"""Usage or data."""
+WRONG: Final = 2  # Usage or data.
 FAILED_CELLS: Final = 3
 INTERRUPTED: Final = 130
 _PIPE_CLOSED: Final = 141

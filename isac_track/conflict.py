@@ -30,8 +30,7 @@ def prediction_grid(*, t: Floats, offsets: Ints, window: int, horizon_steps: int
     if (used < 2).any():  # noqa: PLR2004 - a line needs two
         raise ValueError("a track of one sample has no sampling interval to predict on")
     interval_s = (t[last] - t[last - used + 1]) / (used - 1)
-    grid: Floats = t[last][:, None] + np.arange(horizon_steps) * interval_s[:, None]
-    return grid
+    return np.asarray(t[last][:, None] + np.arange(horizon_steps) * interval_s[:, None])
 
 
 def robot_path(
@@ -50,8 +49,7 @@ def robot_path(
         raise ValueError("a robot's destination must differ from its start")
     heading = way / length[:, None]
     travelled: Floats = np.minimum(speed_mps * elapsed_s, length[:, None, None])
-    path: Floats = start[:, None, None, :] + travelled[..., None] * heading[:, None, None, :]
-    return path
+    return np.asarray(start[:, None, None, :] + travelled[..., None] * heading[:, None, None, :])
 
 
 def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
@@ -61,14 +59,12 @@ def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
     """
     if robot.shape != agents.shape:
         raise ValueError(f"robot {robot.shape} and agents {agents.shape} must have one shape")
-    nearest: Floats = np.hypot(*np.moveaxis(robot - agents, -1, 0)).min(axis=(1, 2))
-    return nearest
+    return np.asarray(np.hypot(*np.moveaxis(robot - agents, -1, 0)).min(axis=(1, 2)))
 
 
 def is_conflict(*, separation_m: Floats, safety_radius_m: float) -> Bools:
     """Return the conflict decision of each scene: strictly inside (eq. conflict_rule)."""
-    decision: Bools = separation_m < safety_radius_m
-    return decision
+    return np.asarray(separation_m < safety_radius_m)
 
 
 def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
@@ -100,8 +96,7 @@ def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
         density = np.exp(-0.5 * ((x - along) / wide_m) ** 2) / (np.sqrt(2.0 * np.pi) * wide_m)
         inside = ndtr((half_chord - across) / narrow_m) - ndtr((-half_chord - across) / narrow_m)
         total += weight * density * inside * half_chord
-    probability: Floats = np.clip(0.5 * (last - first) * total, 0.0, 1.0)
-    return probability
+    return np.asarray(np.clip(0.5 * (last - first) * total, 0.0, 1.0))
 
 
 def conflict_probability(*, robot: Floats, mean: Floats, cov: Floats, radius_m: float) -> Floats:

@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-_MOST_TOLD = 300
-"""Characters of a stranger's message."""
+_MOST_TOLD = 300  # Characters of a stranger's message.
 _NOT_STRANGE = frozenset(
     ("isac_track", "predictors", "attacks", "evaluation", "numpy", "scipy", "numba", "dataclasses")
 )
 """Packages that a plug-in's own source is not in."""
-_MOST_REPEATED = 100
-"""Characters of what a user typed."""
+_MOST_REPEATED = 100  # Characters of what a user typed.
 
 
 class IsacTrackError(Exception):

@@ -24,8 +24,7 @@ FEW_CLUSTERS: Final = 40.0
 intervals hold shares of 10 and 85 % in 87 to 94 of 100 studies, the jackknife's in 94 to 98."""
 LEAST_CLUSTERS: Final = 15.0
 """Effective clusters below which there is no interval, but an exact one of a count."""
-FEWEST_EFFECTIVE: Final = 20
-"""Effective clusters below which nothing is decided."""
+FEWEST_EFFECTIVE: Final = 20  # Effective clusters below which nothing is decided.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,14 +34,11 @@ class Estimate:
     value: float
     ci_low: float = np.nan
     ci_high: float = np.nan
-    n: int = 0
-    """Clusters that contribute."""
+    n: int = 0  # Clusters that contribute.
     replicates: Floats = field(default_factory=lambda: np.zeros(0))
     """(B,) bootstrap replicates; the same row of weights in every estimate of a run."""
-    closed_error: float | None = None
-    """Standard error where it has a closed form."""
-    effective: float = np.nan
-    """Effective clusters, where their sizes are known: n^2 / sum m^2."""
+    closed_error: float | None = None  # Standard error where it has a closed form.
+    effective: float = np.nan  # Effective clusters, where their sizes are known: n^2 / sum m^2.
 
     @property
     def standard_error(self) -> float:
@@ -147,8 +143,7 @@ def cluster_weights(
 
 def cluster_sums(*, values: Floats, cluster: Ints, n_clusters: int) -> Floats:
     """Return the sum of `values`, (R,), within each cluster, (C,)."""
-    sums: Floats = np.bincount(cluster, weights=values, minlength=n_clusters).astype(np.float64)
-    return sums
+    return np.asarray(np.bincount(cluster, weights=values, minlength=n_clusters).astype(np.float64))
 
 
 def effective_clusters(sizes: Floats) -> float:

@@ -8,8 +8,7 @@ import numpy as np
 
 from isac_track.types import Floats, Ints, check_offsets, check_times
 
-MIN_VARIANCE_M2 = 1e-6
-"""(1 mm)^2: below it a filter would trust rounding."""
+MIN_VARIANCE_M2 = 1e-6  # (1 mm)^2: below it a filter would trust rounding.
 UNKNOWN_VARIANCE_M2 = 0.25
 """For a track of fewer than three samples, which says nothing of its noise."""
 _LEAST_SAMPLES = 3
@@ -40,5 +39,4 @@ def innovation_variance_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
     variance = np.empty(offsets.size - 1)
     import_module("isac_track.kalman._linear_loops").innovation_level(t, xy, offsets, variance)
     variance[np.diff(offsets) < _LEAST_SAMPLES] = UNKNOWN_VARIANCE_M2
-    found: Floats = np.maximum(variance, MIN_VARIANCE_M2)
-    return found
+    return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))

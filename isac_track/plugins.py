@@ -59,30 +59,21 @@ _MECHANISMS = ("isac_track.sharing", "isac_track.sharing_controls")
 """Modules with a table ``MECHANISMS``: one that is added there is known here."""
 _METHOD: dict[Kind, str] = {"mechanisms": "share", "predictors": "predict", "attacks": "fit"}
 _MOST_LEVELS = 1000
-_WHOLE_LIMIT = 10**12
-"""Names show 12 digits."""
+_WHOLE_LIMIT = 10**12  # Names show 12 digits.
 
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
     """One configured plug-in: a mechanism at one level, a predictor or an attack."""
 
-    name: str
-    """As in the result columns: family and non-default parameters, without the level."""
-    level: float | None
-    """Level of a mechanism; None where it has none or it is not a number."""
-    spec: str
-    """Canonical SPEC that gives this very plug-in again."""
-    origin: str
-    """``module:Class``"""
-    instance: Any
-    """The frozen object."""
-    family: str = ""
-    """Its name without parameters."""
-    adding: str = ""
-    """Adding rule that a mechanism declares; empty if it has none."""
-    digest: str = ""
-    """Of what was given as an object: what its cells depend on beside its SPEC."""
+    name: str  # As in the result columns: family and non-default parameters, without the level.
+    level: float | None  # Level of a mechanism; None where it has none or it is not a number.
+    spec: str  # Canonical SPEC that gives this very plug-in again.
+    origin: str  # ``module:Class``
+    instance: Any  # The frozen object.
+    family: str = ""  # Its name without parameters.
+    adding: str = ""  # Adding rule that a mechanism declares; empty if it has none.
+    digest: str = ""  # Of what was given as an object: what its cells depend on beside its SPEC.
 
 
 def names(kind: Kind) -> dict[str, str]:

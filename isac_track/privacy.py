@@ -21,14 +21,10 @@ if TYPE_CHECKING:
 class Exposure:
     """Leakage of N trajectories."""
 
-    plr: Floats
-    """(N,) share of leaked samples, 0..1 (eq. plr_definition)."""
-    ael_s: Floats
-    """(N,) s, mean duration of a trajectory's leaked segments; 0 without one."""
-    mel_s: Floats
-    """(N,) s, duration of its longest leaked segment; 0 without one."""
-    segments: Ints
-    """(N,) number of leaked segments."""
+    plr: Floats  # (N,) share of leaked samples, 0..1 (eq. plr_definition).
+    ael_s: Floats  # (N,) s, mean duration of a trajectory's leaked segments; 0 without one.
+    mel_s: Floats  # (N,) s, duration of its longest leaked segment; 0 without one.
+    segments: Ints  # (N,) number of leaked segments.
 
 
 def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -> Bools:
@@ -55,8 +51,7 @@ def distance_m(*, shared_xy: Floats, true_xy: Floats) -> Floats:
     x *= x
     y *= y
     x += y
-    distance: Floats = np.sqrt(x, out=x)
-    return distance
+    return np.asarray(np.sqrt(x, out=x))
 
 
 def exposure(
@@ -119,8 +114,7 @@ def lasting_s(*, t: Floats, offsets: Ints, intervals: IntervalsOf) -> Floats:
     after_s[last] = np.nan
     before_s[first] = after_s[first]
     after_s[last] = before_s[last]
-    lasting: Floats = 0.5 * (before_s + after_s)
-    return lasting
+    return np.asarray(0.5 * (before_s + after_s))
 
 
 def described(

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from isac_track.config import ConflictSettings, StageSettings
 
 _FEW_REDRAWS = 16
-FEW_PEOPLE = 20
-"""With fewer nothing is decided."""
+FEW_PEOPLE = 20  # With fewer nothing is decided.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,12 +32,9 @@ class Cut(Tracks):
 
     t_future: Floats = field(metadata=TRACK)
     """(N, H) s, prediction grid; step 0 is the last history sample."""
-    xy_future: Floats = field(metadata=TRACK)
-    """(N, H, 2) m, true positions on the grid."""
-    too_short: int
-    """Recorded tracks below `min_duration_s`."""
-    no_future: int
-    """Tracks that are long enough but do not cover the horizon after the split."""
+    xy_future: Floats = field(metadata=TRACK)  # (N, H, 2) m, true positions on the grid.
+    too_short: int  # Recorded tracks below `min_duration_s`.
+    no_future: int  # Tracks that are long enough but do not cover the horizon after the split.
 
 
 def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
@@ -234,8 +230,7 @@ def _past_the_robot(
     roots = np.sqrt(np.maximum(discriminant, 0.0)) - along
     push = roots[discriminant >= 0.0].max()
     # A hair beyond the circle: rounding must not turn the miss into a conflict.
-    shift: Floats = (robot[0] - future[0]) + (push + 1e-9) * u
-    return shift
+    return np.asarray((robot[0] - future[0]) + (push + 1e-9) * u)
 
 
 def _around_the_robot(

@@ -29,14 +29,11 @@ class Channel:
 
     large_scale: Floats
     """(N,) standard normal; times `large_scale_db` it is the track's two-way gain in dB."""
-    path_power: Floats
-    """(N, N_p) power of each path, exponential with mean 1 (Rayleigh amplitude)."""
+    path_power: Floats  # (N, N_p) power of each path, exponential with mean 1 (Rayleigh amplitude).
     path_delay: Floats
     """(N, N_p) excess delay as a share of `delay_spread_s`; the first path is direct, 0."""
-    beam: Floats
-    """(M,) standard normal; times `beam_fluctuation_db` it is the sample's gain in dB."""
-    unit_error: Floats
-    """(M, 2) standardised raw error."""
+    beam: Floats  # (M,) standard normal; times `beam_fluctuation_db` it is the sample's gain in dB.
+    unit_error: Floats  # (M, 2) standardised raw error.
 
 
 def fisher_information_density(*, information: Floats, t: Floats, offsets: Ints) -> Floats:
@@ -89,8 +86,7 @@ def link_gain(
         settings.large_scale_db * channel.large_scale[owner]
         + settings.beam_fluctuation_db * channel.beam
     )
-    gain: Floats = at_1m * (paths / n_paths) * 10.0 ** (fluctuation_db / 10.0)
-    return gain
+    return np.asarray(at_1m * (paths / n_paths) * 10.0 ** (fluctuation_db / 10.0))
 
 
 def range_information_per_snr(*, bandwidth_mhz: float) -> float:
@@ -118,14 +114,12 @@ def information(*, gain: Floats, settings: SensingSettings) -> Floats:
     per_snr = range_information_per_snr(bandwidth_mhz=settings.bandwidth_mhz)
     beta = per_snr * processing * gain / noise_w
     floor = (_gap(settings) / settings.sigma_cap_m) ** 2
-    detected: Floats = np.maximum(beta * settings.resource_share * power_w, floor)
-    return detected
+    return np.asarray(np.maximum(beta * settings.resource_share * power_w, floor))
 
 
 def sigma_from_information(*, information: Floats, settings: SensingSettings) -> Floats:
     """Return sigma_raw, (M,) m: sqrt(CRB) = 1 / sqrt(I), times the gap of a real estimator."""
-    sigma: Floats = _gap(settings) / np.sqrt(information)
-    return sigma
+    return np.asarray(_gap(settings) / np.sqrt(information))
 
 
 def _gap(settings: SensingSettings) -> float:

@@ -18,8 +18,7 @@ class LeastSquares:
     all it has; one with a single sample is predicted to stand still.
     """
 
-    window: int = 16
-    """q of the paper."""
+    window: int = 16  # q of the paper.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
 

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
-_RANK = 8
-"""Polynomials of a profile."""
+_RANK = 8  # Polynomials of a profile.
 _TAUGHT_BY = 80
 """Mated pairs to learn from: three widths of smoothing on all would cost more than the attack."""
 
@@ -53,8 +52,7 @@ class Shape:
     """m^2; None: learnt from the training set, or `DEFAULT_FLOOR_M2` without one."""
     rank: int = 5
     """More tell more of a walk that is shared almost as it is, and hold more of the noise."""
-    reach_s: float = 6.0
-    """s, greatest lag."""
+    reach_s: float = 6.0  # s, greatest lag.
 
     kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
@@ -83,8 +81,7 @@ def _shapes(
     """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
     p, g, reach_s = on_grid(probe), on_grid(gallery), attack.reach_s
     costs = aligned_costs(p, g, floors=floors, rank=attack.rank, reach_s=reach_s, rotated=True)
-    score: Floats = -np.log(costs)
-    return score
+    return np.asarray(-np.log(costs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +99,8 @@ class Profile:
     factor: float | None = None
     """Of the widths; None: learnt from the training set, or 1 without one."""
     turn_m: float = 1.0
-    floor: float | None = None
-    """None: learnt, or `DEFAULT_FLOOR`."""
-    reach_s: float = 6.0
-    """s, greatest lag."""
+    floor: float | None = None  # None: learnt, or `DEFAULT_FLOOR`.
+    reach_s: float = 6.0  # s, greatest lag.
 
     kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset()

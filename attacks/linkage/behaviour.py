@@ -21,10 +21,8 @@ _BANDS_HZ = ((0.4, 0.7), (0.7, 1.0), (1.0, 1.4), (1.4, 2.0))
 _SWAY_M2 = 1e-3
 """Per cell: (3 cm)^2, what a body sways by. Where noise hides it there is nothing to compare."""
 _LEAST_SWAY_M2 = 1e-5
-_LEAST_CELLS = 8
-"""Fewer have no spectrum to speak of."""
-_LEAST_SCALE = 0.02
-"""Of a feature: all are speeds in m/s, shares, or logarithms."""
+_LEAST_CELLS = 8  # Fewer have no spectrum to speak of.
+_LEAST_SCALE = 0.02  # Of a feature: all are speeds in m/s, shares, or logarithms.
 
 FEATURES = {
     "mean speed": 0.06,
@@ -87,8 +85,7 @@ class Behaviour:
 def _score(probe: Release, gallery: Release, *, metric: Floats) -> Floats:
     a, b = features(probe), features(gallery)
     own_a, own_b = (((each @ metric) * each).sum(axis=1) for each in (a, b))
-    score: Floats = 2.0 * (a @ metric @ b.T) - own_a[:, None] - own_b
-    return score
+    return np.asarray(2.0 * (a @ metric @ b.T) - own_a[:, None] - own_b)
 
 
 def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
@@ -103,8 +100,7 @@ def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     within, total = (_shrunk_moments(each, shrinkage) for each in (between / scale, apart))
     strangers = 2.0 * total * np.outer(spread / scale, spread / scale)
     value, vector = np.linalg.eigh(np.linalg.inv(within) - np.linalg.inv(strangers))
-    metric: Floats = (vector * np.maximum(value, 0.0)) @ vector.T / np.outer(scale, scale)
-    return metric
+    return np.asarray((vector * np.maximum(value, 0.0)) @ vector.T / np.outer(scale, scale))
 
 
 def _shrunk_moments(x: Floats, shrinkage: float) -> Floats:
@@ -128,8 +124,7 @@ def _features(release: Release) -> Floats:
     live = np.arange(speed.shape[1]) < count[:, None]
 
     def mean(values: Floats) -> Floats:
-        average: Floats = np.einsum("ij,ij->i", values, live) / count
-        return average
+        return np.asarray(np.einsum("ij,ij->i", values, live) / count)
 
     level = mean(speed)
     spread = np.sqrt(np.maximum(mean(speed**2) - level**2, 0.0))
@@ -188,5 +183,4 @@ def sway(release: Release, walks: Signals) -> Floats:
                 power_m2[rows, band] = square.mean(axis=1) / (window**2).sum()
     clear = 1.0 / (1.0 + error_m2 / _SWAY_M2)
     left_m2 = np.maximum(power_m2 - error_m2[:, None], 0.0) + _LEAST_SWAY_M2
-    log_power: Floats = np.log(left_m2 / _SWAY_M2) * clear[:, None]
-    return log_power
+    return np.asarray(np.log(left_m2 / _SWAY_M2) * clear[:, None])

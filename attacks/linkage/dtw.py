@@ -16,8 +16,7 @@ from isac_track.types import Floats, Knowledge, Release
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Linker
 
-_STRIDE = 2
-"""Cells between those compared: 2 Hz of signals that are smoothed over more than that."""
+_STRIDE = 2  # Cells between those compared: 2 Hz of signals that are smoothed over more than that.
 _TAUGHT_BY = 48
 """Mated pairs to learn from: five candidates on all would cost more than the attack."""
 
@@ -50,8 +49,7 @@ class DTW:
     1 without one."""
     turn_m: float = 1.0
     band: float = 0.15
-    penalty: float | None = None
-    """None: learnt, or `DEFAULT_PENALTY`."""
+    penalty: float | None = None  # None: learnt, or `DEFAULT_PENALTY`.
     floor: float = 0.003
 
     kind: ClassVar[str] = "linkage"

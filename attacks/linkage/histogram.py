@@ -47,8 +47,7 @@ class Histogram:
     factor: float | None = None
     """Of the widths in `attacks.linkage.signals.widths_s`; None: learnt from the training set, or
     1 without one."""
-    speeds: int | None = None
-    """Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`."""
+    speeds: int | None = None  # Centres from 0 to 2.2 m/s; None: learnt, or `DEFAULT_SPEEDS`.
 
     kind: ClassVar[str] = "linkage"
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
@@ -111,10 +110,8 @@ def one_source(a: Floats, b: Floats) -> Floats:
     all_a, all_b = a.sum(axis=1)[:, None], b.sum(axis=1)
     shared = np.empty((len(a), len(b)))
     loops().shared_cells(a, b, _x_log_x(a), _x_log_x(b), shared)
-    ratio: Floats = _x_log_x(all_a) + _x_log_x(all_b) - _x_log_x(all_a + all_b) + shared
-    return ratio
+    return np.asarray(_x_log_x(all_a) + _x_log_x(all_b) - _x_log_x(all_a + all_b) + shared)
 
 
 def _x_log_x(x: Floats) -> Floats:
-    product: Floats = x * np.log(np.maximum(x, np.finfo(np.float64).tiny))
-    return product
+    return np.asarray(x * np.log(np.maximum(x, np.finfo(np.float64).tiny)))

@@ -22,11 +22,9 @@ if TYPE_CHECKING:
 
 _PRIOR_STD = (100.0, 1.4)
 """m around the first sample and m/s around rest: people walk, they do not run."""
-_TAIL = 5.0
-"""Degrees of freedom: people do turn and stop in a gap, more than white noise would."""
+_TAIL = 5.0  # Degrees of freedom: people do turn and stop in a gap, more than white noise would.
 _SLACK_S = 0.5
-_LONGEST_S = 60.0
-"""A longer gap counts as one of this length: nobody's state outlives it."""
+_LONGEST_S = 60.0  # A longer gap counts as one of this length: nobody's state outlives it.
 
 
 @dataclass(frozen=True, slots=True)

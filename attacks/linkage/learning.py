@@ -16,17 +16,14 @@ if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 
 Rows: TypeAlias = Ints | slice
-Few: TypeAlias = tuple[Rows, Rows]
-"""Which walks of the probe and of the gallery are compared."""
+Few: TypeAlias = tuple[Rows, Rows]  # Which walks of the probe and of the gallery are compared.
 EVERYBODY: Few = (slice(None), slice(None))
 _Value = TypeVar("_Value")
 
 _MOST_PAIRS = 2**19
 """Of which all scores of a level are remembered, 4 MB for each linker and adversary."""
-LEAST_MATES = 8
-"""Fewer mated pairs teach nothing that could be trusted: defaults are kept."""
-MARGIN = 0.02
-"""Of the mean log rank: with 90 pairs a smaller gain is as likely chance."""
+LEAST_MATES = 8  # Fewer mated pairs teach nothing that could be trusted: defaults are kept.
+MARGIN = 0.02  # Of the mean log rank: with 90 pairs a smaller gain is as likely chance.
 
 
 def linker(score: Callable[..., Floats], *chosen: object) -> Linker:

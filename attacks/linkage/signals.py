@@ -20,36 +20,27 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from types import ModuleType
 
-STEP_S = 0.25
-"""Of the grid: 4 Hz, above what is left of a walk behind the noise of any network."""
+STEP_S = 0.25  # Of the grid: 4 Hz, above what is left of a walk behind the noise of any network.
 LONGEST_S = 60.0
 """What comes later in a walk is left out: it bounds the work, and no task shows more than 12 s."""
 _CLOCK_S = 1e-6
-SLOW_M_S = 0.4
-"""Below it a walk hardly has a direction; its turning rate is damped."""
-_WIDTH_S = 3.0
-"""Of smoothing at errors of 1 m: tuned on the bundled crowd."""
+SLOW_M_S = 0.4  # Below it a walk hardly has a direction; its turning rate is damped.
+_WIDTH_S = 3.0  # Of smoothing at errors of 1 m: tuned on the bundled crowd.
 WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
 """0.5 s to 4 s, in steps of a factor of 1.4: few, so that walks are smoothed together."""
-FACTORS = (1.0, 0.5, 2.0)
-"""Of the widths that an informed adversary tries, the default first."""
-FULL_CELLS = 48.0
-"""12 s: the overlap by which others are measured."""
-EXPONENT = 3.0
-"""Of the ratio to an overlap, by which its cost grows: a short overlap fits anybody."""
+FACTORS = (1.0, 0.5, 2.0)  # Of the widths that an informed adversary tries, the default first.
+FULL_CELLS = 48.0  # 12 s: the overlap by which others are measured.
+EXPONENT = 3.0  # Of the ratio to an overlap, by which its cost grows: a short overlap fits anybody.
 _NEAR = 160
 """Walks of either side that are compared at a time: all of their costs stay in the cache."""
-LEAST_OVERLAP = 8
-"""Cells, 2 s: a shorter overlap is tried only where a walk is no longer."""
+LEAST_OVERLAP = 8  # Cells, 2 s: a shorter overlap is tried only where a walk is no longer.
 
 
 class Signals(NamedTuple):
     """N walks, or how they go, on a grid of `STEP_S` from each one's first sample."""
 
-    values: Floats
-    """(C, N, K) channels."""
-    sizes: Ints
-    """(N,) 1 to K, how many cells of each walk count, the first ones."""
+    values: Floats  # (C, N, K) channels.
+    sizes: Ints  # (N,) 1 to K, how many cells of each walk count, the first ones.
 
     def walks(self, rows: Rows) -> Signals:
         """Return some of the walks."""

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 LEAST_PEOPLE = 24
 """Fewer cannot be split into people to learn from, to calibrate on and to attack, twice."""
-CLOCK_S = 1e-9
-"""Room for the rounding of a frame clock: 12 s at 25 Hz is 300 frames."""
+CLOCK_S = 1e-9  # Room for the rounding of a frame clock: 12 s at 25 Hz is 300 frames.
 
 
 @lru_cache(maxsize=2048)  # all tasks of a recording cut their windows from the same walks
@@ -42,8 +41,7 @@ def _walk(tracks: Tracks, row: int) -> Callable[[Floats], Floats]:
 
 @lru_cache(maxsize=4)  # as above: the recording, and both sessions of the crowd
 def _moving(tracks: Tracks) -> Bools:
-    moving: Bools = ~summarise(tracks)["frozen"].to_numpy()
-    return moving
+    return np.asarray(~summarise(tracks)["frozen"].to_numpy())
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,10 +49,8 @@ class Draft:
     """What a task is made from."""
 
     task: Task
-    tracks: Tracks
-    """The recording; of a crowd, its first session."""
-    later: Tracks
-    """The crowd's second session; of a recording, itself."""
+    tracks: Tracks  # The recording; of a crowd, its first session.
+    later: Tracks  # The crowd's second session; of a recording, itself.
     settings: StageSettings
     seed: int
 

@@ -39,8 +39,7 @@ class Control:
     in_scene: Score | None = None
     """The same where the task shows the true frame, if it must look another way there."""
     is_audit: bool = True
-    hides_in_scene: bool = False
-    """Whether it sees what a task in the true frame shows on purpose."""
+    hides_in_scene: bool = False  # Whether it sees what a task in the true frame shows on purpose.
     sees_times_only: bool = False
     """Whether it scores alike at every level of a mechanism that shares every sample."""
 
@@ -64,8 +63,7 @@ def _alike(features: Callable[[Release], Floats]) -> Score:
         first, second = (features(one).reshape(len(one), -1) for one in (probe, gallery))
         spread = np.concatenate([first, second]).std(axis=0)
         gap = (first[:, None, :] - second[None, :, :]) / np.where(spread > 0, spread, 1.0)
-        closeness: Floats = -np.sqrt((gap**2).sum(axis=2))
-        return closeness
+        return np.asarray(-np.sqrt((gap**2).sum(axis=2)))
 
     return score
 
@@ -73,8 +71,7 @@ def _alike(features: Callable[[Release], Floats]) -> Score:
 def _means(values: Floats, release: Release) -> Floats:
     """Return the mean of each track's values, (N,) or (N, 2)."""
     total = np.add.reduceat(values, release.offsets[:-1])
-    means: Floats = (total.T / np.diff(release.offsets)).T
-    return means
+    return np.asarray((total.T / np.diff(release.offsets)).T)
 
 
 def _sampling_times(release: Release) -> Floats:
@@ -110,8 +107,7 @@ def _over_neighbours(release: Release) -> Floats:
     middle_m = _means(release.xy, release)
     nearest: Ints = np.asarray(cKDTree(middle_m).query(middle_m, k=few + 1)[1])
     # The first is the track itself, or somebody in the very same place.
-    over: Floats = level - level[nearest[:, 1:], 0].mean(axis=1)[:, None]
-    return over
+    return np.asarray(level - level[nearest[:, 1:], 0].mean(axis=1)[:, None])
 
 
 def _frame(release: Release) -> Floats:

@@ -24,12 +24,9 @@ class Task:
 
     name: str
     about: str
-    shows_scene: bool = False
-    """Whether the releases come in the true frame and on the true clock."""
-    gap_s: float = 0.0
-    """Silence before all pseudonyms rotate."""
-    simulated: bool = False
-    """Whether it needs the two-session crowd instead of a recording."""
+    shows_scene: bool = False  # Whether the releases come in the true frame and on the true clock.
+    gap_s: float = 0.0  # Silence before all pseudonyms rotate.
+    simulated: bool = False  # Whether it needs the two-session crowd instead of a recording.
 
     @property
     def family(self) -> str:

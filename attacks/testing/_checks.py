@@ -24,14 +24,11 @@ Case: TypeAlias = Any
 Its answers are arrays, as its `read` makes them: positions and std, or scores.
 """
 
-SAME = 1e-6
-"""Room for rounding: m, or a share of the spread of the scores."""
+SAME = 1e-6  # Room for rounding: m, or a share of the spread of the scores.
 SPREADS = 3.0
 """Two runs of an attack that draws may differ by so many times what two seeds differ by."""
-SURPRISE = 1e-6
-"""Probability with which chance alone would fail an attack."""
-STANDARD_ERRORS = 2.5
-"""One-sided 99 % for 24 people (Student's t)."""
+SURPRISE = 1e-6  # Probability with which chance alone would fail an attack.
+STANDARD_ERRORS = 2.5  # One-sided 99 % for 24 people (Student's t).
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,14 +37,11 @@ class Row:
 
     attack: Attack
     adversary: str
-    granted: frozenset[Knowledge]
-    """What the adversary grants it."""
+    granted: frozenset[Knowledge]  # What the adversary grants it.
     given: frozenset[Knowledge]
     """What it is given here: all there is, if it cannot keep to what it was granted."""
-    ordinary: Case
-    """For checks that compare two runs."""
-    another: Case
-    """What the function from `fit` may be asked after the ordinary case."""
+    ordinary: Case  # For checks that compare two runs.
+    another: Case  # What the function from `fit` may be asked after the ordinary case.
 
     def __str__(self) -> str:
         knows = ", ".join(sorted(one.name for one in self.granted)) or "nothing"

@@ -20,18 +20,14 @@ from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-GAP_S = 1.0
-"""Silence before the gallery goes on, where the scene is shown."""
+GAP_S = 1.0  # Silence before the gallery goes on, where the scene is shown.
 N_PEOPLE = 24
-PEOPLE, OTHERS = (128,) * N_PEOPLE, (128,) * 20
-"""Samples of each: 12 s at 8 to 16 Hz."""
+PEOPLE, OTHERS = (128,) * N_PEOPLE, (128,) * 20  # Samples of each: 12 s at 8 to 16 Hz.
 _FARTHEST_M = 100.0
 _LATEST_S = 1000.0
 
-SAME_LEARNT = 0.01
-"""Room for what a learner makes of the same examples in another order."""
-EASY_SURPRISE = 1e-3
-"""Chance alone would succeed as often with a smaller probability."""
+SAME_LEARNT = 0.01  # Room for what a learner makes of the same examples in another order.
+EASY_SURPRISE = 1e-3  # Chance alone would succeed as often with a smaller probability.
 SIGMAS_M = (0.1, 10.0)
 """Averaged over 128 samples, 10 m come to 0.9 m: of a walk of some 15 m little is left."""
 ODD = (
@@ -62,8 +58,7 @@ class LinkageCase:
     about: str
     probe: Release
     gallery: Release
-    mate: Ints
-    """(P,) gallery track of the same person, or -1. No attack is given it."""
+    mate: Ints  # (P,) gallery track of the same person, or -1. No attack is given it.
     mechanism: Fixed
     train: LinkageTrainingSet
     everything: frozenset[Knowledge]

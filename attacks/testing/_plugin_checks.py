@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from isac_track.protocols import Mechanism, Predictor
 
 N_TRACKS = 24
-SHORT = (1, 2, 3, 40)
-"""Samples of the tracks of the odd cases."""
+SHORT = (1, 2, 3, 40)  # Samples of the tracks of the odd cases.
 HORIZON_S, N_STEPS = 3.0, 16
 SIGMA_ERRORS, SIGMA_ROOM = 4.0, 0.02
 """The variance may differ from what is declared by so many standard errors over the tracks, and by

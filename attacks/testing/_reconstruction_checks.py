@@ -28,12 +28,10 @@ FRAMES: tuple[made.Frame, ...] = (
     (-2.8, (-90.0, -30.0), 1000.0),
 )
 """Angle (rad), shift (m) and clock (s) of the release, the training set and the two repeats."""
-SAME_FRAME_M = 1e-5
-"""Room for rounding after a motion by some hundred metres and seconds."""
+SAME_FRAME_M = 1e-5  # Room for rounding after a motion by some hundred metres and seconds.
 EXTENTS, EXTRA_M = 3.0, 10.0
 """How far an answer may lie from the middle of its track: 3 times its extent and 10 m."""
-EASY_PLR = 0.5
-"""The shared positions themselves come to 1.0 there."""
+EASY_PLR = 0.5  # The shared positions themselves come to 1.0 there.
 SIGMAS_M = (0.3, 1.0, 3.0)
 
 
@@ -41,19 +39,15 @@ SIGMAS_M = (0.3, 1.0, 3.0)
 class Case:
     """One release with M samples, and everything that an adversary may know besides."""
 
-    asked: ClassVar[tuple[str, ...]] = ("release",)
-    """What the function from `fit` is called with."""
+    asked: ClassVar[tuple[str, ...]] = ("release",)  # What the function from `fit` is called with.
     gives: ClassVar[str] = "from a release to a reconstruction"
-    everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)
-    """All that there is to grant."""
+    everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)  # All that there is to grant.
     compared: ClassVar[str] = "positions or std"
     unit: ClassVar[str] = " m"
 
-    about: str
-    """For messages."""
+    about: str  # For messages.
     release: Release
-    truth: Floats
-    """(M, 2) m. No attack is given it."""
+    truth: Floats  # (M, 2) m. No attack is given it.
     mechanism: Fixed
     train: TrainingSet
     repeats: tuple[Release, ...]

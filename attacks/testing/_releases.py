@@ -27,18 +27,14 @@ Walk: TypeAlias = "tuple[Floats, Floats]"
 """Times of one walk, (n,) s, and where somebody truly was then, (n, 2) m."""
 Frame: TypeAlias = "tuple[float | Floats, tuple[float, float] | Floats, float | Floats]"
 """Turned by so many rad, then shifted, m, and by how much later, s: all samples, or each."""
-Holder = TypeVar("Holder", bound=Any)
-"""A case, or a training set."""
+Holder = TypeVar("Holder", bound=Any)  # A case, or a training set.
 
 EPSILON_M = 0.3
-RAW_SIGMA_M = 0.05
-"""Of the sensing; all else is added by the mechanism."""
-BOX_M = 20.0
-"""Side of the square in which walks start."""
+RAW_SIGMA_M = 0.05  # Of the sensing; all else is added by the mechanism.
+BOX_M = 20.0  # Side of the square in which walks start.
 STEADY_S, IRREGULAR_S = (1 / 16, 1 / 8), (1e-3, 30.0)
 """Shortest and longest step between two samples, of a recording and of an odd one."""
-SPEEDS_MPS = (0.6, 2.0)
-"""Slowest and fastest of the people."""
+SPEEDS_MPS = (0.6, 2.0)  # Slowest and fastest of the people.
 _GRID_S = 0.02
 
 
@@ -73,8 +69,7 @@ def person(speed_mps: float, rng: np.random.Generator) -> Person:
         velocity = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
         way = cumulative_trapezoid(velocity, grid, axis=0, initial=0)
         xy = np.column_stack([np.interp([0.0, *t], grid, axis) for axis in way.T])
-        placed: Floats = xy[1:] - xy[0] + start_m
-        return placed
+        return np.asarray(xy[1:] - xy[0] + start_m)
 
     return positions
 

@@ -47,14 +47,10 @@ class Batch:
     positive.
     """
 
-    t: Floats
-    """(M,) s, strictly increasing within a track."""
-    xy: Floats
-    """(M, 2) m"""
-    variance: Floats
-    """(M,) m^2, of the measurement, per axis."""
-    offsets: Ints
-    """(N + 1,) track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty."""
+    t: Floats  # (M,) s, strictly increasing within a track.
+    xy: Floats  # (M, 2) m
+    variance: Floats  # (M,) m^2, of the measurement, per axis.
+    offsets: Ints  # (N + 1,) track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty.
     prior_std: tuple[float, ...]
     """m around the first sample, m/s and, of acceleration, m/s^2 around rest, per axis and
     independent: the state at the time of that sample, which is then measured like any other."""
@@ -96,12 +92,9 @@ def _positive(name: str, value: float, *, finite: bool = True) -> float:
 class LastState:
     """States of N tracks after their last sample; d states per axis."""
 
-    mean: Floats
-    """(N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration."""
-    cov: Floats
-    """(N, d, d) covariance of either axis; the axes are independent."""
-    log_likelihood: Floats
-    """(N,) log density of a track's accepted samples, 1/m^2 each."""
+    mean: Floats  # (N, 2, d) m, m/s, m/s^2: per axis position, velocity, then acceleration.
+    cov: Floats  # (N, d, d) covariance of either axis; the axes are independent.
+    log_likelihood: Floats  # (N,) log density of a track's accepted samples, 1/m^2 each.
 
 
 def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
@@ -166,10 +159,8 @@ class Moods:
     ValueError if a number is not positive and finite.
     """
 
-    q: tuple[float, float]
-    """m^2/s^3, spectral density of the acceleration in either."""
-    stay_s: tuple[float, float]
-    """s, mean time until it gives way to the other."""
+    q: tuple[float, float]  # m^2/s^3, spectral density of the acceleration in either.
+    stay_s: tuple[float, float]  # s, mean time until it gives way to the other.
 
     def __post_init__(self) -> None:
         for name, values in (("q", self.q), ("mean times", self.stay_s)):
@@ -204,14 +195,10 @@ class ImmStates:
     To forecast, predict each mode with its own q and mix by `probability`.
     """
 
-    mean: Floats
-    """(N, 2, 2, 2) m, m/s: per mode and axis position and velocity."""
-    cov: Floats
-    """(N, 2, 4, 4) of (x, vx, y, vy) under each mode."""
-    probability: Floats
-    """(N, 2) of the modes."""
-    log_likelihood: Floats
-    """(N,) log density of a track's accepted samples, 1/m^2 each."""
+    mean: Floats  # (N, 2, 2, 2) m, m/s: per mode and axis position and velocity.
+    cov: Floats  # (N, 2, 4, 4) of (x, vx, y, vy) under each mode.
+    probability: Floats  # (N, 2) of the modes.
+    log_likelihood: Floats  # (N,) log density of a track's accepted samples, 1/m^2 each.
 
 
 def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:

@@ -32,8 +32,7 @@ _LOG_2PI = log(2 * pi)
 _BIG = 1e100
 
 LANES = 8
-_NOTHING = 2.0**200
-"""m^2, variance of the samples beyond the end of a track."""
+_NOTHING = 2.0**200  # m^2, variance of the samples beyond the end of a track.
 
 # Where the fields of a row begin: sigma^2 of the error's length, its variance per axis in this
 # pass, and the state with its covariance [[a, b], [b, c]].

@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     Bins: TypeAlias = NDArray[np.uint8]
     Rows: TypeAlias = NDArray[np.uint32]
 
-_BLOCK = 4096
-"""Pairs whose weights a 32-bit number may add up: integers below 2^24 are exact."""
-_FEW = 32
-"""Probes whose ranks stay in the cache while all shuffles look them up."""
+_BLOCK = 4096  # Pairs whose weights a 32-bit number may add up: integers below 2^24 are exact.
+_FEW = 32  # Probes whose ranks stay in the cache while all shuffles look them up.
 
 
 @compiled(

@@ -40,16 +40,11 @@ class Search:
         a cluster is negative.
     """
 
-    scores: Floats
-    """(P, G) the higher, the rather the same person; finite."""
-    mate: Ints
-    """(P,) column of the probe's mate; -1 if it has none in this gallery (open set)."""
-    probe_cluster: Ints
-    """(P,) cluster (person or walking group) of each probe."""
-    gallery_cluster: Ints
-    """(G,)"""
-    scale: int = 0
-    """Searches of one scale come from one fitted attack: their scores compare."""
+    scores: Floats  # (P, G) the higher, the rather the same person; finite.
+    mate: Ints  # (P,) column of the probe's mate; -1 if it has none in this gallery (open set).
+    probe_cluster: Ints  # (P,) cluster (person or walking group) of each probe.
+    gallery_cluster: Ints  # (G,)
+    scale: int = 0  # Searches of one scale come from one fitted attack: their scores compare.
 
     def __post_init__(self) -> None:
         _check_scores(self.scores, self.mate)
@@ -164,8 +159,7 @@ def cmc(searches: Sequence[Search]) -> Floats:
     hits = np.concatenate(rows)
     if not hits.size:
         return np.full(k.size, np.nan)
-    curve: Floats = hits.mean(axis=0)
-    return curve
+    return np.asarray(hits.mean(axis=0))
 
 
 def assign(
@@ -229,8 +223,7 @@ def hit_among_strangers(above: Ints, tied: Ints, chance: Floats, companions: Int
 def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:
     """Return `reciprocal_rank` likewise; `n_gallery` is the largest there is."""
     harmonic = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, n_gallery + 1))])
-    expected: Floats = (harmonic[above + tied] - harmonic[above]) / tied
-    return expected
+    return np.asarray((harmonic[above + tied] - harmonic[above]) / tied)
 
 
 def log_factorials(n: int) -> Floats:

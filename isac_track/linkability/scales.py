@@ -48,8 +48,7 @@ _COLUMNS = (
     *("d_sys", "d_sys_published"),
 )
 """What the loops over the ROCs and the histograms write."""
-_LANES = 16
-"""Numbers that a vector instruction treats at most: replicates are a multiple of it."""
+_LANES = 16  # Numbers that a vector instruction treats at most: replicates are a multiple of it.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,12 +61,9 @@ class Cells:
     """
 
     breaks: Floats
-    bins: NDArray[np.uint8]
-    """`d_sys` bin of every cell."""
-    counts: Ints
-    """(cells, 2) non-mated and mated scores in each."""
-    null_bins: Floats
-    """(bins, n_shuffles) scores of shuffled mates."""
+    bins: NDArray[np.uint8]  # `d_sys` bin of every cell.
+    counts: Ints  # (cells, 2) non-mated and mated scores in each.
+    null_bins: Floats  # (bins, n_shuffles) scores of shuffled mates.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,19 +73,15 @@ class _Weighed:
     They are those of every attack on the same searches.
     """
 
-    shapes: Ints
-    """(S, 2) probes and candidates of each search."""
-    first: Ints
-    """Cluster of each probe, search by search."""
-    second: Ints
-    """Of each candidate."""
+    shapes: Ints  # (S, 2) probes and candidates of each search.
+    first: Ints  # Cluster of each probe, search by search.
+    second: Ints  # Of each candidate.
     mate: Ints
     table: NDArray[np.float32]
     """(C + 1, R or a few more) weights; replicate 0 weighs every cluster once: the data."""
     rows: tuple[tuple[Floats, Floats], ...]
     """(P, R) of the probes of each search, and (G, R) of its candidates."""
-    within: tuple[tuple[Ints, ...], ...]
-    """Which pairs of each search are of one cluster."""
+    within: tuple[tuple[Ints, ...], ...]  # Which pairs of each search are of one cluster.
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +103,8 @@ class Scale:
 
     values: dict[str, Floats]
     """(R,) by metric, and the FPR of each TPR; first the data, then the replicates."""
-    mass: Floats
-    """(R,) of mated scores; 0 where a class has no weight."""
-    bias: float
-    """Mean `d_sys` under shuffled mates."""
+    mass: Floats  # (R,) of mated scores; 0 where a class has no weight.
+    bias: float  # Mean `d_sys` under shuffled mates.
     n_mated: int
     n_non_mated: int
     n_bins: int

@@ -37,8 +37,7 @@ slope finite where the classes do not overlap, and otherwise changes nothing tha
 class Calibration:
     """Log-likelihood ratio = slope * score + intercept, in natural units (nats)."""
 
-    slope: float
-    """Not negative: a higher score never speaks against the same person."""
+    slope: float  # Not negative: a higher score never speaks against the same person.
     intercept: float
 
 
@@ -103,8 +102,7 @@ def fit_calibration(*, mated: Floats, non_mated: Floats) -> Calibration:
     mass = np.repeat([1.0 / mated.size, 1.0 / non_mated.size], [mated.size, non_mated.size])
 
     def against(parameters: Floats) -> Floats:
-        nats: Floats = -sign * (parameters @ design)
-        return nats
+        return np.asarray(-sign * (parameters @ design))
 
     def loss(parameters: Floats, nats: Floats) -> float:
         cost = mass @ np.logaddexp(0.0, nats)
@@ -238,5 +236,4 @@ def _read(mated: Floats, non_mated: Floats, *levels: float) -> Floats:
     own, other = _counts(mated, non_mated)
     totals = np.array([own.sum(axis=0), other.sum(axis=0)])
     import_loops().read_rocs(own, other, totals, np.array(levels, dtype=np.float64), out)
-    read: Floats = out[:, 0]
-    return read
+    return np.asarray(out[:, 0])

@@ -81,20 +81,14 @@ _NO_SPREAD = 1e-12
 class ProbeRanks:
     """How each of P probes fared: what rank metrics are means of."""
 
-    above: Ints
-    """(P,) candidates that score above its mate; -1 without one"""
-    tied: Ints
-    """(P,) candidates that score as high as its mate, the mate included; 0 without one"""
-    chance: Floats
-    """(P,) of rank 1"""
+    above: Ints  # (P,) candidates that score above its mate; -1 without one
+    tied: Ints  # (P,) candidates that score as high as its mate, the mate included; 0 without one
+    chance: Floats  # (P,) of rank 1
     companions: Ints
     """(P, 3) candidates of its cluster beside its mate: how many, and of these above and as high"""
-    assigned: Ints
-    """(P,) who is assigned to it: 1 its mate, 0 somebody else, -1 nobody"""
-    cluster: Ints
-    """(P,)"""
-    n_gallery: int
-    """Of the largest gallery."""
+    assigned: Ints  # (P,) who is assigned to it: 1 its mate, 0 somebody else, -1 nobody
+    cluster: Ints  # (P,)
+    n_gallery: int  # Of the largest gallery.
 
     def values(self, names: Collection[str] = RANK_METRICS) -> dict[str, tuple[Floats, Ints]]:
         """Return the values that some metrics are the means of, and their clusters, (N,) each.
@@ -136,28 +130,20 @@ class ProbeRanks:
 class Scorecard:
     """How well one attack links, over all of its searches."""
 
-    estimates: dict[str, Estimate]
-    """By metric; NaN where undefined or refused. See `scorecard`."""
-    probes: ProbeRanks
-    """Of all searches, one after the other."""
-    p_value: float
-    """Of `permutation_p`."""
+    estimates: dict[str, Estimate]  # By metric; NaN where undefined or refused. See `scorecard`.
+    probes: ProbeRanks  # Of all searches, one after the other.
+    p_value: float  # Of `permutation_p`.
     p_value_low: float
     """Of the same shuffles' other tail, ties counted in both: mates score low. A link, inverted."""
-    p_rank1: float
-    """Of `rank1_p`."""
+    p_rank1: float  # Of `rank1_p`.
     n_probes: int
-    n_mated: int
-    """Probes with a mate."""
-    gallery_sizes: tuple[int, int, float]
-    """Smallest, largest, and mean over searches."""
-    n_clusters: int
-    """Clusters with a mated probe."""
+    n_mated: int  # Probes with a mate.
+    gallery_sizes: tuple[int, int, float]  # Smallest, largest, and mean over searches.
+    n_clusters: int  # Clusters with a mated probe.
     realised_fpr_1pct: float
     realised_fpr_01pct: float
     """FPR at the operating points of the TPR, the mean over scales; NaN where that is refused."""
-    d_sys_bins: int
-    """The fewest over scales."""
+    d_sys_bins: int  # The fewest over scales.
     is_inverted: bool
     """AUC < 0.5: mates score low. D_sys, which ignores direction, may say linkable all the same."""
     minimum_detectable_rank1: float
@@ -245,10 +231,8 @@ class Drawn:
     """What is drawn for one search of a scorecard."""
 
     people: People
-    order: Ints
-    """(G,) columns, for `assign`"""
-    whose: NDArray[np.uint16]
-    """(n_shuffles, N) `shuffled_mates`"""
+    order: Ints  # (G,) columns, for `assign`
+    whose: NDArray[np.uint16]  # (n_shuffles, N) `shuffled_mates`
 
 
 def draw(people: Sequence[People], rng: np.random.Generator, n_shuffles: int) -> tuple[Drawn, ...]:

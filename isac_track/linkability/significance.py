@@ -29,32 +29,25 @@ Outcome: TypeAlias = Literal["links", "no link detected", "attack too weak"]
 People: TypeAlias = tuple[bytes, bytes, bytes]
 """Mates and clusters of a search, as 64-bit integers: unlike arrays, bytes are hashed."""
 
-LEVEL = 0.05
-"""Of the tests."""
+LEVEL = 0.05  # Of the tests.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Mated:
     """The N probes of a search that have a mate."""
 
-    probes: Ints
-    """(N,) cluster by cluster, those of the smallest first"""
-    mate: Ints
-    """(N,) their columns"""
-    sizes: Ints
-    """(A,) of clusters, ascending"""
-    n_alike: Ints
-    """(A,) clusters of each size"""
+    probes: Ints  # (N,) cluster by cluster, those of the smallest first
+    mate: Ints  # (N,) their columns
+    sizes: Ints  # (A,) of clusters, ascending
+    n_alike: Ints  # (A,) clusters of each size
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ranked:
     """Where the scores of a search stand."""
 
-    log_rank: Floats
-    """(P, G) `log_rank` of every column were it the mate"""
-    cell: NDArray[np.int32]
-    """(P, G)"""
+    log_rank: Floats  # (P, G) `log_rank` of every column were it the mate
+    cell: NDArray[np.int32]  # (P, G)
     standing: Ints
     """(P, 2) how many stand above the probe's mate and how many as high; -1 and 0 without one"""
 

@@ -39,12 +39,9 @@ class Track:
     """One trajectory whose leakage pattern is known by construction."""
 
     pattern: str
-    t: Floats
-    """(T,) s"""
-    true_xy: Floats
-    """(T, 2) m"""
-    shared_xy: Floats
-    """(T, 2) m"""
+    t: Floats  # (T,) s
+    true_xy: Floats  # (T, 2) m
+    shared_xy: Floats  # (T, 2) m
     epsilon_m: float = EPSILON_M
 
     def __str__(self) -> str:

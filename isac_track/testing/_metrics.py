@@ -18,12 +18,9 @@ from isac_track.testing.engine import Check, statement_of
 if TYPE_CHECKING:
     from isac_track.types import Bools, Floats, Ints
 
-Function: TypeAlias = Callable[..., Any]
-"""One of those offered, guarded."""
-TOLERANCE = 1e-9
-"""Relative as well as absolute."""
-DRAWS = 100
-"""Random cases of a check that asks for `rng`."""
+Function: TypeAlias = Callable[..., Any]  # One of those offered, guarded.
+TOLERANCE = 1e-9  # Relative as well as absolute.
+DRAWS = 100  # Random cases of a check that asks for `rng`.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, slots=True)
@@ -109,8 +106,7 @@ OWN = Metrics(
 )
 """The project's own functions, one trajectory or one scene at a time; passes every check."""
 
-CHECKS: dict[str, Check] = {}
-"""Filled as the modules of checks are imported."""
+CHECKS: dict[str, Check] = {}  # Filled as the modules of checks are imported.
 
 
 def check(body: Callable[..., None]) -> Callable[..., None]:

@@ -23,12 +23,10 @@ class Check:
     """One named statement about somebody's code."""
 
     name: str
-    statement: str
-    """What it shows, one line."""
+    statement: str  # What it shows, one line.
     body: Callable[[Any], None]
     """Raises AssertionError where the statement does not hold, SkipTest where it says nothing."""
-    needs: tuple[str, ...] = ()
-    """Names of the attributes of its subject that it cannot do without."""
+    needs: tuple[str, ...] = ()  # Names of the attributes of its subject that it cannot do without.
 
     def missing(self, subject: object) -> str:
         """Return what the check needs and the subject does not offer."""
@@ -55,8 +53,7 @@ class Outcome:
 
     name: str
     status: Literal["passed", "failed", "skipped"]
-    message: str = ""
-    """The counterexample of a failure, or the reason of a skip."""
+    message: str = ""  # The counterexample of a failure, or the reason of a skip.
 
     check, detail = property(attrgetter("name")), property(attrgetter("message"))
 
