@@ -39,18 +39,9 @@ def last_states(batch: Batch, *, q: float, gate: float) -> tuple[Floats, Floats]
 def last_modes(batch: Batch, moods: Moods, *, gate: float) -> tuple[Floats, Floats, Floats]:
     """Run an interacting-multiple-model filter over every track and return its last modes.
 
-    Every mode is a constant-velocity model with its own q; the modes change as a
-    continuous-time Markov chain, so that M belongs to the step that follows.
-
-    Parameters are those of `isac_track.kalman.imm_last`.
-
-    Returns
-    -------
-    mean : (N, 2, 2, 2)
-        (position, velocity) per mode and axis
-    cov : (N, 2, 4, 4)
-        Of (x, vx, y, vy).
-    probability : (N, 2)
+    Every mode is a constant-velocity model with its own q; the modes change as a continuous-time
+    Markov chain, so that M belongs to the step that follows. Parameters are those of
+    `isac_track.kalman.imm_last`, and the results its mean, covariance and probability.
     """
     n = len(batch)
     mean, cov, probability = np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2))

@@ -78,19 +78,11 @@ def learn(
     """Return a value for each of some parameters, chosen one after the other by `log_rank`.
 
     All combinations would cost their product in place of their sum, and be more likely to find one
-    that is best by chance. Another value than the default is taken if it gains `MARGIN`.
-
-    Parameters
-    ----------
-    context : AttackContext
-        Where it teaches nothing the defaults are returned.
-    options : a sequence for each parameter, the default first
-    scores : callable
-        From the training set, and who of either side counts, to what turns a value for each
-        parameter into their scores, (P, G).
-    most : int, optional
-        Mated pairs to learn from, and nobody else: many candidates on all would cost more than
-        the attack.
+    that is best by chance. Another value than the default, the first of a parameter's `options`, is
+    taken if it gains `MARGIN`; where the context teaches nothing, none is. `scores` goes from the
+    training set, and who of either side counts, to what turns a value for each parameter into their
+    scores, (P, G). Learnt from are at the `most` so many mated pairs and nobody else: many
+    candidates on all would cost more than the attack.
     """
     best = tuple(values[0] for values in options)
     if not teaches(context) or all(len(values) == 1 for values in options):

@@ -101,17 +101,11 @@ def half_windows(release: Release, variance: Floats, *, width_s: float, bias_ord
     """Return the samples on either side of the middle of each track's window, (N,).
 
     A window of width h over independent errors of standard deviation s leaves the variance
-    a s^2 / h; a linear filter whose bias on a smooth walk is b h^p then has the mean square error
-    a s^2 / h + b^2 h^(2p). Its derivative vanishes at
-    h^(2p + 1) = a s^2 / (2 p b^2): the best width grows as s^(2 / (2p + 1)), from `width_s` at
-    `REFERENCE_STD_M`. It is rounded to an odd number of samples of the track's mean interval.
-
-    `bias_order` is p, 2 for a centred mean and 4 for a local parabola or cubic; `variance`, (M,)
-    m^2, is that of s, alike along a track.
-
-    References
-    ----------
-    Fan, Gijbels, *Local Polynomial Modelling and Its Applications*, 1996: section 3.2.3.
+    a s^2 / h; a linear filter whose bias on a smooth walk is b h^p, p being the `bias_order`, then
+    has the mean square error a s^2 / h + b^2 h^(2p). It is least at an h that grows as
+    s^(2 / (2p + 1)), from `width_s` at `REFERENCE_STD_M` (Fan, Gijbels, *Local Polynomial
+    Modelling*, 1996, 3.2.3), rounded to an odd number of samples of the track's mean interval.
+    `variance`, (M,) m^2, is that of s, alike along a track.
     """
     first, last = release.offsets[:-1], release.offsets[1:] - 1
     growth = (variance[first] / REFERENCE_STD_M**2) ** (1.0 / (2 * bias_order + 1))

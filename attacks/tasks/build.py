@@ -326,15 +326,9 @@ def sessions_of(
 ) -> Sessions:
     """Return the sessions of a task: of the recording, or of the two-session crowd.
 
-    `later` is the second session, if it is another than that of the bundled crowd.
-
-    Raises
-    ------
-    DataError
-        If the recording has too few people for the task, or a half of them has nobody to link, or
-        nobody to learn from.
-    SettingsError
-        If there is no task of this name.
+    `later` is the second session, if it is another than that of the bundled crowd. DataError if
+    there are too few people for the task, or a half of them has nobody to link or to learn from;
+    SettingsError if there is no task of this name.
     """
     make = _MAKERS[task_named(task.name).family]
     if task.simulated and later is None:

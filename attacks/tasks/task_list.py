@@ -74,13 +74,7 @@ TASKS: Final[Mapping[str, Task]] = {
 
 
 def task_named(name: str) -> Task:
-    """Return the task of a name.
-
-    Raises
-    ------
-    SettingsError
-        If there is none, with what may have been meant.
-    """
+    """Return the task of a name; SettingsError, with what may have been meant, if there is none."""
     if name not in TASKS:
         hint = did_you_mean(name, TASKS, quote="'") or f"; known: {', '.join(TASKS)}"
         raise SettingsError(f"unknown task {name!r}{hint}")

@@ -44,13 +44,7 @@ CHECKS: tuple[Check, ...] = tuple(_metrics.CHECKS.values())
 
 
 def select_checks(names: Sequence[str] | None = None) -> tuple[Check, ...]:
-    """Return the checks called `names`, or all.
-
-    Raises
-    ------
-    SettingsError
-        For a name that does not exist, with the nearest one that does.
-    """
+    """Return the checks called `names`, or all; SettingsError for a name that does not exist."""
     return engine.select(_metrics.CHECKS, names, known="`--list` names all checks")
 
 

@@ -33,14 +33,9 @@ class Check:
         return ", ".join(name for name in self.needs if getattr(subject, name) is None)
 
     def __call__(self, subject: object) -> None:
-        """Run the check.
+        """Run the check: AssertionError with the counterexample if the statement does not hold.
 
-        Raises
-        ------
-        AssertionError
-            With the counterexample, if the statement does not hold.
-        unittest.SkipTest
-            With the reason, if the check does not apply; pytest takes it for a skip.
+        SkipTest, which pytest takes for a skip, with the reason if it does not apply.
         """
         if missing := self.missing(subject):
             raise SkipTest(f"not offered: {missing}")
@@ -73,12 +68,8 @@ def select(
 ) -> tuple[Check, ...]:
     """Return the checks called `names`, each once, or all.
 
-    `kit` and `known` are for the message: where a check is unknown, and how to learn what there is.
-
-    Raises
-    ------
-    SettingsError
-        For a name that does not exist, with the nearest one that does.
+    For a name that does not exist, it is a SettingsError with the nearest one that does, of which
+    `kit` it is none, and how to learn what there is, `known`.
     """
     for name in names or ():
         if name not in checks:

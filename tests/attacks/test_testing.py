@@ -1,4 +1,4 @@
-"""The attack kit: what is built in passes it, and each broken attack fails the right check."""
+"""The kits: what is built in passes them, and each mistake fails the one check about it."""
 
 import re
 import sys
@@ -7,20 +7,25 @@ from functools import partial
 
 import numpy as np
 import pytest
-from helpers import broken_attacks, broken_linkers
+from helpers import broken_attacks, broken_linkers, broken_plugins
 from helpers.broken_attacks import MECHANISM, SCENE, SIGMA, TRAIN, Jitters, attack
 from helpers.broken_linkers import BASE, linker
+from helpers.broken_plugins import Noise, Stand, plugin
 from helpers.processes import ROOT, run_python
 
 from attacks.linkage.kinematic import Kinematic
 from attacks.testing import (
     CHECKS,
     LINKAGE_CHECKS,
+    MECHANISM_CHECKS,
+    PREDICTOR_CHECKS,
     CheckResult,
     _rows,
     adversaries_of,
     checks_for,
     parametrize_attack_checks,
+    parametrize_mechanism_checks,
+    parametrize_predictor_checks,
     run_checks,
 )
 from attacks.testing import _linkage_checks as linkage
@@ -31,18 +36,44 @@ from isac_track.errors import PluginError, SettingsError
 from isac_track.linkability import rank1
 from isac_track.types import Knowledge
 
-BUILT_IN = [
-    plugins.parse("attacks", name)[0].instance
-    for name, origin in plugins.names("attacks").items()
-    if origin.startswith("attacks.")
+KITS = (CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS)
+BROKEN = [*broken_attacks.BROKEN, *broken_linkers.BROKEN, *broken_plugins.BROKEN]
+
+
+def built_in(kind):
+    names = plugins.names(kind).items()
+    ours = [name for name, origin in names if origin.startswith(f"{kind}.")]
+    return [plugins.parse(kind, name)[0].instance for name in ours]
+
+
+MECHANISMS = [
+    plugins.parse("mechanisms", spec)[0].instance
+    for spec in (
+        *("raw", "clean", "offset:0.3", "thin:3", "thin:3,d_sigma=0.5,adding=independent"),
+        *("fixed:0", "fixed:0.5", "fixed:0.5,adding=independent", "fixed:0,adding=independent"),
+        *("fixed:0.5,adding=independent,law=isotropic", "fid:100", "fid:1000,adding=independent"),
+        *("correlated:0.5", "correlated:0.5,tau_s=9,adding=independent"),
+    )
 ]
-HONEST = [Jitters(), *broken_linkers.HONEST]
-BROKEN = [*broken_attacks.BROKEN, *broken_linkers.BROKEN]
 
 
-@parametrize_attack_checks([*BUILT_IN, *HONEST])
-def test_what_is_fair_passes(attack, check):
+@parametrize_attack_checks([*built_in("attacks"), Jitters(), *broken_linkers.HONEST])
+def test_a_fair_attack_passes(attack, check):
     check(attack)
+
+
+@parametrize_mechanism_checks([*MECHANISMS, Noise()])
+def test_a_fair_mechanism_passes(mechanism, check):
+    check(mechanism)
+
+
+@parametrize_predictor_checks([*built_in("predictors"), Stand()])
+def test_a_fair_predictor_passes(predictor, check):
+    check(predictor)
+
+
+def test_every_mechanism_is_among_them():
+    assert {type(one).__name__.lower() for one in MECHANISMS} == set(plugins.names("mechanisms"))
 
 
 @pytest.mark.parametrize(
@@ -54,7 +85,7 @@ def test_a_mistake_fails_the_one_check_about_it(broken, name, message):
     assert [result.name for result in failed] == [name]
     pattern = re.escape(message).replace(r"\.\*", ".*")
     assert re.search(pattern, failed[0].message)
-    assert f"{broken.__name__} as " in failed[0].message
+    assert failed[0].message.startswith((f"{broken.__name__} as ", f"{broken.__name__}: "))
 
 
 def test_every_check_catches_a_mistake():
@@ -63,6 +94,8 @@ def test_every_check_catches_a_mistake():
     # Some checks of the two kits are one.
     both = {"same_seed_same_result", "only_granted_knowledge_is_touched"}
     assert {name for _, name, _ in broken_linkers.BROKEN} == LINKAGE_CHECKS.keys() - both
+    caught = {name for _, name, _ in broken_plugins.BROKEN}
+    assert caught == MECHANISM_CHECKS.keys() | PREDICTOR_CHECKS.keys()
 
 
 def failed(made, names=None):
@@ -112,6 +145,21 @@ class TestMistakesWithoutEnd:
         messages = failed(made)
         assert messages.keys() == checks_for(made()).keys() - spared
         assert message in next(iter(messages.values()))
+
+    @pytest.mark.parametrize(
+        ("made", "message"),
+        [
+            (lambda sensed, rng: Noise().share(sensed, rng).tracks([0]), "of 24 tracks it retu"),
+            (lambda sensed, _rng: sensed.xy, "share must return a Release, got ndarray"),
+            (lambda _release, _t_future: np.zeros((1, 2)), "must return a Prediction, got ndarray"),
+            (broken_plugins.skewed, "a predicted covariance is not symmetric"),
+        ],
+    )
+    def test_of_whatever_is_shared_or_predicted(self, made, message):
+        results = run_checks(plugin(made))
+        assert len(results) == len(checks_for(plugin(made)))
+        assert results[0].status == "failed"
+        assert message in results[0].message
 
     @pytest.mark.parametrize(
         ("made", "name", "message"),
@@ -187,13 +235,14 @@ class TestRunning:
         [
             (broken_attacks.Base(), "xyzzy", "known: result_is_a_reconstruction, "),
             (BASE, FRAME, "of a linkage attack; did you mean 'frames_and_clocks_do_"),
+            (Noise(), "sigma_is_declarde", "of a mechanism; did you mean 'sigma_is_declared'"),
         ],
     )
     def test_a_wrong_name_is_answered_with_the_nearest(self, made, name, message):
         with pytest.raises(SettingsError, match=message):
             run_checks(made, names=[name])
 
-    @pytest.mark.parametrize("checks", [CHECKS, LINKAGE_CHECKS])
+    @pytest.mark.parametrize("checks", KITS)
     def test_every_check_states_what_it_shows_and_is_in_the_guide(self, checks):
         assert all(check.statement.endswith(".") for check in checks.values())
         pages = (ROOT / "docs").glob("*.md")
@@ -207,6 +256,12 @@ class TestRunning:
         )
         done = run_python(tmp_path, "-c", code)
         assert done.returncode == 0, done.stderr
+
+
+def test_sigma_is_there_for_who_requires_it():
+    base = type(plugin(broken_plugins.takes_sigma))
+    asks = type("Asks", (base,), {"requires": frozenset({Knowledge.SIGMA})})()
+    assert all(result.passed for result in run_checks(asks))
 
 
 def altered(**attributes):
@@ -230,6 +285,19 @@ class TestWhatIsNoAttack:
             parametrize_attack_checks([attack])
         with pytest.raises(PluginError, match=message):
             run_checks(attack)
+
+    @pytest.mark.parametrize(
+        ("call", "message"),
+        [
+            (lambda: checks_for(Noise), r"got its class: write Noise\(\)"),
+            (lambda: checks_for(type("Soft", (), {"share": print})()), "mechanism Soft must be a"),
+            (lambda: parametrize_mechanism_checks([Stand()]), "Stand is no mechanism, but a pred"),
+            (lambda: parametrize_predictor_checks(Stand()), r"parametrize_predictor_checks\(\["),
+        ],
+    )
+    def test_nor_is_what_is_no_such_plugin(self, call, message):
+        with pytest.raises(PluginError, match=message):
+            call()
 
     def test_nor_is_one_without_a_list_or_a_list_of_none(self):
         with pytest.raises(PluginError, match="expected a list of attacks"):

@@ -47,11 +47,16 @@ def run(folder, *words, timeout_s=180, **how):
     try:
         shown = [one or "" for one in process.communicate(timeout=timeout_s)]
     finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        end(process)
     assert "Traceback" not in "".join(shown), shown
     return Ended(process.returncode, *shown)
+
+
+def end(process):
+    """End a process with all that it started."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
 
 
 def assert_refused(ended, *says):

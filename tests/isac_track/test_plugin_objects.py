@@ -91,5 +91,5 @@ def test_an_object_runs_in_workers_and_is_computed_again_if_it_changed(tmp_path)
 
     plr, cells = ran(2.0)
     assert plr["__main__:Mine"] < plr["raw"]
-    assert ran(2.0)[1] == cells
-    assert len(ran(1.0)[1]) > len(cells)
+    again = ran(1.0)[1]
+    assert again.items() > cells.items()

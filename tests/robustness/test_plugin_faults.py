@@ -57,6 +57,7 @@ HARMLESS = {
     "counts otherwise": "np.seterr(all='raise')",
     "writes into it": "release.xy.setflags(write=True), release.xy.fill(0.0)",
     "hears nothing": "signal.signal(signal.SIGINT, signal.SIG_IGN)",
+    "dies once": "is_second() or os._exit(1)",
 }
 
 
@@ -70,6 +71,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from attacks.linkage.alignment import Shape
+from isac_track.sharing import Fixed
 from isac_track.types import Prediction
 from predictors.least_squares import LeastSquares
 
@@ -85,6 +88,12 @@ def raises(error):
 
 def deeper():
     return deeper() + 1
+
+
+def is_second():
+    # Whether this was asked before, by anybody.
+    path = os.path.join(os.path.dirname(__file__), "asked")
+    return os.path.exists(path) or open(path, "w").close()
 
 
 def covariance(mean, cov):
@@ -107,6 +116,17 @@ class Odd(LeastSquares):
             return FAULTS[self.what](np.array(usual.mean), release)
         HARMLESS[self.what](usual.mean, release)
         return usual
+
+
+class Hangs(Fixed):
+    def share(self, sensed, rng):
+        return super().share(sensed, rng) if len(sensed) == 12 else time.sleep(3600)
+
+
+class Leaves(Shape):
+    def fit(self, context):
+        usual = super().fit(context)
+        return lambda *both: usual(*both) if len(both[0]) == 12 else os._exit(9)
 
 
 class NoMethod:
@@ -172,6 +192,21 @@ def test_that_all_others_are_as_without_it(name, ended):
     consumer = f"odd:Odd:what={name}" if name in HARMLESS else name
     usual = "shared" if name == "shared" else "least_squares"
     assert rows(out, consumer) == rows(out.parent / "usual", usual)
+
+
+def test_so_do_a_mechanism_and_a_linker_and_take_nobody_along(place):
+    linked = (*FEW[:4], *FEW[-4:], "--scenes", 8, "--dataset", "walks.csv", "--attack", "shape")
+    linked += ("--task", "rerelease", "--cell-timeout", 3, "--jobs", 2, "--out")
+    odd = ("--mechanism", "odd:Hangs:0.5", "--attack", "odd:Leaves")
+    assert run(place, *UNDRAWN, *linked, "odd", *odd).code == 3
+    failed = pd.read_csv(place / "odd" / "failed.csv").groupby("spec")["why"].agg(set)
+    assert failed.pop("odd:Hangs:0.5") == {"it ran for longer than 3 s"}
+    assert set(failed.index) == {"raw", "fixed:0.7", "clean"}
+    assert all(DIED in why for reasons in failed for why in reasons)
+    assert run(place, *UNDRAWN, *linked, "linked").code == 0
+    usual = pd.read_csv(place / "linked" / "summary.csv", dtype=str, keep_default_na=False)
+    found = pd.read_csv(place / "odd" / "summary.csv", dtype=str, keep_default_na=False)
+    pd.testing.assert_frame_equal(found[usual.columns], usual)
 
 
 NAMED_WRONGLY = {

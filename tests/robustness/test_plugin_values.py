@@ -1,5 +1,6 @@
 """Plug-ins whose numbers or errors nobody can compute with: each fails alone and by name."""
 
+import json
 import sys
 
 import numpy as np
@@ -345,17 +346,23 @@ def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, arguments, capsy
     assert matrix.main(arguments(*options, *named(mechanism=["Shared:east_m=1e250"]))) == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("error: mechanism 'odd:Shared:0.5,east_m=1e+250' shared a position")
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["state"] == "failed"
+    assert not (tmp_path / "run" / "summary.csv").exists()
+
+
+def tried(arguments, name, out, *options):
+    """Run what fails before the run, and nothing else that is a stranger's."""
+    axis, plugin = name.split()
+    few = ["--mechanism", "raw", "--task", "none", "--jobs", 1, "--out", out, *options]
+    others = [word for one in {"predictor", "attack"} - {axis} for word in (f"--{one}", "none")]
+    bad = named(**{axis: [plugin]}) + (["--cell-timeout", 3] if plugin == "Hangs" else [])
+    assert matrix.main(arguments(*few, *others, *bad)) == 2
 
 
 @pytest.mark.parametrize("name", AT_ONCE)
 def test_what_fails_with_anybody_fails_before_the_run(tmp_path, arguments, capsys, name):
-    axis, plugin = name.split()
-    says, words = AT_ONCE[name]
-    out = tmp_path / "run"
-    few = [*("--mechanism", "raw", "--task", "none", "--jobs", 1), "--out", out]
-    named_too = [word for one in {"predictor", "attack"} - {axis} for word in (f"--{one}", "none")]
-    bad = named(**{axis: [plugin]}) + (["--cell-timeout", 3] if plugin == "Hangs" else [])
-    assert matrix.main(arguments(*few, *named_too, *bad)) == 2
+    plugin, (says, words), out = name.split()[1], AT_ONCE[name], tmp_path / "run"
+    tried(arguments, name, out)
     (line,) = [one for one in capsys.readouterr().err.splitlines() if "error: " in one]
     assert f"odd:{plugin}" in line
     assert says in line
@@ -365,12 +372,17 @@ def test_what_fails_with_anybody_fails_before_the_run(tmp_path, arguments, capsy
     assert [one.name for one in out.iterdir()] == ["plugin-error.txt"]
     trace = (out / "plugin-error.txt").read_text()
     assert ("Traceback" in trace) == (plugin not in {"Dies", "Hangs"})
-    # It is in nobody's way: not in that of another run in this folder, nor of one that is there.
-    good = arguments(*few, "--attack", "none", "--predictor", "least_squares")
-    assert matrix.main(good) == 0
+
+
+def test_it_is_in_nobodys_way(tmp_path, arguments):
+    """Neither in that of another run in this folder, nor of one that is there."""
+    out = tmp_path / "run"
+    tried(arguments, "predictor AtOnce", out)
+    good = ("--mechanism", "raw", "--predictor", "least_squares", *ALONE, "--out", out)
+    assert matrix.main(arguments(*good)) == 0
     before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
     assert out / "plugin-error.txt" not in before
-    assert matrix.main(arguments(*few, *named_too, *bad, "--fresh")) == 2
+    tried(arguments, "predictor AtOnce", out, "--fresh")
     (out / "plugin-error.txt").unlink()
     assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
 
