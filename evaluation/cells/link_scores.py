@@ -2,8 +2,8 @@
 
 The scorecard takes a bootstrap and a permutation test; it belongs to the cell, so that a report is
 drawn without computing either again. Replicates of rank metrics follow from the probes; those of
-score metrics visit every pair, and are kept. Of controls neither these are nor the scores of their
-probes: each is held against its own permutation test, and nobody pairs two.
+score metrics visit every pair, and are kept, but not of controls: each is held against its own
+permutation test, and nobody pairs two.
 """
 
 from __future__ import annotations
@@ -255,10 +255,9 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
 
     - `rows`, one a probe: `search` (a half, or the instant of a handover), `source`, `group`;
       `above` and `tied`, how many candidates score above its mate and how many as high, the mate
-      included (-1 and 0 without a mate); `mate_score`, `best_other_score` (NaN where there is
-      none, of controls, and with `SensedSessions.candidates`), `chance` of rank 1, `assigned`
-      (`ASSIGNED`); with the raw scores also `mate` (place in the gallery, or -1) and `scores`
-      against the whole gallery; `COMPANIONS`;
+      included (-1 and 0 without a mate); `chance` of rank 1, `assigned` (`ASSIGNED`); with the
+      raw scores also `mate` (place in the gallery, or -1) and `scores` against the whole gallery;
+      `COMPANIONS`;
     - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
     - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
     - `about`: one row with all other numbers as JSON.
@@ -266,16 +265,11 @@ def linkage_tables(linked: Linked, known: SensedSessions, *, keep_scores: bool) 
     scored, probes, sessions = linked.scored, linked.scored.probes, known.sessions
     persons = np.concatenate(linked.probe_person)
     n_probes = [len(search.mate) for search in linked.searches]
-    own, best = np.concatenate([_own_and_best(one) for one in linked.searches], axis=1)
-    if linked.is_control or linked.checked is not None:
-        own, best = np.full((2, persons.size), np.nan)
     assigned = probes.assigned + 1 if linked.is_assigned else np.full(persons.size, 3)
     rows = {
         **_probe_names(known),
         "above": probes.above.astype(np.int32),
         "tied": probes.tied.astype(np.int32),
-        "mate_score": own.astype(np.float32),
-        "best_other_score": best.astype(np.float32),
         "chance": probes.chance,
         "assigned": names_column(assigned, ASSIGNED),
         **dict(zip(COMPANIONS, probes.companions.astype(np.int32).T, strict=True)),
@@ -350,14 +344,3 @@ def _about_task(known: SensedSessions) -> str:
 
 def _json(about: dict[str, Any]) -> str:
     return json.dumps(about, default=lambda number: number.item())
-
-
-def _own_and_best(search: linkability.Search) -> Floats:
-    """Return the score of each probe's mate and the best of the others, (2, P); NaN: none."""
-    has = np.flatnonzero(search.mate >= 0)
-    own = np.full(search.mate.size, np.nan)
-    own[has] = search.scores[has, search.mate[has]]
-    others = search.scores.copy()
-    others[has, search.mate[has]] = -np.inf
-    best = others.max(axis=1)
-    return np.stack([own, np.where(np.isfinite(best), best, np.nan)])

@@ -59,8 +59,7 @@ if TYPE_CHECKING:
 
 WINDOW_COLUMNS = (
     *("side", "search", "source", "group"),
-    *("n_samples", "duration_s", "path_m", "speed_mps"),
-    *("sigma_m", "sigma_raw_m"),
+    *("n_samples", "duration_s", "speed_mps", "sigma_m"),
     *DESCRIPTORS,
     *ON_TRIAL,
 )
@@ -113,21 +112,18 @@ class LinkedLevel:
 def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
     """Share both sessions of a task."""
     family = whole.sessions.task.family
-    known, sensed, shared, seen = whole, [], [], list[Release]()
+    known, shared, seen = whole, [], list[Release]()
     for number, (side, network) in enumerate(zip(SIDES, whole.sensed, strict=True)):
         release = sharing.share(mechanism, network, "linkage", family, side, seed=whole.seed)
         left = sharing.samples_shared(release, network)
         if left is not None:
             windows = sharing.restricted(getattr(whole.sessions, side), left)
             known = replace(known, sessions=replace(known.sessions, **{side: windows}))
-        sensed.append(sharing.restricted(network, left))
         shared.append(release)
         if whole.frames:
             walks = np.repeat(np.arange(len(release)), np.diff(release.offsets))
             release = whole.frames[number].of(walks).release(release)
         seen.append(release)
-    if known is not whole:
-        known = replace(known, sensed=tuple(sensed))
     return LinkedLevel(mechanism, whole, known, tuple(shared), _Sides(seen[0], seen[1]))
 
 
@@ -368,15 +364,15 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
 
     `side` (probe or gallery), `search` (a half, or the instant of a handover), `source`, `group`;
     of what was shared `n_samples`, `sigma_m` (mean declared standard deviation, NaN where none is
-    declared), `sigma_raw_m` (mean of sensing) and `DESCRIPTORS`; of the true walk, alike at all
-    levels, `duration_s`, `path_m` and `speed_mps` (NaN for a window of one sample); after the
-    reconstruction that the consumer stands behind, whatever else is in the run, `ON_TRIAL`: the
-    descriptors, `privacy.alignment_error`, and the mean standard deviation that it claims.
+    declared) and `DESCRIPTORS`; of the true walk, alike at all levels, `duration_s` and `speed_mps`
+    (NaN for a window of one sample); after the reconstruction that the consumer stands behind,
+    whatever else is in the run, `ON_TRIAL`: the descriptors, `privacy.alignment_error`, and the
+    mean standard deviation that it claims.
     """
     known, sessions = level.known, level.whole.sessions
     smooth = _sides(consumer, level, 0)
     sides = []
-    for number, (side, sensed) in enumerate(zip(SIDES, known.sensed, strict=True)):
+    for number, side in enumerate(SIDES):
         release, attacked = level.shared[number], (smooth.probe, smooth.gallery)[number].xy
         whole: Windows = getattr(sessions, side)
         truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
@@ -406,7 +402,6 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
             # What the walk was does not depend on which samples were shared.
             **_walked(whole),
             "sigma_m": track_means(sigma_m, release.offsets),
-            "sigma_raw_m": track_means(sensed.sigma_raw, sensed.offsets),
             **{name: exposed[name] for name in DESCRIPTORS},
             **dict(zip(ON_TRIAL, on_trial, strict=True)),
         }
@@ -415,7 +410,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
 
 
 def _walked(windows: Windows) -> Rows:
-    """Return how long each window lasted, how far its walk was and how fast."""
+    """Return how long each window lasted, and how fast its walk was."""
     step_m = np.zeros(windows.t.size)
     step_m[1:] = np.hypot(*np.diff(windows.xy, axis=0).T)
     step_m[windows.offsets[:-1]] = 0.0  # from one window to the next
@@ -423,4 +418,4 @@ def _walked(windows: Windows) -> Rows:
     path_m = np.add.reduceat(step_m, windows.offsets[:-1])
     speed_mps = np.full(duration_s.size, np.nan)
     np.divide(path_m, duration_s, out=speed_mps, where=duration_s > 0)
-    return {"duration_s": duration_s, "path_m": path_m, "speed_mps": speed_mps}
+    return {"duration_s": duration_s, "speed_mps": speed_mps}

@@ -27,7 +27,6 @@ ON_TRIAL: Final = (
     *("alignment_error", "posterior_std"),
 )
 """Columns of other descriptors of a window, after a blind smoother: fraction, s, s, m, and m."""
-_DESCRIBED: Final = (*DESCRIPTORS, "segments", "mse_m2")
 
 
 def rows_table(rows: Rows, *, tracks: Cut) -> pa.Table:
@@ -76,8 +75,8 @@ def descriptors(
 
 def described_rows(found: Floats) -> Rows:
     """Return the columns of what `privacy.described` found."""
-    rows: Rows = dict(zip(_DESCRIBED, found, strict=True))
-    return rows | {"segments": found[3].astype(np.int64)}
+    plr, ael_s, mel_s, _, mse_m2 = found
+    return {"plr": plr, "ael_s": ael_s, "mel_s": mel_s, "mse_m2": mse_m2}
 
 
 def track_means(values: Floats, offsets: Ints) -> Floats:

@@ -157,10 +157,10 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
     alike: dict[tuple[Digest, str], Tables] = {}
     for mechanism, consumers in block.levels:
         note(mechanism.spec, "")
+        level: AttackedLevel | None = None  # and all that was made of the one before is gone
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
         digest = release_digest(release)
         known = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
-        level: AttackedLevel | None = None
         for consumer in consumers:
             note(mechanism.spec, consumer.label)
             tables = alike.get((digest, consumer.label))

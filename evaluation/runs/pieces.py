@@ -108,12 +108,12 @@ def pieces_of(missing: Sequence[Unit], ready: Plan) -> list[Work]:
             links.append(LinkWork(sessions, groups, piece, settings.keep_scores))
     # The longest first: at the end no worker waits for long.
     links.sort(key=_n_pairs, reverse=True)
-    # A block takes the most memory: with workers, most of the time one alone is under way.
-    apart = _BLOCKS_WITHIN / len(blocks) if ready.jobs > 1 and blocks else 0.0
-    due = [
-        *(n * apart for n in range(len(blocks))),
-        *((n + 1) / len(links) for n in range(len(links))),
-    ]
+    # A block takes the most memory, and the longer the more consumers it has: with workers, most of
+    # the time one alone is under way.
+    share = _BLOCKS_WITHIN if ready.jobs > 1 else 0.0
+    n_cells = [sum(len(consumers) for _, consumers in one.levels) for one in blocks]
+    due = [share * sum(n_cells[:n]) / sum(n_cells) for n in range(len(blocks))]
+    due += [(n + 1) / len(links) for n in range(len(links))]
     works: list[Work] = [*blocks, *links]
     return [works[n] for n in sorted(range(len(works)), key=due.__getitem__)]
 

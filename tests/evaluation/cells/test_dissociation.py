@@ -303,10 +303,8 @@ class TestWindows:
             "group": task.group[person],
             "n_samples": held.sum(),
             "duration_s": t[-1] - t[0],
-            "path_m": pytest.approx(length_m, rel=1e-12),
             "speed_mps": pytest.approx(length_m / (t[-1] - t[0]), rel=1e-12),
             "sigma_m": pytest.approx(release.sigma.mean()),
-            "sigma_raw_m": pytest.approx(sensed.sigma_raw[window][held].mean()),
             **{name: getattr(exposed, name)[0] for name in ("plr", "ael_s", "mel_s")},
             "plr_attacked": left.plr[0],
             "ael_attacked": pytest.approx(left.ael_s[0]),
@@ -325,13 +323,12 @@ class TestWindows:
         for one in (raw, thin, clean, silent):
             assert tuple(one.columns) == WINDOW_COLUMNS
             assert one["side"].tolist() == [side for side, n in sides.items() for _ in range(n)]
-            for name in ("source", "search", "duration_s", "path_m", "speed_mps"):
+            for name in ("source", "search", "duration_s", "speed_mps"):
                 assert one[name].tolist() == raw[name].tolist()
         assert (clean["plr"] == 1).all()
         assert (clean["sigma_m"] == 0).all()
         assert (thin["n_samples"] < raw["n_samples"]).all()
         assert silent["sigma_m"].isna().all()  # nothing declared is no number
-        assert (silent["sigma_raw_m"] > 0).all()
 
     def test_a_walk_of_one_sample_has_no_speed(self, sessions):
         task = sessions["rerelease"]
@@ -343,7 +340,6 @@ class TestWindows:
             short[side] = Windows(t, xy, offsets, windows.person, windows.search)
         found = self.frame(replace(task, **short), "raw")
         assert found["speed_mps"].isna().all()
-        assert (found["path_m"] == 0).all()
 
 
 def test_the_presets_but_smoke_hold_the_controls():

@@ -121,7 +121,7 @@ class TestIdentity:
         found = computed(tracks, "identity", mechanisms=specs, n_scenes=2 * ONE_PASS)
         for spec in specs:
             (shared,), (attacked,) = found[spec, "shared", ""], found[spec, "identity", "blind"]
-            assert {"plr", "ael_s", "segments", "mse_m2", "track", "scene"} <= shared.keys()
+            assert {"plr", "ael_s", "mse_m2", "track", "scene"} <= shared.keys()
             assert_same(attacked, shared)
 
     def test_all_columns_of_an_attack_have_one_row_a_track(self, tracks):
@@ -130,7 +130,7 @@ class TestIdentity:
         assert {name: len(values) for name, values in rows.items()} == n_rows
         assert set(rows) == {
             *("scene", "agent", "track", "source", "group", "n_samples"),
-            *("plr", "ael_s", "mel_s", "segments", "mse_m2"),
+            *("plr", "ael_s", "mel_s", "mse_m2"),
             *("benchmark_mse_m2", "benchmark_plr"),
         }
 
@@ -436,7 +436,7 @@ def test_descriptors_by_hand():
         settings=PrivacySettings(),
     )
     expected = {"plr": [2 / 3, 0.0], "ael_s": [0.5, 0.0], "mel_s": [0.5, 0.0]}
-    expected |= {"segments": [2, 0], "mse_m2": [(0.01 + 0.25) / 3, 25.0]}
+    expected |= {"mse_m2": [(0.01 + 0.25) / 3, 25.0]}
     assert {name: values.tolist() for name, values in rows.items()} == {
         name: pytest.approx(values) for name, values in expected.items()
     }
