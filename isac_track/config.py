@@ -123,8 +123,7 @@ class SensingSettings:
     path_loss_exponent: float = _number(2.7, 0.1, 10)
     """paper; each way (reading: monostatic, two-way)"""
     beam_fluctuation_db: float = _number(2.0, 0, 50)  # paper: N(0, 2) dB a sample (reading: std)
-    rcs_m2: float = _number(1.0, 1e-6, 1e6)
-    """reading: radar cross-section of a pedestrian"""
+    rcs_m2: float = _number(1.0, 1e-6, 1e6)  # reading: radar cross-section of a pedestrian
     resource_share: float = _number(1.0, 1e-6, 1e6)  # reading: m_s of eq. swarm_fi
     large_scale_db: float = _number(11.72, 0, 100)
     """fitted: two-way log-normal spread, drawn once per track"""

@@ -172,29 +172,11 @@ class AttackContext:
         train: TrainingSet | LinkageTrainingSet | None = None,
         repeats: tuple[Release, ...] | None = None,
     ) -> None:
-        """Keep what was granted.
+        """Keep what was granted; ValueError if something is not there.
 
-        Parameters
-        ----------
-        rng : Generator
-            The attack's own stream.
-        epsilon_m : float
-            Distance below which a sample counts as leaked, m.
-        granted : frozenset of Knowledge
-            SIGMA and SCENE show in the release itself: declared standard deviations, and the true
-            frame and clock.
-        mechanism : Mechanism, optional
-            The frozen object, for MECHANISM.
-        train : TrainingSet or LinkageTrainingSet, optional
-            For TRAIN; which of the two goes by the kind of the attack.
-        repeats : tuple of Release, optional
-            Further releases of the same walks, sample by sample at the same instants, for
-            REPEATS.
-
-        Raises
-        ------
-        ValueError
-            If something was granted and is not there.
+        `rng` is the attack's own stream, `epsilon_m` the distance below which a sample counts as
+        leaked, m. SIGMA and SCENE show in the release itself: declared standard deviations, and the
+        true frame and clock. The others are properties of the same names.
         """
         self.rng = rng
         self.epsilon_m = epsilon_m

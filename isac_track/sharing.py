@@ -40,28 +40,10 @@ def perturb(
     (eq. swarm_shared): a fresh error is added and the variances add. The fresh error has a
     direction of its own: under the law `fixed_direction` one for each track of the release.
 
-    Parameters
-    ----------
-    sensed : Sensed
-        N tracks, M samples.
-    d_sigma : (M,) m, or one number
-    rng : Generator
-        Source of the fresh error (`independent` only) and of the pseudonyms.
-    adding : {"linear", "independent"}
-    law : {"radial", "isotropic", "fixed_direction"}, optional
-        Law of the fresh error; by default that of the raw error.
-    unit_error : (M, 2), optional
-        The fresh standardised error itself, instead of a draw (`independent` only).
-
-    Returns
-    -------
-    Release
-        With the declared standard deviation of every sample.
-
-    Raises
-    ------
-    ValueError
-        If `d_sigma` is negative, not finite or of the wrong shape, or a rule is unknown.
+    `d_sigma` is (M,) m, or one number; `rng` draws the fresh error and the pseudonyms. The fresh
+    error has the `law` of the raw error unless told otherwise, or is itself given, standardised:
+    `unit_error`, (M, 2). The release declares the standard deviation of every sample. ValueError if
+    `d_sigma` is negative, not finite or of the wrong shape, or a rule is unknown.
     """
     given = np.asarray(d_sigma, dtype=np.float64)
     extra: Floats = np.broadcast_to(given, sensed.t.shape)
@@ -158,11 +140,9 @@ class Raw:
 class Fixed:
     """Add the same standard deviation to every sample (the paper's baseline)."""
 
-    d_sigma: float
-    """m"""
+    d_sigma: float  # m
     adding: Adding = "linear"
-    law: ErrorLaw | None = None
-    """Law of the added error; None: that of the raw error."""
+    law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
 
     def __post_init__(self) -> None:
         check_at_least("d_sigma", self.d_sigma, 0, " m")
@@ -176,14 +156,11 @@ class Fixed:
 class Fid:
     """Add error where the Fisher information density exceeds eta (the paper's mechanism)."""
 
-    eta: float
-    """1/(m^2 s)"""
-    alpha: float = 0.5
-    """m"""
+    eta: float  # 1/(m^2 s)
+    alpha: float = 0.5  # m
     beta: float = 1.5
     adding: Adding = "linear"
-    law: ErrorLaw | None = None
-    """Law of the added error; None: that of the raw error."""
+    law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
 
     sweep: ClassVar[str] = "log"
 

@@ -84,10 +84,8 @@ class Correlated:
     only somebody who knows the truth can do, like linear adding itself.
     """
 
-    d_sigma: float
-    """m"""
-    tau_s: float = 2.0
-    """Time over which the error's correlation falls to 1/e, s."""
+    d_sigma: float  # m
+    tau_s: float = 2.0  # Time over which the error's correlation falls to 1/e, s.
     adding: Adding = "linear"
 
     errors_are_independent: ClassVar[bool] = False
@@ -120,8 +118,7 @@ class Offset:
     there is no standard deviation to add.
     """
 
-    distance: float
-    """m"""
+    distance: float  # m
 
     adds_error: ClassVar[bool] = False
     errors_are_independent: ClassVar[bool] = False
@@ -145,11 +142,9 @@ class Thin:
     ``fixed`` puts them.
     """
 
-    every: int
-    """One sample in so many is shared."""
+    every: int  # One sample in so many is shared.
     adding: Adding = "linear"
-    d_sigma: float = 0.0
-    """m"""
+    d_sigma: float = 0.0  # m
 
     def __post_init__(self) -> None:
         check_at_least("every", self.every, 1)

@@ -52,8 +52,7 @@ class Knowledge(Enum):
 
 
 _SAMPLE: Mapping[str, str] = {"per": "sample"}
-TRACK: Mapping[str, str] = {"per": "track"}
-"""Metadata of a field that holds one value a track."""
+TRACK: Mapping[str, str] = {"per": "track"}  # Metadata of a field that holds one value a track.
 _Batch = TypeVar("_Batch", "Tracks", "Sensed", "Release")
 
 
@@ -86,14 +85,10 @@ class Tracks:
     `source` and `group` never reach a predictor or an attack.
     """
 
-    t: Floats = field(metadata=_SAMPLE)
-    """(M,) s, strictly increasing within a track."""
-    xy: Floats = field(metadata=_SAMPLE)
-    """(M, 2) m, true position."""
-    offsets: Ints
-    """(N + 1,) first sample of each track, then M."""
-    source: tuple[str, ...] = field(metadata=TRACK)
-    """(N,) id of the recorded track, unique."""
+    t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
+    xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, true position.
+    offsets: Ints  # (N + 1,) first sample of each track, then M.
+    source: tuple[str, ...] = field(metadata=TRACK)  # (N,) id of the recorded track, unique.
     group: tuple[str, ...] = field(metadata=TRACK)
     """(N,) the cluster of every interval: people who walk together share one."""
 
@@ -113,30 +108,18 @@ class Scenes:
     ``t_future[:, h]``, with h = 0 at the last history sample (eq. future_time_grid).
     """
 
-    t: Floats
-    """(M,) s, history times of the S * A agents."""
-    xy: Floats
-    """(M, 2) m, true history after the shift into the scene."""
-    offsets: Ints
-    """(S * A + 1,)"""
-    track: Ints
-    """(S * A,) row of the source track in the `Tracks` that the scenes were made of."""
-    index: Ints
-    """(S,) number of the scene in the run: the key of its random streams."""
-    t_future: Floats
-    """(S * A, H) s, prediction grid."""
-    xy_future: Floats
-    """(S * A, H, 2) m, true positions on the grid."""
-    robot_start: Floats
-    """(S, 2) m"""
-    robot_destination: Floats
-    """(S, 2) m"""
-    separation: Floats
-    """(S,) m, true minimum separation between robot and agents over the horizon."""
-    conflict: Bools
-    """(S,) ground-truth label c (eq. conflict_rule on the true future)."""
-    exhausted: Ints
-    """(S,) agents whose placement ran out of redraws and kept the last draw."""
+    t: Floats  # (M,) s, history times of the S * A agents.
+    xy: Floats  # (M, 2) m, true history after the shift into the scene.
+    offsets: Ints  # (S * A + 1,)
+    track: Ints  # (S * A,) row of the source track in the `Tracks` that the scenes were made of.
+    index: Ints  # (S,) number of the scene in the run: the key of its random streams.
+    t_future: Floats  # (S * A, H) s, prediction grid.
+    xy_future: Floats  # (S * A, H, 2) m, true positions on the grid.
+    robot_start: Floats  # (S, 2) m
+    robot_destination: Floats  # (S, 2) m
+    separation: Floats  # (S,) m, true minimum separation between robot and agents over the horizon.
+    conflict: Bools  # (S,) ground-truth label c (eq. conflict_rule on the true future).
+    exhausted: Ints  # (S,) agents whose placement ran out of redraws and kept the last draw.
 
     def __post_init__(self) -> None:
         _freeze(self, t="M", xy=("M", 2), t_future="NH", xy_future=("N", "H", 2))
@@ -165,20 +148,16 @@ class Sensed:
     The truth is ``xy - sigma_raw[:, None] * unit_error``: a mechanism is trusted.
     """
 
-    t: Floats = field(metadata=_SAMPLE)
-    """(M,) s, strictly increasing within a track."""
-    xy: Floats = field(metadata=_SAMPLE)
-    """(M, 2) m, raw estimate."""
+    t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
+    xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, raw estimate.
     unit_error: Floats = field(metadata=_SAMPLE)
     """(M, 2) raw error in units of `sigma_raw` (standardised)."""
     sigma_raw: Floats = field(metadata=_SAMPLE)
     """(M,) m, standard deviation of the raw error under `law`."""
-    information: Floats = field(metadata=_SAMPLE)
-    """(M,) 1/m^2, Fisher information (eq. swarm_fi)."""
+    information: Floats = field(metadata=_SAMPLE)  # (M,) 1/m^2, Fisher information (eq. swarm_fi).
     fid: Floats = field(metadata=_SAMPLE)
     """(M,) 1/(m^2 s), Fisher information density (eq. swarm_fid)."""
-    offsets: Ints
-    """(N + 1,)"""
+    offsets: Ints  # (N + 1,)
     law: ErrorLaw = "radial"
     """Law of the raw error: `radial` (the norm is |N(0, sigma)|), `isotropic` (N(0, sigma) per
     axis) or `fixed_direction` (as `radial`, on one line through the truth along a track)."""
@@ -195,16 +174,12 @@ class Sensed:
 class Release:
     """All that a robot or an adversary ever receives. N tracks, M samples in all."""
 
-    t: Floats = field(metadata=_SAMPLE)
-    """(M,) s, strictly increasing within a track."""
-    xy: Floats = field(metadata=_SAMPLE)
-    """(M, 2) m, shared position."""
+    t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
+    xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, shared position.
     sigma: Floats | None = field(metadata=_SAMPLE)
     """(M,) m, std declared with each sample; None without `Knowledge.SIGMA`."""
-    offsets: Ints
-    """(N + 1,)"""
-    pseudonym: tuple[str, ...] = field(metadata=TRACK)
-    """(N,) opaque, fresh for every release."""
+    offsets: Ints  # (N + 1,)
+    pseudonym: tuple[str, ...] = field(metadata=TRACK)  # (N,) opaque, fresh for every release.
 
     def __post_init__(self) -> None:
         _check_batch(self)
@@ -234,8 +209,7 @@ class Release:
 class Prediction:
     """Predicted positions of N tracks on a grid of H future times."""
 
-    mean: Floats
-    """(N, H, 2) m"""
+    mean: Floats  # (N, H, 2) m
     cov: Floats | None = None
     """(N, H, 2, 2) m^2, symmetric positive semidefinite; None where the predictor has none."""
 
@@ -251,8 +225,7 @@ class Prediction:
 class Reconstruction:
     """An adversary's estimate of where the N people of a release were, sample by sample."""
 
-    xy: Floats
-    """(M, 2) m, in the frame of the release."""
+    xy: Floats  # (M, 2) m, in the frame of the release.
     std: Floats | None = None
     """(M,) m, standard deviation per axis that the attack claims, or None."""
 

@@ -16,10 +16,8 @@ from isac_track.kalman import Batch, Moods, imm_last, kalman_last
 from isac_track.noise import innovation_variance_m2
 from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, end_to_end
 
-GATE = 18.4
-"""Chi-square quantile of 0.9999 with two degrees of freedom."""
-WINDOW = 160
-"""Samples; what came before no longer moves the prediction (tested)."""
+GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
+WINDOW = 160  # Samples; what came before no longer moves the prediction (tested).
 _PRIOR_STD = (100.0, 10.0, 10.0)
 """m around the first sample, m/s, m/s^2: far more than any walk, so that nothing is tuned."""
 
@@ -28,8 +26,7 @@ _PRIOR_STD = (100.0, 10.0, 10.0)
 class KalmanCV:
     """Constant velocity, white-noise acceleration."""
 
-    q: float = 0.04
-    """m^2/s^3, from ``python -m benchmarks.tune``"""
+    q: float = 0.04  # m^2/s^3, from ``python -m benchmarks.tune``
     gate: float = GATE
     window: int = WINDOW
     noise: Literal["estimated", "declared"] = "estimated"
@@ -94,8 +91,7 @@ class KalmanCV:
 class KalmanCA(KalmanCV):
     """Constant acceleration, white-noise jerk: `KalmanCV` with one more state per axis."""
 
-    q: float = 0.026
-    """m^2/s^5, from ``python -m benchmarks.tune``"""
+    q: float = 0.026  # m^2/s^5, from ``python -m benchmarks.tune``
 
     states: ClassVar[int] = 3
 
@@ -104,14 +100,11 @@ class KalmanCA(KalmanCV):
 class KalmanIMM(KalmanCV):
     """Two interacting models: walking on, and stopping or turning."""
 
-    q: float = 0.001
-    """m^2/s^3 while walking on, from ``python -m benchmarks.tune``"""
-    q_turn: float = 0.12
-    """m^2/s^3 while stopping or turning, likewise"""
+    q: float = 0.001  # m^2/s^3 while walking on, from ``python -m benchmarks.tune``
+    q_turn: float = 0.12  # m^2/s^3 while stopping or turning, likewise
     walk_s: float = 4.0
     """Mean time of walking on; set, not tuned: the likelihood would make modes of whole tracks"""
-    turn_s: float = 1.5
-    """Mean time of stopping or turning; set, not tuned"""
+    turn_s: float = 1.5  # Mean time of stopping or turning; set, not tuned
 
     def __post_init__(self) -> None:
         KalmanCV.__post_init__(self)

@@ -42,8 +42,7 @@ class GaussianProcess:
 
     length_s: float | None = None
     """s; None, together with `scale_m`: learnt from the training set, or `DEFAULT` without one."""
-    scale_m: float | None = None
-    """m, standard deviation of the process about the line."""
+    scale_m: float | None = None  # m, standard deviation of the process about the line.
     smoothness: Smoothness = "matern32"
 
     slow: ClassVar[bool] = True

@@ -19,8 +19,7 @@ from isac_track.types import Floats, Knowledge, Reconstruction, Release
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
 
-PRIOR_STD = (100.0, 10.0)
-"""m around the first sample and m/s around rest: far more than any walk."""
+PRIOR_STD = (100.0, 10.0)  # m around the first sample and m/s around rest: far more than any walk.
 _RADIAL_BELOW = -1 / 3
 """Third cumulant of log distances to a smoothed walk; Gaussian errors have -zeta(3) / 4 = -0.30,
 radial ones -2.10 about the walk itself, -0.40 to -0.59 about what a smoother makes of it."""
@@ -113,12 +112,9 @@ class ImmRTS:
     q: float | None = None
     """m^2/s^3 while walking on; None, together with `q_turn`: learnt from the training set, or
     `DEFAULT_Q` without one."""
-    q_turn: float | None = None
-    """m^2/s^3 while stopping or turning."""
-    walk_s: float = 4.0
-    """Mean time of walking on."""
-    turn_s: float = 1.5
-    """Mean time of stopping or turning."""
+    q_turn: float | None = None  # m^2/s^3 while stopping or turning.
+    walk_s: float = 4.0  # Mean time of walking on.
+    turn_s: float = 1.5  # Mean time of stopping or turning.
 
     slow: ClassVar[bool] = True
     seconds_per_sample: ClassVar[float] = 2e-6

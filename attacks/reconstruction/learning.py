@@ -33,8 +33,7 @@ _Choice = TypeVar("_Choice")
 TOLD = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA})
 """What `learn_variance` and `choose` make use of."""
 _POWERS = (-1.0, 0.0, 1.0)
-N_CANDIDATES = len(_POWERS)
-"""What a built-in attack tries before it attacks."""
+N_CANDIDATES = len(_POWERS)  # What a built-in attack tries before it attacks.
 RADIAL_PER_AXIS = 0.5
 """Variance per axis of a radial error of standard deviation 1: the paper's law, if nobody tells."""
 _SIGMAS_M = np.geomspace(0.01, 8.0, 80)
@@ -42,8 +41,7 @@ _FINE_SIGMAS_M = np.geomspace(0.01, 8.0, 240)
 """For a fit over whole tracks: steps well below what hundreds of samples can tell apart."""
 _GAPS = np.geomspace(1.0, 32.0, 16)
 _N_BINS = 6
-_LONE_S = 1.0
-"""s, in place of the interval that a lone sample does not have."""
+_LONE_S = 1.0  # s, in place of the interval that a lone sample does not have.
 
 
 def around(default: float, *, factor: float) -> tuple[float, ...]:

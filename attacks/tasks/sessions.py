@@ -29,16 +29,11 @@ CALIBRATING_SHARE = 1 / 3
 class Windows:
     """N stretches of true walks, M samples in all, where they are sensed."""
 
-    t: Floats
-    """(M,) s"""
-    xy: Floats
-    """(M, 2) m"""
-    offsets: Ints
-    """(N + 1,)"""
-    person: Ints
-    """(N,) row in the people of the `Sessions`."""
-    search: Ints
-    """(N,) which search it belongs to: candidates are compared within one."""
+    t: Floats  # (M,) s
+    xy: Floats  # (M, 2) m
+    offsets: Ints  # (N + 1,)
+    person: Ints  # (N,) row in the people of the `Sessions`.
+    search: Ints  # (N,) which search it belongs to: candidates are compared within one.
 
     def __post_init__(self) -> None:
         for name in ("t", "xy", "offsets", "person", "search"):
@@ -53,30 +48,20 @@ class Sessions:
     """Both releases of a task, still true, and who may learn from whom."""
 
     task: Task
-    source: tuple[str, ...]
-    """(K,) id of each person's recorded track."""
-    group: tuple[str, ...]
-    """(K,) cluster: people who walk together, in either session."""
-    alone: Bools
-    """(K,) False for members of a walking group, who move alike."""
-    moving: Bools
-    """(K,) False for nearly frozen annotations."""
+    source: tuple[str, ...]  # (K,) id of each person's recorded track.
+    group: tuple[str, ...]  # (K,) cluster: people who walk together, in either session.
+    alone: Bools  # (K,) False for members of a walking group, who move alike.
+    moving: Bools  # (K,) False for nearly frozen annotations.
     probe: Windows
     gallery: Windows
-    mate: Ints
-    """(P,) gallery window of the same person in the same search, or -1."""
-    fold: Ints
-    """(S,) half of each search; its adversary learns on the other half."""
-    searches: tuple[str, ...]
-    """(S,) for people: a fold's number, or the instant of a handover."""
-    learns: Bools
-    """(2, K) people from whom the adversary of either fold learns."""
-    calibrates: Bools
-    """(2, K) people on whose scores those of either fold are calibrated."""
+    mate: Ints  # (P,) gallery window of the same person in the same search, or -1.
+    fold: Ints  # (S,) half of each search; its adversary learns on the other half.
+    searches: tuple[str, ...]  # (S,) for people: a fold's number, or the instant of a handover.
+    learns: Bools  # (2, K) people from whom the adversary of either fold learns.
+    calibrates: Bools  # (2, K) people on whose scores those of either fold are calibrated.
     too_short: int
     """Recorded tracks that are left out: shorter than the windows, or not there at the time."""
-    not_drawn: int
-    """Further ones beyond `linkage.most_people`."""
+    not_drawn: int  # Further ones beyond `linkage.most_people`.
 
     def __post_init__(self) -> None:
         for name in ("alone", "moving", "mate", "fold", "learns", "calibrates"):

@@ -23,12 +23,10 @@ if TYPE_CHECKING:
     from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6  # Time to reach the desired velocity.
-ENERGY_M2 = 1.2
-"""k of the time-to-collision law, in m^2 (energy over mass times time squared)."""
+ENERGY_M2 = 1.2  # k of the time-to-collision law, in m^2 (energy over mass times time squared).
 FORESIGHT_S = 3.0  # tau_0 of the same law.
 COLLISION_M = 0.4  # Distance of two centres that counts as a collision.
-AVOID_MAX_MPS2 = 2.0
-"""Cap of one neighbour's anticipatory force: the law diverges at contact."""
+AVOID_MAX_MPS2 = 2.0  # Cap of one neighbour's anticipatory force: the law diverges at contact.
 CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = 2.0, 0.36, 0.1
 """Strength, distance and range of the exponential repulsion."""
 FORMATION_PER_S2, FORMATION_MAX_MPS2 = 1.2, 1.2
