@@ -30,7 +30,7 @@ from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.runs import folder
-from evaluation.runs.cell_files import read_gallery
+from evaluation.runs.cell_files import Summed, read_gallery
 from evaluation.runs.execute import execute
 from evaluation.runs.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.runs.manifest import FAILED_COLUMNS, read_manifest
@@ -135,13 +135,11 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
     at_equal = matched(sweeps, predictors=predictors, dataset=dataset)
     best = strongest(sweeps.found, known)
     probes = read_probes(out, manifest, sweeps, strongest=best)
-    crossed, halves = cross_fitted(
-        attacked,
-        known,
-        best.get("", AS_SHARED),
-        weights=summary.weights_of(manifest),
-        seed=manifest["identity"]["seed"],
-    )
+    weights, seed = summary.weights_of(manifest), manifest["identity"]["seed"]
+    headline = best.get("", AS_SHARED)
+    crossed, halves = cross_fitted(attacked, known, headline, weights=weights, seed=seed)
+    every_sum = summary.linkage_sums(read)
+    every_sum |= {key: Summed(sums, weights) for key, sums in attacked.items()}
     judged = Sweeps({**sweeps.found, **crossed}, known) if crossed else sweeps
     said = verdict.verdict(judged, probes, strongest=best, scored=halves, manifest=manifest)
     results = Results(
@@ -153,7 +151,9 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False, jobs: int = 1)
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(sweeps, at_equal, dataset=dataset, history=manifest["history"]),
         matched=at_equal,
-        frontier=frontier(sweeps, predictors=predictors, strongest=best, dataset=dataset),
+        frontier=frontier(
+            sweeps, predictors=predictors, dataset=dataset, sums=every_sum, seed=seed
+        ),
         decisions=decided,
         curves=curves,
         flags=flagged,

@@ -1,43 +1,64 @@
 """What is left at a price: every mechanism at fixed rises of the missed conflicts, `frontier.csv`.
 
 A mechanism is a curve over its levels that ends at raw. Its level is read where the missed-conflict
-rate has risen over raw by a target, and there what an adversary still has: PLR as shared, PLR after
-the strongest reconstruction, and how often the strongest linker of each task finds a person again.
+rate has risen over raw by a target, and there what an adversary still has: the descriptors as
+shared and after the strongest reconstruction of every adversary that was run, and how often the
+strongest linker of each task finds a person again. Beside it the robot's own: MAE and PLR.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from itertools import product
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from evaluation.analysis.keys import AS_SHARED, Measure
+from evaluation.analysis.families import RAW
+from evaluation.analysis.keys import AS_SHARED, ORACLE, Source
 from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.matching import AT_EQUAL_ALARMS, MIN_DEFINED, MISSED, interpolated, places
+from evaluation.analysis.matching import (
+    AT_EQUAL_ALARMS,
+    MIN_DEFINED,
+    MISSED,
+    Sweeps,
+    interpolated,
+    places,
+)
 from evaluation.analysis.metrics import (
     DESCRIPTORS,
     EQUAL_ALARMS,
+    ERROR,
     EXPOSURE,
     MISSED_RATE,
     SUCCESS,
     SUCCESS_OF_100,
 )
-from isac_track.intervals import percentile_intervals
+from evaluation.analysis.strongest import HEADLINE, by_task, cross_fitted, strongest_of
+from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, percentile_intervals
+from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
-    from evaluation.analysis.keys import Source
-    from evaluation.analysis.matching import Sweeps
+    from evaluation.analysis.keys import Key
+    from evaluation.runs.cell_files import Summed
+    from isac_track.intervals import Estimate
     from isac_track.types import Bools, Floats, Ints
 
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)
 """Rises of the missed-conflict rate over raw, fixed beforehand."""
 WHITE: Final = "fixed:adding=independent,law=isotropic"
 """What others are held against: white noise, equal in all directions."""
+NEAR: Final = 0.03
+ENOUGH_LEVELS: Final = 4
+"""Of a curve within `NEAR` of a target for an interval there."""
+MARGIN: Final = 0.02
+"""By how much a mechanism is beaten."""
+OF_ROBOT: Final = "plr_robot"
+"""What a robot itself knows of where somebody was."""
+NOT_TOLD: Final = (*HEADLINE, ORACLE)
 COLUMNS: Final = [
     *("dataset", "mechanism", "family", "adding", "robot", "criterion", "target"),
     *("level", "level_low", "level_high", "consumer", "knowledge", "metric"),
@@ -45,6 +66,10 @@ COLUMNS: Final = [
     *("dominated", "n"),
 ]
 _CRITERIA: Final = {MISSED: MISSED_RATE, AT_EQUAL_ALARMS: EQUAL_ALARMS}
+LEVEL_READ: Final = ("level", "level_low", "level_high")
+VALUE: Final = ("value", "ci_low", "ci_high")
+GAP: Final = ("vs_white", "vs_white_low", "vs_white_high")
+_ROUNDING: Final = 1e-9
 _LOG_SPAN: Final = 30.0
 """Levels that span more are interpolated on a logarithmic scale, as their sweep runs."""
 
@@ -62,68 +87,168 @@ def front(x: Floats, y: Floats) -> Bools:
     return found
 
 
-def adversaries(strongest: Mapping[str, Source], known: Container[Measure]) -> list[Measure]:
-    """Return what is told of a level: as shared, then the strongest attack of every kind.
+class Told(NamedTuple):
+    """What is told of every mechanism: a metric, and whose it is."""
 
-    `strongest` is by task, as `analysis.strongest` has it; `known` are the measures of the run.
+    metric: str
+    whose: Mapping[str, Source]
+    """By mechanism, raw among them: against each the adversary takes what is strongest there."""
+    is_axis: bool = False
+    """Whether mechanisms are held against one another by it."""
+
+
+def told(
+    sweeps: Sweeps, sums: Mapping[Key, Summed], *, seed: int
+) -> tuple[list[Told], dict[Key, Estimate]]:
+    """Return what is told of every mechanism, and the estimates that are not those of the run.
+
+    As shared; after the strongest reconstruction and linker, of the headline's adversaries and of
+    every other one that was run, short of the oracle. They are chosen against each mechanism by
+    itself over its levels and, where `sums` are known, on one half of the people and scored on the
+    other, and swapped (`strongest.cross_fitted`).
     """
-    found = [AS_SHARED.measure(EXPOSURE)]
-    for task, one in strongest.items():
-        at_100 = one.measure(SUCCESS_OF_100)
-        usual = one.measure(SUCCESS if task else EXPOSURE)
-        found.append(at_100 if task and at_100 in known else usual)
-    return found
+    found = [Told(name, dict.fromkeys(sweeps.known, AS_SHARED)) for name in DESCRIPTORS]
+    crossed: dict[Key, Estimate] = {}
+    every = {EXPOSURE: by_task(sweeps.found, metric=EXPOSURE)}
+    every[SUCCESS] = by_task(sweeps.found, metric=SUCCESS)
+    for by, task, blocks in ((by, *one) for by, of in every.items() for one in of.items()):
+        of: dict[str, list[Mapping[Source, float]]] = {}
+        for (mechanism, _), block in blocks.items():
+            of.setdefault(mechanism, []).append(block)
+        beyond = {one.knowledge for block in blocks.values() for one in block}
+        for among in (HEADLINE, *((one,) for one in ADVERSARIES if one in beyond - {*NOT_TOLD})):
+            best = {name: strongest_of(levels, among=among) for name, levels in of.items()}
+            whose = {name: source for name, source in best.items() if source}
+            if RAW not in whose:
+                continue
+            for name, source in whose.items():
+                mine = {
+                    key: one
+                    for key, one in sums.items()
+                    if key.mechanism == name and key.measure.source.task == task
+                }
+                if mine:
+                    weights = next(iter(mine.values())).weights
+                    each = {key: one.sums for key, one in mine.items()}
+                    options: dict[str, Any] = {"weights": weights, "seed": seed, "by": by}
+                    crossed |= cross_fitted(each, sweeps.known, source, **options)[0]
+            names = DESCRIPTORS
+            if task:
+                at_raw = sweeps.found.get(whose[RAW].measure(SUCCESS_OF_100).at(RAW, None))
+                has_100 = at_raw is not None and np.isfinite(at_raw.value)
+                names = (SUCCESS_OF_100 if has_100 else SUCCESS,)
+            found += [Told(name, whose, name in (names[0], EXPOSURE)) for name in names]
+    return found, crossed
 
 
 def frontier(
-    sweeps: Sweeps, *, predictors: Sequence[str], strongest: Mapping[str, Source], dataset: str
+    sweeps: Sweeps,
+    *,
+    predictors: Sequence[str],
+    dataset: str,
+    sums: Mapping[Key, Summed] | None = None,
+    seed: int = 0,
 ) -> pd.DataFrame:
-    """Return a row for each mechanism, robot, criterion, target and adversary: `COLUMNS`.
+    """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
 
-    Level and value are interpolated on the isotonic curve from the noisiest level to raw, each
-    replicate on its own; with less than `MIN_DEFINED` of them in reach there is no interval.
-    `vs_white` is the difference from white noise at the same target, paired; empty without it.
-    `dominated`: another row of this robot, criterion and adversary has less left at no higher
-    target. A target out of reach keeps its row without level and numbers.
+    Level and value are interpolated on the isotonic curve from the noisiest level to raw, which is
+    one for all mechanisms, each replicate on its own. There is no interval, and nothing is held
+    against another, with fewer than `ENOUGH_LEVELS` levels (raw is one) whose missed rate is
+    within `NEAR` of the target, with less than `MIN_DEFINED` of the replicates in reach, or of too
+    few people. `vs_white` is the difference from white noise at the same target, paired; empty
+    without it. `dominated`, at the same target: another mechanism is surely better by more than
+    `MARGIN` in attacked PLR or in whom a linker finds, and this one surely better in none of them
+    (simultaneous bounds, max-t over all pairs and axes). A target out of reach keeps its row
+    without level and numbers.
+
+    `sums` of the attacks are as in `told`.
     """
-    told, parts = adversaries(strongest, {key.measure for key in sweeps.found}), []
+    every, crossed = told(sweeps, sums or {}, seed=seed)
+    sweeps = Sweeps({**sweeps.found, **crossed}, sweeps.known)
+    curves = [_curves(sweeps, one) for one in every]
+    rows: list[dict[str, Any]] = []
     for robot, (criterion, metric) in product(predictors, _CRITERIA.items()):
+        own = [Told(name, dict.fromkeys(sweeps.known, Source(robot))) for name in (ERROR, OF_ROBOT)]
+        cost = Told(metric, own[0].whose)
+        costs = _curves(sweeps, cost)
         reached = {
             name: places(np.array(TARGETS), np.abs(curve - curve[:, -1:]))
-            for name in sweeps.known
-            if (curve := sweeps.curve(name, Measure(robot, metric))) is not None
+            for name, curve in costs.items()
+        }
+        rises = {name: np.abs(curve[0] - curve[0, -1])[:, None] for name, curve in costs.items()}
+        is_dense = {
+            name: (np.abs(rise - TARGETS) <= NEAR + _ROUNDING).sum(axis=0) >= ENOUGH_LEVELS
+            for name, rise in rises.items()
         }
         level = {
-            name: _read(("level", "level_low", "level_high"), _levels(sweeps.levels(name), where))
+            name: _read(LEVEL_READ, _levels(sweeps.levels(name), where), is_dense[name])
             for name, where in reached.items()
         }
-        for measure in told:
+        axes, first = [], len(rows)
+        for one, of in (
+            *zip(every, curves, strict=True),
+            *((one, _curves(sweeps, one)) for one in own),
+        ):
             left = {
-                name: interpolated(where, curve, log=measure.metric in DESCRIPTORS)
-                for name, where in reached.items()
-                if (curve := sweeps.curve(name, measure)) is not None
+                name: interpolated(reached[name], curve, log=one.metric in DESCRIPTORS)
+                for name, curve in of.items()
+                if name in reached
             }
-            rows = []
+            axes += [left] * one.is_axis
             for name, values in left.items():
-                row = asdict(sweeps.known[name]) | {"target": TARGETS} | level[name]
-                row |= _read(("value", "ci_low", "ci_high"), values)
+                measure = one.whose[name].measure(one.metric)
+                _, effective = sweeps.rests_on([name], measure, cost.whose[name].measure(metric))
+                can_say = is_dense[name] & (effective >= LEAST_CLUSTERS)
+                told_of = level[name] | _read(VALUE, values, can_say)
                 if WHITE in left:
                     n_rows = min(len(values), len(left[WHITE]))
-                    difference = values[:n_rows] - left[WHITE][:n_rows]
-                    row |= _read(("vs_white", "vs_white_low", "vs_white_high"), difference)
-                rows.append(pd.DataFrame(row | {"n": sweeps.n(name, measure)}))
-            if rows:
-                of = pd.concat(rows, ignore_index=True).assign(
-                    robot=robot, criterion=criterion, **measure._asdict()
-                )
-                on_front = front(of["target"].to_numpy(), of["value"].to_numpy())
-                of["dominated"] = pd.array(~on_front, dtype="boolean")
-                of.loc[of["value"].isna(), "dominated"] = pd.NA
-                of["dataset"] = dataset_of(measure.consumer, dataset=dataset)
-                parts.append(of)
-    if not parts:
-        return pd.DataFrame(columns=COLUMNS)
-    return pd.concat(parts, ignore_index=True).reindex(columns=COLUMNS)
+                    gap = values[:n_rows] - left[WHITE][:n_rows]
+                    told_of |= _read(GAP, gap, can_say & is_dense[WHITE])
+                about = asdict(sweeps.known[name]) | measure._asdict()
+                about |= {"dataset": dataset_of(measure.consumer, dataset=dataset)}
+                about |= {"robot": robot, "criterion": criterion, "n": sweeps.n(name, measure)}
+                rows += [
+                    about | {"target": at} | {of: values[place] for of, values in told_of.items()}
+                    for place, at in enumerate(TARGETS)
+                ]
+        beaten = _dominated(axes, is_dense)
+        for row in rows[first:]:
+            row["dominated"] = beaten.get((row["mechanism"], row["target"]), pd.NA)
+    return pd.DataFrame(rows, columns=COLUMNS).astype({"dominated": "boolean"})
+
+
+def _curves(sweeps: Sweeps, one: Told) -> dict[str, Floats]:
+    return sweeps.together({name: of.measure(one.metric) for name, of in one.whose.items()})
+
+
+def _dominated(
+    axes: Sequence[Mapping[str, Floats]], is_dense: Mapping[str, Bools]
+) -> dict[tuple[str, float], bool]:
+    """Return which mechanisms are beaten at which target, of those of which it can be said.
+
+    `axes` are what is left by mechanism, estimate and replicates at all targets, (1 + B, P).
+    """
+    found: dict[tuple[str, float], bool] = {}
+    for place, target in enumerate(TARGETS):
+        names = [
+            name
+            for name, dense in is_dense.items()
+            if dense[place] and all(name in of and np.isfinite(of[name][0, place]) for of in axes)
+        ]
+        if not names or not axes:
+            continue
+        n_rows = min(len(of[name]) for of in axes for name in names)
+        left = np.array([[of[name][:n_rows, place] for of in axes] for name in names])
+        gaps = left[:, None] - left
+        gap, drawn = gaps[..., 0], gaps[..., 1:]
+        error = np.nanstd(drawn, axis=-1)
+        off = np.abs(drawn - gap[..., None])
+        t = np.divide(off, error[..., None], out=np.zeros_like(off), where=error[..., None] > 0)
+        half = np.quantile(np.nan_to_num(t).max(axis=(0, 1, 2)), CONFIDENCE) * error
+        is_worse, is_better = gap - half > MARGIN, gap + half < 0.0
+        beaten = (is_worse.any(axis=2) & ~is_better.any(axis=2)).any(axis=1)
+        found |= {(name, target): bool(is_so) for name, is_so in zip(names, beaten, strict=True)}
+    return found
 
 
 def _levels(levels: Sequence[float | None], where: tuple[Ints, Floats]) -> Floats:
@@ -138,9 +263,12 @@ def _levels(levels: Sequence[float | None], where: tuple[Ints, Floats]) -> Float
     return interpolated(where, every, log=is_log)
 
 
-def _read(names: tuple[str, str, str], values: Floats) -> dict[str, Floats]:
-    """Return estimate and both ends, (P,) each, of estimate and replicates, (1 + B, P)."""
+def _read(names: tuple[str, str, str], values: Floats, can_say: Bools) -> dict[str, Floats]:
+    """Return estimate and both ends, (P,) each, of estimate and replicates, (1 + B, P).
+
+    `can_say`, (P,), is where there may be an interval.
+    """
     drawn = values[1:].T.copy()
-    has_interval = np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1]
-    ends = np.where(has_interval & np.isfinite(values[0]), percentile_intervals(drawn), np.nan)
+    has_ends = can_say & (np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1])
+    ends = np.where(has_ends & np.isfinite(values[0]), percentile_intervals(drawn), np.nan)
     return dict(zip(names, (values[0], *ends), strict=True))

@@ -17,7 +17,14 @@ import pandas as pd
 from evaluation.analysis.families import ADDING_RULES, FID, FIXED, RAW, Family
 from evaluation.analysis.keys import AS_SHARED, Key, Measure
 from evaluation.analysis.linkability import dataset_of
-from evaluation.analysis.metrics import ACHIEVED, DESCRIPTORS, EQUAL_ALARMS, EXPOSURE, MISSED_RATE
+from evaluation.analysis.metrics import (
+    ACHIEVED,
+    DESCRIPTORS,
+    EQUAL_ALARMS,
+    ERROR,
+    EXPOSURE,
+    MISSED_RATE,
+)
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import Estimate, percentile_intervals
 
@@ -61,8 +68,7 @@ class Sweeps:
             if key.measure == _SHOWN and known[key.mechanism].is_added:
                 self._levels.setdefault(key.mechanism, []).append(key.level)
         self._in_order: dict[str, list[float | None]] = {}
-        self._monotone: dict[tuple[str, Measure], Floats | None] = {}
-        self._joined: dict[tuple[str, str, Measure], tuple[Floats, Floats] | None] = {}
+        self._joined: dict[tuple[str, str, Measure], list[Floats] | None] = {}
 
     def levels(self, mechanism: str) -> list[float | None]:
         """Return the levels of a mechanism, noisiest first: eta grows, a fixed error falls.
@@ -107,35 +113,28 @@ class Sweeps:
         key = measure.at(mechanism, level)
         return self.drawn(key) if key in self.found else None
 
-    def curve(self, mechanism: str, measure: Measure) -> Floats | None:
-        """Return the measure from the noisiest level to raw, made monotone, (1 + B, L).
-
-        None if there are fewer than two levels, or one of them or raw was not run.
-        """
-        asked = mechanism, measure
-        if asked not in self._monotone:
-            values = self._along(mechanism, measure)
-            self._monotone[asked] = (
-                None if values is None else monotone(values, increasing=_rises(measure))
-            )
-        return self._monotone[asked]
-
-    def curves(self, a: str, b: str, measure: Measure) -> tuple[Floats, Floats] | None:
-        """Return two mechanisms' curves that end in one raw, pooled over both; None as `curve`."""
+    def curves(self, a: str, b: str, measure: Measure) -> list[Floats] | None:
+        """Return the curves of two mechanisms that end in one raw; None if one has none."""
         asked = a, b, measure
         if asked not in self._joined:
-            first, second = (self._along(one, measure) for one in (a, b))
-            self._joined[asked] = None
-            if first is not None and second is not None:
-                self._joined[asked] = joined(first, second, increasing=_rises(measure))
+            found = self.together(dict.fromkeys((*asked[:2], RAW), measure))
+            self._joined[asked] = [found[a], found[b]] if {a, b} <= found.keys() else None
         return self._joined[asked]
 
-    def _along(self, mechanism: str, measure: Measure) -> Floats | None:
-        levels = self.levels(mechanism)
-        keys = [measure.at(mechanism, level) for level in levels] + [measure.at(RAW, None)]
-        if len(levels) < FEWEST_LEVELS or any(key not in self.found for key in keys):
-            return None
-        return np.stack([self.drawn(key) for key in keys], axis=1)
+    def together(self, by: Mapping[str, Measure]) -> dict[str, Floats]:
+        """Return the curves of mechanisms that end in one raw, pooled over all, (1 + B, L) each.
+
+        `by` is what each is measured by, raw among them. Left out is what has fewer than two
+        levels, or lacks one.
+        """
+        found = {}
+        raw = by[RAW].at(RAW, None)
+        for name, measure in by.items():
+            keys = [*(measure.at(name, level) for level in self.levels(name)), raw]
+            if len(keys) > FEWEST_LEVELS and all(key in self.found for key in keys):
+                found[name] = np.stack([self.drawn(key) for key in keys], axis=1)
+        curves = joined([*found.values()], increasing=_rises(by[RAW])) if found else []
+        return dict(zip(found, curves, strict=True))
 
     def rests_on(self, mechanisms: Iterable[str], *measures: Measure) -> tuple[int, float]:
         """Return the least number of clusters, and of effective ones, over all levels and raw."""
@@ -299,31 +298,25 @@ def monotone(values: Floats, *, increasing: bool) -> Floats:
     return np.ascontiguousarray(best.T)
 
 
-def joined(a: Floats, b: Floats, *, increasing: bool) -> tuple[Floats, Floats]:
-    """Return two curves that end in one raw, their last column, made monotone together.
+def joined(curves: Sequence[Floats], *, increasing: bool) -> list[Floats]:
+    """Return curves that end in one raw, their last column, made monotone together.
 
-    Isotonic regression over both, (R, L) and (R, K), in which raw counts once: it is the largest
-    mean of raw and the last so many levels of either curve, the others are those of each curve
-    by itself, cut off there (isotonic regression within bounds; Barlow et al. 1972).
+    Isotonic regression over all of them, (R, L) each, in which raw counts once: with what lies
+    above it, once every curve is monotone by itself, it is pooled to their mean (isotonic
+    regression within bounds; Barlow et al. 1972).
     """
     if not increasing:
-        first, second = joined(-a, -b, increasing=True)
-        return -first, -second
-    raw = a[:, -1:]
-    sums = [np.cumsum(np.append(raw * 0.0, one[:, -2::-1], axis=1), axis=1) for one in (a, b)]
-    n = np.arange(sums[0].shape[1])[:, None] + np.arange(sums[1].shape[1])
-    pooled = (raw[:, :, None] + sums[0][:, :, None] + sums[1][:, None, :]) / (1.0 + n)
-    top = pooled.max(axis=(1, 2))[:, None]
-    first, second = (
-        np.append(np.minimum(monotone(one[:, :-1], increasing=True), top), top, axis=1)
-        for one in (a, b)
-    )
-    return first, second
+        return [-one for one in joined([-one for one in curves], increasing=True)]
+    own = [monotone(one[:, :-1], increasing=True) for one in curves]
+    highest = -np.sort(-np.concatenate(own, axis=1), axis=1)
+    sums = np.cumsum(np.append(curves[0][:, -1:], highest, axis=1), axis=1)
+    raw = (sums / np.arange(1, sums.shape[1] + 1)).max(axis=1, keepdims=True)
+    return [np.append(np.minimum(one, raw), raw, axis=1) for one in own]
 
 
 def _rises(measure: Measure) -> bool:
     """Return whether a measure rises towards raw: what noise costs falls, what it hides rises."""
-    return measure.metric not in (MISSED_RATE, EQUAL_ALARMS)
+    return measure.metric not in (MISSED_RATE, EQUAL_ALARMS, ERROR)
 
 
 def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:

@@ -16,12 +16,12 @@ chosen on one half of the people and scored on the other (`cross_fitted`).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from evaluation.analysis.families import CLEAN, FID, FIXED, SWEPT, Family
-from evaluation.analysis.keys import AS_SHARED, ORACLE, Key, Source, Where
+from evaluation.analysis.keys import AS_SHARED, INFORMED, ORACLE, Key, Source, Where
 from evaluation.analysis.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.experiment.presets import IDENTITY
 from isac_track.protocols import ADVERSARIES
@@ -44,15 +44,21 @@ class Valued(Protocol):
         """The estimate."""
 
 
-def strongest_of(levels: Iterable[Mapping[Source, float]]) -> Source | None:
+HEADLINE: Final = ("blind", INFORMED)
+"""Adversaries of whom the strongest is the headline; all others are told beside it."""
+
+
+def strongest_of(
+    levels: Iterable[Mapping[Source, float]], *, among: Collection[str] = HEADLINE
+) -> Source | None:
     """Return the strongest attack over some levels, or None if none counts.
 
-    `levels` is of each level the success of every attack; what names no adversary is none.
+    `levels` is of each level the success of every attack; those of the adversaries `among` count.
     """
     values: dict[Source, list[float]] = {}
     for level in levels:
         for source, value in level.items():
-            if source.knowledge not in ("", ORACLE) and source.consumer != IDENTITY:
+            if source.knowledge in among and source.consumer != IDENTITY:
                 values.setdefault(source, []).append(value)
     most = max(map(len, values.values()), default=0)
     means = {source: float(np.mean(one)) for source, one in values.items() if len(one) == most}
@@ -91,33 +97,38 @@ def cross_fitted(
     *,
     weights: Floats,
     seed: int,
+    by: str = EXPOSURE,
 ) -> tuple[dict[Key, Estimate], list[Source]]:
-    """Return the descriptors after the headline reconstruction without the bias of its choice.
+    """Return what the headline attack achieves without the bias of its choice.
 
-    On each half of the people (clusters, drawn once) the strongest is chosen as ever; every cluster
-    then counts as the choice of the other half leaves it. Also returns the two choices. If both
-    are the headline, nothing is returned: its own estimates are what this would give.
+    On each half of the people (clusters, drawn once) the strongest is chosen as ever, among the
+    headline's adversaries; every cluster then counts as the choice of the other half leaves it.
+    Also returns the two choices. If both are the headline, nothing is returned: its own estimates
+    are what this would give.
 
     Parameters
     ----------
     sums : (2, C) by key
-        Of every reconstruction: numerator and denominator of each descriptor in each cluster.
+        Of every attack: numerator and denominator of each metric in each cluster.
     weights : (B, C)
         From `cluster_weights`.
+    by
+        The metric that attacks are ranked by.
     """
     from isac_track.intervals import ratio_estimates  # noqa: PLC0415 - who reads a run needs none
 
     n = weights.shape[1]
     is_first = stream(seed, "strongest", "halves").permutation(n) < n / 2
     families = {known[key.mechanism].family for key in sums}
+    among = HEADLINE if headline.knowledge in HEADLINE else (headline.knowledge,)
     choices = []
     for half in (is_first, ~is_first):
         levels: Levels = {}
         for key, (over, under) in sums.items():
-            if key.metric == EXPOSURE and under[half].any():
+            if key.metric == by and under[half].any():
                 value = float(over[half].sum() / under[half].sum())
                 levels.setdefault(key.where, {})[key.measure.source] = value
-        choices.append(strongest_of(_choosing(levels, known, families)))
+        choices.append(strongest_of(_choosing(levels, known, families), among=among))
     of_first, of_second = choices
     if of_first is None or of_second is None or of_first == of_second == headline:
         return {}, []

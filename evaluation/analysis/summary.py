@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from evaluation.analysis.families import Family
+    from evaluation.runs.cell_files import Summed
     from isac_track.types import ErrorLaw, Floats, Ints
 
 N_REPLICATES = 1000
@@ -136,6 +137,11 @@ def linkage_estimates(read: Cards) -> dict[Key, Estimate]:
     return {
         key_of(entry, metric): one for entry, card in read for metric, one in card.estimates.items()
     }
+
+
+def linkage_sums(read: Cards) -> dict[Key, Summed]:
+    """Return the rank metrics of the attacks, summed by cluster."""
+    return {key_of(entry, metric): one for entry, card in read for metric, one in card.sums.items()}
 
 
 def weights_of(manifest: Mapping[str, Any]) -> Floats:

@@ -11,7 +11,7 @@ import contextlib
 import io
 import json
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
@@ -78,6 +78,15 @@ class Index(NamedTuple):
     consumers: Mapping[str, Held]
 
 
+class Summed(NamedTuple):
+    """A metric that is a ratio of sums over people."""
+
+    sums: Floats
+    """(2, C) numerator and denominator within each cluster"""
+    weights: Floats
+    """(B, C) how often each cluster is drawn"""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkageOutcome:
     """What a linkage attack, or a control, achieves at one level."""
@@ -88,6 +97,8 @@ class LinkageOutcome:
     """The rest of the `isac_track.linkability.Scorecard`, by its names."""
     cohorts: Mapping[str, Mapping[str, Any]]
     """Without confounders: rank1, ci_low, ci_high, chance, p_rank1, n_mated, n_clusters."""
+    sums: Mapping[str, Summed] = field(default_factory=dict)
+    """Of an attack's rank metrics that were asked for."""
 
 
 def packed(
@@ -240,12 +251,12 @@ def _outcomes(
         at = {name: slice(first, first + n) for name, (first, n) in held.tables.items()}
         about = json.loads(whole["about"][at[ABOUT].start].as_py())
         replicates: dict[str, Any] = {}
-        effective: dict[str, float] = {}
+        summed: dict[str, Summed] = {}
         for metric in whole.column_names if REPLICATES in at else ():
             of = whole[metric].slice(*held.tables[REPLICATES])
             if (drawn is None or metric in drawn) and of.null_count == 0:
                 replicates[metric] = of.to_numpy()
-        found.append((about, at[ESTIMATES], replicates, effective))
+        found.append((about, at[ESTIMATES], replicates, summed))
         if not draws:
             continue
         rows, place = at[ROWS], {name: n for n, name in enumerate(about["clusters"])}
@@ -260,7 +271,7 @@ def _outcomes(
         )
         drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
         for metric, both in _rank_sums(probes, _weights(*drawn_as).shape[1], drawn).items():
-            effective[metric] = effective_clusters(both[1])
+            summed[metric] = Summed(np.stack(both), _weights(*drawn_as))
             sums[drawn_as].append(both)
             asked[drawn_as].append((replicates, metric))
     for drawn_as, of in sums.items():
@@ -269,7 +280,8 @@ def _outcomes(
             ratios = (over / under).astype(np.float32)
         for (replicates, metric), ratio in zip(asked[drawn_as], ratios, strict=True):
             replicates[metric] = ratio
-    for about, mine, replicates, effective in found:
+    for about, mine, replicates, summed in found:
+        effective = {name: effective_clusters(one.sums[1]) for name, one in summed.items()}
         names = [metrics[1][code] for code in metrics[0][mine]]
         numbers = zip(*(one[mine].tolist() for one in fields), strict=True)
         estimates = {
@@ -279,7 +291,7 @@ def _outcomes(
             )
             for name, (value, low, high, n) in zip(names, numbers, strict=True)
         }
-        yield LinkageOutcome(estimates, about["numbers"], about["cohorts"])
+        yield LinkageOutcome(estimates, about["numbers"], about["cohorts"], summed)
 
 
 def _rank_sums(

@@ -46,7 +46,7 @@ def test_two_curves_that_end_in_one_raw_are_the_nearest_that_are_monotone(seed, 
     rng = np.random.default_rng(seed)
     a, b = (np.round(rng.normal(size=(1, n)), 1) for n in rng.integers(2, 6, 2))
     b[:, -1] = a[:, -1]
-    first, second = joined(a, b, increasing=increasing)
+    first, second = joined([a, b], increasing=increasing)
     assert first[0, -1] == second[0, -1]
     n = a.size + b.size - 1
     # Every level is raw less the steps between.
