@@ -34,6 +34,7 @@ _MENDED: Final = {
     "duplicate": "rows twice, dropped",
     "unsorted": "rows sorted",
     "fast-step": "steps over 12 m/s kept",
+    "fast-piece": "tracks with a step over 4 m/s kept",
     "ignored-column": "columns not used",
 }
 """What is told of repairs, by kind."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isac_track.datasets import crowd, read_frames, read_table, recording, registry
+from isac_track.datasets import crowd, read_frames, read_gc, read_table, recording, registry
 from isac_track.datasets.recording import Repair, Rows, checked_fps, steps_within
 from isac_track.datasets.registry import DEFAULT, FALLBACK, GROUPS_FILE, KNOWN, MAIN_FILE, shown
 from isac_track.datasets.repair import to_tracks
@@ -41,6 +41,8 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
     **_WITH_CLOCK,
 }
 """Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
+GRAND_CENTRAL = "gc"
+"""The format of an archive or a folder, as `read_gc` describes it."""
 _EXTENSIONS = {".csv": "csv", ".parquet": "parquet", ".ndjson": "trajnet"}
 SLOW_MPS = 0.2
 """Slower steps than this are not walking."""
@@ -104,7 +106,51 @@ def load(
         Times in s from the first sample of the recording, positions in m. What cannot be had or
         read is a DataError that names file and line, or the way out.
     """
-    notice = None
+    source, files, notice = _found(name, download=download, format=format, fps=fps, unit=unit)
+    path = next(iter(files.values()))
+    where, format_name, repairs = shown(path), source.format, tuple[Repair, ...]()
+    if source.format == GRAND_CENTRAL:
+        tracks, repairs, sha256 = _grand_central(path, source)
+    else:
+        data = registry.read_bytes(path, data_set=source)
+        sha256 = hashlib.sha256(data).hexdigest()
+    if source.session is not None:
+        where, format_name = f"isac_track/datasets/{path.name}", "npz"
+        tracks = crowd.read_npz(path)
+    elif source.format != GRAND_CENTRAL:
+        format_name, found = _format_of(path, source.format, data=data)
+        groups = []
+        if GROUPS_FILE in files:
+            lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
+            groups = [(member, line.split()[0]) for line in lines for member in line.split()]
+        tracks, repairs = read(
+            data=data, path=where, format=format_name, fps=source.fps, unit=unit, groups=groups
+        )
+        repairs = (*found, *repairs)
+    return Dataset(
+        name=source.name,
+        tracks=tracks,
+        path=where,
+        sha256=sha256,
+        format=format_name,
+        simulated=source.session is not None,
+        repairs=repairs,
+        notice=notice,
+        citation=source.citation,
+        licence=source.licence,
+    )
+
+
+def _found(
+    name: str | Path | None,
+    *,
+    download: bool,
+    format: str | None,  # noqa: A002 - the name of the option
+    fps: float | None,
+    unit: str | None,
+) -> tuple[registry.Known, dict[str, Path], str | None]:
+    """Return what is meant by a name or path, its files, and what is to be said of the choice."""
+    notice: str | None = None
     if name is not None and _is_path(name):
         path = Path(name)
         # Rows of another recording must never pass for those of a known one.
@@ -130,34 +176,17 @@ def load(
                     f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated "
                     f"crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
                 )
-    path = files[MAIN_FILE]
-    data = registry.read_bytes(path, data_set=source)
-    repairs: tuple[Repair, ...] = ()
-    if source.session is not None:
-        where, format_name = f"isac_track/datasets/{path.name}", "npz"
-        tracks = crowd.read_npz(path)
-    else:
-        where, (format_name, found) = shown(path), _format_of(path, source.format, data=data)
-        groups = []
-        if GROUPS_FILE in files:
-            lines = registry.read_bytes(files[GROUPS_FILE], data_set=source).decode().splitlines()
-            groups = [(member, line.split()[0]) for line in lines for member in line.split()]
-        tracks, repairs = read(
-            data=data, path=where, format=format_name, fps=source.fps, unit=unit, groups=groups
-        )
-        repairs = (*found, *repairs)
-    return Dataset(
-        name=source.name,
-        tracks=tracks,
-        path=where,
-        sha256=hashlib.sha256(data).hexdigest(),
-        format=format_name,
-        simulated=source.session is not None,
-        repairs=repairs,
-        notice=notice,
-        citation=source.citation,
-        licence=source.licence,
-    )
+    return source, files, notice
+
+
+def _grand_central(path: Path, source: registry.Known) -> tuple[Tracks, tuple[Repair, ...], str]:
+    """Return the tracks of a folder or archive of `GRAND_CENTRAL`, what was mended, its digest."""
+    if source.fps is not None:
+        raise DataError(f"{shown(path)}: format {GRAND_CENTRAL} has its own clock; leave --fps out")
+    rows, digest = read_gc.read_gc(path, where=shown(path))
+    registry.check(path, source, file_name=registry.WHOLE, actual=digest)
+    tracks, repairs = to_tracks(rows)
+    return tracks, (*repairs, *read_gc.fast_pieces(tracks, where=shown(path))), digest
 
 
 def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair, ...]]:
@@ -166,7 +195,7 @@ def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair
     What was taken from a header is noted. The number of columns says nothing: id and frame swap.
     """
     name = name or _EXTENSIONS.get(path.suffix.lower(), "")
-    known = ", ".join(FORMATS)
+    known = ", ".join((*FORMATS, GRAND_CENTRAL))
     if not name:
         where = shown(path)
         recording.check_text(data=data, path=where)

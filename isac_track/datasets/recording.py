@@ -87,6 +87,8 @@ class Rows:
     """What the reader itself mended or left out."""
     unit: str = ""
     """Of `METRES`, that the file says its lengths are in; empty if it says nothing."""
+    split_s: float | None = None
+    """The longest step within a track, if the format says so."""
 
 
 def in_metres(rows: Rows, *, unit: str | None) -> Rows:

@@ -31,9 +31,11 @@ DEFAULT = "students03"
 FALLBACK = "plaza"
 MAIN_FILE = "obsmat.txt"
 GROUPS_FILE = "groups.txt"
+WHOLE = ""
+"""Instead of a file name: the folder of a data set, hashed by its reader."""
 _OPENTRAJ = (
     "https://raw.githubusercontent.com/crowdbotp/OpenTraj/"
-    "97ec1d5e1b579f26febeaa9083705952deac338a/datasets/UCY"
+    "97ec1d5e1b579f26febeaa9083705952deac338a/datasets"
 )
 CONNECT_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 30.0
@@ -59,6 +61,10 @@ class Known:
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     """Hash of every file, by file name; empty if bundled or of one's own."""
+    remote: str = ""
+    """Its folder in OpenTraj."""
+    get: str = ""
+    """How to get what is never downloaded from here: a folder of its own, named like it."""
 
 
 _UCY = partial(
@@ -69,6 +75,12 @@ _UCY = partial(
     format="obsmat",
     fps=25.0,
 )
+_ETH = partial(
+    Known,
+    citation="S. Pellegrini, A. Ess, K. Schindler, L. van Gool: You'll Never Walk Alone. ICCV 2009",
+    licence="no licence is stated; its authors ask to be cited; in metres by OpenTraj",
+    format="obsmat",
+)
 _PLAZA = partial(
     Known,
     citation="isac-track: the simulated crowd plaza, made by isac_track.datasets.crowd",
@@ -78,6 +90,7 @@ _KNOWN = (
     _UCY(
         "students03",
         "UCY students 3, Tel Aviv campus",
+        remote="UCY/students03",
         sha256={
             MAIN_FILE: "d9fd7048eab7d3d9550d7ac4f59b19d97a87612310e8c8e48cf3aaf59764ff80",
             GROUPS_FILE: "93f1c1d59e089de38ca9d3a81d1592f8add87fac92130abdedcc3a8267177e02",
@@ -86,7 +99,40 @@ _KNOWN = (
     _UCY(
         "zara01",
         "UCY zara 1, shopping street",
+        remote="UCY/zara01",
         sha256={MAIN_FILE: "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa"},
+    ),
+    _UCY(
+        "zara02",
+        "UCY zara 2, the same street",
+        remote="UCY/zara02",
+        sha256={MAIN_FILE: "0b29bdacd54b971299b741f291d9b0eac0ce9aeec9901e75576c529a39523e9b"},
+    ),
+    _ETH(
+        "eth",
+        "ETH, a building's entrance; frames 6 apart at 15 a second",
+        remote="ETH/seq_eth",
+        fps=15.0,
+        sha256={MAIN_FILE: "d452ae2185ecb1164c2fdf31e75f6236f4c2ffc02c751a6b2ae921740cbc60d1"},
+    ),
+    _ETH(
+        "hotel",
+        "ETH hotel, a pavement at a tram stop",
+        remote="ETH/seq_hotel",
+        fps=25.0,
+        sha256={MAIN_FILE: "2b8577595204a6b780b80258fd50da35adb7293e3e06ad6f8e1b60965e7dde6e"},
+    ),
+    Known(
+        "gc",
+        "Grand Central Station, a concourse, 1.25 Hz: too slow for sway",
+        citation="B. Zhou, X. Wang, X. Tang, CVPR 2012 (video); S. Yi, H. Li, X. Wang: "
+        "Understanding Pedestrian Behaviors from Stationary Crowd Groups. CVPR 2015 (tracks)",
+        licence="none is issued: for research, never to be passed on",
+        format="gc",
+        sha256={WHOLE: "8225802df781dcae75d771b5bf78950122f4f2f9ebb8f8734fd5f5d2565ff990"},
+        get="no licence is issued with it, so it is not downloaded from here. Get the folder "
+        "datasets/GC of OpenTraj (github.com/crowdbotp/OpenTraj) at commit 97ec1d5e1b57, save it "
+        "as DIR/gc, or an archive of it as DIR/gc/gc.tgz",
     ),
     _PLAZA("plaza", "simulated crowd, bundled", session=1),
     _PLAZA("plaza-session2", "the same simulated people another time, bundled", session=2),
@@ -125,11 +171,12 @@ def locate(data_set: Known) -> tuple[dict[str, Path], list[str]]:
     The data folder comes before the cache. Hashes are checked when the files are read.
     """
     folders = [folder for folder in (cache_folder(), _folder(DATA_VARIABLE)) if folder]
+    is_here = os.path.isdir if WHOLE in data_set.sha256 else os.path.isfile  # these never raise
     files = {
         file_name: folder / data_set.name / file_name
         for folder in folders
         for file_name in data_set.sha256
-        if os.path.isfile(folder / data_set.name / file_name)  # noqa: PTH113 - never raises
+        if is_here(folder / data_set.name / file_name)
     }
     return files, [file_name for file_name in data_set.sha256 if file_name not in files]
 
@@ -161,21 +208,27 @@ def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise DataError(f"{shown(path)}: cannot be read ({error.strerror})") from None
-    expected = data_set.sha256.get(path.name) if data_set else None
-    if data_set and expected and (actual := hashlib.sha256(data).hexdigest()) != expected:
-        raise DataError(
-            f"{shown(path)} is not the {path.name} of {data_set.name}: sha256 is {actual}, "
-            f"expected {expected}. Remove it and run `python -m isac_track.datasets fetch "
-            f"{data_set.name}`, or use it as a recording of your own: give its path, --format "
-            f"{data_set.format} and --fps"
-        )
+    if data_set and path.name in data_set.sha256:
+        check(path, data_set, file_name=path.name, actual=hashlib.sha256(data).hexdigest())
     return data
+
+
+def check(path: Path, data_set: Known, *, file_name: str, actual: str) -> None:
+    """Raise DataError if a file or folder of a known data set has another hash than it must."""
+    if actual != (expected := data_set.sha256.get(file_name, actual)):
+        raise DataError(
+            f"{shown(path)} is not the {file_name or 'folder'} of {data_set.name}: sha256 is "
+            f"{actual}, expected {expected}. Remove it and run `python -m isac_track.datasets "
+            f"fetch {data_set.name}`, or use it as a recording of your own: give its path, "
+            f"--format {data_set.format}{' and --fps' if data_set.fps else ''}"
+        )
 
 
 def url_of(data_set: Known, file_name: str) -> str:
     """Return where a file of a known data set is downloaded from."""
-    base = os.environ.get(MIRROR_VARIABLE, "").strip() or _OPENTRAJ
-    return f"{base.rstrip('/')}/{data_set.name}/{file_name}"
+    if base := os.environ.get(MIRROR_VARIABLE, "").strip():
+        return f"{base.rstrip('/')}/{data_set.name}/{file_name}"
+    return f"{_OPENTRAJ}/{data_set.remote}/{file_name}"
 
 
 def files_of(data_set: Known, *, download: bool) -> dict[str, Path]:
@@ -185,8 +238,9 @@ def files_of(data_set: Known, *, download: bool) -> dict[str, Path]:
         return fetch(data_set)[0]
     if absent:
         here = "".join(f"; {shown(path)} is" for path in files.values())
+        what = " and ".join(filter(None, absent)) or "its folder"
         raise DataError(
-            f"{data_set.name}: {' and '.join(absent)} not found{here} ({searched()}). "
+            f"{data_set.name}: {what} not found{here} ({searched()}). "
             f"To get it: python -m isac_track.datasets fetch {data_set.name}"
         )
     return files
@@ -204,13 +258,10 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
 
     folder = cache_folder() / data_set.name
     files, absent = locate(data_set)
-    for file_name, path in files.items():
-        try:
-            read_bytes(path, data_set=data_set)
-        except DataError:
-            if path != folder / file_name:
-                raise
-            absent.append(file_name)
+    if data_set.get and absent:
+        way_out = f"and set {DATA_VARIABLE}=DIR ({searched()})"
+        raise DataError(f"{data_set.name}: {data_set.get}, {way_out}")
+    absent += [] if data_set.get else _damaged(files, data_set)
     for file_name in absent:
         url, target = url_of(data_set, file_name), folder / file_name
         way_out = (
@@ -237,6 +288,19 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
                 unchecked.unlink()
         files[file_name] = target
     return files, bool(absent)
+
+
+def _damaged(files: Mapping[str, Path], data_set: Known) -> list[str]:
+    """Return which of the files in the cache are not the right ones; DataError for the user's."""
+    damaged = []
+    for file_name, path in files.items():
+        try:
+            read_bytes(path, data_set=data_set)
+        except DataError:
+            if path != cache_folder() / data_set.name / file_name:
+                raise
+            damaged.append(file_name)
+    return damaged
 
 
 def _remove_leftovers(folder: Path, file_name: str) -> None:

@@ -153,8 +153,9 @@ def _cuts(rows: Rows, order: Ints) -> tuple[Bools, list[Repair]]:
     if new.all():
         return new, []
     nominal = float(np.median(steps[~new], overwrite_input=True))
-    gap = ~new & (steps > GAP_STEPS * nominal)
-    long = gap & (steps > max(SPLIT_S, SPLIT_STEPS * nominal))
+    longest_s = max(SPLIT_S, SPLIT_STEPS * nominal) if rows.split_s is None else rows.split_s
+    long = ~new & (steps > longest_s + SAME_TIME_S)
+    gap = ~new & (steps > GAP_STEPS * nominal) | long
     notes = []
     for where, kind, done in (
         (gap & ~long, "gap", "kept, to be interpolated"),

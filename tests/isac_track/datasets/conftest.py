@@ -33,6 +33,13 @@ def ucy():
 
 
 @pytest.fixture
+def gc():
+    """Skip where Grand Central is not at hand, which is not part of the project."""
+    if not (Path(os.environ.get("ISAC_TRACK_DATA", "nowhere")) / "gc").is_dir():
+        pytest.skip("needs Grand Central: set ISAC_TRACK_DATA")
+
+
+@pytest.fixture
 def mirror(empty_machine, monkeypatch):  # noqa: ARG001 - the cache is to be empty
     """A real server on the loopback; fill its `files`, by path."""
     with serving() as server:
