@@ -105,13 +105,14 @@ def test_levels_run_from_the_noisiest():
 
 def test_a_curve_ends_at_raw_and_without_it_or_with_one_level_there_is_none():
     found = run()
-    curve = sweeps_of(found).curve("fid", Measure(SHARED, "plr"))
+    both = dict.fromkeys(("fid", "raw"), Measure(SHARED, "plr"))
+    curve = sweeps_of(found).together(both)["fid"]
     assert curve.shape == (201, len(FID) + 1)
     assert curve[0, -1] == pytest.approx(found[Key("raw", None, SHARED, "plr")].value)
     no_raw = {key: one for key, one in found.items() if key.mechanism != "raw"}
-    assert sweeps_of(no_raw).curve("fid", Measure(SHARED, "plr")) is None
+    assert sweeps_of(no_raw).together(both) == {}
     one_level = {key: one for key, one in found.items() if key.level in (None, 1.0)}
-    assert sweeps_of(one_level).curve("fid", Measure(SHARED, "plr")) is None
+    assert sweeps_of(one_level).together(both) == {}
 
 
 def frame(found):
