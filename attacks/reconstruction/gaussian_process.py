@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from scipy.special import comb
 
 from attacks.parameters import positive
 from attacks.reconstruction.learning import TOLD, around, smoother
@@ -17,15 +15,13 @@ from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 if TYPE_CHECKING:
     from isac_track.protocols import AttackContext, Reconstructor
 
-Smoothness: TypeAlias = Literal["matern32", "matern52"]
-
 TREND_STD = (100.0, 10.0)
 """m and m/s: of the line that the process varies about, far more than any walk needs."""
 
 
 @dataclass(frozen=True, slots=True)
 class GaussianProcess:
-    """A Matern process about a straight line, one per axis and track; noise as estimated.
+    """A Matern-3/2 process about a straight line, one per axis and track; noise as estimated.
 
     The line starts at the first shared position plus an offset, and has a slope; both have vague
     Gaussian priors (`TREND_STD`) and are estimated along with the process, so that neither
@@ -43,7 +39,6 @@ class GaussianProcess:
     length_s: float | None = None
     """s; None, together with `scale_m`: learnt from the training set, or `DEFAULT` without one."""
     scale_m: float | None = None  # m, standard deviation of the process about the line.
-    smoothness: Smoothness = "matern32"
 
     slow: ClassVar[bool] = True
     seconds_per_sample: ClassVar[float] = 3.2e-6
@@ -55,23 +50,19 @@ class GaussianProcess:
         if (self.length_s is None) != (self.scale_m is None):
             raise ValueError("give both length_s and scale_m, or neither to have them learnt")
         positive(length_s=self.length_s, scale_m=self.scale_m)
-        if self.smoothness not in (known := get_args(Smoothness)):
-            raise ValueError(f"smoothness must be one of {known}, got {self.smoothness!r}")
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the regression of releases like those in the training set."""
         length_s, scale_m = self.length_s, self.scale_m
         return smoother(
             context,
-            partial(smooth, smoothness=self.smoothness),
+            smooth,
             given=None if length_s is None or scale_m is None else (length_s, scale_m),
             candidates=[(self.DEFAULT[0], one) for one in around(self.DEFAULT[1], factor=2.0)],
         )
 
 
-def smooth(
-    release: Release, variance: Floats, kernel: tuple[float, float], *, smoothness: Smoothness
-) -> Reconstruction:
+def smooth(release: Release, variance: Floats, kernel: tuple[float, float]) -> Reconstruction:
     """Return the posterior of every track at its samples, by filter and smoother.
 
     Step k of all tracks that are so long is taken at once. `variance`, (M,) m^2, is that of the
@@ -83,10 +74,9 @@ def smooth(
     xy, noise = (release.xy - origin)[rows], variance[rows]
     elapsed_s = np.diff(release.t, prepend=release.t[0])
     elapsed_s[first] = 0.0  # not since the end of another track
-    prior, move = _model(elapsed_s[rows], kernel=kernel, smoothness=smoothness)
-    size = prior.shape[0]
-    measured = np.r_[1.0, 0.0, 1.0, np.zeros(size - 3)]  # position on the line plus the process
-    mean, cov = np.zeros((rows.size, 2, size)), np.empty((rows.size, size, size))
+    prior, move = _model(elapsed_s[rows], kernel=kernel)
+    measured = np.array([1.0, 0.0, 1.0, 0.0])  # position on the line plus the process
+    mean, cov = np.zeros((rows.size, 2, 4)), np.empty((rows.size, 4, 4))
     ahead_mean, ahead_cov = np.zeros_like(mean), np.empty_like(cov)
     ahead_cov[: starts[1]] = prior
     process = prior.copy()
@@ -118,34 +108,21 @@ def smooth(
     return Reconstruction(place, std)
 
 
-def _model(
-    step_s: Floats, *, kernel: tuple[float, float], smoothness: Smoothness
-) -> tuple[Floats, Floats]:
-    """Return the prior covariance (d, d) and exp(F step), (M, d, d), of line and process.
+def _model(step_s: Floats, *, kernel: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Return the prior covariance (4, 4) and exp(F step), (M, 4, 4), of line and process.
 
-    The state is offset and slope of the line, then the process and its derivatives.
+    The state is offset and slope of the line, then the process and its derivative.
     """
     length_s, scale_m = kernel
-    n = 2 if smoothness == "matern32" else 3
-    rate = np.sqrt(2.0 * n - 1.0) / length_s
-    if n == 2:  # noqa: PLR2004 - process and velocity
-        process = np.diag([1.0, rate**2])
-    else:
-        cross = rate**2 / 3.0
-        process = np.array([[1.0, 0.0, -cross], [0.0, cross, 0.0], [-cross, 0.0, rate**4]])
-    prior = np.diag(np.r_[np.square(TREND_STD), np.zeros(n)])
-    prior[2:, 2:] = scale_m**2 * process
-    drift = np.diag(np.ones(n - 1), k=1)
-    # Characteristic polynomial (s + rate)^n: F + rate 1 is nilpotent, its exponential finite.
-    powers = np.arange(n, 0, -1)
-    drift[-1] = -comb(n, powers) * rate**powers
-    rest = drift + rate * np.eye(n)
+    rate = np.sqrt(3.0) / length_s
+    prior = np.diag([*np.square(TREND_STD), scale_m**2, scale_m**2 * rate**2])
+    # Characteristic polynomial (s + rate)^2: F + rate 1 is nilpotent, its exponential finite.
+    rest = np.array([[rate, 1.0], [-(rate**2), -rate]])
     tau = step_s[:, None, None]
-    series = np.eye(n) + tau * rest + tau**2 / 2.0 * (rest @ rest)  # the rest is zero
-    move = np.zeros((step_s.size, n + 2, n + 2))
+    move = np.zeros((step_s.size, 4, 4))
     move[:, :2, :2] = np.eye(2)
     move[:, 0, 1] = step_s
-    move[:, 2:, 2:] = np.exp(-rate * tau) * series
+    move[:, 2:, 2:] = np.exp(-rate * tau) * (np.eye(2) + tau * rest)
     return prior, move
 
 

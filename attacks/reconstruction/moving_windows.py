@@ -48,7 +48,7 @@ class MovingAverage:
 
 
 @dataclass(frozen=True, slots=True)
-class Savgol:
+class Savgol(MovingAverage):
     """Least-squares parabolas over a moving window, wider where a track is noisier.
 
     At the middle of a window of width h a parabola (and a cubic, which is the same there) is off
@@ -66,16 +66,7 @@ class Savgol:
     procedures", Analytical Chemistry 36(8), 1964, 1627-1639.
     """
 
-    width_s: float | None = None
-    """s, at errors of 0.5 m per axis; None: learnt from the training set, or `DEFAULT_WIDTH_S`
-    without one."""
-
-    requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     DEFAULT_WIDTH_S: ClassVar[float] = 6.5
-
-    def __post_init__(self) -> None:
-        positive(width_s=self.width_s)
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the filter of releases like those in the training set."""

@@ -122,7 +122,6 @@ REFUSED = [
     (GaussianProcess, {"length_s": 1.0}, "both length_s and scale_m"),
     (GaussianProcess, {"length_s": 0.0, "scale_m": 1.0}, "length_s must be positive"),
     (GaussianProcess, {"length_s": 1.0, "scale_m": np.nan}, "scale_m must be positive"),
-    (GaussianProcess, {"smoothness": "rbf"}, "smoothness must be one of"),
 ]
 
 
