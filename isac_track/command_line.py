@@ -9,13 +9,11 @@ import os
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any, Final, NoReturn
 
 from isac_track.errors import IsacTrackError, SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from types import FrameType
 
 DONE: Final = 0
 LIMIT_NOT_MET: Final = 1

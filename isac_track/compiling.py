@@ -7,13 +7,11 @@ importing numba takes longer than a command may take to print its help.
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _Loop = TypeVar("_Loop", bound="Callable[..., object]")
 FLOAT, INT = numba.float64, numba.int64

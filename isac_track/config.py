@@ -9,11 +9,11 @@ and the memory of a computer can take.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from numbers import Integral, Real
 from typing import (
-    TYPE_CHECKING,
     Any,
     Literal,
     TypeAlias,
@@ -23,9 +23,6 @@ from typing import (
 )
 
 from isac_track.errors import SettingsError, did_you_mean, quoted
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 IntervalsOf: TypeAlias = Literal["segment", "trajectory"]
 """Whose sampling intervals the duration of a leaked segment is made of."""

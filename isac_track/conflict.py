@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.special import ndtr
 
-if TYPE_CHECKING:
-    from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _SMALLEST_STD_M = 1e-3

@@ -5,18 +5,15 @@ Of few clusters the bootstrap's are too narrow: there a jackknife takes its plac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import betaincinv, expit, logit, ndtri, stdtrit
 
 from isac_track.rng import stream
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 CONFIDENCE = 0.95
 FEW_CLUSTERS: Final = 40.0

@@ -14,19 +14,17 @@ import math
 import sys
 import types
 import typing
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, Union
+from typing import Any, Literal, TypeAlias, Union
 
 from isac_track import errors
 from isac_track.command_line import may_be_ctrl_c
 from isac_track.errors import IsacTrackError, PluginError, SettingsError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
 
 Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks"]
 

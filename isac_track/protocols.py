@@ -7,10 +7,12 @@ that hands an attack what it was granted and nothing else.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.errors import KnowledgeDenied
 from isac_track.types import (
@@ -23,11 +25,6 @@ from isac_track.types import (
     Sensed,
     read_only,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.random import Generator
 
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """What turns a release into a reconstruction, sample for sample."""

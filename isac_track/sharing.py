@@ -6,19 +6,16 @@ how much error each sample gets.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.sensing import unit_errors
 from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, read_only, within
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.random import Generator
 
 _REMEMBERED = 5
 """Errors kept: of a block, of those who are learnt from in both halves, and two repeats."""

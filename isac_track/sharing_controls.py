@@ -7,19 +7,16 @@ fewer samples. A descriptor that tells how linkable people are must tell under t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Final, get_args
+from typing import ClassVar, Final, get_args
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.sensing import track_directions
 from isac_track.sharing import check_at_least, perturb
 from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.random import Generator
 
 
 def correlated_errors(

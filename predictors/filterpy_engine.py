@@ -8,8 +8,9 @@ H are written out, H is set once, x stays one-dimensional, Q is that of continuo
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
@@ -17,11 +18,7 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import expm
 
 from isac_track.kalman import MAX_REJECTIONS, Batch, Moods
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from isac_track.types import Floats
+from isac_track.types import Floats
 
 
 def last_states(batch: Batch, *, q: float, gate: float) -> tuple[Floats, Floats]:

@@ -6,19 +6,17 @@ first sample, in space and in time.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
 from attacks.linkage.learning import EVERYBODY, Few, Rows
 from attacks.remembered import noise_m2, remembered, whole
 from isac_track.types import Floats, Ints, Release, read_only
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from types import ModuleType
 
 STEP_S = 0.25  # Of the grid: 4 Hz, above what is left of a walk behind the noise of any network.
 LONGEST_S = 60.0

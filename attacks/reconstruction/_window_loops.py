@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from isac_track.compiling import compiled, part_of_loop, read, written
-
-if TYPE_CHECKING:
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 
 @compiled(read(2), read(1), written(2), written(1))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import bdtrc
@@ -16,9 +17,6 @@ from isac_track.linkability import log_rank, rank1
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.sharing import Fixed
 from isac_track.types import ErrorLaw, Floats, Ints, Knowledge, Release
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 GAP_S = 1.0  # Silence before the gallery goes on, where the scene is shown.
 N_PEOPLE = 24

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,9 +17,6 @@ from isac_track.privacy import exposure, leakage_indicator
 from isac_track.protocols import TrainingSet
 from isac_track.sharing import Fixed
 from isac_track.types import ErrorLaw, Floats, Knowledge, Reconstruction, Release, stretches
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 N_TRACKS = 24
 FRAMES: tuple[made.Frame, ...] = (

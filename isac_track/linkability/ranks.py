@@ -13,16 +13,13 @@ Wehmeyer, Tasnadi, PoPETs 2023(2).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 GALLERY = 100
 """Candidates, the mate included, among whom `rank1_among` asks for the first: the measure that

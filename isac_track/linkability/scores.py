@@ -14,15 +14,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import expit
 
 from isac_track.linkability.significance import import_loops
-
-if TYPE_CHECKING:
-    from isac_track.types import Floats
+from isac_track.types import Floats
 
 MIN_EXPECTED = 30
 """A TPR at the FPR alpha needs 30 / alpha non-mated scores, thirty above the threshold: pairs of

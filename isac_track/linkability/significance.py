@@ -6,23 +6,18 @@ Numba is imported, and its loops compiled, at the first shuffle, not before.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import bdtrc, betaincinv, gammaln, xlog1py, xlogy
 
 from isac_track.linkability.ranks import Search, log_factorials
-from isac_track.types import stretches
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints, stretches
 
 Outcome: TypeAlias = Literal["links", "no link detected", "attack too weak"]
 

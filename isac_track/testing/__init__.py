@@ -17,16 +17,14 @@ this kit shares with the attack kit is in `isac_track.testing.engine`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 # The two modules of checks fill the kit as they are imported.
 from isac_track.testing import _conflict_checks, _descriptor_checks, _metrics, engine  # noqa: F401 - as said
 from isac_track.testing._metrics import OWN, Metrics
 from isac_track.testing.engine import Check, Outcome
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 __all__ = [
     "CHECKS",

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import dist, exp, inf, nan
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.testing._metrics import Function, check, expect, expect_call, expect_that, show
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
-    from isac_track.types import Floats
+from isac_track.types import Floats
 
 
 @check

@@ -7,10 +7,10 @@ oracle of the suite; it is meant to be read.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise, product
 from math import comb, expm1, nan, sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtr
@@ -19,11 +19,7 @@ from isac_track.rng import stream
 from isac_track.sensing import unit_errors
 from isac_track.testing._metrics import Function, check, expect, expect_that, register
 from isac_track.testing.engine import statement_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from isac_track.types import Bools, ErrorLaw, Floats
+from isac_track.types import Bools, ErrorLaw, Floats
 
 EPSILON_M = 0.3
 EPSILONS_M = np.linspace(0.02, 1.5, 25)

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,9 +14,7 @@ from isac_track import conflict, privacy, sharing
 from isac_track.errors import told
 from isac_track.rng import stream
 from isac_track.testing.engine import Check, statement_of
-
-if TYPE_CHECKING:
-    from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 Function: TypeAlias = Callable[..., Any]  # One of those offered, guarded.
 TOLERANCE = 1e-9  # Relative as well as absolute.

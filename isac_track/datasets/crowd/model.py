@@ -10,17 +10,12 @@ Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10047 (2010): wal
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from isac_track.datasets.crowd.plan import CrowdSettings, Plan, Traits, person_id
 from isac_track.rng import stream
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 RELAXATION_S = 0.6  # Time to reach the desired velocity.
 ENERGY_M2 = 1.2  # k of the time-to-collision law, in m^2 (energy over mass times time squared).

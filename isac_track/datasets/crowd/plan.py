@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.rng import stream
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
-    from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints
 
 
 @dataclass(frozen=True, slots=True)
