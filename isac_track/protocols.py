@@ -52,7 +52,11 @@ class Mechanism(Protocol):
 
 @runtime_checkable
 class Predictor(Protocol):
-    """The robot's forecast of where each pedestrian will be."""
+    """The robot's forecast of where each pedestrian will be.
+
+    One that is aware has a method ``knowing(mechanism)``, which returns the predictor as it is
+    where that mechanism shares; it is called before `predict`.
+    """
 
     @property
     def requires(self) -> frozenset[Knowledge]:
@@ -60,6 +64,12 @@ class Predictor(Protocol):
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return positions of the N tracks at `t_future`, (N, H) s on each track's clock."""
+
+
+def knowing(predictor: Predictor, mechanism: Mechanism) -> Any:  # noqa: ANN401 - another predictor
+    """Return a predictor as it is where a mechanism shares: one that is aware knows it."""
+    told = getattr(predictor, "knowing", None)
+    return predictor if told is None else told(mechanism)
 
 
 class Adversary(Protocol):

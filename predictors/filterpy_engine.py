@@ -10,25 +10,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import IMMEstimator, KalmanFilter
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 
 from isac_track.kalman import MAX_REJECTIONS, Batch, Moods
 from isac_track.types import Floats
 
+if TYPE_CHECKING:
+    from isac_track.kalman.slow_errors import SlowError
 
-def last_states(batch: Batch, *, q: float, gate: float) -> tuple[Floats, Floats]:
+
+def last_states(
+    batch: Batch, *, q: float, gate: float, error: SlowError | None = None
+) -> tuple[Floats, Floats]:
     """Filter every track and return its last state: mean (N, 2, d) and covariance (N, d, d).
 
-    Parameters are those of `isac_track.kalman.kalman_last`.
+    Parameters are those of `isac_track.kalman.kalman_last`. With a slow `error`, of one standard
+    deviation, it is the last state of each axis.
     """
-    n, d = len(batch), len(batch.prior_std)
+    n, d = len(batch), len(batch.prior_std) + (error is not None)
     mean, cov = np.empty((n, 2, d)), np.empty((n, d, d))
-    for track, (kf, _) in enumerate(_filtered(batch, (q,), gate)):
+    for track, (kf, _) in enumerate(_filtered(batch, (q,), gate, error=error)):
         mean[track], cov[track] = kf.x.reshape(2, d), kf.P[:d, :d]
     return mean, cov
 
@@ -50,11 +56,15 @@ def last_modes(batch: Batch, moods: Moods, *, gate: float) -> tuple[Floats, Floa
 
 
 def _filtered(
-    batch: Batch, q: tuple[float, ...], gate: float, moods: Moods | None = None
+    batch: Batch,
+    q: tuple[float, ...],
+    gate: float,
+    moods: Moods | None = None,
+    error: SlowError | None = None,
 ) -> Iterator[tuple[Any, list[Any]]]:
     """Yield the filter of each track after its last sample, and its modes: one without moods."""
     for lo, hi in pairwise(batch.offsets):
-        modes = [_filter(batch.xy[lo], batch.prior_std) for _ in q]
+        modes = [_filter(batch.xy[lo], batch.prior_std, error) for _ in q]
         steps = np.diff(batch.t[lo:hi], append=batch.t[hi - 1])
         whole = modes[0]
         if moods:
@@ -67,8 +77,8 @@ def _filtered(
         for k, z in enumerate(batch.xy[lo:hi]):
             if k > 0:
                 for mode, density in zip(modes, q, strict=True):
-                    mode.F = _motion(steps[k - 1], len(batch.prior_std))
-                    mode.Q = _process_noise(steps[k - 1], density, len(batch.prior_std))
+                    mode.F = _motion(steps[k - 1], len(batch.prior_std), error)
+                    mode.Q = _process_noise(steps[k - 1], density, len(batch.prior_std), error)
                 whole.predict()
             for mode in modes:
                 mode.R = np.eye(2) * batch.variance[lo + k]
@@ -85,22 +95,26 @@ def _filtered(
         yield whole, modes
 
 
-def _motion(dt: float, d: int) -> Floats:
+def _motion(dt: float, d: int, error: SlowError | None) -> Floats:
     one = np.array([[1.0, dt, 0.5 * dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])[:d, :d]
+    return np.kron(np.eye(2), block_diag(one, np.exp(-dt / error.tau_s)) if error else one)
+
+
+def _process_noise(dt: float, q: float, d: int, error: SlowError | None) -> Floats:
+    one = Q_continuous_white_noise(dim=d, dt=dt, spectral_density=q)
+    if error:
+        one = block_diag(one, -np.square(error.std_m) * np.expm1(-2.0 * dt / error.tau_s))
     return np.kron(np.eye(2), one)
 
 
-def _process_noise(dt: float, q: float, d: int) -> Floats:
-    return np.kron(np.eye(2), Q_continuous_white_noise(dim=d, dt=dt, spectral_density=q))
-
-
-def _filter(start: Floats, prior_std: tuple[float, ...]) -> Any:  # noqa: ANN401 - no types
+def _filter(start: Floats, prior_std: tuple[float, ...], error: SlowError | None) -> Any:  # noqa: ANN401 - no types
     """Return a filter of positions, at rest at `start`."""
-    d = len(prior_std)
-    kf = KalmanFilter(dim_x=2 * d, dim_z=2)
-    kf.H = np.kron(np.eye(2), np.eye(1, d))
-    kf.x = start @ kf.H
-    kf.P = np.kron(np.eye(2), np.diag(prior_std) ** 2)
+    std = [*prior_std, float(error.std_m)] if error else list(prior_std)
+    position = np.eye(1, len(std))
+    kf = KalmanFilter(dim_x=2 * len(std), dim_z=2)
+    kf.H = np.kron(np.eye(2), position + np.eye(1, len(std), len(std) - 1) if error else position)
+    kf.x = start @ np.kron(np.eye(2), position)
+    kf.P = np.kron(np.eye(2), np.diag(std) ** 2)
     return kf
 
 

@@ -7,17 +7,20 @@ innovations, since a robot is not told how accurate a sample is, or taken as dec
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from isac_track.kalman import Batch, Moods, imm_last, kalman_last
-from isac_track.noise import innovation_variance_m2
+from isac_track.kalman import Batch, LastState, Moods, imm_last, kalman_last
+from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks
+from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
 from isac_track.types import ErrorLaw, Floats, Knowledge, Prediction, Release, end_to_end
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
 WINDOW = 160  # Samples; what came before no longer moves the prediction (tested).
+LEAST_REST = 0.05
+"""Share of what innovations show that is never put down to a slow error."""
 _PRIOR_STD = (100.0, 10.0, 10.0)
 """m around the first sample, m/s, m/s^2: far more than any walk, so that nothing is tuned."""
 
@@ -33,10 +36,20 @@ class KalmanCV:
     law: ErrorLaw = "radial"
     """With declared noise: a radial error of std sigma has the variance sigma^2 / 2 per axis."""
     engine: Literal["kernels", "filterpy"] = "kernels"
+    aware: bool = False
+    """Whether the robot is told what mechanism shares; `knowing` is then called before a run."""
+    added_std_m: float = 0.0
+    """Per axis, of the error that is added as far as the robot knows."""
+    tau_s: float = 0.0
+    """Time over which that error's correlation falls to 1/e; 0: white. One that is slow is a state
+    of its own, and the whole history counts."""
 
     states: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
+        if type(self) is not KalmanCV and (self.aware or self.added_std_m or self.tau_s):
+            raise ValueError("only kalman_cv can be aware of a mechanism")
+        SlowError(self.added_std_m, self.tau_s)
         if not (np.isfinite(self.q) and self.q > 0):
             raise ValueError(f"q must be positive, got {self.q}")
         if not self.gate > 0:
@@ -52,20 +65,41 @@ class KalmanCV:
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return mean and covariance at `t_future`, (N, H) s."""
         batch = self.batch(release)
+        error = self._slow_error
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            mean, cov = filterpy_engine.last_states(batch, q=self.q, gate=self.gate)
+            mean, cov = filterpy_engine.last_states(batch, q=self.q, gate=self.gate, error=error)
         else:
-            last = kalman_last(batch, q=self.q, gate=self.gate)
+            last = self._last(batch)
             mean, cov = last.mean, last.cov
+        # Where somebody is, not where they are shared: the error, the last state, is left out.
+        mean, cov = mean[..., : self.states], cov[..., : self.states, : self.states]
         planar = np.einsum("ab,nde->nadbe", np.eye(2), cov)
         elapsed_s = t_future - release.t[release.offsets[1:] - 1, None]
         return Prediction(*_ahead(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s))
 
+    def knowing(self, mechanism: object) -> KalmanCV:
+        """Return the robot that knows what this mechanism adds; itself if it is not aware."""
+        if not self.aware:
+            return self
+        std_m, tau_s = added_error(mechanism)
+        return replace(self, added_std_m=std_m, tau_s=tau_s)
+
+    @property
+    def _slow_error(self) -> SlowError | None:
+        slow = self.added_std_m > 0.0 and self.tau_s > 0.0
+        return SlowError(self.added_std_m, self.tau_s) if slow else None
+
     def log_likelihood(self, release: Release) -> Floats:
         """Return the log density of what was shared, (N,), over the window."""
-        return kalman_last(self.batch(release), q=self.q, gate=self.gate).log_likelihood
+        return self._last(self.batch(release)).log_likelihood
+
+    def _last(self, batch: Batch) -> LastState:
+        error = self._slow_error
+        if error is None:
+            return kalman_last(batch, q=self.q, gate=self.gate)
+        return filter_tracks(batch, error, q=self.q, gate=self.gate)[0]
 
     def batch(self, release: Release) -> Batch:
         """Return the last `window` samples of every track, or all that it has, for the filters.
@@ -73,17 +107,28 @@ class KalmanCV:
         The clock of each track is 0 at its last sample, so that late clocks lose no precision.
         """
         last = release.offsets[1:]
-        sizes = np.minimum(np.diff(release.offsets), self.window)
+        error = self._slow_error
+        sizes = np.diff(release.offsets)
+        if error is None:
+            sizes = np.minimum(sizes, self.window)
         runs = list(zip((last - sizes).tolist(), last.tolist(), strict=True))
         offsets = np.concatenate([[0], np.cumsum(sizes)])
         t = end_to_end(release.t, runs) - np.repeat(release.t[last - 1], sizes)
         xy = end_to_end(release.xy, runs)
+        slow_m2 = 0.0 if error is None else self.added_std_m**2
         if self.noise == "declared":
             assert release.sigma is not None  # the release was granted with it
             share = 0.5 if self.law == "radial" else 1.0
-            variance = np.maximum(end_to_end(release.sigma, runs) ** 2 * share, 1e-12)
+            variance = end_to_end(release.sigma, runs) ** 2 - slow_m2
+            variance = np.maximum(variance * share, 1e-12 if error is None else MIN_VARIANCE_M2)
         else:
-            variance = np.repeat(innovation_variance_m2(t=t, xy=xy, offsets=offsets), sizes)
+            level = innovation_variance_m2(t=t, xy=xy, offsets=offsets)
+            if error is not None:  # a little of it looks like noise
+                rest = level - slow_m2 * error.innovation_share(t=t, offsets=offsets)
+                level = np.maximum(rest, LEAST_REST * level)
+            elif self.added_std_m > 0.0:  # no less than what is added
+                level = np.maximum(level, self.added_std_m**2)
+            variance = np.repeat(level, sizes)
         return Batch(t, xy, variance, offsets, _PRIOR_STD[: self.states])
 
 

@@ -226,6 +226,10 @@ MECHANISM = (
 # A predictor
 
 
+_ADDED = Fixed(0.25)
+"""What shares; one that is aware is told of it."""
+
+
 @cache
 def _asked(
     sizes: tuple[int, ...] = tuple(20 + 4 * row for row in range(8)),
@@ -233,7 +237,7 @@ def _asked(
 ) -> tuple[Release, Floats]:
     """Return a release and the times for which a predictor is asked: as most are."""
     walks = made.walks("plugin", "asked", sizes=sizes, steps_s=steps_s)
-    release = made.shared(walks, ("plugin", *sizes), mechanism=Fixed(0.25))
+    release = made.shared(walks, ("plugin", *sizes), mechanism=_ADDED)
     last = release.t[release.offsets[1:] - 1]
     return release, last[:, None] + np.linspace(0.0, HORIZON_S, N_STEPS)
 
@@ -243,6 +247,8 @@ def _predict(
 ) -> Prediction:
     """Return a prediction from what is granted; who touches more fails `strictly` alone."""
     given = release if Knowledge.SIGMA in predictor.requires else release.without_sigma()
+    if hasattr(predictor, "knowing"):
+        predictor = _called(predictor, "knowing", object, _ADDED)
     for tried in (given, release):
         try:
             asked = made.copied(tried), t_future.copy()

@@ -11,20 +11,27 @@ from evaluation.cells.sharing import guarded, handed
 from evaluation.cells.tables import Rows, descriptors, track_columns
 from isac_track.conflict import conflict_probability, is_conflict, minimum_separation
 from isac_track.errors import PluginError, SettingsError
+from isac_track.protocols import knowing
 from isac_track.scenes import robot_positions
 from isac_track.types import Prediction, Release, Scenes
 
 if TYPE_CHECKING:
     from evaluation.experiment.axes import Consumer
     from isac_track.config import StageSettings
+    from isac_track.plugins import Plugin
 
 
 def sharing_rows(
-    consumer: Consumer, release: Release, scenes: Scenes, *, stages: StageSettings
+    consumer: Consumer,
+    release: Release,
+    scenes: Scenes,
+    *,
+    mechanism: Plugin,
+    stages: StageSettings,
 ) -> Rows:
     """Return the rows of the descriptors as shared, a track each, or of a predictor, a scene each.
 
-    `scenes` are those of the release, without the samples that it left out.
+    `scenes` are those of the release, without the samples that it left out; `mechanism` shared it.
 
     Raises PluginError if a predictor raises or breaks its contract, which names it, and
     SettingsError if conflicts are decided by a probability and a predictor has none.
@@ -43,7 +50,12 @@ def sharing_rows(
         }
     who = f"predictor {predictor.spec!r}"
     granted = handed(showing(release, predictor.instance.requires), predictor)
-    prediction = guarded(who, lambda: predictor.instance.predict(granted, scenes.t_future.copy()))
+    prediction = guarded(
+        who,
+        lambda: knowing(predictor.instance, mechanism.instance).predict(
+            granted, scenes.t_future.copy()
+        ),
+    )
     expected = scenes.xy_future.shape
     if not isinstance(prediction, Prediction) or prediction.mean.shape != expected:
         raise PluginError(f"{who} must return a Prediction with mean {expected}")

@@ -171,4 +171,5 @@ def sees_release_alone(consumer: Consumer) -> bool:
         consumer.kind in {"predictor", "linkage"}
         and all(one.origin.startswith(OURS) for one in consumer.plugins)
         and Knowledge.MECHANISM not in consumer.granted
+        and not any(getattr(one.instance, "aware", False) for one in consumer.plugins)
     )

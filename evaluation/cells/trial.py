@@ -112,7 +112,7 @@ def _call(trial: Trial, stages: StageSettings) -> None:
         )
         attack_rows(consumer, attacked_level(mechanism, release, block, [consumer]))
     else:
-        sharing_rows(consumer, release, scenes, stages=stages)
+        sharing_rows(consumer, release, scenes, mechanism=mechanism, stages=stages)
 
 
 def _link(

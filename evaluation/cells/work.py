@@ -166,7 +166,9 @@ def _of_scenes(block: Block, *, tracks: Cut, stages: StageSettings, seed: int) -
             tables = alike.get((digest, consumer.label))
             if tables is None:
                 if consumer.kind != "attack":
-                    rows = sharing_rows(consumer, release, known, stages=stages)
+                    rows = sharing_rows(
+                        consumer, release, known, mechanism=mechanism, stages=stages
+                    )
                 else:
                     attacked = attacked or attacked_block(
                         scenes=scenes,

@@ -247,5 +247,5 @@ def prepare() -> None:
     package, or in the user's cache if that is read-only; where neither can be written it is
     compiled in every process. Worth a call before a timing or before workers start.
     """
-    for loops in ("linear", "imm"):
+    for loops in ("linear", "imm", "error"):
         import_module(f"isac_track.kalman._{loops}_loops")

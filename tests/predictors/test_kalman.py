@@ -10,10 +10,12 @@ from scipy.stats import chi2
 from benchmarks.tune import TUNED, releases, tune
 from isac_track import datasets, plugins
 from isac_track.rng import stream
+from isac_track.sharing_controls import Correlated, Offset, correlated_errors
 from isac_track.types import Knowledge
 from predictors.kalman import GATE, KalmanCA, KalmanCV, KalmanIMM
 
 TRACKERS = [KalmanCV(), KalmanCA(), KalmanIMM()]
+AWARE = KalmanCV(aware=True).knowing(Correlated(0.8, 3.0, "independent"))
 by_name = pytest.mark.parametrize("tracker", TRACKERS, ids=lambda one: type(one).__name__)
 
 
@@ -29,7 +31,7 @@ def walks(*sizes, noise_m=0.4, q=0.05, from_s=0.0):
     return release, t[ahead], path[ahead]
 
 
-@by_name
+@pytest.mark.parametrize("tracker", [*TRACKERS, AWARE], ids=lambda one: type(one).__name__)
 @pytest.mark.parametrize("noise", ["estimated", "declared"])
 def test_the_kernels_are_filterpy(tracker, noise):
     release, t_future, _ = walks(60, 1, 2, 3, 200, 17)
@@ -160,3 +162,35 @@ def test_the_defaults_are_the_output_of_the_tuning():
         found = tune(tracker, names, shared=shared)
         for name in names:
             assert getattr(found, name) == pytest.approx(getattr(tracker, name), rel=0.1)
+
+
+def test_who_knows_of_a_slow_error_foresees_better_and_says_how_well():
+    release, t_future, future = walks(*[150] * 200, noise_m=0.1, q=0.05)
+    slow = correlated_errors(
+        t=release.t,
+        offsets=release.offsets,
+        law="isotropic",
+        tau_s=3.0,
+        rng=stream(0, "test", "slow"),
+    )
+    release = replace(release, xy=release.xy + 0.8 * slow)
+    told = KalmanCV(q=0.05, added_std_m=0.8, tau_s=3.0, gate=float("inf"))
+    gap = told.predict(release, t_future).mean - future
+    inverse = np.linalg.inv(told.predict(release, t_future).cov)
+    square = np.einsum("nha,nhab,nhb->nh", gap, inverse, gap)
+    low, high = chi2.ppf([0.001, 0.999], 2 * 200) / 200
+    assert low < square[:, -1].mean() < high
+    untold = KalmanCV(q=0.05).predict(release, t_future).mean - future
+    assert (gap**2).mean() < 0.85 * (untold**2).mean()
+
+
+def test_only_who_is_aware_takes_what_a_mechanism_says():
+    assert KalmanCV().knowing(Offset(1.0)) == KalmanCV()
+    knows = KalmanCV(aware=True).knowing(Offset(1.0))
+    assert (knows.tau_s, knows.added_std_m) == pytest.approx((np.inf, np.sqrt(0.5)))
+    release, t_future, _ = walks(60)
+    # A white error that is added is the least that it reckons with; a little one changes nothing.
+    robots = [KalmanCV(added_std_m=one) for one in (0.0, 0.01, 2.0)]
+    predicted = [one.predict(release, t_future).mean for one in robots]
+    np.testing.assert_array_equal(predicted[0], predicted[1])
+    assert not np.allclose(predicted[0], predicted[2])

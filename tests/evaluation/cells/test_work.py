@@ -58,7 +58,7 @@ def test_levels_that_are_shared_alike_are_computed_once_and_the_same(piece, monk
 
 def test_who_may_draw_from_a_stream_of_the_level_or_knows_it_is_computed_for_each():
     settings = Settings(
-        predictors=("least_squares",),
+        predictors=("least_squares", "kalman_cv:aware=true"),
         attacks=("identity", "shape", "histogram", "histogram@radial_rts"),
         tasks=("rerelease",),
     )
@@ -66,7 +66,7 @@ def test_who_may_draw_from_a_stream_of_the_level_or_knows_it_is_computed_for_eac
     consumers = (*crossed.consumers, *crossed.readers(TASKS["rerelease"]))
     alone = {one.label for one in consumers if sees_release_alone(one)}
     assert {"shared", "least_squares", "rerelease/windows", "rerelease/shape (blind)"} <= alone
-    assert not any("identity" in label or "control" in label for label in alone)
+    assert not any("aware" in label or "identity" in label or "control" in label for label in alone)
     for one in consumers:
         if "MECHANISM" in {what.name for what in one.granted}:
             assert one.label not in alone

@@ -50,7 +50,7 @@ def test_numba_is_not_imported_before_it_is_needed_and_prepare_brings_in_all_loo
         "import isac_track.linkability\n"
         "early |= sys.modules.keys() & {'numba'}\n"
         "kalman.prepare()\n"
-        "loops = {f'isac_track.kalman._{name}_loops' for name in ('linear', 'imm')}\n"
+        "loops = {f'isac_track.kalman._{name}_loops' for name in ('linear', 'imm', 'error')}\n"
         "print(early, loops <= sys.modules.keys())"
     )
     done = run(code, HOME=str(tmp_path))

@@ -1,0 +1,137 @@
+"""A walk of constant velocity behind an error that changes slowly: filter and smoother.
+
+Per axis the state is (p, v, e): position and velocity as in `isac_track.kalman`, and an error that
+is an Ornstein-Uhlenbeck process of standard deviation s, correlated as exp(-dt / tau). What is
+measured is p + e plus white noise of the batch's variance. Whoever knows s and tau, and how people
+accelerate, tells p from e as well as Gaussian errors allow.
+
+References
+----------
+Colored measurement noise by augmenting the state: Bar-Shalom, Li, Kirubarajan, *Estimation with
+Applications to Tracking and Navigation*, 2001, section 8.2. Smoother: Bierman, "Fixed interval
+smoothing with discrete measurements", Int. J. Control 18(1), 1973, 65-75 (modified Bryson-Frazier).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from isac_track.kalman import MAX_REJECTIONS, Batch, LastState
+
+if TYPE_CHECKING:
+    from isac_track.types import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SlowError:
+    """Of an error that changes slowly along a track. ValueError for what cannot be."""
+
+    std_m: Floats | float
+    """Per axis; one number, or (M,): the process of variance 1 that is scaled by it is one."""
+    tau_s: float
+    """Time over which its correlation falls to 1/e; 0: white, infinite: constant."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.std_m).all() and np.min(self.std_m, initial=0.0) >= 0.0):
+            raise ValueError(f"std_m must be finite and not negative, got {self.std_m}")
+        if not self.tau_s >= 0.0:
+            raise ValueError(f"tau_s must not be negative, got {self.tau_s}")
+
+    def innovation_share(self, *, t: Floats, offsets: Ints) -> Floats:
+        """Return how much of its variance each track's innovations take for noise, (N,).
+
+        Those are the innovations of `isac_track.noise`: their mean square, divided by s^2. Next to
+        nothing of a slow error, all of a white one. 1 for tracks of fewer than three samples.
+        """
+        if self.tau_s == 0.0:
+            return np.ones(offsets.size - 1)
+        step, ratio = np.diff(t), np.ones(max(t.size - 2, 0))
+        first, second = step[:-1], step[1:]
+        np.divide(second, first, out=ratio, where=first > 0.0)
+        near, far, both = (
+            np.exp(-np.abs(gap) / self.tau_s) for gap in (second, first, first + second)
+        )
+        a, b = 1.0 + ratio, ratio  # e_k - a e_(k-1) + b e_(k-2)
+        scale = 1.0 + a * a + b * b
+        share = (scale - 2.0 * (a * near + a * b * far - b * both)) / scale
+        total = np.concatenate([[0.0], np.cumsum(share)])
+        n_inner = np.diff(offsets) - 2
+        start = offsets[:-1]
+        found: Floats = np.ones(start.size)
+        has = n_inner > 0
+        found[has] = (total[start[has] + n_inner[has]] - total[start[has]]) / n_inner[has]
+        return found
+
+    def arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:
+        """Return what a compiled loop takes."""
+        amplitude = np.empty(batch.t.size)
+        amplitude[:] = self.std_m
+        return (*batch.arrays(2), amplitude)
+
+
+def added_error(mechanism: object) -> tuple[float, float]:
+    """Return what a mechanism says of the error that it adds: std per axis, m, and tau, s.
+
+    tau is 0 for white errors, infinite for one that is constant along a track. Read are `std_m`
+    (per axis), `distance`, `alpha` and `beta` (where the rule adds most) or `d_sigma`, of radial
+    errors unless `law` says isotropic, and `tau_s`. (0, 0) for a mechanism that has none of them.
+    """
+    said = {
+        name: float(getattr(mechanism, name, 0.0) or 0.0)
+        for name in ("std_m", "distance", "alpha", "beta", "d_sigma", "tau_s")
+    }
+    if said["std_m"]:
+        return said["std_m"], said["tau_s"]
+    if said["distance"]:
+        return said["distance"] / np.sqrt(2.0), np.inf
+    slow_rule = said["alpha"] > 0.0 and said["tau_s"] > 0.0
+    isotropic = slow_rule or getattr(mechanism, "law", None) == "isotropic"
+    std_m = said["alpha"] * said["beta"] or said["d_sigma"]
+    return std_m * (1.0 if isotropic else np.sqrt(0.5)), said["tau_s"]
+
+
+def filter_tracks(
+    batch: Batch, error: SlowError, *, q: float, gate: float = np.inf
+) -> tuple[LastState, Floats]:
+    """Return the state (p, v, e) of every track after its last sample, and p after each, (M, 2) m.
+
+    Parameters and errors are those of `isac_track.kalman.kalman_last`; `batch` has a prior of two
+    states, the error's own is its stationary law. A position is estimated from its own sample and
+    those before.
+    """
+    n, causal = len(batch), np.empty((batch.t.size, 2))
+    out = LastState(np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty(n))
+    _check(q, gate)
+    import_module("isac_track.kalman._error_loops").filter_tracks(
+        *(error.arrays(batch), error.tau_s, q, gate, MAX_REJECTIONS, causal),
+        (out.mean, out.cov, out.log_likelihood),
+    )
+    return out, causal
+
+
+def smooth_tracks(
+    batch: Batch, error: SlowError, *, q: float, passes: int = 1, anneal: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
+
+    Parameters and errors are those of `isac_track.kalman.smooth_positions`: further passes take
+    what is neither walk nor slow error for a radial error and weigh it anew.
+    """
+    _check(q, np.inf)
+    if passes < 1 or not 0 <= anneal < 1:
+        raise ValueError(f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}")
+    position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
+    import_module("isac_track.kalman._error_loops").smooth_tracks(
+        error.arrays(batch), error.tau_s, q, passes, float(anneal), position, spread
+    )
+    return position, spread
+
+
+def _check(q: float, gate: float) -> None:
+    for name, value in (("q", q), ("gate", gate)):
+        if not value > 0 or (name == "q" and not np.isfinite(value)):
+            raise ValueError(f"{name} must be positive, got {value}")
