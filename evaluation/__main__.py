@@ -6,15 +6,12 @@ A user's own folder called ``evaluation`` would shadow ``python -m evaluation.ma
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from isac_track import __version__
 from isac_track.errors import did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 COMMANDS = {
     "matrix": ("evaluation.matrix", "run the evaluation matrix"),

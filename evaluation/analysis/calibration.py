@@ -14,8 +14,9 @@ is fixed elsewhere: the cap on sigma_raw is a fourth constant in all but name.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.optimize import brentq
@@ -31,14 +32,9 @@ from isac_track import plugins, privacy, sensing, sharing
 from isac_track.config import PrivacySettings, SensingSettings, StageSettings
 from isac_track.errors import DataError
 from isac_track.scenes import Cut, cut, make_scenes, track_order
+from isac_track.types import Floats, Ints, Tracks
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from isac_track.types import Floats, Ints, Tracks
-
-FITTED = ("processing_gain_db", "large_scale_db", "crb_gap_db")
-"""Settings of the sensing model."""
+FITTED = ("processing_gain_db", "large_scale_db", "crb_gap_db")  # Settings of the sensing model.
 _GAINS, _SPREADS, _GAPS = (-20.0, 60.0), (2.0, 30.0), (0.0, 40.0)
 """Ranges in dB; the gain is net, the processing gain less the CRB gap."""
 _RESOLUTION_DB = 0.01
@@ -49,12 +45,9 @@ _LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
 class Link(NamedTuple):
     """A block of scenes, reduced to what the constants act on."""
 
-    gain: Floats
-    """(M,) two-way gain without the large-scale part"""
-    large_scale: Floats
-    """(M,) the track's standard normal, per sample"""
-    unit_norm: Floats
-    """(M,) norm of the standardised raw error"""
+    gain: Floats  # (M,) two-way gain without the large-scale part
+    large_scale: Floats  # (M,) the track's standard normal, per sample
+    unit_norm: Floats  # (M,) norm of the standardised raw error
     t: Floats
     offsets: Ints
 

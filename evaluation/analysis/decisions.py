@@ -9,8 +9,9 @@ bootstrap needs, so that its cost does not grow with the scenes.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,15 +20,10 @@ from evaluation.analysis.keys import Key, Measure, Where
 from evaluation.analysis.metrics import EQUAL_ALARMS
 from evaluation.analysis.summary import Scored, weights_of
 from isac_track.intervals import Estimate, estimate_of, percentile_interval
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 N_BINS = 100
-N_POINTS = 51
-"""Of a curve in the file."""
+N_POINTS = 51  # Of a curve in the file.
 _ABOUT = ("dataset", "mechanism", "level", "consumer", "score")
 CURVE_COLUMNS = [*_ABOUT, "false_alarm_rate", "missed_conflict_rate"]
 DECISION_COLUMNS = [
@@ -36,24 +32,20 @@ DECISION_COLUMNS = [
     *("difference", "ci_low", "ci_high"),
 ]
 _SEPARATION = "separation"
-_MOST_COUNTED = 2.0**24
-"""Of whole numbers in single precision."""
+_MOST_COUNTED = 2.0**24  # Of whole numbers in single precision.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Curve:
     """Rates over K thresholds, strictest first; row 0 is the estimate, the others replicates."""
 
-    missed: Floats
-    """(1 + B, K) missed-conflict rate, from 1 down to 0"""
-    false_alarm: Floats
-    """(1 + B, K) false-alarm rate, from 0 up to 1"""
+    missed: Floats  # (1 + B, K) missed-conflict rate, from 1 down to 0
+    false_alarm: Floats  # (1 + B, K) false-alarm rate, from 0 up to 1
 
     def areas(self) -> Floats:
         """Return the area under missed over false-alarm rate, (1 + B,): 0 perfect, 0.5 chance."""
         width = np.diff(self.false_alarm, axis=1)
-        area: Floats = (width * 0.5 * (self.missed[:, 1:] + self.missed[:, :-1])).sum(axis=1)
-        return area
+        return np.asarray((width * 0.5 * (self.missed[:, 1:] + self.missed[:, :-1])).sum(axis=1))
 
     def missed_at(self, false_alarm: Floats) -> Floats:
         """Return the missed rate at a false-alarm rate of each row, (1 + B,), interpolated.
@@ -69,8 +61,7 @@ class Curve:
         share = np.zeros_like(low)
         np.divide(false_alarm - low, high - low, out=share, where=high > low)
         left = self.missed[rows, right - 1]
-        reached: Floats = left + share * (self.missed[rows, right] - left)
-        return reached
+        return np.asarray(left + share * (self.missed[rows, right] - left))
 
     def points(self) -> Floats:
         """Return the estimate at `N_POINTS` equally spaced false-alarm rates, (`N_POINTS`,)."""

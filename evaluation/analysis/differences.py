@@ -38,12 +38,9 @@ if TYPE_CHECKING:
 
 IDENTICAL, DIFFERS, UNDECIDED, UNTESTED = "identical", "differs", "undecided", "untested"
 """Findings of a row."""
-SIGNIFICANCE: Final = 0.05
-"""Of a family, after Holm."""
-DRAWS, PEOPLE, NONE = "people and draws", "people", "none"
-"""Pairing of a row."""
-_VERDICT = "verdict.json"
-"""Compares over galleries of any size."""
+SIGNIFICANCE: Final = 0.05  # Of a family, after Holm.
+DRAWS, PEOPLE, NONE = "people and draws", "people", "none"  # Pairing of a row.
+_VERDICT = "verdict.json"  # Compares over galleries of any size.
 _MOST_NAMED = 4
 _MOST_LEVELS = 5
 _ABOUT_DATA = frozenset({"dataset", "sha256", "format", "fps", "unit", "tracks", "tracks_used"})
@@ -66,10 +63,8 @@ class Difference(NamedTuple):
     difference: float
     ci_low: float = math.nan
     ci_high: float = math.nan
-    t: float = math.nan
-    """Difference over its standard error, which has n - 1 degrees of freedom."""
-    p_value: float = math.nan
-    """Two-sided; NaN where there is no interval."""
+    t: float = math.nan  # Difference over its standard error, which has n - 1 degrees of freedom.
+    p_value: float = math.nan  # Two-sided; NaN where there is no interval.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,16 +76,13 @@ class Comparison:
     b: dict[str, Any]
     changed: dict[str, Apart]
     """Under data, settings and code: what to its value in A and in B; None where it is unknown."""
-    only: Apart
-    """By axis: what only A has, and what only B has."""
-    only_numbers: tuple[int, int]
-    """Numbers that only A has, and only B."""
+    only: Apart  # By axis: what only A has, and what only B has.
+    only_numbers: tuple[int, int]  # Numbers that only A has, and only B.
     rows: pd.DataFrame
     """A row for each number that both have, the surest difference first; columns `COLUMNS`."""
     lead: pd.DataFrame
     """Its rows of missed conflicts, PLR after the strongest attack and rank 1, at a few levels."""
-    verdicts: dict[str, Any] | None
-    """Decisions that changed; None unless both runs have a verdict."""
+    verdicts: dict[str, Any] | None  # Decisions that changed; None unless both runs have a verdict.
 
     @property
     def headline(self) -> pd.DataFrame:

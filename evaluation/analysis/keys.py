@@ -12,10 +12,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 INFORMED: Final = "informed"
-ORACLE: Final = "oracle"
-"""Adversary who is granted all: a reference, never the headline."""
-Where: TypeAlias = "tuple[str, float | None]"
-"""Mechanism and level."""
+ORACLE: Final = "oracle"  # Adversary who is granted all: a reference, never the headline.
+Where: TypeAlias = "tuple[str, float | None]"  # Mechanism and level.
 _MOST_WRITTEN_OUT = 1e7
 
 

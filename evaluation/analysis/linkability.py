@@ -9,8 +9,10 @@ shortcut it was.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from pathlib import Path
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -22,10 +24,6 @@ from evaluation.analysis.keys import Source, Where, rows_of
 from evaluation.analysis.strongest import most_knowing
 from evaluation.runs.cell_files import LinkageOutcome, read_outcomes
 from isac_track.linkability.significance import LEVEL, holm, outcome
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-    from pathlib import Path
 
 AUDIT_LEVEL: Final = 0.01
 """Of the shortcut audit, two-sided, over all audits of a cell (Holm): set before any was run."""
@@ -40,8 +38,7 @@ _AS_SCORED = (
     *("p_value", "p_rank1", "minimum_detectable_rank1", "n_probes", "n_mated", "n_clusters"),
     *("realised_fpr_1pct", "realised_fpr_01pct", "d_sys_bins"),
 )
-AT_CHANCE, BEATS_CHANCE = "at chance", "beats chance"
-"""Outcomes of a control."""
+AT_CHANCE, BEATS_CHANCE = "at chance", "beats chance"  # Outcomes of a control.
 
 INVALID = "invalid"
 REMARKS = {
@@ -141,8 +138,7 @@ class LinkedTask:
     """Of each attack the adversary that knows most, short of the oracle if there is one."""
     cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]]
     """Rows of `linkability.csv` by cohort, mechanism and level, and attack."""
-    controls: tuple[Mapping[Any, Any], ...]
-    """Rows of the controls, at all levels."""
+    controls: tuple[Mapping[Any, Any], ...]  # Rows of the controls, at all levels.
 
     @property
     def cells(self) -> dict[Where, dict[Source, Mapping[str, Any]]]:

@@ -52,20 +52,15 @@ class LinkedProbes:
     mechanism: str
     level: float | None
     linker: Source
-    hit: Floats
-    """(N,) expected share of cases in which the mate comes first"""
+    hit: Floats  # (N,) expected share of cases in which the mate comes first
     hit_among: Floats
     """(N,) the same in a gallery of `GALLERY` without companions; NaN with fewer candidates"""
-    chance: Floats
-    """(N,) of `hit`"""
-    cluster: Ints
-    """(N,) numbered alike at all levels of a task"""
-    clusters: tuple[str, ...]
-    """Their names."""
+    chance: Floats  # (N,) of `hit`
+    cluster: Ints  # (N,) numbered alike at all levels of a task
+    clusters: tuple[str, ...]  # Their names.
     descriptors: Mapping[str, Floats]
     """By descriptor, those on trial among them, (N, 2): in the probe and in the gallery release"""
-    covariates: Floats
-    """(N, K) `COVARIATES` of either release"""
+    covariates: Floats  # (N, K) `COVARIATES` of either release
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -74,14 +69,11 @@ class LinkedLevel:
 
     mechanism: str
     level: float | None
-    linker: Source
-    """Whose success it is: of all linkers the strongest against this mechanism."""
+    linker: Source  # Whose success it is: of all linkers the strongest against this mechanism.
     success: Floats
     """(C,) sum over the cluster's mated probes of rank-1 at a gallery of 100, or of their own"""
-    chance: Floats
-    """(C,) the same of a guess"""
-    probes: Floats
-    """(C,) mated probes"""
+    chance: Floats  # (C,) the same of a guess
+    probes: Floats  # (C,) mated probes
     descriptors: Mapping[str, Floats]
     """By name (2, C): sums over the cluster's linked windows that have a value, and their number"""
 
@@ -93,8 +85,7 @@ class LinkedTask:
     task: str
     gallery: int | None
     """At which rank-1 is read: 100, or None where galleries are smaller and everybody's own is."""
-    clusters: tuple[str, ...]
-    """(C,) names, sorted"""
+    clusters: tuple[str, ...]  # (C,) names, sorted
     levels: tuple[LinkedLevel, ...]
 
 

@@ -8,8 +8,9 @@ descriptors as shared, the same after each reconstruction attack, and what each 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -27,20 +28,12 @@ from evaluation.analysis.metrics import (
 )
 from evaluation.experiment.presets import SHARED
 from isac_track.intervals import Estimate, percentile_intervals
+from isac_track.types import Floats, Ints
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from isac_track.types import Floats, Ints
-
-MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"
-"""Criteria of matching."""
-N_POINTS, N_ATTACK_POINTS = 20, 10
-"""Of a curve as shared, and of one after an attack."""
-MIN_DEFINED = 0.975
-"""Share of replicates that must reach a point for it to have an interval."""
-FEWEST_LEVELS: Final = 2
-"""Of a curve, beside raw."""
+MISSED, AT_EQUAL_ALARMS, PLR = "missed", EQUAL_ALARMS, "plr"  # Criteria of matching.
+N_POINTS, N_ATTACK_POINTS = 20, 10  # Of a curve as shared, and of one after an attack.
+MIN_DEFINED = 0.975  # Share of replicates that must reach a point for it to have an interval.
+FEWEST_LEVELS: Final = 2  # Of a curve, beside raw.
 _SHOWN: Final = AS_SHARED.measure(EXPOSURE)
 _SMALLEST = 1e-12
 _ROUNDING = 1e-9

@@ -18,25 +18,18 @@ after a reconstruction; what else a reconstruction is measured by; what a linker
 class Metric:
     """A number of a run: what it is, and how it is shown."""
 
-    name: str
-    """As in `summary.csv`."""
-    head: str
-    """Over a column: the field's own name, short."""
+    name: str  # As in `summary.csv`.
+    head: str  # Over a column: the field's own name, short.
     measured: Measured
-    summary_unit: str
-    """As in `summary.csv`: a value is in this unit."""
+    summary_unit: str  # As in `summary.csv`: a value is in this unit.
     worse: Literal["higher", "lower"]
     """Which way is worse: for a robot if a predictor has it, else for the privacy of who walked."""
-    noun: str = ""
-    """In a sentence; empty: as over a column."""
-    digits: int = 1
-    """Shown after the point, in the unit shown."""
-    column: str = ""
-    """Of a cell's tracks: the metric is the mean of it, over those that have one."""
+    noun: str = ""  # In a sentence; empty: as over a column.
+    digits: int = 1  # Shown after the point, in the unit shown.
+    column: str = ""  # Of a cell's tracks: the metric is the mean of it, over those that have one.
     over: str = ""
     """Of a cell's tracks: what the sum of `column` is divided by, instead of their number."""
-    is_root: bool = False
-    """Whether the square root of that ratio is the metric."""
+    is_root: bool = False  # Whether the square root of that ratio is the metric.
     is_headline: bool = False
     """Whether a comparison of runs tests it with the few that tell the story."""
     is_biased: bool = False
@@ -127,21 +120,14 @@ def measured(*where: Measured) -> tuple[str, ...]:
 
 
 UTILITY: Final = measured("predictor")
-DESCRIPTORS: Final = measured("descriptor")
-"""Of privacy: PLR, AEL and MEL."""
+DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
 RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
 """Of what an attack makes of the positions."""
-MISSED_RATE: Final = "missed_conflict_rate"
-"""What noise costs a robot."""
+MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """The same at the false-alarm rate that the predictor has at raw; not in the summary."""
-ERROR: Final = "distance_mae"
-"""How far off the separation is that a robot foresees."""
-EXPOSURE: Final = "plr"
-"""The descriptor that reconstructions are ranked by."""
-SUCCESS: Final = "rank1"
-"""What linkers are ranked by."""
-SUCCESS_OF_100: Final = "rank1_g100"
-"""The same in a gallery of 100: what compares over runs."""
-ACHIEVED: Final = (SUCCESS, "auc")
-"""What is compared of a linker at equal cost."""
+ERROR: Final = "distance_mae"  # How far off the separation is that a robot foresees.
+EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
+SUCCESS: Final = "rank1"  # What linkers are ranked by.
+SUCCESS_OF_100: Final = "rank1_g100"  # The same in a gallery of 100: what compares over runs.
+ACHIEVED: Final = (SUCCESS, "auc")  # What is compared of a linker at equal cost.

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
     from isac_track.intervals import Estimate
 
-DATASET = "students03"
-"""The recording that the paper used."""
+DATASET = "students03"  # The recording that the paper used.
 PREDICTOR = "least_squares"
 
 PUBLISHED: tuple[tuple[str, float | None, str, float], ...] = (
@@ -46,10 +45,8 @@ FITTED = (("raw", None, "plr"), ("raw", None, "mel"), ("fid", 1000.0, "plr"))
 seen: error law, adding rule and other readings were chosen because they fit them."""
 CONFLICTS = 250
 """Scenes that a missed-conflict rate of the paper rests on: every other one of its 500."""
-ETAS = (1.0, 1000.0)
-"""Ends of its sweep."""
-ACTIVATED = 0.27
-"""Its missed-conflict rate under FID, 'approximately'; at which eta is not said."""
+ETAS = (1.0, 1000.0)  # Ends of its sweep.
+ACTIVATED = 0.27  # Its missed-conflict rate under FID, 'approximately'; at which eta is not said.
 
 PAPER_COLUMNS = ["mechanism", "level", "metric", "paper", "ours", "ci_low", "ci_high", "within"]
 CLAIM_COLUMNS = ["adding", "claim", "answer", "effect", "ci_low", "ci_high", "unit", "evidence"]

@@ -45,8 +45,7 @@ if TYPE_CHECKING:
     Found = Mapping[Key, Estimate]
     Levels = Mapping[Where, Mapping[Source, Estimate]]
 
-SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")
-"""From the simplest on."""
+SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # From the simplest on.
 BEATEN, DOES_NOT_FALL = "beaten", "does_not_fall"
 COLUMNS = [
     *("kind", "mechanism", "level", "attack", "knowledge", "by", "by_knowledge", "metric"),
@@ -77,8 +76,7 @@ class _Pair(NamedTuple):
     kind: str
     where: Where
     attack: Source
-    by: Source
-    """What beats it; of no name if nothing does."""
+    by: Source  # What beats it; of no name if nothing does.
     minus: Estimate
     plus: Estimate
     said: str

@@ -24,12 +24,10 @@ if TYPE_CHECKING:
     from isac_track.types import ErrorLaw
 
 
-MOST_DEFAULT_JOBS: Final = 8
-"""Unless more are asked for: each takes a few hundred MB."""
+MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.
 WORTH_WORKERS: Final = 5000
 """Scenes times levels: below, workers take longer to start than they save."""
-WORTH_WORKERS_LINKED: Final = 400
-"""Linkage cells: the same."""
+WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +36,12 @@ class Consumer:
 
     kind: Literal["shared", "predictor", "attack", "linkage", "control", "windows"]
     plugin: Plugin | None = None
-    knowledge: str = ""
-    """Adversary that the row is named after: blind, informed or oracle."""
+    knowledge: str = ""  # Adversary that the row is named after: blind, informed or oracle.
     granted: frozenset[Knowledge] = frozenset()
-    task: str = ""
-    """Of a linkage attack, a control, or the descriptors of what is linked."""
-    behind: Plugin | None = None
-    """Reconstruction that a linkage attack runs behind."""
+    task: str = ""  # Of a linkage attack, a control, or the descriptors of what is linked.
+    behind: Plugin | None = None  # Reconstruction that a linkage attack runs behind.
     control: str = ""
-    law: ErrorLaw | None = None
-    """Under which errors are drawn; None: that of the run."""
+    law: ErrorLaw | None = None  # Under which errors are drawn; None: that of the run.
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -102,8 +96,7 @@ class Axes:
 
     mechanisms: tuple[Plugin, ...]
     predictors: tuple[Plugin, ...]
-    attacks: tuple[Plugin, ...]
-    """Reconstruction attacks."""
+    attacks: tuple[Plugin, ...]  # Reconstruction attacks.
     links: tuple[tuple[Task, Consumer], ...] = ()
     """Who links in which task; for whom it is granted what, `readers` says."""
     ceiling: Plugin | None = None

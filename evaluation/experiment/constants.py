@@ -2,12 +2,9 @@
 
 from typing import Final
 
-SHARED = "shared"
-"""Consumer of the descriptors as shared."""
-IDENTITY = "identity"
-"""The attack that reproduces what was shared."""
-WINDOWS = "windows"
-"""Consumer of the same of a linkage task, window by window, after the task."""
+SHARED = "shared"  # Consumer of the descriptors as shared.
+IDENTITY = "identity"  # The attack that reproduces what was shared.
+WINDOWS = "windows"  # Consumer of the same of a linkage task, window by window, after the task.
 OTHER_LAW: Final = "isotropic"
 """Error law under which the preset's `other_law` is computed as well."""
 BLOCK_SCENES = 250

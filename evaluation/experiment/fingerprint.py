@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 """Stages of a block of scenes; the others are the linkage tasks, by their names."""
-OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
-"""The packages of the project."""
+OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")  # The packages of the project.
 _COMMON: Final = (
     *("isac_track.datasets", "isac_track.scenes", "isac_track.sensing"),
     *("evaluation.cells.sharing", "evaluation.cells.tables"),

@@ -31,15 +31,11 @@ class Unit:
     """A unit of work: one level, one block, one stage. It leaves a file of all its consumers."""
 
     stage: str
-    block: int
-    """Of scenes; 0 for what is linked."""
+    block: int  # Of scenes; 0 for what is linked.
     mechanism: Plugin
-    key: str
-    """All that its rows depend on but who the consumers are."""
-    code: Mapping[str, str]
-    """Digest by module, of the code that computes it."""
-    consumers: Mapping[str, Consumer]
-    """By their keys."""
+    key: str  # All that its rows depend on but who the consumers are.
+    code: Mapping[str, str]  # Digest by module, of the code that computes it.
+    consumers: Mapping[str, Consumer]  # By their keys.
 
     @property
     def law(self) -> ErrorLaw | None:
@@ -63,16 +59,12 @@ class Plan:
     tracks: Cut
     axes: Axes
     identity: dict[str, Any]
-    code: str
-    """Version of the code that computes the cells."""
-    jobs: int
-    """Worker processes."""
+    code: str  # Version of the code that computes the cells.
+    jobs: int  # Worker processes.
     out: Path
     units: tuple[Unit, ...]
-    code_of: Mapping[str, str]
-    """Digest by module, of the code of every plug-in."""
-    sessions: tuple[Sessions, ...]
-    """What is linked, by task."""
+    code_of: Mapping[str, str]  # Digest by module, of the code of every plug-in.
+    sessions: tuple[Sessions, ...]  # What is linked, by task.
 
     @property
     def n_cells(self) -> int:

@@ -13,8 +13,7 @@ __all__ = ["DISSOCIATION", "IDENTITY", "PRESETS", "SHARED", "UTILITY_PREDICTORS"
 class Preset:
     """Axes that a name stands for."""
 
-    scenes: int
-    """Attacked ones."""
+    scenes: int  # Attacked ones.
     utility_scenes: int
     """All: the attacked ones, and after them those in which the robot alone is looked at."""
     mechanisms: tuple[str, ...]

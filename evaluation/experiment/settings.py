@@ -34,14 +34,11 @@ class Settings:
     """
 
     preset: str = "paper"
-    dataset: str | None = None
-    """Name of a known data set, or a path."""
+    dataset: str | None = None  # Name of a known data set, or a path.
     format: str | None = None
     fps: float | None = None
-    unit: str | None = None
-    """Of lengths in a file of one's own: m, cm or mm."""
-    scenes: int | None = None
-    """Attacked ones, and all."""
+    unit: str | None = None  # Of lengths in a file of one's own: m, cm or mm.
+    scenes: int | None = None  # Attacked ones, and all.
     seed: int = 0
     mechanisms: tuple[str, ...] | None = None
     """SPECs, or objects of plug-ins; they replace the preset's."""
@@ -56,10 +53,8 @@ class Settings:
     """Worker processes; None: as many as there are cores where the work is worth it."""
     cell_timeout_s: float | None = None
     """Longest time that a cell may take; one that takes longer is killed and left out."""
-    executor: str = "local"
-    """Or dask: the workers of a Dask cluster."""
-    scheduler: str | None = None
-    """Address of the cluster's scheduler."""
+    executor: str = "local"  # Or dask: the workers of a Dask cluster.
+    scheduler: str | None = None  # Address of the cluster's scheduler.
     keep_scores: bool = False
     """Whether the raw scores of everybody who links stay in the folder: some hundred MB."""
     out: Path | str | None = None

@@ -54,12 +54,9 @@ class Variant:
     """One assumption of a run, changed."""
 
     name: str
-    stages: Mapping[str, Any] = field(default_factory=dict)
-    """``{"stage.key": value}``"""
-    predictor: str = ""
-    """SPEC; empty: that of the run."""
-    recording: str = ""
-    """Name or path; empty: that of the run."""
+    stages: Mapping[str, Any] = field(default_factory=dict)  # ``{"stage.key": value}``
+    predictor: str = ""  # SPEC; empty: that of the run.
+    recording: str = ""  # Name or path; empty: that of the run.
 
     @property
     def about(self) -> str:

@@ -32,8 +32,7 @@ _CRITERIA: Final = {
     MISSED: (MISSED_RATE, "At an equal rise of missed conflicts"),
     AT_EQUAL_ALARMS: (EQUAL_ALARMS, "At an equal rise of missed conflicts and equal false alarms"),
 }
-AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"
-"""What a claim compares."""
+AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"  # What a claim compares.
 
 
 def claims(sweeps: Sweeps, strongest: Mapping[str, Source], *, predictor: str) -> Iterator[Draft]:

@@ -9,8 +9,9 @@ side of what parts its two answers.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
@@ -20,11 +21,7 @@ from evaluation.verdict import rules
 from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-_FAR: Final = 0.99
-"""Quantile of a deviation that tells how heavy its tails are."""
+_FAR: Final = 0.99  # Quantile of a deviation that tells how heavy its tails are.
 _NORMAL: Final = float(ndtri(0.5 + CONFIDENCE / 2))
 _ABOUT: Final = ("adding", "descriptor", "task", "subject", "criterion")
 
@@ -34,20 +31,15 @@ class Draft:
     """An item before its section is decided."""
 
     adding: str
-    effect: Estimate
-    """As it is tested; logarithms of a ratio."""
-    parted_at: float
-    """Value of the effect that parts the two answers."""
+    effect: Estimate  # As it is tested; logarithms of a ratio.
+    parted_at: float  # Value of the effect that parts the two answers.
     above: str
-    below: str
-    """Answers to an effect that is surely larger, and surely smaller."""
+    below: str  # Answers to an effect that is surely larger, and surely smaller.
     unit: str
     sentences: Mapping[str, str]
     """By decision; under "" of all others. ``{}`` is where effect and interval stand."""
-    subject: str = ""
-    """The attack that it is about, if it is about one."""
-    untestable: str = ""
-    """Why nothing can be decided, where more than people is lacking."""
+    subject: str = ""  # The attack that it is about, if it is about one.
+    untestable: str = ""  # Why nothing can be decided, where more than people is lacking.
     descriptor: str = ""
     task: str = ""
     criterion: str = ""

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from isac_track.types import Floats, Ints
 
 N_REPLICATES: Final = 1000
-OFFSET: Final = "offset"
-"""Moves a whole walk: who links where the frame is hidden cannot notice."""
+OFFSET: Final = "offset"  # Moves a whole walk: who links where the frame is hidden cannot notice.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,18 +66,12 @@ class Panel:
 
     task: LinkedTask
     adding: str
-    families: tuple[str, ...]
-    """(L,) of all levels"""
-    fixed: list[int]
-    """From the noisiest to raw, which is the last."""
-    fid: list[int]
-    """Alike; empty without a sweep."""
-    others: list[int]
-    """Of the preset."""
-    beside: list[int]
-    """Of the user."""
-    missing: str
-    """What the panel lacks; empty if it is whole, with a dissociation control."""
+    families: tuple[str, ...]  # (L,) of all levels
+    fixed: list[int]  # From the noisiest to raw, which is the last.
+    fid: list[int]  # Alike; empty without a sweep.
+    others: list[int]  # Of the preset.
+    beside: list[int]  # Of the user.
+    missing: str  # What the panel lacks; empty if it is whole, with a dissociation control.
 
     def is_hidden(self, place: int) -> bool:
         """Return whether a level changes only what the task hides: a difference by construction."""

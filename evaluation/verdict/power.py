@@ -7,24 +7,20 @@ Heisey, The American Statistician 55, 2001).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from evaluation.verdict import rules
 from evaluation.verdict.spread import ANSWERS, BOTH, Contrasts, Widths, decided
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from isac_track.types import Floats
+from isac_track.types import Floats
 
 EQUAL: Final = "all equal"
 PLANTED: Final = {"10 points in one family": 0.10, "15 points in one family": 0.15}
 """Truths beside that all are equal."""
-WANTED: Final = 0.8
-"""Probability with which a true equal is to be shown."""
+WANTED: Final = 0.8  # Probability with which a true equal is to be shown.
 
 
 def answers(one: Contrasts, wide: Widths, families: Sequence[str]) -> dict[str, dict[str, float]]:

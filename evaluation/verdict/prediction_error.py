@@ -8,19 +8,16 @@ alone would give is taken off. Kinds weigh alike, and so do the levels of one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from evaluation.analysis.families import FID, FIXED, RAW
 from evaluation.analysis.matching import interpolated, monotone, nearest_places
 from isac_track.intervals import percentile_interval
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from isac_track.types import Floats
+from isac_track.types import Floats
 
 _WHITE: Final = (RAW, FIXED, FID, "laplace")
 
@@ -29,10 +26,8 @@ _WHITE: Final = (RAW, FIXED, FID, "laplace")
 class Squared:
     """A squared error; those of one task may be subtracted, since people are drawn alike."""
 
-    drawn: Floats
-    """(1 + B,) estimate and replicates; below 0 where sampling alone explains more"""
-    centre: float
-    """What the replicates are of: nothing is taken off."""
+    drawn: Floats  # (1 + B,) estimate and replicates; below 0 where sampling alone explains more
+    centre: float  # What the replicates are of: nothing is taken off.
 
     @property
     def ends(self) -> tuple[float, float]:

@@ -6,23 +6,20 @@ what decides it is in `spread` (validity) and `items` (all else), in words in do
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
 
 from evaluation.analysis.metrics import DESCRIPTORS, METRICS
 from isac_track.intervals import Estimate
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 NAME: Final = {name: METRICS[name].head for name in DESCRIPTORS}
 TRACKS, DOES_NOT = "tracks", "does not track"
 HOLDS, REVERSED = "holds", "reversed"
 INFLATED, DEFLATED = "inflated", "deflated"
 BETWEEN, NOT_TESTABLE = "between", "not testable"
-DIFFERS, EQUAL = "differs", "equal"
-"""Readings of a contrast by itself."""
+DIFFERS, EQUAL = "differs", "equal"  # Readings of a contrast by itself.
 SIGN: Final = {
     **dict.fromkeys((TRACKS, HOLDS, INFLATED), 1),
     **dict.fromkeys((BETWEEN, NOT_TESTABLE), 0),
@@ -34,8 +31,7 @@ VALIDITY, WITHIN, CLAIM, INFLATION = "validity", "within", "claim", "inflation"
 SECTIONS: Final = (VALIDITY, WITHIN, CLAIM, INFLATION)
 BAND_COVERAGE: Final = 0.992
 """Share of studies in which the bands of a section (within, claim, inflation) hold all truths."""
-SUCCESS_MARGIN: Final = 0.05
-"""Difference in rank 1 that counts as none: five people in a hundred."""
+SUCCESS_MARGIN: Final = 0.05  # Difference in rank 1 that counts as none: five people in a hundred.
 LEAST_SPAN: Final = 1.25
 """Ratio of a descriptor at raw to that at the strongest fixed error below which it says nothing."""
 LEAST_CORRELATION: Final = 0.10
@@ -44,8 +40,7 @@ LEAST_FALL: Final = 0.20
 """Of linkage, from raw to the strongest fixed error: where it falls less, anything would track."""
 FEWEST_DISCORDANT: Final = 10
 """People linked under one of two mechanisms only: with fewer the interval is that of counts."""
-NO_SPREAD: Final = 1e-9
-"""Standard error below which replicates say nothing."""
+NO_SPREAD: Final = 1e-9  # Standard error below which replicates say nothing.
 REACH: Final = 0.02
 """Share of a descriptor's span by which a point may lie beyond the end of the fixed sweep."""
 

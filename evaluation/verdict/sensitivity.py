@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
 from urllib.parse import quote_plus, unquote_plus
 
 import pandas as pd
@@ -12,10 +14,6 @@ from evaluation.analysis.differences import verdict_of
 from evaluation.experiment.variants import BASE, variants
 from evaluation.runs.manifest import read_manifest
 from isac_track.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
 FOLDER: Final = "sensitivity"
 TABLE: Final = "sensitivity.csv"

@@ -10,8 +10,9 @@ rows are draws of the people (the estimate first), columns are levels or contras
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import betaincinv, ndtr, stdtrit
@@ -19,41 +20,29 @@ from scipy.special import betaincinv, ndtr, stdtrit
 from evaluation.analysis.matching import interpolated, monotone, nearest_places
 from evaluation.verdict import rules
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 QUARTILES: Final = (0.25, 0.5, 0.75)
 """Of the common range of the logarithm of the descriptor: where FID is read."""
-BOTH, ONLY_MORE, ONLY_FEWER, NEITHER = 0, 1, -1, 2
-"""What can be tested of a contrast."""
+BOTH, ONLY_MORE, ONLY_FEWER, NEITHER = 0, 1, -1, 2  # What can be tested of a contrast.
 ANSWERS: Final = (rules.NOT_TESTABLE, rules.DOES_NOT, rules.TRACKS, rules.BETWEEN)
 """By the codes of `decided`."""
 _TAIL: Final = 0.5 + CONFIDENCE / 2
-LEAST_SHARE: Final = 0.01
-"""Of the descriptor at raw: logarithms are taken of no less."""
+LEAST_SHARE: Final = 0.01  # Of the descriptor at raw: logarithms are taken of no less.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Contrasts:
     """What the spread of one descriptor in one task is read from; fractions of people."""
 
-    gaps: Floats
-    """(1 + B, K) D_k and its bootstrap replicates"""
-    errors: Floats
-    """(K,) standard error of D_k; NaN where nothing is known"""
-    side: Ints
-    """(K,) `BOTH`, `ONLY_MORE` below the fixed sweep, `ONLY_FEWER` above raw, `NEITHER`"""
-    degrees: Floats
-    """(K,) effective clusters less one, the least over all that a contrast rests on"""
+    gaps: Floats  # (1 + B, K) D_k and its bootstrap replicates
+    errors: Floats  # (K,) standard error of D_k; NaN where nothing is known
+    side: Ints  # (K,) `BOTH`, `ONLY_MORE` below the fixed sweep, `ONLY_FEWER` above raw, `NEITHER`
+    degrees: Floats  # (K,) effective clusters less one, the least over all that a contrast rests on
     discordant: Floats
     """(3, K) shares of people linked more and less often than under fixed noise; how many in all"""
-    decides: Bools
-    """(K,) not where a difference is there by construction"""
-    fall: Floats
-    """(1 + B,) of linkage, from raw to the strongest fixed error"""
+    decides: Bools  # (K,) not where a difference is there by construction
+    fall: Floats  # (1 + B,) of linkage, from raw to the strongest fixed error
     span: Floats
     """(1 + B,) logarithm of the descriptor at raw over that at the strongest fixed error"""
     fall_error: float
@@ -79,10 +68,8 @@ class Contrasts:
 class Widths:
     """How far the ends of |D_k| lie from it."""
 
-    down: Floats
-    """(K,) over all contrasts of the section at once"""
-    up: Floats
-    """(K,) each by itself: that all are small needs every one to be"""
+    down: Floats  # (K,) over all contrasts of the section at once
+    up: Floats  # (K,) each by itself: that all are small needs every one to be
     fall: float
     span: float
 

@@ -38,8 +38,7 @@ CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
 as far as these attacks go."""
 FALLING: Final = ("alignment_error", "posterior_std")
 """Descriptors that are the larger, the less is left of a track."""
-_N_FOR_ERRORS: Final = 200
-"""Replicates that a prediction error is described with."""
+_N_FOR_ERRORS: Final = 200  # Replicates that a prediction error is described with.
 OTHER_HALF: Final = "rank 1 of the other half of the people"
 """The positive control: if anything tells how linkable people are, this does."""
 _ONLY: Final = {ONLY_MORE: "more", ONLY_FEWER: "fewer"}
@@ -59,10 +58,8 @@ class Tested:
     of: Panel
     descriptor: str
     found: Contrasts
-    people: Ints
-    """(K,) clusters of each contrast, the least over all that it rests on"""
-    beside: tuple[Contrasts, Ints] | None = None
-    """Of mechanisms that the panel has not."""
+    people: Ints  # (K,) clusters of each contrast, the least over all that it rests on
+    beside: tuple[Contrasts, Ints] | None = None  # Of mechanisms that the panel has not.
     errors: tuple[Squared, Squared] | None = None
 
     @property
