@@ -77,7 +77,7 @@ class _Weighed:
     first: Ints  # Cluster of each probe, search by search.
     second: Ints  # Of each candidate.
     mate: Ints
-    table: NDArray[np.float32]
+    table: NDArray[np.uint8]
     """(C + 1, R or a few more) weights; replicate 0 weighs every cluster once: the data."""
     rows: tuple[tuple[Floats, Floats], ...]
     """(P, R) of the probes of each search, and (G, R) of its candidates."""
@@ -192,8 +192,10 @@ def _weighed(searches: tuple[People, ...], same: _Same, without: tuple[int, ...]
     drawn = same.weights[:SCORE_REPLICATES, clusters].T
     others = clusters[:, None] != np.array(without)
     rows = np.column_stack([np.ones(clusters.size), drawn, others])
-    table = np.zeros((len(rows) + 1, -(-rows.shape[1] // _LANES) * _LANES), dtype=np.float32)
-    table[:-1, : rows.shape[1]], table[-1] = rows, 1.0  # counts, exact in 32 bits
+    table = np.zeros((len(rows) + 1, -(-rows.shape[1] // _LANES) * _LANES), dtype=np.uint8)
+    table[:-1, : rows.shape[1]], table[-1] = rows, 1
+    if not np.array_equal(table[:-1, : rows.shape[1]], rows):
+        raise ValueError("weights must be counts, 0 to 255")
     places = [[np.searchsorted(clusters, each) for each in both] for _, *both in arrays]
     own, other = (np.concatenate(each) for each in zip(*places, strict=True))
     weighed = tuple((rows[one], rows[two]) for one, two in places)

@@ -203,8 +203,9 @@ def scorecard(
     draws, search by search, the order of columns for `assign`, then what `permutation_p` does:
     `n_shuffles`, at least 999, are for `p_value`, `p_value_low` and `d_sys_corrected`.
 
-    ValueError without a search, for too few shuffles, for clusters beyond `weights`, if
-    `calibration` lacks a scale, or if `no_match_score` is not as long as `searches`.
+    ValueError without a search, for too few shuffles, for clusters beyond `weights`, if these are
+    no counts up to 255, if `calibration` lacks a scale, or if `no_match_score` is not as long as
+    `searches`.
     """
     check_searches(searches, n_shuffles)
     scales = {search.scale for search in searches}

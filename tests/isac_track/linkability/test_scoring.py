@@ -66,6 +66,18 @@ def test_replicates_are_the_metrics_of_duplicated_scores(decimals, seed):
     card_by_brute_force(searches, n_clusters=6, n_replicates=7, seed=seed)
 
 
+@pytest.mark.parametrize("most", [13, 255])
+def test_clusters_may_be_drawn_often(most):
+    """Products that fill 16 bits after some hundred pairs, or after one."""
+    searches = random_searches(stream(3, "test", "searches"), 1)
+    weights = np.array([[most, 1, most, 0, 2, 1], [0, 0, 1, most, most, 3]])
+    found = card(searches, n_clusters=6, weights=weights, calibration=CALIBRATION).estimates
+    for row, weight in enumerate(weights):
+        for name, value in oracles.score_metrics(searches, weight, CALIBRATION).items():
+            if name in found:
+                assert found[name].replicates[row] == pytest.approx(value, abs=1e-9, nan_ok=True)
+
+
 @pytest.mark.parametrize(
     ("shape", "refused"),
     [((174, 174), []), ((52, 59), ["01pct"]), ((52, 58), ["1pct", "01pct"])],
@@ -388,6 +400,8 @@ def test_intervals_cover_away_from_chance(n_repetitions):
         ({"n_shuffles": 998}, "at least 999"),
         ({"weights": np.ones((5, 2))}, "weights must be"),
         ({"weights": np.ones(3)}, "weights must be"),
+        ({"weights": np.full((5, 3), 256)}, "weights must be counts"),
+        ({"weights": np.full((5, 3), 0.5)}, "weights must be counts"),
         ({"calibration": {1: Calibration(1.0, 0.0)}}, r"calibration lacks the scales \[0\]"),
         ({"no_match_score": []}, "no_match_score must be one a search, 1, got 0"),
         ({"no_match_score": [0.0, 1.0]}, "no_match_score must be one a search, 1, got 2"),
